@@ -1,0 +1,63 @@
+"""ullage: simulate ultra-wideband radars on a drone, and turn echoes into detections, images and maps.
+
+Names are loaded when first used, so that importing the package stays quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "C0": "geometry",
+    "InputError": "errors",
+    "UllageError": "errors",
+    "UllageWarning": "errors",
+    "AntennaSpec": "specs",
+    "MountSpec": "specs",
+    "NoiseSpec": "specs",
+    "RadarSpec": "specs",
+    "Rig": "specs",
+    "ThesisSpec": "specs",
+    "Detections": "data",
+    "Frames": "data",
+    "Metric": "data",
+    "Trajectory": "data",
+    "Grid": "grids",
+    "Image": "grids",
+    "OccupancyMap": "grids",
+    "Scene": "world.scene",
+    "load_scene": "world.load",
+    "Waypoints": "flight.missions",
+    "fly": "flight.vehicle",
+    "navigate": "flight.navigation",
+    "simulate": "radar.simulate",
+    "explain": "radar.explain",
+    "detect": "processing.detect",
+    "focus": "processing.sar",
+    "calibrate": "processing.calibrate",
+    "map_occupancy": "processing.occupancy",
+    "open": "ports",
+    "sink": "ports",
+    "run": "pipeline",
+}
+_MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics"}
+
+__all__ = sorted([*_HOMES, *_MODULES])
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        value: Any = importlib.import_module(f"ullage.{_MODULES[name]}")
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(f"ullage.{_HOMES[name]}"), name)
+    else:
+        raise AttributeError(f"module 'ullage' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

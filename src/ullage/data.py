@@ -1,0 +1,343 @@
+"""What flows between the parts: trajectories, frames, detections, metrics. Checked once, when made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from ullage.errors import InputError
+from ullage.geometry import matrix_quat, quat_matrix, rpy_quat
+from ullage.specs import RadarSpec
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+Samples = NDArray[np.complex64] | NDArray[np.float32]
+
+
+def _array(name: str, value: ArrayLike, shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[Any]:
+    out = np.ascontiguousarray(value, dtype)
+    if out.shape != shape:
+        raise InputError(f"{name} has shape {out.shape}", allowed=f"{shape}")
+    if out.dtype.kind == "f" and not np.isfinite(out).all():
+        row = int(np.argwhere(~np.isfinite(out))[0, 0])
+        raise InputError(f"{name} is not finite in row {row}", where=name)
+    return out
+
+
+def _rising(t_ns: ArrayLike) -> Times:
+    out = np.ascontiguousarray(t_ns, np.int64)
+    if out.ndim != 1 or out.size == 0:
+        raise InputError(f"t_ns has shape {out.shape}", allowed="(n,) with n >= 1")
+    back = np.flatnonzero(np.diff(out) <= 0)
+    if back.size:
+        raise InputError(f"time does not rise after sample {int(back[0])}", where="t_ns", allowed="strictly rising")
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses over time: world (ENU) from body (FLU)."""
+
+    t_ns: Times  # (n) strictly rising
+    position: Floats  # (n, 3) [m]
+    quat_xyzw: Floats  # (n, 4) world_from_body
+    velocity: Floats | None = None  # (n, 3) world [m/s]; None at the door means: from the positions
+    angular_velocity: Floats | None = None  # (n, 3) body [rad/s]; None means: from the attitudes
+
+    def __post_init__(self) -> None:
+        t_ns = _rising(self.t_ns)
+        n = len(t_ns)
+        quat = _array("quat_xyzw", self.quat_xyzw, (n, 4))
+        norm = np.linalg.norm(quat, axis=1, keepdims=True)
+        if np.any(abs(norm - 1) > 1e-3):
+            raise InputError(f"quaternion {int(np.argmax(abs(norm - 1)))} is not of unit length", where="quat_xyzw")
+        position = _array("position", self.position, (n, 3))
+        quat = quat / norm
+        velocity = _slope(t_ns, position) if self.velocity is None else _array("velocity", self.velocity, (n, 3))
+        spin = (
+            _spin(t_ns, quat)
+            if self.angular_velocity is None
+            else _array("angular_velocity", self.angular_velocity, (n, 3))
+        )
+        for name, value in zip(self.__slots__, (t_ns, position, quat, velocity, spin), strict=True):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, key: slice | NDArray[Any]) -> Trajectory:
+        velocity, spin = self.rates
+        return Trajectory(self.t_ns[key], self.position[key], self.quat_xyzw[key], velocity[key], spin[key])
+
+    @property
+    def rates(self) -> tuple[Floats, Floats]:
+        """Velocity (n, 3) [m/s] and angular velocity (n, 3) [rad/s], both always known after construction."""
+        if self.velocity is None or self.angular_velocity is None:  # narrows the type; never true once made
+            raise InputError("trajectory without rates")
+        return self.velocity, self.angular_velocity
+
+    @property
+    def duration_s(self) -> float:
+        """Time from first to last sample [s]."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
+
+    @property
+    def world_from_body(self) -> Floats:
+        """Transforms (n, 4, 4)."""
+        out = np.zeros((len(self), 4, 4))
+        out[:, :3, :3] = quat_matrix(self.quat_xyzw)
+        out[:, :3, 3] = self.position
+        out[:, 3, 3] = 1.0
+        return out
+
+    def at(self, t_ns: ArrayLike) -> Trajectory:
+        """The trajectory at other times (m): Hermite cubics in position, great arcs in attitude.
+
+        Raises:
+            InputError: a time lies outside the trajectory (one sample stands for all times).
+        """
+        want = np.atleast_1d(np.asarray(t_ns, np.int64))
+        velocity, spin = self.rates
+        if len(self) == 1:
+            return Trajectory(
+                want, *(np.repeat(a, len(want), 0) for a in (self.position, self.quat_xyzw, velocity, spin))
+            )
+        if want.min() < self.t_ns[0] or want.max() > self.t_ns[-1]:
+            raise InputError("time outside the trajectory", where="at", allowed=f"{self.t_ns[0]} .. {self.t_ns[-1]} ns")
+        known, asked = (self.t_ns - self.t_ns[0]) * 1e-9, (want - self.t_ns[0]) * 1e-9
+        spline = CubicHermiteSpline(known, self.position, velocity)
+        quat = Slerp(known, Rotation.from_quat(self.quat_xyzw))(asked).as_quat()
+        turn = np.stack([np.interp(asked, known, spin[:, k]) for k in range(3)], axis=1)
+        return Trajectory(want, spline(asked), quat, spline(asked, 1), turn)
+
+    def resampled(self, rate_hz: float) -> Trajectory:
+        """Samples at an even rate from the first time on [Hz].
+
+        Raises:
+            InputError: the rate is not above zero.
+        """
+        times = even_times(rate_hz, t0_ns=int(self.t_ns[0]), t1_ns=int(self.t_ns[-1]))
+        return self.at(times)
+
+    def mounted(self, body_from_sensor: Floats) -> Trajectory:
+        """The path of a sensor fixed to the body by a (4, 4) transform."""
+        velocity, spin = self.rates
+        rot = quat_matrix(self.quat_xyzw)
+        arm = body_from_sensor[:3, 3]
+        position = self.position + rot @ arm
+        attitude = matrix_quat(rot @ body_from_sensor[:3, :3])
+        moving = velocity + np.einsum("nij,nj->ni", rot, np.cross(spin, arm))
+        return Trajectory(self.t_ns, position, attitude, moving, spin @ body_from_sensor[:3, :3])
+
+    @classmethod
+    def stationary(
+        cls, position_m: Sequence[float] = (0, 0, 0), yaw_deg: float = 0.0, n: int = 1, *, rate_hz: float = 17.0
+    ) -> Trajectory:
+        """Standing still for `n` samples."""
+        if n < 1:
+            raise InputError(f"n is {n}", where="stationary", allowed="n >= 1")
+        t_ns = even_times(rate_hz, count=n)
+        quat = np.tile(rpy_quat(0, 0, np.radians(yaw_deg)), (n, 1))
+        still = np.zeros((n, 3))
+        return cls(t_ns, np.tile(np.asarray(position_m, float), (n, 1)), quat, still, still)
+
+    @classmethod
+    def line(
+        cls,
+        start_m: Sequence[float],
+        end_m: Sequence[float],
+        speed_m_s: float = 0.5,
+        rate_hz: float = 17.0,
+        *,
+        yaw_deg: float = 0.0,
+    ) -> Trajectory:
+        """A straight track at constant speed and attitude, one sample per 1 / rate_hz.
+
+        Raises:
+            InputError: speed or rate is not above zero.
+        """
+        a, b = np.asarray(start_m, float), np.asarray(end_m, float)
+        length = float(np.linalg.norm(b - a))
+        if not speed_m_s > 0:
+            raise InputError(f"speed_m_s is {speed_m_s}", where="line", allowed="> 0")
+        t_ns = even_times(rate_hz, t1_ns=round(length / speed_m_s * 1e9))
+        along = speed_m_s * (b - a) / max(length, 1e-12)
+        n = len(t_ns)
+        quat = np.tile(rpy_quat(0, 0, np.radians(yaw_deg)), (n, 1))
+        return cls(t_ns, a + t_ns[:, None] * 1e-9 * along, quat, np.tile(along, (n, 1)), np.zeros((n, 3)))
+
+
+def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, count: int | None = None) -> Times:
+    """Times [ns] at an even rate from t0_ns, `count` of them or up to and with t1_ns; rounded singly, so they never drift.
+
+    Raises:
+        InputError: the rate is not above zero.
+    """
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"rate_hz is {rate_hz}", where="rate_hz", allowed="> 0")
+    if count is None:
+        count = 1 if t1_ns is None else int((t1_ns - t0_ns) * rate_hz * 1e-9 + 1e-9) + 1
+    return np.asarray(t0_ns + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
+
+
+def _slope(t_ns: Times, position: Floats) -> Floats:
+    if len(t_ns) == 1:
+        return np.zeros_like(position)
+    return np.asarray(np.gradient(position, (t_ns - t_ns[0]) * 1e-9, axis=0))
+
+
+def _spin(t_ns: Times, quat: Floats) -> Floats:
+    if len(t_ns) == 1:
+        return np.zeros((1, 3))
+    rot = Rotation.from_quat(quat)
+    step = (rot[:-1].inv() * rot[1:]).as_rotvec() / (np.diff(t_ns)[:, None] * 1e-9)
+    return np.vstack([step[:1], (step[:-1] + step[1:]) / 2, step[-1:]])
+
+
+Unit = Literal["path_gain", "normalised", "thesis"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """What one radar gave: one row of range bins per frame, with the poses that the processor may believe."""
+
+    samples: Samples  # (n, b) complex64 baseband, or float32 RF or amplitude, in `unit`
+    range_m: Floats  # (b) rising [m]
+    t_ns: Times  # (n) strictly rising
+    spec: RadarSpec
+    poses: Trajectory | None = None  # world_from_sensor at t_ns, as believed; None: unknown
+    truth: Trajectory | None = None  # world_from_sensor as it was; never handed to processing
+    sensor: str = "radar"
+    unit: Unit = (
+        "path_gain"  # path_gain: sqrt(received / transmitted power); normalised: the sensor's own; thesis: eq. 4.2
+    )
+
+    def __post_init__(self) -> None:
+        t_ns = _rising(self.t_ns)
+        raw = np.asarray(self.samples)
+        if raw.ndim != 2 or len(raw) != len(t_ns):
+            raise InputError(f"samples have shape {raw.shape}", where=self.sensor, allowed=f"({len(t_ns)}, bins)")
+        samples = np.ascontiguousarray(raw, np.complex64 if np.iscomplexobj(raw) else np.float32)
+        range_m = _array("range_m", self.range_m, (samples.shape[1],))
+        if np.any(np.diff(range_m) <= 0):
+            raise InputError("range_m does not rise", where=self.sensor)
+        for name in ("poses", "truth"):
+            path = getattr(self, name)
+            if path is not None and not np.array_equal(path.t_ns, t_ns):
+                raise InputError(
+                    f"{name} are not at the frames' times",
+                    where=self.sensor,
+                    allowed="one pose per frame; use Trajectory.at",
+                )
+        for name, value in (("samples", samples), ("range_m", range_m), ("t_ns", t_ns)):
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, key: slice | NDArray[Any]) -> Frames:
+        poses = None if self.poses is None else self.poses[key]
+        truth = None if self.truth is None else self.truth[key]
+        return replace(self, samples=self.samples[key], t_ns=self.t_ns[key], poses=poses, truth=truth)
+
+    @property
+    def amplitude(self) -> NDArray[np.float32]:
+        """Magnitude of each bin (n, b)."""
+        return np.abs(self.samples)
+
+    @property
+    def believed(self) -> Trajectory:
+        """The poses, for a processor that cannot do without.
+
+        Raises:
+            InputError: the frames carry no poses.
+        """
+        if self.poses is None:
+            raise InputError("these frames have no poses", where=self.sensor, allowed="frames of a known track")
+        return self.poses
+
+    def chunks(self, size: int = 256) -> Iterator[Frames]:
+        """The same frames in pieces of at most `size`."""
+        for start in range(0, len(self), size):
+            yield self[start : start + size]
+
+
+Recording = Frames | Mapping[str, Frames] | Sequence[Frames]
+"""Frames of one sensor, or of several by name or in a row."""
+
+
+def sensors_of(frames: Recording) -> list[Frames]:
+    """Every sensor's frames as a list.
+
+    Raises:
+        InputError: nothing, or something else, was given.
+    """
+    parts = [frames] if isinstance(frames, Frames) else list(frames.values() if isinstance(frames, Mapping) else frames)
+    if not parts or not all(isinstance(part, Frames) for part in parts):
+        raise InputError("no frames", where="frames", allowed="Frames, or a dict or list of them")
+    return parts
+
+
+def joined(parts: Sequence[Frames]) -> Frames:
+    """Pieces of one sensor's recording, in order of time, as one.
+
+    Raises:
+        InputError: the pieces differ in sensor, bins or settings.
+    """
+    if not parts:
+        raise InputError("no frames", where="joined")
+    first = parts[0]
+    if any(p.sensor != first.sensor or not np.array_equal(p.range_m, first.range_m) for p in parts):
+        raise InputError("pieces of different sensors or range axes", where="joined")
+    return replace(
+        first,
+        samples=np.concatenate([p.samples for p in parts]),
+        t_ns=np.concatenate([p.t_ns for p in parts]),
+        poses=_strung([p.poses for p in parts]),
+        truth=_strung([p.truth for p in parts]),
+    )
+
+
+def _strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:
+    known = [p for p in paths if p is not None]
+    if len(known) < len(paths):
+        return None
+    rates = [p.rates for p in known]
+    return Trajectory(
+        np.concatenate([p.t_ns for p in known]),
+        np.concatenate([p.position for p in known]),
+        np.concatenate([p.quat_xyzw for p in known]),
+        np.concatenate([r[0] for r in rates]),
+        np.concatenate([r[1] for r in rates]),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Echoes judged to be objects."""
+
+    frame: NDArray[np.int64]  # (d) index into the frames
+    t_ns: Times  # (d)
+    range_m: Floats  # (d) [m]
+    amplitude: Floats  # (d) in the frames' unit
+    snr_db: Floats  # (d) over the frame's noise floor [dB], NaN where unknown
+    point: Floats  # (d, 3) world [m], NaN where the bearing is unknown
+    sensor: str = "radar"
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str = ""

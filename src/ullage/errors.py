@@ -1,0 +1,49 @@
+"""What can go wrong, and how it is said: one line with what, where and what is allowed."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+
+class UllageError(Exception):
+    """Anything ullage refuses; the command line prints it as one line and exits 2."""
+
+
+class InputError(UllageError):
+    """A value or a file that cannot be used.
+
+    Args:
+        what: what is wrong, in plain words.
+        where: file, with `line` appended where known, or the name of an argument or field.
+        line: line number in `where` [1 = first].
+        allowed: what would be accepted.
+    """
+
+    def __init__(
+        self, what: str, *, where: str | Path | None = None, line: int | None = None, allowed: str = ""
+    ) -> None:
+        place = "" if where is None else f"{where}:{line}: " if line is not None else f"{where}: "
+        super().__init__(f"{place}{what}" + (f" (allowed: {allowed})" if allowed else ""))
+        self.what, self.where, self.line, self.allowed = what, where, line, allowed
+
+
+class MissingExtra(UllageError):
+    """A library that an optional part needs is not installed."""
+
+
+class UllageWarning(UserWarning):
+    """Something was ignored or assumed; the work goes on."""
+
+
+def need(module: str, *, extra: str) -> ModuleType:
+    """Import an optional library, or say in one line how to get it.
+
+    Raises:
+        MissingExtra: the library is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtra(f"{module} is not installed; get it with: pip install 'ullage[{extra}]'") from error

@@ -1,0 +1,1 @@
+"""How the drone moves, and what it believes of that."""

@@ -1,0 +1,1 @@
+"""What the frames tell, blind to how they were made."""

@@ -1,0 +1,249 @@
+"""Every number a person sets about a radar: frozen, bounded, with the unit in the name.
+
+Facts about the X4 come from [NoveldaXTAN13] (user guide), [NoveldaX4Driver] (published driver) and [NoveldaX4A02]
+(antenna data sheet); docs/references.bib has them all.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from ullage.errors import InputError
+from ullage.geometry import C0, transform
+
+
+def explain(error: ValidationError) -> str:
+    """The first complaint of pydantic in one line: field, what is wrong, what was given."""
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    given = first.get("input")
+    shown = "" if isinstance(given, dict | BaseModel) else f", not {given!r}"
+    return f"{where}: {first['msg']}{shown}" if where else f"{first['msg']}{shown}"
+
+
+class Spec(BaseModel):
+    """A group of settings: unknown names and non-finite numbers are refused, nothing changes after it is made."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise InputError(explain(error), where=type(self).__name__) from None
+
+    def but(self, **changes: Any) -> Self:
+        """A checked copy with some fields changed."""
+        return type(self)(**{name: getattr(self, name) for name in type(self).model_fields} | changes)
+
+
+Vector = tuple[float, float, float]
+
+
+class MountSpec(Spec):
+    """Where a sensor sits on the body (FLU): translation [m], then fixed-axis roll, pitch, yaw [deg]."""
+
+    position_m: Vector = (0.0, 0.0, 0.0)
+    roll_deg: float = 0.0
+    pitch_deg: float = Field(0.0, description="positive looks down")
+    yaw_deg: float = Field(0.0, description="positive looks to the left")
+
+    def body_from_sensor(self) -> NDArray[np.float64]:
+        """The (4, 4) transform from sensor to body."""
+        angles = np.radians([self.roll_deg, self.pitch_deg, self.yaw_deg])
+        return transform(self.position_m, angles)
+
+
+class AntennaSpec(Spec):
+    """One-way antenna pattern, the same for transmit and receive."""
+
+    kind: Literal["isotropic", "x4a02", "cosine", "table"] = "x4a02"
+    gain_dbi: float | None = Field(
+        None, ge=-30, le=60, description="peak gain; None takes the kind's own (0 isotropic, 5.97 x4a02)"
+    )
+    azimuth_deg: float = Field(65.0, gt=0, le=360, description="-3 dB opening in azimuth (cosine)")
+    elevation_deg: float = Field(65.0, gt=0, le=360, description="-3 dB opening in elevation (cosine)")
+    file: str | None = Field(None, description="table: CSV with azimuth_deg, elevation_deg, gain_dbi")
+    polarization: Literal["vertical", "horizontal"] = Field(
+        "vertical", description="electric field along sensor z or y"
+    )
+
+
+class NoiseSpec(Spec):
+    """What the receiver adds to the echoes; the values are those measured on the X4 recordings [X4Recordings]."""
+
+    thermal: float = Field(
+        1.16e-3, ge=0, description="sigma of one RF sample at one count, in the sensor's normalised units"
+    )
+    unit_gain: float = Field(1.0, gt=0, description="normalised units per unit of sqrt(path gain)")
+    leakage: bool = Field(True, description="the direct path from transmitter to receiver")
+    phase_rad: float = Field(0.010, ge=0, description="sigma of the phase common to a whole frame")
+    amplitude: float = Field(0.0015, ge=0, description="sigma of the relative amplitude common to a whole frame")
+    clip: bool = Field(True, description="the DAC window limits strong echoes")
+
+
+class ThesisSpec(Spec):
+    """The 2018 ray model [Billdal2018, ch. 4]: square fan of rays, cosine law, histogram, noise, moving average."""
+
+    rays_per_side: int = Field(30, ge=2, le=1000, description="n of the n x n fan; 58 gives 0.2 m at 10 m (eq. 4.5)")
+    fov_deg: float = Field(65.0, gt=0, lt=180)
+    max_range_m: float = Field(10.0, gt=0, le=1000)
+    min_range_m: float = Field(0.2, ge=0)
+    noise_sigma: float = Field(0.002, ge=0, description="white noise on each range bin")
+    smoothing_bins: int = Field(5, ge=1, description="width of the moving average")
+    threshold: float = Field(0.038, gt=0, description="first peak above this is an object")
+
+
+class RadarSpec(Spec):
+    """One radar: waveform, sampling, antenna, receiver settings under the names X4 users know, noise and mount.
+
+    Lengths on the range axis use the vacuum speed of light, 299792458 m/s; the X4 driver labels its bins with 3e8.
+    """
+
+    name: str = "x4m05"
+    center_hz: float = Field(7.29e9, gt=1e8, le=1e11)
+    bandwidth_hz: float = Field(1.4e9, gt=1e6, le=2e10, description="-10 dB width of the pulse spectrum")
+    sampling_hz: float = Field(23.328e9, gt=1e8, le=1e12, description="RF sampling rate")
+    decimation: int = Field(8, ge=1, le=64, description="RF samples per baseband bin")
+    output: Literal["baseband", "rf"] = "baseband"
+    range_start_m: float = Field(0.0, ge=-1, le=1000, description="range of bin 0 (X4: frame_area start)")
+    bins: int = Field(188, ge=8, le=65536)
+    frame_area_offset_m: float = Field(
+        0.0, ge=-5, le=5, description="zero offset of the hardware, already taken off range_start_m"
+    )
+    antenna: AntennaSpec = AntennaSpec()
+    antenna_offset_m: float = Field(0.0, ge=0, le=2, description="distance between Tx and Rx along sensor y")
+    fps: float = Field(17.0, gt=0, le=10000)
+    iterations: int = Field(64, ge=1, le=255)
+    pulses_per_step: int = Field(87, ge=1, le=65535)
+    dac_min: int = Field(949, ge=0, le=2047)
+    dac_max: int = Field(1100, ge=0, le=2047)
+    dac_step: int = Field(0, ge=0, le=3)
+    prf_div: int = Field(16, ge=4, le=255, description="pulse repetition frequency = 243 MHz / prf_div")
+    duty: float = Field(0.95, gt=0, le=1)
+    noise: NoiseSpec | None = NoiseSpec()
+    mount: MountSpec = MountSpec()
+    thesis: ThesisSpec = ThesisSpec()
+
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "x4m05": {},
+        "x4m05-8ghz": {"name": "x4m05-8ghz", "center_hz": 8.748e9, "bandwidth_hz": 1.5e9},
+        "x4m300": {"name": "x4m300", "frame_area_offset_m": 0.18},
+        "pulson440": {
+            "name": "pulson440", "center_hz": 3.95e9, "bandwidth_hz": 1.7e9, "sampling_hz": 1 / 61e-12,
+            "decimation": 1, "output": "rf", "bins": 1152, "prf_div": 24,
+            "antenna": {"kind": "cosine", "gain_dbi": 2.0, "azimuth_deg": 100, "elevation_deg": 100},
+        },
+    }  # fmt: skip
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> RadarSpec:
+        """A known radar, with some fields changed: `preset("x4m05", noise=None)`.
+
+        Raises:
+            InputError: the name or a field is unknown, or a value is out of bounds.
+        """
+        if name not in cls.presets:
+            raise InputError(f"no radar preset {name!r}", where="preset", allowed=", ".join(cls.presets))
+        return cls(**cls.presets[name] | changes)
+
+    @field_validator("antenna", mode="before")
+    @classmethod
+    def _antenna_kind(cls, value: Any) -> Any:
+        return {"kind": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.dac_max <= self.dac_min:
+            raise ValueError(f"dac_max {self.dac_max} must be above dac_min {self.dac_min}")
+        if self.output == "baseband" and self.bandwidth_hz > 1.2 * self.sampling_hz / self.decimation:
+            rate = self.sampling_hz / self.decimation
+            raise ValueError(f"bandwidth_hz {self.bandwidth_hz:g} does not fit the baseband rate {rate:g} Hz")
+        return self
+
+    @property
+    def step_s(self) -> float:
+        """Time between output bins [s]."""
+        return (self.decimation if self.output == "baseband" else 1) / self.sampling_hz
+
+    @property
+    def bin_m(self) -> float:
+        """Range between output bins [m]."""
+        return C0 / 2 * self.step_s
+
+    @property
+    def range_m(self) -> NDArray[np.float64]:
+        """Range of each bin (b) [m]."""
+        return np.asarray(self.range_start_m + self.bin_m * np.arange(self.bins), np.float64)
+
+    @property
+    def wavelength_m(self) -> float:
+        """Wavelength at the centre frequency [m]."""
+        return C0 / self.center_hz
+
+    @property
+    def prf_hz(self) -> float:
+        """Pulse repetition frequency [Hz]."""
+        return 243e6 / self.prf_div
+
+    @property
+    def unambiguous_range_m(self) -> float:
+        """Echoes from beyond this range fold back into the frame [m]."""
+        return C0 / 2 / self.prf_hz
+
+    @property
+    def counts(self) -> int:
+        """N = iterations x pulses_per_step, the number of one-bit samples summed into each DAC step."""
+        return self.iterations * self.pulses_per_step
+
+    @property
+    def max_fps(self) -> float:
+        """Highest frame rate these settings allow [Hz] [NoveldaXTAN13]."""
+        return self.prf_hz * self.duty / (self.counts * (self.dac_max - self.dac_min + 1))
+
+    @property
+    def pulse_sigma_s(self) -> float:
+        """Standard deviation of the Gaussian pulse envelope [s]: its spectrum is down 10 dB at +-bandwidth_hz / 2."""
+        return math.sqrt(math.log(10)) / (math.pi * self.bandwidth_hz)
+
+
+def _ring(count: int, first_names: tuple[str, ...], radius_m: float) -> dict[str, MountSpec]:
+    angles = [360.0 * i / count for i in range(count)]
+    return {
+        name: MountSpec(
+            position_m=(radius_m * math.cos(math.radians(a)), radius_m * math.sin(math.radians(a)), 0.0),
+            yaw_deg=a if a <= 180 else a - 360,
+        )
+        for name, a in zip(first_names, angles, strict=True)
+    }
+
+
+class Rig(Spec):
+    """Several radars on one body, by name."""
+
+    sensors: dict[str, RadarSpec] = Field(min_length=1)
+
+    presets: ClassVar[tuple[str, ...]] = ("thesis-4", "single")
+
+    @classmethod
+    def preset(cls, name: str, *, radar: RadarSpec | None = None, **changes: Any) -> Rig:
+        """A known mount: "thesis-4" has four radars looking ahead, left, back and right [Billdal2018, fig. 4.6].
+
+        Four 65 deg openings cover 260 deg of the circle between them, not 360.
+
+        Raises:
+            InputError: the name is unknown.
+        """
+        base = (radar or RadarSpec.preset("x4m05")).but(**changes) if changes or radar else RadarSpec.preset("x4m05")
+        mounts = {
+            "thesis-4": _ring(4, ("front", "left", "back", "right"), 0.10),
+            "single": {"front": MountSpec()},
+        }
+        if name not in mounts:
+            raise InputError(f"no rig preset {name!r}", where="preset", allowed=", ".join(cls.presets))
+        return cls(sensors={key: base.but(mount=mount) for key, mount in mounts[name].items()})

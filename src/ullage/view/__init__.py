@@ -1,0 +1,1 @@
+"""For eyes: figures, report, viewer."""

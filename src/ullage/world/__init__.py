@@ -1,0 +1,1 @@
+"""What is out there: materials, geometry, world files."""

@@ -1,0 +1,150 @@
+"""The world a radar looks at: triangles and wires that belong to named objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Trajectory
+from ullage.errors import InputError
+from ullage.world.materials import Material, material
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneObject:
+    """A thing with one name and one material; its triangles and wires carry its index."""
+
+    name: str
+    material: Material
+    motion: Trajectory | None = None  # world_from_object; None: static, geometry already in the world frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wires:
+    """Straight round wires, rods and thin pipes, kept as lines, not meshed."""
+
+    start: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (w, 3) [m]
+    end: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (w, 3) [m]
+    radius_m: Floats = field(default_factory=lambda: np.zeros(0))  # (w) [m]
+    object_id: Ints = field(default_factory=lambda: np.zeros(0, np.int32))  # (w)
+
+    def __len__(self) -> int:
+        return len(self.radius_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Everything the rays and waves can meet. Faces are two-sided; those of a moving object are in its own frame."""
+
+    vertices: Floats  # (v, 3) [m]
+    faces: Ints  # (f, 3) into vertices
+    face_object: Ints  # (f) into objects
+    objects: tuple[SceneObject, ...]
+    wires: Wires = field(default_factory=Wires)
+    name: str = "scene"
+
+    def __post_init__(self) -> None:
+        vertices = np.ascontiguousarray(self.vertices, np.float64).reshape(-1, 3)
+        faces = np.ascontiguousarray(self.faces, np.int32).reshape(-1, 3)
+        owner = np.ascontiguousarray(self.face_object, np.int32)
+        if not np.isfinite(vertices).all():
+            raise InputError("a vertex is not finite", where=self.name)
+        if len(owner) != len(faces):
+            raise InputError(f"{len(owner)} owners for {len(faces)} faces", where=self.name)
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise InputError("a face names a vertex that is not there", where=self.name)
+        ids = np.concatenate([owner, self.wires.object_id])
+        if len(ids) and (ids.min() < 0 or ids.max() >= len(self.objects)):
+            raise InputError("a face or wire names an object that is not there", where=self.name)
+        for key, value in (("vertices", vertices), ("faces", faces), ("face_object", owner)):
+            object.__setattr__(self, key, value)
+
+    @property
+    def bounds(self) -> Floats:
+        """Lower and upper corner (2, 3) of everything that is there, moving things at their start [m]."""
+        points = [self.corners().reshape(-1, 3)]
+        if len(self.wires):
+            r = self.wires.radius_m[:, None]
+            points += [self.wires.start - r, self.wires.start + r, self.wires.end - r, self.wires.end + r]
+        cloud = np.concatenate(points)
+        if not len(cloud):
+            return np.zeros((2, 3))
+        return np.stack([cloud.min(0), cloud.max(0)])
+
+    def corners(self, t_ns: int | None = None) -> Floats:
+        """Corners (f, 3, 3) of all faces in the world, moving objects where they are at `t_ns` (None: their start)."""
+        out = self.vertices[self.faces]
+        for index, thing in enumerate(self.objects):
+            if thing.motion is not None:
+                mine = self.face_object == index
+                when = int(np.clip(thing.motion.t_ns[0] if t_ns is None else t_ns, *thing.motion.t_ns[[0, -1]]))
+                pose = thing.motion.at(when).world_from_body[0]
+                out[mine] = out[mine] @ pose[:3, :3].T + pose[:3, 3]
+        return out
+
+    def object(self, name: str) -> int:
+        """Index of the object with this name.
+
+        Raises:
+            InputError: no such object.
+        """
+        for index, thing in enumerate(self.objects):
+            if thing.name == name:
+                return index
+        raise InputError(f"no object {name!r}", where=self.name, allowed=", ".join(o.name for o in self.objects[:20]))
+
+    @classmethod
+    def empty(cls, name: str = "empty") -> Scene:
+        """Free space."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.int32), (), name=name)
+
+    @classmethod
+    def of_mesh(
+        cls,
+        vertices: Floats,
+        faces: Ints,
+        *,
+        name: str,
+        made_of: str | Material = "steel",
+        motion: Trajectory | None = None,
+    ) -> Scene:
+        """One object from a triangle mesh."""
+        stuff = made_of if isinstance(made_of, Material) else material(made_of)
+        return cls(vertices, faces, np.zeros(len(faces), np.int32), (SceneObject(name, stuff, motion),), name=name)
+
+    @classmethod
+    def of_wires(
+        cls, start: Floats, end: Floats, radius_m: float, *, name: str, made_of: str | Material = "steel"
+    ) -> Scene:
+        """One object from straight wires of one radius."""
+        stuff = made_of if isinstance(made_of, Material) else material(made_of)
+        a = np.atleast_2d(np.asarray(start, float))
+        wires = Wires(a, np.atleast_2d(np.asarray(end, float)), np.full(len(a), radius_m), np.zeros(len(a), np.int32))
+        return replace(cls.empty(name), objects=(SceneObject(name, stuff),), wires=wires)
+
+    @classmethod
+    def union(cls, parts: Sequence[Scene], *, name: str = "scene") -> Scene:
+        """Several scenes in one."""
+        shift = np.cumsum([0, *(len(p.vertices) for p in parts)])
+        owner = np.cumsum([0, *(len(p.objects) for p in parts)])
+        if not parts:
+            return cls.empty(name)
+        return cls(
+            np.concatenate([p.vertices for p in parts]),
+            np.concatenate([p.faces + s for p, s in zip(parts, shift, strict=False)]).astype(np.int32),
+            np.concatenate([p.face_object + o for p, o in zip(parts, owner, strict=False)]).astype(np.int32),
+            tuple(thing for p in parts for thing in p.objects),
+            Wires(
+                np.concatenate([p.wires.start for p in parts]),
+                np.concatenate([p.wires.end for p in parts]),
+                np.concatenate([p.wires.radius_m for p in parts]),
+                np.concatenate([p.wires.object_id + o for p, o in zip(parts, owner, strict=False)]).astype(np.int32),
+            ),
+            name,
+        )
