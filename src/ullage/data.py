@@ -203,6 +203,18 @@ def _spin(t_ns: Times, quat: Floats) -> Floats:
 Unit = Literal["path_gain", "normalised", "thesis"]
 
 
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Offsets found by focus: what was added to the radar's clock and to its range axis, and how sure that is."""
+
+    t_offset_s: float  # pose clock minus radar clock [s]
+    range_offset_m: float  # added to range_m [m]
+    t_sigma_s: float  # one sigma [s]
+    range_sigma_m: float  # one sigma [m]
+    gain_db: float  # sharpness gained over the frames as they came [dB]
+    method: str = ""  # which means found it, and what it could not tell
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
     """What one radar gave: one row of range bins per frame, with the poses that the processor may believe."""
@@ -217,6 +229,8 @@ class Frames:
     unit: Unit = (
         "path_gain"  # path_gain: sqrt(received / transmitted power); normalised: the sensor's own; thesis: eq. 4.2
     )
+    track: Trajectory | None = None  # world_from_sensor over the whole recording, in the pose clock; None: only `poses`
+    calibration: Calibration | None = None  # set by ul.calibrate
 
     def __post_init__(self) -> None:
         t_ns = _rising(self.t_ns)
