@@ -7,6 +7,7 @@ Facts about the X4 come from [NoveldaXTAN13] (user guide), [NoveldaX4Driver] (pu
 from __future__ import annotations
 
 import math
+from contextvars import ContextVar
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -26,16 +27,25 @@ def explain(error: ValidationError) -> str:
     return f"{where}: {first['msg']}{shown}" if where else f"{first['msg']}{shown}"
 
 
+_nested: ContextVar[bool] = ContextVar("nested", default=False)
+
+
 class Spec(BaseModel):
     """A group of settings: unknown names and non-finite numbers are refused, nothing changes after it is made."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
 
     def __init__(self, **values: Any) -> None:
+        outermost = not _nested.get()
+        mark = _nested.set(True)
         try:
             super().__init__(**values)
         except ValidationError as error:
+            if not outermost:  # the group that holds this one tells the whole path to the field
+                raise
             raise InputError(explain(error), where=type(self).__name__) from None
+        finally:
+            _nested.reset(mark)
 
     def but(self, **changes: Any) -> Self:
         """A checked copy with some fields changed."""

@@ -1,0 +1,74 @@
+# make demo: set up and fly the main job.  make test: the tests.  make check: what CI runs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
+
+.PHONY: help demo test slow lint docs bench check env dev lock clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo   set up .venv and run the main job: fly the cargo hold, record four radars, map it"
+	@echo "make test   run the tests (under five minutes on two cores)"
+	@echo "make lint   formatting, style, types, layers"
+	@echo "make slow   the slower tests"
+	@echo "make docs   build the documentation into site/"
+	@echo "make bench  ratios of speed and memory, measured side by side"
+
+demo: $(VENV)/.run
+	$(BIN)/ullage run cargo-hold --force
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest -m "not slow"
+
+slow: $(VENV)/.dev
+	$(BIN)/python -m pytest -m slow
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check src tests benchmarks examples
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+docs: $(VENV)/.dev
+	$(BIN)/mkdocs build --strict
+
+bench: $(VENV)/.dev
+	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+check:
+	bash .ci/run
+
+env: $(VENV)/.run
+dev: $(VENV)/.dev
+
+$(VENV)/.venv:
+	@echo "Creating $(VENV) with $$($(PYTHON) --version)"
+	@$(PYTHON) -c 'import sys; sys.exit("ullage needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || \
+	  { [ "$$(id -u)" = 0 ] && apt-get update -q && apt-get install -y -q python3-venv; } || \
+	  { echo "Debian keeps venv apart: apt-get install python3-venv, then make again"; exit 2; }
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.run: $(VENV)/.venv requirements.lock pyproject.toml
+	@echo "Installing what ullage needs (about 120 MB, once)"
+	@$(PIP) install --progress-bar on --require-hashes -r requirements.lock
+	@$(PIP) install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run requirements-dev.lock
+	@echo "Installing what the tests need"
+	@$(PIP) install --progress-bar on --require-hashes -r requirements-dev.lock
+	@touch $@
+
+# Versions and hashes only; needs uv in the environment.
+lock:
+	$(BIN)/uv pip compile pyproject.toml --group build --python-version 3.11 --generate-hashes --no-emit-index-url \
+	  --no-header --no-annotate -q -o requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra octomap --extra zarr -c requirements.lock --python-version 3.11 \
+	  --generate-hashes --no-emit-index-url --no-header --no-annotate -q -o requirements-dev.lock
+
+clean:
+	rm -rf $(VENV) site runs .pytest_cache .mypy_cache .ruff_cache
+	find src -name '*.nbi' -delete -o -name '*.nbc' -delete

@@ -1,0 +1,209 @@
+"""Scenario files: what to fly, where, with which radars, and what to make of the echoes. YAML in, checked, YAML out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, Field
+from pydantic_core import PydanticUndefined
+
+from ullage.errors import InputError
+from ullage.specs import RadarSpec, Rig, Spec
+
+MAX_BYTES = 1_000_000
+SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+
+
+class WorldSpec(Spec):
+    """Which world: a library name or a file."""
+
+    name: str = Field("", description="a library world, as `ullage list` names them")
+    file: str = Field("", description="or a world file: .sdf .world .urdf .xacro .glb .obj .stl .ply .dae")
+    geometry: Literal["collision", "visual"] = "collision"
+    search_path: tuple[str, ...] = Field((), description="folders for model:// and relative URIs")
+
+
+class FlightSpec(Spec):
+    """How the drone moves."""
+
+    waypoints: tuple[tuple[float, ...], ...] = Field(
+        (), description="x, y, z [m] and, if given, yaw [deg]; none: the world's own"
+    )
+    speed_m_s: float = Field(0.5, gt=0, le=20)
+    vehicle: str = Field("hector", description="hector: rigid-body flight; ideal: straight lines at constant speed")
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gust_m_s: float = Field(0.0, ge=0, le=20)
+
+
+class NavigationSpec(Spec):
+    """What the drone believes of its flight, against what is true."""
+
+    noise_m: float = Field(0.0, ge=0, le=10, description="white position noise, sigma")
+    drift_m: float = Field(0.0, ge=0, le=100, description="smooth position drift, rms")
+    yaw_deg: float = Field(0.0, ge=0, le=180, description="yaw error, rms")
+
+
+class SensingSpec(Spec):
+    """Which radars, and which law their echoes follow."""
+
+    rig: str = Field("thesis-4", description="thesis-4 or single")
+    preset: str = Field("x4m05", description="x4m05, x4m05-8ghz, x4m300 or pulson440")
+    changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")
+    fidelity: Literal["physical", "thesis"] = "physical"
+    max_bounces: int = Field(1, ge=1, le=3)
+    rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; none: the radar's own fps")
+
+    def radars(self) -> Rig:
+        """The rig these settings describe.
+
+        Raises:
+            InputError: a preset or a field is unknown, or a value out of bounds.
+        """
+        return Rig.preset(self.rig, radar=RadarSpec.preset(self.preset, **self.changes))
+
+
+class DetectSpec(Spec):
+    """Echoes judged to be objects."""
+
+    method: Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"] = "first_peak"
+    threshold: float | None = Field(None, gt=0, description="none: 0.038 for thesis amplitudes, else from the noise")
+
+
+class MapSpec(Spec):
+    """The occupancy map."""
+
+    method: Literal["ullage", "elfes"] = "ullage"
+    step_m: float = Field(0.1, gt=0, le=10)
+    dims: Literal[2, 3] = 2
+    margin_m: float = Field(1.0, ge=0, le=100, description="room around the world")
+
+
+class ImageSpec(Spec):
+    """The SAR image."""
+
+    method: Literal["backprojection", "summation"] = "backprojection"
+    step_m: float = Field(0.05, gt=0, le=10)
+    sensor: str = Field("", description="one sensor; none: the first")
+
+
+class Bound(Spec):
+    """Where a metric has to lie."""
+
+    min: float | None = None
+    max: float | None = None
+
+
+Task = Literal["detect", "image", "map"]
+
+
+class Scenario(Spec):
+    """One experiment: world, flight, radars, what to do with the echoes, and what must come out."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+    title: str = ""
+    world: WorldSpec = WorldSpec()
+    flight: FlightSpec = FlightSpec()
+    navigation: NavigationSpec = NavigationSpec()
+    sensing: SensingSpec = SensingSpec()
+    do: tuple[Task, ...] = ("detect", "image", "map")
+    detect: DetectSpec = DetectSpec()
+    map: MapSpec = MapSpec()
+    image: ImageSpec = ImageSpec()
+    seed: int = Field(7, ge=0, lt=2**63)
+    expect: dict[str, Bound] = Field({}, description="bounds on metrics; `ullage measure` exits 1 outside them")
+
+    @property
+    def digest(self) -> str:
+        """Eight characters that stand for these very settings."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def read_scenario(path: str | Path, *, options: Sequence[str] = ()) -> Scenario:
+    """A scenario file, with `a.b=value` options laid over it.
+
+    Raises:
+        InputError: the file is missing, not YAML, or a field is unknown or out of bounds.
+    """
+    file = Path(path)
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise InputError(f"{file.stat().st_size} bytes", where=file, allowed=f"a scenario of at most {MAX_BYTES}")
+        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), where=file) from None
+    except UnicodeDecodeError:
+        raise InputError("not UTF-8 text", where=file, allowed="a YAML scenario") from None
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else None
+        raise InputError(f"not YAML: {error.problem}", where=file, line=line) from None
+    if not isinstance(tree, dict):
+        raise InputError("not a scenario", where=file, allowed="YAML with fields like world, flight, sensing")
+    return make_scenario({"name": file.stem} | tree, options=options, where=str(file))
+
+
+def make_scenario(tree: dict[str, Any], *, options: Sequence[str] = (), where: str = "scenario") -> Scenario:
+    """A scenario from plain values, with `a.b=value` options laid over them.
+
+    Raises:
+        InputError: a field is unknown or out of bounds.
+    """
+    try:
+        return Scenario(**_overlaid(tree, options))
+    except InputError as error:
+        raise InputError(error.what, where=where, allowed=error.allowed) from None
+
+
+def _overlaid(tree: dict[str, Any], options: Sequence[str]) -> dict[str, Any]:
+    out: dict[str, Any] = json.loads(json.dumps(tree, default=list))
+    for option in options:
+        key, sep, text = option.partition("=")
+        if not sep or not key:
+            raise InputError(f"-o {option!r} is not an option", allowed="key=value, e.g. -o map.step_m=0.2")
+        *folders, leaf = key.split(".")
+        place = out
+        for folder in folders:
+            place = place.setdefault(folder, {})
+            if not isinstance(place, dict):
+                raise InputError(f"{folder!r} holds a value, not a group, in -o {option}")
+        try:
+            place[leaf] = yaml.safe_load(text)
+        except yaml.YAMLError:
+            raise InputError(f"cannot read -o {key}={text!r}", allowed="a YAML value") from None
+    return out
+
+
+def scenario_text(spec: Spec, *, commented: bool = True) -> str:
+    """Settings as YAML, each with its meaning and bounds as a comment."""
+    return "\n".join(_lines(spec, 0, commented)) + "\n"
+
+
+def _lines(spec: BaseModel, depth: int, commented: bool) -> list[str]:
+    out: list[str] = []
+    for name, info in type(spec).model_fields.items():
+        value = getattr(spec, name)
+        pad = "  " * depth
+        if isinstance(value, BaseModel):
+            note = (type(value).__doc__ or "").strip().splitlines()[0]
+            out += [f"{pad}{name}:" + (f"  # {note}" if commented else ""), *_lines(value, depth + 1, commented)]
+            continue
+        plain = spec.model_dump(mode="json", include={name}, exclude_none=False)[name]
+        text = json.dumps(plain, ensure_ascii=False)
+        bounds = [
+            f"{sign} {getattr(m, key):g}" for m in info.metadata for key, sign in SIGNS.items() if hasattr(m, key)
+        ]
+        notes = [note for note in (info.description, ", ".join(bounds)) if note]
+        if info.default is not PydanticUndefined and info.default != value:
+            notes.append(f"default {json.dumps(info.default, default=str)}")
+        out.append(f"{pad}{name}: {text}" + (f"  # {'; '.join(notes)}" if commented and notes else ""))
+    return out
+
+
+def scenario_schema() -> dict[str, Any]:
+    """JSON schema of a scenario file, for editors."""
+    return Scenario.model_json_schema()
