@@ -112,7 +112,7 @@ def sphere(radius_m: float, *, edge_m: float) -> Shape:
         InputError: a size is not above zero.
     """
     r, s = _positive("sphere radius and edge", (radius_m, edge_m), 2)
-    return _ball(max(2, ceil(1.19 * r / s)), r)
+    return _ball(2 * ceil(1.325 * r / s / 2), r)  # an even number: vertices on the axes; no edge is over 1.325 r / n
 
 
 def ellipsoid(radii_m: ArrayLike, *, edge_m: float) -> Shape:
