@@ -1,0 +1,45 @@
+"""What one range profile says: its noise, its first echo, and how well the antenna sees each direction."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames
+
+Floats = NDArray[np.float64]
+RAYLEIGH_MEDIAN = 1.1774
+FALSE_ALARM_SIGMAS = 6.0
+BLANKED_M = 0.45
+
+
+def noise_sigma(frames: Frames) -> Floats:
+    """Noise of one component (n), from the quietest half of each profile's bins, in the frames' unit."""
+    quiet = np.sort(frames.amplitude, axis=1)[:, : max(frames.samples.shape[1] // 2, 4)]
+    return np.maximum(np.median(quiet, axis=1) / 0.7585, 1e-30).astype(np.float64)
+
+
+def blank_m(frames: Frames) -> float:
+    """Range below which the direct path and the device itself speak [m]."""
+    if frames.unit == "thesis":
+        return frames.spec.thesis.min_range_m
+    return max(BLANKED_M, float(frames.range_m[0]))
+
+
+def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Floats, NDArray[np.bool_]]:
+    """Range of the first peak over the threshold (n) [m], and whether there is one (n).
+
+    Args:
+        frames: one sensor's.
+        threshold: in the frames' unit; None: 0.038 for the thesis' frames, else six times the noise.
+    """
+    amplitude = frames.amplitude.astype(np.float64)
+    if threshold is not None or frames.unit == "thesis":
+        level = np.full(len(frames), frames.spec.thesis.threshold if threshold is None else threshold)
+    else:
+        level = FALSE_ALARM_SIGMAS * noise_sigma(frames)
+    peak = np.zeros(amplitude.shape, bool)
+    peak[:, 1:-1] = (amplitude[:, 1:-1] >= amplitude[:, :-2]) & (amplitude[:, 1:-1] > amplitude[:, 2:])
+    peak &= (amplitude >= level[:, None]) & (frames.range_m >= blank_m(frames))
+    found = peak.any(axis=1)
+    return frames.range_m[np.argmax(peak, axis=1)], found

@@ -1,0 +1,94 @@
+"""What every mapper checks before it starts, and the changed region it keeps for publishing."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from ullage.data import Frames, Recording, sensors_of
+from ullage.errors import InputError, UllageWarning
+from ullage.grids import Grid
+
+JUMP_M = 0.5
+JUMP_SPEED_M_S = 20.0
+
+
+def in_order(frames: Recording, grid: Grid) -> list[Frames]:
+    """The frames of each sensor, checked: finite samples, poses, a flight inside the grid.
+
+    Raises:
+        InputError: naming sensor and frame.
+    """
+    parts = sensors_of(frames)
+    for part in parts:
+        _refuse_bad_samples(part)
+        _warn_of_jumps(part)
+        _refuse_outside(part, grid)
+    return parts
+
+
+def _refuse_bad_samples(frames: Frames) -> None:
+    total = np.sum(frames.samples, axis=1)
+    for index in np.flatnonzero(~np.isfinite(total)):
+        if not np.isfinite(frames.samples[index]).all():
+            raise InputError(f"frame {index} has a sample that is not finite", where=frames.sensor)
+
+
+def jumps(frames: Frames) -> np.ndarray:
+    """Index of the first frame after each jump of the poses: over 0.5 m at over 20 m/s."""
+    path = frames.believed
+    gap = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
+    speed = gap / np.maximum(np.diff(path.t_ns) * 1e-9, 1e-9)
+    return np.flatnonzero((gap > JUMP_M) & (speed > JUMP_SPEED_M_S)) + 1
+
+
+def _warn_of_jumps(frames: Frames) -> None:
+    where = jumps(frames)
+    if len(where):
+        warnings.warn(
+            f"{frames.sensor}: the poses jump {len(where)} times, first at frame {where[0]}; "
+            "frames on both sides are mapped, but never joined",
+            UllageWarning,
+            stacklevel=4,
+        )
+
+
+def _refuse_outside(frames: Frames, grid: Grid) -> None:
+    _, inside = grid.index(frames.believed.position)
+    if not inside.all():
+        first = int(np.flatnonzero(~inside)[0])
+        x, y, z = frames.believed.position[first]
+        left, right, bottom, top = grid.extent_m
+        tall = "" if grid.dims == 2 else f", z {grid.z_m[0]:.1f}..{grid.z_m[-1]:.1f}"
+        raise InputError(
+            f"the grid does not hold the flight: frame {first} at ({x:.2f}, {y:.2f}, {z:.2f}) m",
+            where=frames.sensor,
+            allowed=f"x {left:.1f}..{right:.1f}, y {bottom:.1f}..{top:.1f}{tall} m; a larger grid",
+        )
+
+
+def plane_of(grid: Grid, parts: list[Frames]) -> Grid:
+    """The grid at the sensors' mean height, where it has none."""
+    return grid.at_height(float(np.mean(np.concatenate([p.believed.position[:, 2] for p in parts]))))
+
+
+class ChangedRegion:
+    """The smallest box of cells touched since it was last asked for."""
+
+    def __init__(self) -> None:
+        self._box: list[list[int]] | None = None
+
+    def add(self, box: tuple[tuple[int, int], ...]) -> None:
+        """Grow by a box given as (first, end) for each axis; an empty one changes nothing."""
+        if any(end <= first for first, end in box):
+            return
+        if self._box is None:
+            self._box = [list(axis) for axis in box]
+        else:
+            self._box = [[min(a, f), max(b, e)] for (a, b), (f, e) in zip(self._box, box, strict=True)]
+
+    def take(self) -> tuple[slice, ...] | None:
+        """The box, as an index of the map's array, and start anew."""
+        box, self._box = self._box, None
+        return None if box is None else tuple(slice(a, b) for a, b in box)

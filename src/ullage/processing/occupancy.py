@@ -1,0 +1,58 @@
+"""Occupancy maps from frames: one call, or piece by piece."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+from ullage.data import Recording
+from ullage.errors import InputError
+from ullage.grids import Grid, OccupancyMap
+
+Method = Literal["ullage", "elfes"]
+
+
+class StreamingMapper(Protocol):
+    """What every mapper does."""
+
+    def update(self, frames: Recording) -> None:
+        """Add frames."""
+
+    def map(self) -> OccupancyMap:
+        """The map so far."""
+
+    def changed(self) -> tuple[slice, ...] | None:
+        """The box of cells touched since the last call."""
+
+    def finish(self) -> None:
+        """Use what was held back for lack of a successor."""
+
+
+def Mapper(grid: Grid, *, method: Method = "ullage", **options: float | None) -> StreamingMapper:  # noqa: N802
+    """A mapper fed with pieces of a recording: `.update(frames)`, `.map()`, `.changed()`, `.finish()`.
+
+    Raises:
+        InputError: the method is unknown.
+    """
+    if method == "elfes":
+        from ullage.processing.elfes import ElfesMapper
+
+        return ElfesMapper(grid, **options)  # type: ignore[arg-type]
+    raise InputError(f"no mapping method {method!r}", where="method", allowed="ullage, elfes")
+
+
+def map_occupancy(frames: Recording, grid: Grid, *, method: Method = "ullage", **options: float | None) -> OccupancyMap:
+    """The occupancy map that a recording gives.
+
+    Args:
+        frames: one sensor's, or several by name; sensors may differ in settings and rate.
+        grid: a plane or a volume that holds the flight.
+        method: "ullage", all that each profile says, or "elfes", the thesis' baseline.
+        options: those of the method's mapper, as `threshold`.
+
+    Raises:
+        InputError: the method is unknown, or the frames cannot be mapped.
+    """
+    mapper = Mapper(grid, method=method, **options)
+    mapper.update(frames)
+    mapper.finish()
+    return mapper.map()

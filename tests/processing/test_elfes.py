@@ -1,0 +1,146 @@
+import warnings
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.processing.occupancy import Mapper
+
+SPEC = ul.RadarSpec.preset("x4m05")
+GRID = ul.Grid.covering([[-6, -4, -1], [6, 8, 1]], 0.1)
+
+
+def echoes(path, ranges, *, height=0.1):
+    axis = SPEC.range_m
+    profile = height * np.exp(-0.5 * ((axis[None] - np.asarray(ranges, float)[:, None]) / 0.08) ** 2)
+    return Frames(profile.astype(np.float32), axis, path.t_ns, SPEC, poses=path, unit="thesis")
+
+
+def twin(empty, occupied, grid, x, y, yaw, near, reach, spread, half):
+    """Elfes' formulas, cell by cell, as in his paper."""
+    cells = {}
+    for row in range(grid.shape[0]):
+        for column in range(grid.shape[1]):
+            dx, dy = grid.x_m[column] - x, grid.y_m[row] - y
+            d, angle = np.hypot(dx, dy), (np.arctan2(dy, dx) - yaw + np.pi) % (2 * np.pi) - np.pi
+            if abs(angle) > half:
+                continue
+            across = 1 - (angle / half) ** 2
+            if near <= d < reach - spread:
+                weight = (1 - ((d - near) / (reach - spread - near)) ** 2) * across
+                empty[row, column] = empty[row, column] + weight - empty[row, column] * weight
+            elif abs(d - reach) < spread:
+                cells[row, column] = (1 - ((d - reach) / spread) ** 2) * across
+    cells = {k: v * (1 - empty[k]) for k, v in cells.items()}
+    total = sum(cells.values())
+    for k, v in cells.items():
+        occupied[k] = occupied[k] + v / total - occupied[k] * v / total
+
+
+def test_kernel_equals_its_slow_twin():
+    from ullage.kernels.elfes import insert_reading
+
+    grid = ul.Grid((-2.0, -1.0, 0.0), 0.2, (25, 30))
+    rng = np.random.default_rng(1)
+    fast = np.zeros((2, *grid.shape)), np.zeros((2, *grid.shape))
+    for _ in range(4):
+        x, y, yaw, reach = rng.uniform(-1, 2), rng.uniform(0, 2), rng.uniform(-3, 3), rng.uniform(1, 3)
+        insert_reading(fast[0][0], fast[0][1], -2.0, -1.0, 0.2, x, y, yaw, 0.2, reach, 0.2, True, 0.6, np.zeros(4, int))
+        twin(fast[1][0], fast[1][1], grid, x, y, yaw, 0.2, reach, 0.2, 0.6)
+    np.testing.assert_allclose(fast[0], fast[1], atol=1e-6)
+    assert fast[0][1].max() > 0.1
+
+
+def test_a_wall_is_mapped_where_it_stands():
+    path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=10, yaw_deg=90)
+    omap = ul.map_occupancy(echoes(path, np.full(len(path), 3.0)), GRID, method="elfes")
+    rows, columns = np.nonzero(omap.occupied)
+    assert len(rows) > 20
+    assert abs(np.median(GRID.y_m[rows]) - 3.0) < 0.1
+    inside = (abs(GRID.x_m[columns]) < 1.8) & (abs(GRID.y_m[rows] - 3) < 0.3)
+    assert inside.mean() > 0.8
+    assert omap.percent[np.searchsorted(GRID.y_m, 1.5), np.searchsorted(GRID.x_m, 0.0)] <= 5
+    assert omap.unknown[0].all(), "behind the drone nothing is known"
+    assert omap.percent.max() <= 100
+    assert omap.percent.min() == -1
+
+
+def test_hovering_makes_ghosts_along_the_arc_as_the_thesis_reports():
+    still = Trajectory.stationary(yaw_deg=90, n=300)
+    short = ul.map_occupancy(echoes(still[:1], [3.0]), GRID, method="elfes")
+    long = ul.map_occupancy(echoes(still, np.full(300, 3.0)), GRID, method="elfes")
+    assert short.occupied.sum() == 0
+    rows, columns = np.nonzero(long.occupied)
+    assert np.ptp(GRID.x_m[columns]) > 2.0
+    np.testing.assert_allclose(np.hypot(GRID.x_m[columns], GRID.y_m[rows]), 3.0, atol=0.2)
+
+
+def test_no_echo_frees_to_the_end_of_the_range_axis():
+    still = Trajectory.stationary(yaw_deg=90)
+    omap = ul.map_occupancy(echoes(still, [3.0], height=0.0), GRID, method="elfes")
+    assert omap.percent[np.searchsorted(GRID.y_m, 7.5), np.searchsorted(GRID.x_m, 0.0)] < 50
+    assert not omap.occupied.any()
+
+
+def test_pieces_give_the_map_of_the_whole_and_say_what_changed():
+    path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=10, yaw_deg=90)
+    frames = echoes(path, np.full(len(path), 3.0))
+    whole = ul.map_occupancy(frames, GRID, method="elfes")
+    mapper = Mapper(ul.Grid.covering([[-6, -4, -1], [6, 8, 1]], 0.1, z_m=0.0), method="elfes")
+    before = None
+    for piece in frames.chunks(7):
+        mapper.update(piece)
+        box, now = mapper.changed(), mapper.map().percent
+        if before is not None:
+            differs = now != before
+            differs[box] = False
+            assert not differs.any(), "every changed cell lies in the box"
+        before = now
+    np.testing.assert_array_equal(mapper.map().percent, whole.percent)
+    assert mapper.changed() is None
+
+
+def test_roll_and_pitch_are_projected_to_the_plane():
+    from ullage.geometry import rpy_quat
+
+    n = 5
+    tilted = Trajectory(
+        np.arange(n) * 10**8, np.zeros((n, 3)), np.tile(rpy_quat(np.radians(20), np.radians(10), np.pi / 2), (n, 1))
+    )
+    flat = Trajectory.stationary(yaw_deg=90, n=n, rate_hz=10)
+    a, b = (ul.map_occupancy(echoes(p, np.full(n, 3.0)), GRID, method="elfes").percent for p in (tilted, flat))
+    np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda f: Frames(f.samples, f.range_m, f.t_ns, f.spec), "no poses"),
+        (lambda f: Frames(np.where(np.arange(len(f))[:, None] == 3, np.nan, f.samples), f.range_m, f.t_ns, f.spec,
+                          poses=f.poses), "frame 3 has a sample that is not finite"),
+    ],
+)  # fmt: skip
+def test_bad_frames_are_refused(change, words):
+    path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=10, yaw_deg=90)
+    with pytest.raises(ul.InputError, match=words):
+        ul.map_occupancy(change(echoes(path, np.full(len(path), 3.0))), GRID, method="elfes")
+
+
+def test_a_grid_that_does_not_hold_the_flight_is_refused():
+    path = Trajectory.line((-2, 0, 0), (9, 0, 0), rate_hz=10, yaw_deg=90)
+    with pytest.raises(ul.InputError, match="does not hold the flight: frame 160"):
+        ul.map_occupancy(echoes(path, np.full(len(path), 3.0)), GRID, method="elfes")
+
+
+def test_poses_that_jump_are_warned_about():
+    a, b = Trajectory.stationary(n=3, rate_hz=10), Trajectory.stationary((3, 0, 0), n=3, rate_hz=10)
+    path = Trajectory(np.arange(6) * 10**8, np.concatenate([a.position, b.position]), np.tile(a.quat_xyzw, (2, 1)))
+    with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 3"):
+        ul.map_occupancy(echoes(path, np.full(6, 2.0)), GRID, method="elfes")
+
+
+def test_unknown_method_names_the_known_ones():
+    with pytest.raises(ul.InputError, match="ullage, elfes"):
+        ul.map_occupancy(echoes(Trajectory.stationary(), [3.0]), GRID, method="magic")
+    warnings.resetwarnings()
