@@ -105,7 +105,9 @@ class ThesisSpec(Spec):
     max_range_m: float = Field(10.0, gt=0, le=1000)
     min_range_m: float = Field(0.2, ge=0)
     noise_sigma: float = Field(0.002, ge=0, description="white noise on each range bin")
-    smoothing_bins: int = Field(5, ge=1, description="width of the moving average")
+    smoothing_bins: int = Field(
+        3, ge=1, description="width of the moving average; 3 bins are the width of the X4's pulse"
+    )
     threshold: float = Field(0.038, gt=0, description="first peak above this is an object")
 
 

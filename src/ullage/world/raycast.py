@@ -1,67 +1,220 @@
-"""First hits of rays on a scene: triangle ids from Embree (float32), distances recomputed in float64 [Embree]."""
+"""First hits of rays on a scene: ids from Embree (float32), distances recomputed in float64 [Embree].
+
+Static geometry is built once; each moving object keeps its own tree in its own frame, and rays are brought to it,
+so that time may differ from ray to ray and nothing is rebuilt. A built caster may be used from several threads.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.data import Trajectory
+from ullage.errors import InputError
+from ullage.kernels.rays import refine_faces, refine_wires
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+_SIDES = 8
+"""Sides of the prism that stands for a round wire in Embree."""
+_PER_WIRE = 2 * _SIDES + 2 * (_SIDES - 2)
+
 
 class Raycaster:
-    """Casts rays into a scene as it stands at one time.
+    """Casts rays into a scene.
+
+    Faces are numbered as in the scene. With `wires`, wire `w` has the number `len(scene.faces) + w`.
 
     Args:
-        scene: what can be hit; wires are not.
-        t_ns: where moving objects are; None: their start.
+        scene: what can be hit.
+        t_ns: where moving objects are unless a query says otherwise; None: their start.
+        wires: whether rays meet wires, with their true radius.
     """
 
-    def __init__(self, scene: Scene, *, t_ns: int | None = None) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
+    def __init__(self, scene: Scene, *, t_ns: int | None = None, wires: bool = False) -> None:
+        self._t_ns = t_ns
+        self.corners: Floats = scene.corners(t_ns)
+        self.normals: Floats = _normals(self.corners)
+        ids = np.concatenate([scene.face_object, scene.wires.object_id if wires else np.zeros(0, np.int32)])
+        self.owner: Ints = ids.astype(np.int32)
+        """Object index of each face, then of each wire."""
+        self._bodies = tuple(_bodies(scene, wires=wires))
 
-        self.corners = scene.corners(t_ns)
-        edge1, edge2 = self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]
-        cross = np.cross(edge1, edge2)
-        norm = np.linalg.norm(cross, axis=1, keepdims=True)
-        self.normals: Floats = cross / np.where(norm > 0, norm, 1.0)
-        self._scene = EmbreeScene()
-        if len(self.corners):
-            TriangleMesh(self._scene, np.ascontiguousarray(self.corners, np.float32))
+    @property
+    def moving(self) -> bool:
+        """Whether anything moves."""
+        return any(body.motion is not None for body in self._bodies)
 
-    def hits(self, origins: Floats, directions: Floats) -> tuple[Ints, Floats]:
+    def hits(self, origins: ArrayLike, directions: ArrayLike, *, t_ns: ArrayLike | None = None) -> tuple[Ints, Floats]:
         """First face each ray meets.
 
         Args:
             origins: (n, 3) or (3) [m].
             directions: (n, 3) unit vectors.
+            t_ns: time of each ray (n), or of all; None: the caster's own.
 
         Returns:
             Face ids (n), -1 where nothing is hit, and distances (n) [m], inf there.
         """
-        rays = np.ascontiguousarray(directions, np.float64)
-        start = np.broadcast_to(np.asarray(origins, np.float64), rays.shape)
-        if not len(self.corners):
-            return np.full(len(rays), -1, np.int32), np.full(len(rays), np.inf)
-        ids = self._scene.run(np.ascontiguousarray(start, np.float32), rays.astype(np.float32), query="INTERSECT")
-        face = np.asarray(ids, np.int32)
-        hit = face >= 0
-        normal = self.normals[face[hit]]
-        along = np.einsum("ni,ni->n", normal, rays[hit])
-        gap = np.einsum("ni,ni->n", normal, self.corners[face[hit], 0] - start[hit])
-        distance = np.full(len(rays), np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance[hit] = gap / along
-        bad = hit & ~(distance >= 0)
-        face[bad], distance[bad] = -1, np.inf
+        face, distance, _ = self.trace(origins, directions, t_ns=t_ns)
         return face, distance
 
-    def visible(self, origin: Floats, targets: Floats, *, slack_m: float = 1e-3) -> NDArray[np.bool_]:
-        """Whether nothing stands between the origin (3) and each target (n, 3), but for the last `slack_m`."""
-        ray = np.asarray(targets, float) - origin
+    def trace(
+        self, origins: ArrayLike, directions: ArrayLike, *, t_ns: ArrayLike | None = None
+    ) -> tuple[Ints, Floats, Floats]:
+        """As `hits`, and |cos| of the angle between ray and surface normal (n), 0 where nothing is hit."""
+        start, rays = _rays(origins, directions)
+        face = np.full(len(rays), -1, np.int32)
+        distance, cosine = np.full(len(rays), np.inf), np.zeros(len(rays))
+        for body in self._bodies:
+            body.meet(*self._seen_by(body, start, rays, t_ns), face, distance, cosine)
+        return face, distance, cosine
+
+    def distances(self, origins: ArrayLike, directions: ArrayLike, *, t_ns: ArrayLike | None = None) -> Floats:
+        """Distance along each ray to the first hit [m], inf where none, to about a millionth of the scene's size."""
+        start, rays = _rays(origins, directions)
+        reach = np.full(len(rays), np.float32(_FAR))
+        for body in self._bodies:
+            reach = body.query(*self._seen_by(body, start, rays, t_ns), "DISTANCE", reach)
+        return np.where(reach < _FAR, reach.astype(np.float64), np.inf)
+
+    def visible(
+        self, origin: ArrayLike, targets: ArrayLike, *, slack_m: float = 1e-3, t_ns: ArrayLike | None = None
+    ) -> NDArray[np.bool_]:
+        """Whether nothing stands between origin (3) or (n, 3) and each target (n, 3), but for the last `slack_m`."""
+        goal = np.asarray(targets, np.float64).reshape(-1, 3)
+        ray = goal - np.asarray(origin, np.float64)
         length = np.linalg.norm(ray, axis=1)
-        _, distance = self.hits(origin, ray / np.maximum(length, 1e-12)[:, None])
-        return np.asarray(distance >= length - slack_m)
+        start, rays = _rays(origin, ray / np.maximum(length, 1e-12)[:, None])
+        clear = np.ones(len(rays), bool)
+        reach = np.maximum(length - slack_m, 0.0).astype(np.float32)
+        for body in self._bodies:
+            clear &= body.query(*self._seen_by(body, start, rays, t_ns), "OCCLUDED", reach) < 0
+        return clear
+
+    def _seen_by(self, body: _Body, start: Floats, rays: Floats, t_ns: ArrayLike | None) -> tuple[Floats, Floats]:
+        if body.motion is None:
+            return start, rays
+        known = body.motion.t_ns
+        when = (known[0] if self._t_ns is None else self._t_ns) if t_ns is None else t_ns
+        times, which = np.unique(np.clip(np.asarray(when, np.int64), known[0], known[-1]), return_inverse=True)
+        pose = body.motion.at(times).world_from_body[np.broadcast_to(which.reshape(-1), len(rays))]
+        turn = pose[:, :3, :3]
+        return np.einsum("nji,nj->ni", turn, start - pose[:, :3, 3]), np.einsum("nji,nj->ni", turn, rays)
+
+
+_FAR = 1e30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Body:
+    """What moves together: an Embree scene about `centre`, and the exact geometry behind it."""
+
+    motion: Trajectory | None
+    tree: Any
+    centre: Floats  # (3) subtracted before float32, so that far coordinates keep their precision
+    corner: Floats  # (k, 3) one corner of each face
+    normal: Floats  # (k, 3)
+    face_id: Ints  # (k)
+    wire_start: Floats  # (w, 3)
+    wire_axis: Floats  # (w, 3) unit
+    wire_length: Floats  # (w)
+    wire_radius: Floats  # (w)
+    wire_id: Ints  # (w)
+
+    def query(self, start: Floats, rays: Floats, query: str, reach: NDArray[np.float32]) -> NDArray[Any]:
+        near = np.subtract(start, self.centre, dtype=np.float64).astype(np.float32)
+        return np.asarray(self.tree.run(near, rays.astype(np.float32), dists=reach.copy(), query=query))
+
+    def meet(self, start: Floats, rays: Floats, face: Ints, distance: Floats, cosine: Floats) -> None:
+        near = (start - self.centre).astype(np.float32)
+        reach = np.minimum(distance * (1 + 1e-6) + 1e-6, _FAR).astype(np.float32)
+        found = self.tree.run(near, rays.astype(np.float32), dists=reach, query="INTERSECT", output=True)
+        prim, tfar = found["primID"], found["tfar"]
+        refine_faces(prim, tfar, start, rays, self.corner, self.normal, self.face_id, face, distance, cosine)
+        if len(self.wire_id):
+            line = (self.wire_start, self.wire_axis, self.wire_length, self.wire_radius, self.wire_id)
+            refine_wires(prim, tfar, start, rays, len(self.corner), _PER_WIRE, *line, face, distance, cosine)
+
+
+def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats]:
+    rays = np.ascontiguousarray(directions, np.float64)
+    if rays.ndim != 2 or rays.shape[1] != 3:
+        raise InputError(f"directions have shape {rays.shape}", where="rays", allowed="(n, 3)")
+    start = np.ascontiguousarray(np.broadcast_to(np.asarray(origins, np.float64), rays.shape))
+    return start, rays
+
+
+def _normals(corners: Floats) -> Floats:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    norm = np.linalg.norm(cross, axis=1, keepdims=True)
+    return np.asarray(cross / np.where(norm > 0, norm, 1.0))
+
+
+def _bodies(scene: Scene, *, wires: bool) -> Iterator[_Body]:
+    moves = np.array([thing.motion is not None for thing in scene.objects], bool)
+    face_moves = moves[scene.face_object] if len(scene.face_object) else np.zeros(0, bool)
+    wire_moves = moves[scene.wires.object_id] if len(scene.wires) else np.zeros(0, bool)
+    groups: list[tuple[Trajectory | None, NDArray[np.bool_], NDArray[np.bool_]]] = [(None, ~face_moves, ~wire_moves)]
+    groups += [
+        (scene.objects[index].motion, scene.face_object == index, scene.wires.object_id == index)
+        for index in np.flatnonzero(moves)
+    ]
+    for motion, of_face, of_wire in groups:
+        body = _body(scene, motion, np.flatnonzero(of_face), np.flatnonzero(of_wire) if wires else np.zeros(0, int))
+        if body is not None:
+            yield body
+
+
+def _body(scene: Scene, motion: Trajectory | None, faces: NDArray[Any], wires: NDArray[Any]) -> _Body | None:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    lines = scene.wires
+    start, along = lines.start[wires], (lines.end - lines.start)[wires]
+    length = np.linalg.norm(along, axis=1)
+    axis = along / np.maximum(length, 1e-12)[:, None]
+    corners = scene.vertices[scene.faces[faces]]
+    solid = np.concatenate([corners, _prisms(start, axis, length, lines.radius_m[wires])])
+    if not len(solid):
+        return None
+    centre = (solid.min((0, 1)) + solid.max((0, 1))) / 2
+    tree = EmbreeScene(robust=True)
+    TriangleMesh(tree, (solid - centre).astype(np.float32))
+    nothing = np.zeros((1, 3), np.float32)
+    tree.run(nothing, nothing + np.float32(1), query="OCCLUDED")  # builds the tree now, before threads use it
+    return _Body(
+        motion, tree, centre, np.ascontiguousarray(corners[:, 0]), _normals(corners), faces.astype(np.int32),
+        start, axis, length, lines.radius_m[wires], (len(scene.faces) + wires).astype(np.int32),
+    )  # fmt: skip
+
+
+def _prisms(start: Floats, axis: Floats, length: Floats, radius: Floats) -> Floats:
+    """Triangles (w * _PER_WIRE, 3, 3) of closed prisms whose mean width over all sides is that of the round wire."""
+    if not len(start):
+        return np.zeros((0, 3, 3))
+    least = np.eye(3)[np.argmin(abs(axis), axis=1)]
+    side = np.cross(axis, least)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(axis, side)
+    turn = 2 * np.pi * (np.arange(_SIDES) + 0.5) / _SIDES
+    spread = radius * np.pi / (_SIDES * np.sin(np.pi / _SIDES))
+    ring = spread[:, None, None] * (
+        np.cos(turn)[None, :, None] * side[:, None] + np.sin(turn)[None, :, None] * other[:, None]
+    )
+    low = start[:, None] + ring
+    high = low + (axis * length[:, None])[:, None]
+    nxt = np.roll(np.arange(_SIDES), -1)
+    walls = [np.stack([low, low[:, nxt], high], 2), np.stack([high, low[:, nxt], high[:, nxt]], 2)]
+    middle = np.arange(1, _SIDES - 1)
+    caps = [
+        np.stack([np.broadcast_to(end[:, :1], end[:, middle].shape), end[:, middle], end[:, middle + 1]], 2)
+        for end in (low, high)
+    ]
+    return np.asarray(np.concatenate([*walls, *caps], axis=1).reshape(-1, 3, 3))

@@ -1,0 +1,107 @@
+"""Loops over rays: exact distances behind Embree's float32 hits, and the ray histogram of the thesis' model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, distance, cosine):
+    """Put the hits of one body into `face`, `distance` and `cosine` where they are nearer than what is there.
+
+    The float32 distance `tfar` chooses between plane and fallback only: where the float64 plane distance is
+    far from it (slivers, rays along a face) it is kept.
+    """
+    for i in range(len(prim)):
+        p = prim[i]
+        if p < 0 or p >= len(corner):
+            continue
+        along = 0.0
+        gap = 0.0
+        for k in range(3):
+            along += normal[p, k] * direction[i, k]
+            gap += normal[p, k] * (corner[p, k] - origin[i, k])
+        reach = float(tfar[i])
+        t = reach
+        if abs(along) > 1e-9:
+            exact = gap / along
+            if abs(exact - reach) <= 1e-5 * (1.0 + reach) / max(abs(along), 1e-3):
+                t = max(exact, 0.0)
+        if t < distance[i]:
+            face[i] = ids[p]
+            distance[i] = t
+            cosine[i] = min(abs(along), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def refine_wires(
+    prim, tfar, origin, direction, first, per_wire, start, axis, length, radius, ids, face, distance, cosine
+):
+    """As `refine_faces`, for prisms that stand for round wires: distance and normal are those of the cylinder."""
+    for i in range(len(prim)):
+        if prim[i] < first:
+            continue
+        w = (prim[i] - first) // per_wire
+        ax, ay, az = axis[w, 0], axis[w, 1], axis[w, 2]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        ox, oy, oz = origin[i, 0] - start[w, 0], origin[i, 1] - start[w, 1], origin[i, 2] - start[w, 2]
+        d_along = dx * ax + dy * ay + dz * az
+        o_along = ox * ax + oy * ay + oz * az
+        px, py, pz = dx - d_along * ax, dy - d_along * ay, dz - d_along * az
+        qx, qy, qz = ox - o_along * ax, oy - o_along * ay, oz - o_along * az
+        a = px * px + py * py + pz * pz
+        b = px * qx + py * qy + pz * qz
+        t = float(tfar[i])
+        c = abs(d_along)
+        if a > 1e-12:
+            root = max(b * b - a * (qx * qx + qy * qy + qz * qz - radius[w] ** 2), 0.0)
+            exact = (-b - math.sqrt(root)) / a
+            s = o_along + exact * d_along
+            if exact >= 0.0 and -1e-9 <= s <= length[w] + 1e-9 and abs(exact - t) <= 2.0 * radius[w] / math.sqrt(a):
+                t = exact
+                c = math.sqrt(root) / radius[w]
+        if t < distance[i]:
+            face[i] = ids[w]
+            distance[i] = t
+            cosine[i] = min(c, 1.0)
+
+
+@njit(cache=True, nogil=True)
+def turn_fan(fan, rotation, out):
+    """Directions (n, m, 3) of a fan (m, 3) under n rotations (n, 3, 3)."""
+    for f in range(len(rotation)):
+        r = rotation[f]
+        for i in range(len(fan)):
+            x, y, z = fan[i, 0], fan[i, 1], fan[i, 2]
+            for k in range(3):
+                out[f, i, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
+
+
+@njit(cache=True, nogil=True)
+def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):
+    """Sum I_m cos(theta) (|v| / far_m)^2 of the rays (n, m) into range bins `out` (n, b)."""
+    frames, bins = out.shape
+    for f in range(frames):
+        for i in range(face.shape[1]):
+            r = distance[f, i]
+            if face[f, i] < 0 or r < near_m or r > far_m:
+                continue
+            k = int(np.floor((r - start_m) / bin_m + 0.5))
+            if 0 <= k < bins:
+                out[f, k] += reflection[face[f, i]] * cosine[f, i] * (r / far_m) ** 2
+
+
+@njit(cache=True, nogil=True)
+def smooth(values, weights, out):
+    """Weighted moving sum of rows (n, b) with an odd, centred window; nothing stands beyond the ends."""
+    half = len(weights) // 2
+    rows, bins = values.shape
+    for f in range(rows):
+        for k in range(bins):
+            total = 0.0
+            for j in range(max(0, k - half), min(bins, k + half + 1)):
+                total += weights[j - k + half] * values[f, j]
+            out[f, k] = total

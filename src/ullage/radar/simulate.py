@@ -1,0 +1,213 @@
+"""What each radar of a body receives along a track: echoes by one of two models, then the receiver.
+
+Every frame depends on its own pose, time and number alone, so a track cut anywhere gives the same bits.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ullage.data import Frames, Trajectory, joined
+from ullage.errors import InputError
+from ullage.radar.rays import echoes_thesis
+from ullage.radar.receiver import receive
+from ullage.specs import RadarSpec, Rig
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+Fidelity = Literal["physical", "thesis"]
+Progress = Callable[[int, int], None]
+
+
+def simulate(
+    scene: Scene,
+    path: Trajectory,
+    radar: RadarSpec | Rig,
+    *,
+    fidelity: Fidelity = "physical",
+    max_bounces: int = 1,
+    seed: int = 0,
+    believed: Trajectory | None = None,
+    progress: Progress | None = None,
+) -> Any:
+    """What the radar receives along a track, one frame per sample of it.
+
+    Args:
+        scene: the world.
+        path: the body's true trajectory.
+        radar: one radar, or several on one body.
+        fidelity: "physical" (coherent echoes) or "thesis" (the ray model of 2018).
+        max_bounces: 1 to 3 reflections between radar and radar; the ray model knows only one.
+        seed: of the noise; the same seed gives the same bits however the track is cut.
+        believed: the body's trajectory as navigation has it, at the same times; it becomes `Frames.poses`.
+        progress: called with frames done and frames in all, sensors together.
+
+    Returns:
+        Frames; for a `Rig` a dict of Frames by sensor name.
+
+    Raises:
+        InputError: an argument cannot be used.
+    """
+    parts: dict[str, list[Frames]] = {}
+    for chunk in simulate_stream(
+        scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed, believed=believed, progress=progress
+    ):
+        for name, frames in chunk.items():
+            parts.setdefault(name, []).append(frames)
+    whole = {name: joined(pieces) for name, pieces in parts.items()}
+    return whole if isinstance(radar, Rig) else next(iter(whole.values()))
+
+
+def simulate_stream(
+    scene: Scene,
+    path: Trajectory,
+    radar: RadarSpec | Rig,
+    *,
+    fidelity: Fidelity = "physical",
+    max_bounces: int = 1,
+    seed: int = 0,
+    believed: Trajectory | None = None,
+    chunk: int = 64,
+    progress: Progress | None = None,
+    first_frame: int = 0,
+) -> Iterator[dict[str, Frames]]:
+    """As `simulate`, in pieces of at most `chunk` frames, in order; a single radar is called "radar".
+
+    Args:
+        scene: the world.
+        path: the body's true trajectory.
+        radar: one radar, or several on one body.
+        fidelity: "physical" or "thesis".
+        max_bounces: 1 to 3.
+        seed: of the noise.
+        believed: the body's trajectory as navigation has it, at the same times.
+        chunk: frames per piece; memory follows it, the numbers do not.
+        progress: called with frames done and frames in all.
+        first_frame: number of the first sample, for a track that continues another.
+
+    Raises:
+        InputError: an argument cannot be used.
+    """
+    sensors = _checked(scene, path, radar, fidelity, max_bounces, seed, believed, chunk, first_frame)
+    return _stream(scene, path, sensors, fidelity, max_bounces, seed, believed, chunk, progress, first_frame)
+
+
+def _stream(
+    scene: Scene,
+    path: Trajectory,
+    sensors: dict[str, RadarSpec],
+    fidelity: Fidelity,
+    max_bounces: int,
+    seed: int,
+    believed: Trajectory | None,
+    chunk: int,
+    progress: Progress | None,
+    first_frame: int,
+) -> Iterator[dict[str, Frames]]:
+    work = _Work(scene, path, fidelity, max_bounces, seed, believed, first_frame)
+    total = len(path) * len(sensors)
+    with ThreadPoolExecutor(max_workers=_WORKERS) as pool:
+        waiting: deque[dict[str, Future[Frames]]] = deque()
+        pieces = iter(range(0, len(path), chunk))
+        done = 0
+        while True:
+            while len(waiting) * len(sensors) < 2 * _WORKERS or not waiting:
+                start = next(pieces, None)
+                if start is None:
+                    break
+                cut = slice(start, min(start + chunk, len(path)))
+                waiting.append({name: pool.submit(work.frames, name, spec, cut) for name, spec in sensors.items()})
+            if not waiting:
+                return
+            ready = {name: job.result() for name, job in waiting.popleft().items()}
+            done += sum(len(frames) for frames in ready.values())
+            if progress is not None:
+                progress(done, total)
+            yield ready
+
+
+_WORKERS = 2
+
+
+class _Work:
+    """One job: the frames of one sensor over one cut of the track."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        path: Trajectory,
+        fidelity: Fidelity,
+        max_bounces: int,
+        seed: int,
+        believed: Trajectory | None,
+        first_frame: int,
+    ) -> None:
+        self.scene, self.path, self.fidelity, self.max_bounces = scene, path, fidelity, max_bounces
+        self.seed, self.believed, self.first_frame = seed, believed, first_frame
+        self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None
+
+    def frames(self, name: str, spec: RadarSpec, cut: slice) -> Frames:
+        mount = spec.mount.body_from_sensor()
+        truth = self.path[cut].mounted(mount)
+        poses = truth if self.believed is None else self.believed[cut].mounted(mount)
+        clean = self.echoes(truth, spec)
+        samples = receive(
+            clean, spec, seed=sensor_seed(self.seed, name), first_frame=self.first_frame + cut.start,
+            fidelity=self.fidelity,
+        )  # fmt: skip
+        return Frames(
+            samples, spec.range_m, truth.t_ns, spec, poses, truth, name,
+            "thesis" if self.fidelity == "thesis" else "path_gain",
+        )  # fmt: skip
+
+    def echoes(self, truth: Trajectory, spec: RadarSpec) -> Any:
+        if self.fidelity == "thesis":
+            return echoes_thesis(self.scene, truth, spec, caster=self.caster)
+        from ullage.radar.physical import echoes
+
+        return echoes(self.scene, truth, spec, max_bounces=self.max_bounces, seed=self.seed)
+
+
+def sensor_seed(seed: int, name: str) -> int:
+    """A 64-bit seed of one sensor's own noise."""
+    mixed = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
+    return int(mixed.generate_state(1, np.uint64)[0])
+
+
+def _checked(
+    scene: Scene,
+    path: Trajectory,
+    radar: RadarSpec | Rig,
+    fidelity: str,
+    max_bounces: int,
+    seed: int,
+    believed: Trajectory | None,
+    chunk: int,
+    first_frame: int,
+) -> dict[str, RadarSpec]:
+    for name, value, kind in (("scene", scene, Scene), ("path", path, Trajectory), ("radar", radar, RadarSpec | Rig)):
+        if not isinstance(value, kind):
+            allowed = "RadarSpec or Rig" if name == "radar" else kind.__name__  # type: ignore[union-attr]
+            raise InputError(f"{name} is a {type(value).__name__}", where="simulate", allowed=f"a {allowed}")
+    if fidelity not in get_args(Fidelity):
+        raise InputError(f"no fidelity {fidelity!r}", where="simulate", allowed=", ".join(get_args(Fidelity)))
+    for name, number, low, high in (
+        ("max_bounces", max_bounces, 1, 3),
+        ("seed", seed, 0, 2**63 - 1),
+        ("chunk", chunk, 1, 2**31),
+        ("first_frame", first_frame, 0, 2**62),
+    ):
+        if not isinstance(number, int | np.integer) or isinstance(number, bool) or not low <= number <= high:
+            raise InputError(f"{name} is {number!r}", where="simulate", allowed=f"a whole number {low} to {high}")
+    if believed is not None:
+        if not isinstance(believed, Trajectory):
+            raise InputError(f"believed is a {type(believed).__name__}", where="simulate", allowed="a Trajectory")
+        if not np.array_equal(believed.t_ns, path.t_ns):
+            raise InputError("believed is not at the times of path", where="simulate", allowed="believed.at(path.t_ns)")
+    return dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
