@@ -1,0 +1,238 @@
+"""The `ullage` command: verbs and how they show themselves; the work is elsewhere."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ullage.experiments.runner import Report
+
+app = typer.Typer(
+    name="ullage",
+    help="Simulate what ultra-wideband radars on a drone receive in tanks, holds and halls; turn echoes into maps.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+Options = Annotated[
+    list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
+]
+Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
+
+
+def main() -> None:
+    """Run the command; what ullage refuses is one line and exit 2, unless --debug asks for the traceback."""
+    from ullage.errors import UllageError
+
+    debug = "--debug" in sys.argv
+    sys.argv = [word for word in sys.argv if word != "--debug"]
+    _quiet_warnings()
+    try:
+        app(standalone_mode=True)
+    except UllageError as error:
+        if debug:
+            raise
+        typer.echo(f"ullage: {error}", err=True)
+        sys.exit(2)
+    except BrokenPipeError:  # the reader, say `head`, has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        typer.echo("ullage: interrupted", err=True)
+        sys.exit(130)
+
+
+def _quiet_warnings() -> None:
+    import warnings
+
+    def show(message: Warning | str, category: type[Warning], *_: Any) -> None:
+        typer.echo(
+            f"{'warning' if category.__module__.startswith('ullage') else category.__name__}: {message}", err=True
+        )
+
+    warnings.showwarning = show
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from ullage import __version__
+
+        typer.echo(f"ullage {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def top(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    """Options of the command itself."""
+
+
+@app.command()
+def run(
+    source: Annotated[str, typer.Argument(help="Scenario name, scenario.yaml, recording, or live port.")],
+    do: Annotated[str | None, typer.Option("--do", help="What to make of the frames: detect,image,map")] = None,
+    to: Annotated[
+        list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
+    ] = None,
+    option: Options = None,
+    out: Out = None,
+    force: Annotated[bool, typer.Option("--force", help="Run again where the run exists.")] = False,
+) -> None:
+    """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
+    from ullage.experiments.runner import execute
+    from ullage.experiments.targets import make_run
+    from ullage.ports import sink as open_sink
+    from ullage.view.progress import progress_bar
+
+    tasks = _tasks(do)
+    warm_up()
+    with progress_bar("flying", total=1.0) as tell:
+        job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell)
+    sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
+    for taker in sinks if job.scene is not None else ():
+        taker.write(job.scene)
+    total = job.flown.duration_s if job.flown is not None else None
+    with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
+        report = execute(job, sinks=sinks, progress=tell, say=tell.say)
+    _tell(report)
+
+
+def _tasks(text: str | None) -> Any:
+    from ullage.errors import InputError
+
+    if text is None:
+        return None
+    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    if unknown := set(words) - {"detect", "image", "map"}:
+        raise InputError(f"no task {sorted(unknown)[0]!r}", where="--do", allowed="detect, image, map")
+    return words
+
+
+def warm_up() -> None:
+    """Compile the kernels if this is the first time, and say so."""
+    from ullage.experiments.warmup import compile_kernels, compiled
+    from ullage.view.progress import console
+
+    if not compiled():
+        with console.status("compiling kernels (once after installation, under half a minute)"):
+            compile_kernels()
+
+
+def _tell(report: Report) -> None:
+    from ullage.view.progress import console
+
+    outcome = report.outcome
+    if outcome.interrupted:
+        console.print("[yellow]interrupted[/]: everything received by then is written")
+    factor = report.metrics["real_time_factor"].value
+    console.print(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
+    for key in ("f1", "precision", "recall"):
+        if key in report.metrics:
+            console.print(f"  map {key}: {report.metrics[key].value:.3f}")
+    console.print(f"report: [link=file://{report.folder.resolve()}/report.html]{report.folder}/report.html[/]")
+
+
+@app.command("list")
+def list_() -> None:
+    """List scenarios, worlds and radars."""
+    from rich.table import Table
+
+    from ullage.experiments.catalog import find_scenario, scenario_names
+    from ullage.specs import RadarSpec, Rig
+    from ullage.view.progress import console
+    from ullage.world.library import WORLDS
+
+    table = Table("scenario", "what it does", box=None, title="Scenarios: ullage run NAME", title_justify="left")
+    for name in scenario_names():
+        table.add_row(name, find_scenario(name).title)
+    console.print(table)
+    table = Table("world", "what it is", box=None, title="\nWorlds: -o world.name=NAME", title_justify="left")
+    for world in WORLDS.values():
+        table.add_row(world.name, world.title)
+    console.print(table)
+    console.print(f"\nRadars: {', '.join(RadarSpec.presets)}\nRigs: {', '.join(Rig.presets)}")
+
+
+@app.command()
+def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
+    """Show what a run gave."""
+    from rich.table import Table
+
+    from ullage.experiments.folder import find_folder, read_json
+    from ullage.view.progress import console
+
+    folder = find_folder(run)
+    table = Table("metric", "value", "unit", box=None, title=str(folder), title_justify="left")
+    for name, metric in read_json(folder / "metrics.json").items():
+        value = metric["value"]
+        table.add_row(name, "unknown" if value is None else f"{value:.4g}", metric["unit"])
+    console.print(table)
+    for path in sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")):
+        console.print(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes", highlight=False)
+
+
+@app.command()
+def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
+    """Hold a run against its scenario's bounds; exit 1 when one is broken."""
+    from ullage.experiments.folder import find_folder
+    from ullage.experiments.judge import verdicts
+    from ullage.view.progress import console
+
+    rows = verdicts(find_folder(run))
+    for row in rows:
+        console.print(f"{'ok  ' if row.inside else '[red]OUT[/] '} {row.text}", highlight=False)
+    if not rows:
+        console.print("this scenario sets no bounds")
+    if not all(row.inside for row in rows):
+        raise typer.Exit(1)
+
+
+@app.command()
+def report(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
+    """Write a run's report.html anew."""
+    from ullage.experiments.folder import find_folder
+    from ullage.view.report import write_report
+
+    typer.echo(write_report(find_folder(run)))
+
+
+@app.command()
+def config(
+    scenario: Annotated[str, typer.Argument(help="Scenario name or file.")] = "cargo-hold",
+    option: Options = None,
+    schema: Annotated[bool, typer.Option("--schema", help="The JSON schema of scenario files instead.")] = False,
+) -> None:
+    """Print a scenario as commented YAML, ready to save and change."""
+    import json
+
+    from ullage.config import scenario_schema, scenario_text
+    from ullage.experiments.catalog import find_scenario
+
+    if schema:
+        typer.echo(json.dumps(scenario_schema(), indent=2))
+    else:
+        typer.echo(scenario_text(find_scenario(scenario, options=option or [])), nl=False)
+
+
+@app.command()
+def doctor() -> None:
+    """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong."""
+    from ullage.experiments.doctor import checks
+    from ullage.view.progress import console
+
+    sound = True
+    for check in checks():
+        sound &= check.sound or check.optional
+        mark = "[green]ok[/]  " if check.sound else "[yellow]none[/]" if check.optional else "[red]BAD[/] "
+        console.print(f"{mark} {check.name}: {check.found}", highlight=False)
+    if not sound:
+        raise typer.Exit(1)

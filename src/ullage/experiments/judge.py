@@ -1,0 +1,47 @@
+"""Holds a run's metrics against the bounds its scenario sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ullage.config import Bound, read_scenario
+from ullage.experiments.folder import read_json
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One metric and its bound."""
+
+    name: str
+    value: float | None
+    bound: Bound
+
+    @property
+    def inside(self) -> bool:
+        """Whether the metric is known and within its bound."""
+        if self.value is None:
+            return False
+        low, high = self.bound.min, self.bound.max
+        return (low is None or self.value >= low) and (high is None or self.value <= high)
+
+    @property
+    def text(self) -> str:
+        """The metric, its value and its bound in a line."""
+        low, high = self.bound.min, self.bound.max
+        limits = " and ".join(
+            s for s in ("" if low is None else f">= {low:g}", "" if high is None else f"<= {high:g}") if s
+        )
+        value = "unknown" if self.value is None else f"{self.value:.4g}"
+        return f"{self.name} {value}, wanted {limits or 'known'}"
+
+
+def verdicts(folder: Path) -> list[Verdict]:
+    """Every bound of the run's scenario, judged.
+
+    Raises:
+        InputError: the run lacks its scenario or metrics.
+    """
+    expect = read_scenario(folder / "scenario.yaml").expect
+    metrics = read_json(folder / "metrics.json")
+    return [Verdict(name, (metrics.get(name) or {}).get("value"), bound) for name, bound in expect.items()]

@@ -1,0 +1,174 @@
+"""Run a scenario or a recording: source, stages, sinks, then figures, metrics and report, all in one folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ullage.config import Scenario, Task, scenario_text
+from ullage.data import Frames, Metric, Trajectory
+from ullage.errors import InputError
+from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
+from ullage.experiments.simulated import Simulated
+from ullage.experiments.watch import Looks, RangeTime
+from ullage.grids import Grid, Image, OccupancyMap
+from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
+from ullage.world.scene import Scene
+
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Run:
+    """A run under way: what it reads, makes and knows."""
+
+    folder: Path
+    scenario: Scenario
+    source: Source
+    scene: Scene | None = None
+    flown: Trajectory | None = None
+    tasks: tuple[Task, ...] = ("detect", "image", "map")
+    detect: DetectStage = field(default_factory=DetectStage)
+    range_time: RangeTime = field(default_factory=RangeTime)
+    looks: Looks = field(default_factory=Looks)
+    timing: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What stands above its figures."""
+        return self.scenario.title or self.scenario.name
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a finished run gave."""
+
+    folder: Path
+    outcome: Outcome
+    metrics: dict[str, Metric]
+    figures: tuple[Path, ...]
+
+
+def of_scenario(folder: Path, simulated: Simulated) -> Run:
+    """A run of a simulated scenario."""
+    scenario = simulated.scenario
+    return Run(folder, scenario, simulated, simulated.scene, simulated.flown, scenario.do)
+
+
+def execute(
+    job: Run, *, sinks: Sequence[Sink] = (), progress: Callable[[float], None] | None = None, say: Say = print
+) -> Report:
+    """Run the loop, then write map files, figures, metrics, provenance and report.
+
+    Args:
+        job: what to run.
+        sinks: beside the folder's own recording.
+        progress: told the seconds of recording done.
+        say: told each step in a few words.
+    """
+    origin = provenance()
+    write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
+    write_json(job.folder / "provenance.json", origin)
+    stages = _stages(job)
+    wall, cpu = time.perf_counter(), time.process_time()
+    outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
+    job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
+    say("drawing figures")
+    metrics = _metrics(job, outcome)
+    figures = _draw(job, outcome)
+    write_json(job.folder / "metrics.json", metric_tree(metrics))
+    write_json(job.folder / "provenance.json", origin | {"timing": job.timing, "interrupted": outcome.interrupted})
+    report = Report(job.folder, outcome, metrics, figures)
+    from ullage.view.report import write_report
+
+    write_report(job.folder)
+    return report
+
+
+def _stages(job: Run) -> list[Stage]:
+    plan = job.scenario
+    out: list[Stage] = [job.range_time, job.looks]
+    if "detect" in job.tasks:
+        job.detect = DetectStage(plan.detect.method, plan.detect.threshold)
+        out.append(job.detect)
+    if "map" in job.tasks:
+        grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=plan.map.margin_m)
+        out.append(MapStage(grid, plan.map.method, plan.detect.threshold))
+    if "image" in job.tasks:
+        grid = Grid.covering(_bounds(job), plan.image.step_m, margin_m=plan.map.margin_m)
+        out.append(ImageStage(grid, plan.image.method, plan.image.sensor))
+    return out
+
+
+def _bounds(job: Run) -> np.ndarray:
+    """The world's box, or what the flight could see of an unknown one."""
+    if job.scene is not None:
+        return job.scene.bounds
+    if job.flown is None:
+        raise InputError("no poses, so nothing can be imaged or mapped", where="--do", allowed="detect")
+    reach = 6.0
+    return np.stack([job.flown.position.min(0) - reach, job.flown.position.max(0) + reach])
+
+
+def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
+    out = {
+        m.name: m
+        for m in (
+            Metric("frames", outcome.frames),
+            Metric("duration", outcome.duration_s, "s"),
+            Metric("detections", job.detect.found),
+            Metric("real_time_factor", outcome.duration_s / max(job.timing["loop_wall_s"], 1e-9)),
+        )
+    }
+    maps = [item for item in outcome.results if isinstance(item, OccupancyMap)]
+    if job.scene is not None and maps:
+        from ullage.processing.metrics import map_quality
+
+        out |= map_quality(maps[-1], job.scene, job.looks.frames())
+    return out
+
+
+def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
+    from ullage.view import figures
+
+    folder, out = job.folder / "figures", []
+    frames = job.looks.frames()
+    height = float(np.median(job.flown.position[:, 2])) if job.flown is not None else 0.0
+    walls = _walls(job.scene, height)
+    if pictures := job.range_time.pictures():
+        out.append(
+            figures.range_time_figure(
+                folder / "range_time.png", pictures, unit=job.range_time.unit, title=f"{job.title}: echoes over time"
+            )
+        )
+    if frames:
+        index = min(map(len, frames.values())) // 2
+        out.append(_snapshot(folder / "snapshot.png", list(frames.values()), index, job))
+    for item in outcome.results:
+        if isinstance(item, OccupancyMap):
+            out.append(figures.map_figure(folder / "map.png", item, title=job.title, walls=walls, flown=job.flown))
+        elif isinstance(item, Image):
+            out.append(figures.image_figure(folder / "image.png", item, title=job.title, walls=walls, flown=job.flown))
+    return tuple(out)
+
+
+def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
+    from ullage.view import figures
+
+    plan = job.scenario.detect
+    threshold = plan.threshold or (frames[0].spec.thesis.threshold if frames[0].unit == "thesis" else None)
+    t_s = float(frames[0].t_ns[index]) * 1e-9
+    return figures.snapshot_figure(
+        path, frames, index, threshold=threshold, title=f"{job.title}: one profile at {t_s:.1f} s"
+    )
+
+
+def _walls(scene: Scene | None, height_m: float) -> Any:
+    from ullage.world.section import section
+
+    return None if scene is None else section(scene, height_m)

@@ -1,0 +1,137 @@
+"""A scenario as a source: the world is loaded and the flight flown at once, the echoes come piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ullage.config import FlightSpec, Scenario, WorldSpec
+from ullage.data import Frames, Trajectory
+from ullage.errors import InputError
+from ullage.specs import Rig
+from ullage.world.scene import Scene
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """World, flight and radars of a scenario."""
+
+    scenario: Scenario
+    scene: Scene
+    flown: Trajectory  # body, true, one sample a frame
+    believed: Trajectory
+    rig: Rig
+
+    def stream(self) -> Iterator[dict[str, Frames]]:
+        """What each radar receives, piece by piece."""
+        from ullage.radar.simulate import simulate_stream
+
+        sensing = self.scenario.sensing
+        yield from simulate_stream(
+            self.scene,
+            self.flown,
+            self.rig,
+            fidelity=sensing.fidelity,
+            max_bounces=sensing.max_bounces,
+            seed=self.scenario.seed,
+            believed=self.believed,
+        )
+
+
+def prepare(scenario: Scenario, *, progress: Progress | None = None) -> Simulated:
+    """Load the world and fly the flight of a scenario.
+
+    Args:
+        scenario: the settings.
+        progress: told the share of the flight done, 0 to 1.
+
+    Raises:
+        InputError: the world, the flight or the radars cannot be used.
+    """
+    from ullage.flight.navigation import navigate
+
+    rig = scenario.sensing.radars()
+    scene = load_world(scenario.world)
+    rate_hz = scenario.sensing.rate_hz or next(iter(rig.sensors.values())).fps
+    flown = fly_scenario(scenario, scene, rate_hz=rate_hz, progress=progress)
+    nav = scenario.navigation
+    believed = navigate(flown, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=scenario.seed)
+    return Simulated(scenario, scene, flown, believed, rig)
+
+
+def load_world(spec: WorldSpec) -> Scene:
+    """The world of a scenario.
+
+    Raises:
+        InputError: it is unknown or cannot be read.
+    """
+    from ullage.world.library import WORLDS
+    from ullage.world.load import load_scene
+
+    if bool(spec.name) == bool(spec.file):
+        raise InputError("a scenario wants either world.name or world.file", where="world", allowed=", ".join(WORLDS))
+    if spec.file:
+        return load_scene(spec.file, geometry=spec.geometry, search_path=spec.search_path)
+    if spec.name not in WORLDS:
+        raise InputError(f"no world {spec.name!r}", where="world.name", allowed=", ".join(WORLDS))
+    return load_scene(WORLDS[spec.name].path, geometry=spec.geometry)
+
+
+def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: Progress | None = None) -> Trajectory:
+    """The flight of a scenario, sampled at the radars' rate.
+
+    Raises:
+        InputError: there is no path, or a waypoint lies in a wall.
+    """
+    from ullage.flight.missions import Waypoints
+    from ullage.flight.vehicle import fly
+
+    spec = scenario.flight
+    points = np.array(waypoints_of(spec, scenario.world))
+    if spec.vehicle == "ideal":
+        return ideal_path(points, spec.speed_m_s, rate_hz)
+    return fly(
+        Waypoints(points, speed_m_s=spec.speed_m_s),
+        vehicle=spec.vehicle,
+        scene=scene,
+        wind_m_s=spec.wind_m_s,
+        gust_m_s=spec.gust_m_s,
+        rate_hz=rate_hz,
+        seed=scenario.seed,
+        progress=progress,
+    )
+
+
+def waypoints_of(flight: FlightSpec, world: WorldSpec) -> tuple[tuple[float, ...], ...]:
+    """The flight's own waypoints, or those its library world suggests.
+
+    Raises:
+        InputError: neither is there.
+    """
+    from ullage.world.library import WORLDS
+
+    if flight.waypoints:
+        return flight.waypoints
+    if world.name in WORLDS:
+        return tuple(tuple(point) for point in WORLDS[world.name].path_xyzyaw)
+    raise InputError(
+        "no waypoints", where="flight.waypoints", allowed="[[x, y, z], ...] in metres, yaw in degrees as a fourth"
+    )
+
+
+def ideal_path(points: np.ndarray, speed_m_s: float, rate_hz: float) -> Trajectory:
+    """Straight lines at constant speed through waypoints (n, 3 or 4), yaw turning evenly between them [deg]."""
+    from ullage.data import even_times
+    from ullage.geometry import rpy_quat
+
+    legs = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)
+    when = np.concatenate([[0.0], np.cumsum(np.maximum(legs, 1e-9))]) / speed_m_s
+    t_ns = even_times(rate_hz, t1_ns=round(when[-1] * 1e9))
+    t_s = t_ns * 1e-9
+    position = np.stack([np.interp(t_s, when, points[:, k]) for k in range(3)], axis=1)
+    heading = np.unwrap(np.radians(points[:, 3])) if points.shape[1] > 3 else np.zeros(len(points))
+    return Trajectory(t_ns, position, rpy_quat(0, 0, np.interp(t_s, when, heading)))

@@ -1,0 +1,83 @@
+"""What `ullage run SOURCE` is given: a scenario by name or file, a recording, or a live port."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ullage.config import Task, make_scenario
+from ullage.data import Frames, Trajectory
+from ullage.errors import InputError
+from ullage.experiments.catalog import find_scenario, scenario_names
+from ullage.experiments.folder import make_folder
+from ullage.experiments.runner import Run, of_scenario
+from ullage.experiments.simulated import prepare
+
+
+def make_run(
+    target: str,
+    *,
+    tasks: tuple[Task, ...] | None = None,
+    options: Sequence[str] = (),
+    out: Path | None = None,
+    force: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Get a run ready: read the scenario and fly it, or open the recording.
+
+    Args:
+        target: scenario name, scenario.yaml, recording, or live port.
+        tasks: what to do with the frames; None: what the scenario says, or what the recording allows.
+        options: `a.b=value` over the scenario.
+        out: where run folders are made; None: ./runs.
+        force: run again where the folder exists.
+        progress: told the share of the preparation done.
+
+    Raises:
+        InputError: the target cannot be used.
+    """
+    path = Path(target)
+    if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
+        scenario = find_scenario(target, options=options)
+        if tasks is not None:
+            scenario = scenario.but(do=tasks)
+        folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
+        return of_scenario(folder, prepare(scenario, progress=progress))
+    if path.exists() or ":" in target:
+        return _of_recording(target, tasks, options, out, force)
+    raise InputError(
+        f"no scenario, recording or port {target!r}",
+        allowed="a scenario ("
+        + ", ".join(scenario_names())
+        + "), a scenario.yaml, a recording, or a port like x4:/dev/ttyACM0",
+    )
+
+
+def _of_recording(
+    target: str, tasks: tuple[Task, ...] | None, options: Sequence[str], out: Path | None, force: bool
+) -> Run:
+    from ullage.ports import open as open_source
+
+    source = open_source(target)
+    first = next(iter(source.stream()), None)
+    if not first:
+        raise InputError("no frames", where=target)
+    poses = {name: part.poses for name, part in first.items()}
+    placed = all(p is not None for p in poses.values())
+    if tasks is None:
+        tasks = ("detect", "image", "map") if placed else ("detect",)
+    name = Path(target.rstrip("/").replace(":", "_")).stem or "recording"
+    tree: dict[str, Any] = {"name": "".join(c if c.isalnum() or c in "_.-" else "-" for c in name)[:60], "do": tasks}
+    tree["title"] = f"Recording {Path(target).name}"
+    scenario = make_scenario(tree, options=options)
+    folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
+    return Run(folder, scenario, source, flown=_track(source) if placed else None, tasks=scenario.do)
+
+
+def _track(source: Any) -> Trajectory | None:
+    """The poses of the first sensor, all of them."""
+    from ullage.data import sensors_of
+
+    frames: Frames = sensors_of(source.frames())[0]
+    return frames.poses

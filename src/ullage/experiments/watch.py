@@ -1,0 +1,94 @@
+"""Stages that keep what the report needs, in bounded memory however long the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, joined
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class _Pooled:
+    """Rows of one sensor, each the highest amplitude of `stride` frames in a row."""
+
+    range_m: Floats
+    stride: int = 1
+    rows: list[NDArray[np.float32]] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    left: list[tuple[float, NDArray[np.float32]]] = field(default_factory=list)
+
+    def add(self, part: Frames, most: int) -> None:
+        self.left += [(float(t) * 1e-9, row) for t, row in zip(part.t_ns, part.amplitude, strict=True)]
+        while len(self.left) >= self.stride:
+            batch, self.left = self.left[: self.stride], self.left[self.stride :]
+            self.times.append(batch[0][0])
+            self.rows.append(np.max([row for _, row in batch], axis=0))
+        if len(self.rows) > most:
+            pairs = zip(self.rows[::2], [*self.rows[1::2], self.rows[-1]], strict=False)
+            self.rows = [np.maximum(a, b) for a, b in pairs]
+            self.times = self.times[::2]
+            self.stride *= 2
+
+
+@dataclass(slots=True)
+class RangeTime:
+    """Range-time amplitude pictures of every sensor, at most `most` rows each."""
+
+    most: int = 1200
+    unit: str = "path_gain"
+    _sensors: dict[str, _Pooled] = field(default_factory=dict)
+
+    def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
+        """Pools this piece."""
+        for name, part in chunk.items():
+            self.unit = part.unit
+            self._sensors.setdefault(name, _Pooled(part.range_m)).add(part, self.most)
+        return ()
+
+    def finish(self) -> Iterable[Any]:
+        """Nothing flows on."""
+        return ()
+
+    def pictures(self) -> list[tuple[str, Floats, Floats, Floats]]:
+        """Name, times [s], ranges [m] and amplitudes (n, b) of each sensor."""
+        return [
+            (name, np.array(p.times), p.range_m, np.array(p.rows, dtype=float))
+            for name, p in self._sensors.items()
+            if p.rows
+        ]
+
+
+@dataclass(slots=True)
+class Looks:
+    """Every so-manieth frame of every sensor, at most `most` each: enough to know what was seen from where."""
+
+    most: int = 400
+    _stride: dict[str, int] = field(default_factory=dict)
+    _seen: dict[str, int] = field(default_factory=dict)
+    _kept: dict[str, list[Frames]] = field(default_factory=dict)
+
+    def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
+        """Keeps some of this piece."""
+        for name, part in chunk.items():
+            stride, seen = self._stride.setdefault(name, 1), self._seen.get(name, 0)
+            kept = self._kept.setdefault(name, [])
+            kept += [part[i : i + 1] for i in range(-seen % stride, len(part), stride)]
+            self._seen[name] = seen + len(part)
+            if len(kept) > self.most:
+                self._kept[name], self._stride[name] = kept[::2], 2 * stride
+        return ()
+
+    def finish(self) -> Iterable[Any]:
+        """Nothing flows on."""
+        return ()
+
+    def frames(self) -> dict[str, Frames]:
+        """What was kept, by sensor."""
+        return {name: joined(parts) for name, parts in self._kept.items() if parts}

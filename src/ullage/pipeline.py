@@ -1,0 +1,214 @@
+"""The one loop: a source gives frames in pieces, stages make things of them, sinks take everything.
+
+Simulated, recorded and live frames come through here alike, piece by piece, so memory stays flat however long it runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from ullage.data import Detections, Frames, Recording, sensors_of
+from ullage.grids import Grid, Image, OccupancyMap
+
+Chunk = dict[str, Frames]
+
+
+class Source(Protocol):
+    """Anything that measures."""
+
+    def stream(self) -> Iterator[Chunk]:
+        """Pieces in order of time, each a dict of Frames by sensor name."""
+
+
+class Stage(Protocol):
+    """Anything that makes something of frames; it sees each piece once."""
+
+    def update(self, chunk: Chunk) -> Iterable[Any]:
+        """What this piece gave: Detections, OccupancyMap, Image; or nothing yet."""
+
+    def finish(self) -> Iterable[Any]:
+        """What is left to give when the frames have ended."""
+
+
+class Sink(Protocol):
+    """Anything that takes what flows: a recording, map files, a viewer, a live port."""
+
+    def write(self, item: Any) -> None:
+        """Take one item; what a sink has no place for, it passes over."""
+
+    def close(self) -> None:
+        """End, with everything written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run gave."""
+
+    frames: int  # of all sensors
+    duration_s: float  # of the frames, by their own clock
+    interrupted: bool  # by Ctrl-C; everything up to then is written
+    results: tuple[Any, ...]  # what the stages gave at the end
+
+
+@dataclass(slots=True)
+class _Count:
+    frames: int = 0
+    first_ns: int | None = None
+    last_ns: int = 0
+
+    def add(self, chunk: Chunk) -> None:
+        for part in chunk.values():
+            self.frames += len(part)
+            self.first_ns = int(part.t_ns[0]) if self.first_ns is None else min(self.first_ns, int(part.t_ns[0]))
+            self.last_ns = max(self.last_ns, int(part.t_ns[-1]))
+
+    @property
+    def duration_s(self) -> float:
+        return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
+
+
+def run(
+    source: Source,
+    *,
+    stages: Sequence[Stage] = (),
+    sinks: Sequence[Sink] = (),
+    progress: Callable[[float], None] | None = None,
+) -> Outcome:
+    """Take frames from a source until it ends or Ctrl-C; hand every piece and result to every sink.
+
+    Args:
+        source: gives the frames.
+        stages: see every piece in turn; what they return goes to the sinks.
+        sinks: take frames and results; closed at the end, whatever happens.
+        progress: told the seconds of recording done so far, after each piece.
+
+    Returns:
+        Counts, and what the stages gave when they finished.
+    """
+    count, interrupted = _Count(), False
+    try:
+        try:
+            for chunk in source.stream():
+                count.add(chunk)
+                _give(chunk, sinks)
+                for stage in stages:
+                    for item in stage.update(chunk):
+                        _give(item, sinks)
+                if progress is not None:
+                    progress(count.duration_s)
+        except KeyboardInterrupt:
+            interrupted = True
+        results = tuple(item for stage in stages for item in stage.finish())
+        for item in results:
+            _give(item, sinks)
+    finally:
+        for sink in sinks:
+            sink.close()
+    return Outcome(count.frames, count.duration_s, interrupted, results)
+
+
+def _give(item: Any, sinks: Sequence[Sink]) -> None:
+    for sink in sinks:
+        sink.write(item)
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Frames already in memory, as a source."""
+
+    recording: Recording
+    size: int = 256
+
+    def stream(self) -> Iterator[Chunk]:
+        """Pieces in order of time."""
+        parts = sensors_of(self.recording)
+        for start in range(0, max(len(p) for p in parts), self.size):
+            yield {p.sensor: p[start : start + self.size] for p in parts if start < len(p)}
+
+
+@dataclass(slots=True)
+class DetectStage:
+    """Detections, piece by piece."""
+
+    method: str = "first_peak"
+    threshold: float | None = None
+    found: int = 0
+    _seen: dict[str, int] = field(default_factory=dict)
+
+    def update(self, chunk: Chunk) -> Iterable[Detections]:
+        """Detections of each sensor, `frame` counted from the start of the recording."""
+        from dataclasses import replace
+
+        from ullage.processing.detect import detect
+
+        for name, part in chunk.items():
+            hits = detect(part, method=self.method, threshold=self.threshold)
+            before = self._seen.get(name, 0)
+            self._seen[name] = before + len(part)
+            self.found += len(hits)
+            if len(hits):
+                yield replace(hits, frame=hits.frame + before)
+
+    def finish(self) -> Iterable[Any]:
+        """Nothing is left over."""
+        return ()
+
+
+@dataclass(slots=True)
+class MapStage:
+    """An occupancy map that grows with each piece, given whole every so often and at the end."""
+
+    grid: Grid
+    method: str = "ullage"
+    threshold: float | None = None
+    every_s: float = 1.0
+    _mapper: Any = None
+    _given_ns: int | None = None
+
+    def update(self, chunk: Chunk) -> Iterable[OccupancyMap]:
+        """The map so far, once per `every_s` of recording."""
+        from ullage.processing.occupancy import Mapper
+
+        if self._mapper is None:
+            options = {} if self.threshold is None else {"threshold": self.threshold}
+            self._mapper = Mapper(self.grid, method=self.method, **options)
+        self._mapper.update(chunk)
+        now = max(int(p.t_ns[-1]) for p in chunk.values())
+        if self._given_ns is None or now - self._given_ns >= self.every_s * 1e9:
+            self._given_ns = now
+            yield self._mapper.map()
+
+    def finish(self) -> Iterable[OccupancyMap]:
+        """The final map."""
+        return () if self._mapper is None else (self._mapper.map(),)
+
+
+@dataclass(slots=True)
+class ImageStage:
+    """A SAR image of one sensor's frames, given at the end.
+
+    Summation and back-projection are both sums over frames, but autofocus and windows want the whole track:
+    the frames of this one sensor are kept, at most `most_frames` of them.
+    """
+
+    grid: Grid
+    method: str = "backprojection"
+    sensor: str = ""
+    most_frames: int = 20_000
+    _parts: list[Frames] = field(default_factory=list)
+
+    def update(self, chunk: Chunk) -> Iterable[Any]:
+        """Keeps the frames."""
+        name = self.sensor or next(iter(chunk))
+        if name in chunk and sum(map(len, self._parts)) < self.most_frames:
+            self._parts.append(chunk[name])
+        return ()
+
+    def finish(self) -> Iterable[Image]:
+        """The image."""
+        from ullage.data import joined
+        from ullage.processing.sar import focus
+
+        return (focus(joined(self._parts), self.grid, method=self.method),) if self._parts else ()

@@ -1,0 +1,178 @@
+"""Figures for a report: axes with units, a colour bar, the true walls drawn over what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Trajectory
+from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+TRUTH_COLOR = "#d1495b"
+
+
+@contextmanager
+def drawing(path: Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: int = 1) -> Iterator[tuple[Figure, Any]]:
+    """A figure that is written to `path` at the end (under a temporary name until whole)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_in, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, columns)
+    yield figure, axes
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}")
+    figure.savefig(draft, dpi=130, format=path.suffix[1:])
+    draft.replace(path)
+
+
+def draw_map(
+    axes: Axes,
+    omap: OccupancyMap,
+    *,
+    walls: Floats | None = None,
+    path: Trajectory | None = None,
+    level: int | None = None,
+) -> Any:
+    """An occupancy map: white free, black occupied, grey unknown, amber ambiguous; true walls and path over it.
+
+    Args:
+        axes: where to draw.
+        omap: the map; of a volume one level is drawn, or the highest chance over all levels.
+        walls: true outline as segments (s, 2, 2) [m].
+        path: where the drone flew.
+        level: index along z, of a volume.
+    """
+    from matplotlib.colors import ListedColormap
+
+    percent = omap.percent.astype(float)
+    if percent.ndim == 3:
+        percent = percent[level] if level is not None else percent.max(axis=0)
+    shown = np.ma.masked_less(percent, 0)
+    extent = omap.grid.extent_m
+    backdrop = np.where(percent == AMBIGUOUS, 1, 0)
+    axes.imshow(backdrop, extent=extent, origin="lower", cmap=ListedColormap(["#c9ccd1", "#f2c14e"]), vmin=0, vmax=1)
+    mesh = axes.imshow(shown, extent=extent, origin="lower", cmap="Greys", vmin=0, vmax=100, interpolation="nearest")
+    draw_plan(axes, walls=walls, path=path)
+    known = np.argwhere(percent != UNKNOWN)
+    if len(known):
+        _zoom(axes, omap, known)
+    return mesh
+
+
+def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
+    low, high = known.min(0), known.max(0)
+    x, y, pad = omap.grid.x_m, omap.grid.y_m, 5 * omap.grid.step_m
+    axes.set_xlim(x[low[1]] - pad, x[high[1]] + pad)
+    axes.set_ylim(y[low[0]] - pad, y[high[0]] + pad)
+
+
+def draw_plan(axes: Axes, *, walls: Floats | None = None, path: Trajectory | None = None) -> None:
+    """True walls in red and the flown path in blue, on axes in metres of equal scale."""
+    from matplotlib.collections import LineCollection
+
+    if walls is not None and len(walls):
+        axes.add_collection(LineCollection(list(walls), color=TRUTH_COLOR, linewidth=0.9, label="true walls"))
+    if path is not None:
+        axes.plot(path.position[:, 0], path.position[:, 1], color="#2e86ab", linewidth=0.9, label="flown")
+        axes.plot(*path.position[0, :2], "o", color="#2e86ab", markersize=4)
+    axes.set(xlabel="x east [m]", ylabel="y north [m]", aspect="equal")
+
+
+def map_figure(
+    path: Path, omap: OccupancyMap, *, title: str, walls: Floats | None = None, flown: Trajectory | None = None
+) -> Path:
+    """The occupancy map with colour bar and legend, as a picture file."""
+    ny, nx = omap.grid.shape[-2:]
+    with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
+        mesh = draw_map(axes, omap, walls=walls, path=flown)
+        figure.colorbar(mesh, ax=axes, label="chance of being occupied [%]", shrink=0.8)
+        axes.legend(loc="upper right", fontsize=7, framealpha=0.9)
+        axes.set_title(
+            f"{title}: {omap.method}, {omap.grid.step_m:g} m cells; grey unknown, amber ambiguous", fontsize=9
+        )
+    return path
+
+
+def image_figure(
+    path: Path,
+    image: Image,
+    *,
+    title: str,
+    walls: Floats | None = None,
+    flown: Trajectory | None = None,
+    span_db: float = 40,
+) -> Path:
+    """A SAR image in dB below its peak, as a picture file; a volume is shown as its brightest value over height."""
+    amplitude = image.amplitude
+    flat = amplitude.max(axis=0) if amplitude.ndim == 3 else amplitude
+    peak = max(float(flat.max()), 1e-30)
+    ny, nx = flat.shape
+    with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
+        level = 20 * np.log10(np.maximum(flat / peak, 1e-10))
+        mesh = axes.imshow(level, extent=image.grid.extent_m, origin="lower", cmap="inferno", vmin=-span_db, vmax=0)
+        left, right, bottom, top = image.grid.extent_m
+        draw_plan(axes, walls=walls, path=flown)
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+        figure.colorbar(mesh, ax=axes, label="amplitude below the brightest cell [dB]", shrink=0.8)
+        axes.set_title(f"{title}: {image.method}, {image.grid.step_m:g} m cells", fontsize=9)
+    return path
+
+
+UNIT_LABEL = {
+    "path_gain": "path gain [dB]",
+    "normalised": "amplitude, sensor's own units [dB]",
+    "thesis": "amplitude, eq. 4.2",
+}
+
+
+def range_time_figure(
+    path: Path, pictures: Sequence[tuple[str, Floats, Floats, Floats]], *, unit: str, title: str
+) -> Path:
+    """Range-time amplitude pictures, one panel a sensor.
+
+    Args:
+        path: where to write.
+        pictures: name, times (n) [s], ranges (b) [m], amplitudes (n, b), one for each sensor.
+        unit: of the amplitudes, as `Frames.unit`.
+        title: above all.
+    """
+    with drawing(path, size_in=(3.1 * max(len(pictures), 2) + 0.9, 4.2), columns=len(pictures)) as (figure, axes):
+        panels = np.atleast_1d(axes)
+        values = [a if unit == "thesis" else 20 * np.log10(np.maximum(a, 1e-12)) for *_, a in pictures]
+        top = max(float(np.quantile(v, 0.999)) for v in values)
+        floor = 0.0 if unit == "thesis" else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
+        for panel, (name, t_s, range_m, _), value in zip(panels, pictures, values, strict=True):
+            mesh = panel.pcolormesh(t_s, range_m, value.T, cmap="viridis", vmin=floor, vmax=top, rasterized=True)
+            panel.set(xlabel="time [s]", title=name)
+        panels[0].set_ylabel("range [m]")
+        figure.colorbar(mesh, ax=list(panels), label=UNIT_LABEL[unit])
+        figure.suptitle(title, fontsize=10)
+    return path
+
+
+def snapshot_figure(path: Path, frames: Sequence[Frames], index: int, *, threshold: float | None, title: str) -> Path:
+    """One profile of each sensor: amplitude over range, with the detection threshold."""
+    with drawing(path, size_in=(7.5, 3.6)) as (_, axes):
+        for part in frames:
+            row = part.amplitude[min(index, len(part) - 1)]
+            values = row if part.unit == "thesis" else 20 * np.log10(np.maximum(row, 1e-12))
+            axes.plot(part.range_m, values, linewidth=1.0, label=part.sensor)
+        if threshold is not None:
+            level = threshold if frames[0].unit == "thesis" else 20 * np.log10(threshold)
+            axes.axhline(level, color="0.4", linestyle="--", linewidth=0.8, label=f"threshold {threshold:g}")
+        axes.set(xlabel="range [m]", ylabel=UNIT_LABEL[frames[0].unit], title=title)
+        axes.legend(fontsize=7)
+        axes.grid(alpha=0.3)
+    return path

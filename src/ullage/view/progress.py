@@ -1,0 +1,56 @@
+"""Progress on the terminal: a bar on anything over two seconds, plain lines where there is no terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+console = Console(stderr=False, soft_wrap=True)
+PLAIN_EVERY_S = 5.0
+
+
+@dataclass(slots=True)
+class Teller:
+    """Takes how much is done; where there is no terminal it prints a line every few seconds."""
+
+    bar: Progress
+    task: TaskID
+    title: str
+    total: float | None
+    unit: str
+    last_s: float
+
+    def __call__(self, done: float) -> None:
+        """Tell how much is done, in the bar's unit."""
+        self.bar.update(self.task, completed=done)
+        if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
+            self.last_s = time.monotonic()
+            share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
+            console.print(f"{self.title}: {share}", highlight=False)
+
+    def say(self, text: str) -> None:
+        """Change what the bar says it is doing."""
+        self.title = text
+        self.bar.update(self.task, description=text)
+
+
+@contextmanager
+def progress_bar(title: str, *, total: float | None, unit: str = "") -> Iterator[Teller]:
+    """A progress bar for one job; call what it yields with the amount done."""
+    if not console.is_terminal:
+        console.print(title, highlight=False)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=total)
+        yield Teller(bar, task, title, total, unit, time.monotonic())

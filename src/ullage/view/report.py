@@ -1,0 +1,102 @@
+"""One HTML page for a run: settings, figures, metrics, provenance, everything inside the file."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+from jinja2 import Environment, StrictUndefined
+
+from ullage.errors import InputError
+
+CAPTIONS = {
+    "map": "Occupancy map over the true walls (red) and the flown path (blue).",
+    "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
+    "range_time": "Amplitude of every range bin over time, one panel a radar.",
+    "snapshot": "One profile of each radar in the middle of the run.",
+}
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{{ name }} - ullage</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+ body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1f2933}
+ h1{margin-bottom:0} h2{margin-top:2rem;border-bottom:1px solid #d5dae0}
+ figure{margin:1rem 0} figure img{max-width:100%;border:1px solid #e3e7eb} figcaption{color:#52606d}
+ table{border-collapse:collapse} td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #e3e7eb}
+ td.n{text-align:right;font-variant-numeric:tabular-nums} .bad{color:#b3261e;font-weight:600} .good{color:#1b7f3b}
+ pre{background:#f5f7fa;padding:1rem;overflow:auto;font-size:13px}
+</style></head><body>
+<h1>{{ title }}</h1>
+<p>{{ name }}, run {{ provenance.started }} with ullage {{ provenance.ullage }}
+{%- if provenance.interrupted %} <span class="bad">interrupted: what had been received by then</span>{% endif %}</p>
+<h2>Figures</h2>
+{% for figure in figures %}<figure><img alt="{{ figure.caption }}" src="data:image/png;base64,{{ figure.data }}">
+<figcaption>{{ figure.caption }}</figcaption></figure>
+{% endfor %}
+<h2>Metrics</h2>
+<table><tr><th>metric</th><th>value</th><th>unit</th><th>bounds</th></tr>
+{% for m in metrics %}<tr><td>{{ m.name }}</td><td class="n">{{ m.value }}</td><td>{{ m.unit }}</td>
+<td class="{{ m.verdict }}">{{ m.bounds }}</td></tr>
+{% endfor %}</table>
+<h2>Settings</h2><pre>{{ settings }}</pre>
+<h2>Provenance</h2><pre>{{ origin }}</pre>
+</body></html>
+"""
+
+
+def write_report(folder: Path) -> Path:
+    """Write `report.html` from what lies in a run folder.
+
+    Raises:
+        InputError: the folder lacks its scenario or metrics, or they cannot be read.
+    """
+    settings = _text(folder / "scenario.yaml")
+    plan = yaml.safe_load(settings)
+    origin = json.loads(_text(folder / "provenance.json"))
+    metrics = json.loads(_text(folder / "metrics.json"))
+    page = Environment(autoescape=True, undefined=StrictUndefined).from_string(PAGE)
+    html = page.render(
+        name=plan["name"],
+        title=plan.get("title") or plan["name"],
+        provenance={"interrupted": False} | origin,
+        figures=[_figure(path) for path in _pictures(folder)],
+        metrics=[_row(name, m, plan.get("expect") or {}) for name, m in metrics.items()],
+        settings=settings,
+        origin=json.dumps(origin, indent=2),
+    )
+    out, draft = folder / "report.html", folder / ".report.html"
+    draft.write_text(html, encoding="utf-8")
+    draft.replace(out)
+    return out
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=path, allowed="a run folder") from None
+
+
+def _pictures(folder: Path) -> list[Path]:
+    order = list(CAPTIONS)
+    found = (folder / "figures").glob("*.png")
+    return sorted(found, key=lambda p: (order.index(p.stem) if p.stem in order else len(order), p.name))
+
+
+def _figure(path: Path) -> dict[str, str]:
+    data = base64.b64encode(path.read_bytes()).decode()
+    return {"data": data, "caption": CAPTIONS.get(path.stem, path.stem.replace("_", " "))}
+
+
+def _row(name: str, metric: dict[str, Any], expect: dict[str, dict[str, float | None]]) -> dict[str, str]:
+    value, bound = metric["value"], expect.get(name) or {}
+    low, high = bound.get("min"), bound.get("max")
+    text = " .. ".join("" if k is None else f"{k:g}" for k in (low, high)) if bound else ""
+    inside = value is not None and (low is None or value >= low) and (high is None or value <= high)
+    verdict = ("good" if inside else "bad") if bound else ""
+    shown = "unknown" if value is None else f"{value:.4g}"
+    return {"name": name.replace("_", " "), "value": shown, "unit": metric["unit"], "bounds": text, "verdict": verdict}

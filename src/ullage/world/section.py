@@ -1,0 +1,44 @@
+"""Where a horizontal plane cuts a scene: the true walls of a plan."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+def section(scene: Scene, z_m: float) -> Floats:
+    """Line segments (s, 2, 2) in x, y [m] in which faces cross the height `z_m`, moving things at their start.
+
+    Faces that lie in the plane give nothing; a plane exactly through vertices is read as lying a hair above them.
+    """
+    corners = scene.corners()
+    above = corners[:, :, 2] > z_m
+    cut = above.any(1) & ~above.all(1)
+    corners, above = corners[cut], above[cut]
+    if not len(corners):
+        return np.zeros((0, 2, 2))
+    # The vertex that is alone on its side has the two edges that are cut.
+    lonely = np.where(above.sum(1) == 1, above.argmax(1), (~above).argmax(1))
+    row = np.arange(len(corners))
+    apex = corners[row, lonely]
+    ends = []
+    for step in (1, 2):
+        other = corners[row, (lonely + step) % 3]
+        share = (z_m - apex[:, 2]) / (other[:, 2] - apex[:, 2])
+        ends.append(apex[:, :2] + share[:, None] * (other - apex)[:, :2])
+    return np.stack(ends, axis=1)
+
+
+def wire_section(scene: Scene, z_m: float, *, slab_m: float = 0.0) -> Floats:
+    """Points (p, 2) in x, y [m] where wires cross the height `z_m`; level ones within `slab_m` of it give both ends."""
+    a, b = scene.wires.start, scene.wires.end
+    rise = b[:, 2] - a[:, 2]
+    crosses = (np.minimum(a[:, 2], b[:, 2]) <= z_m) & (np.maximum(a[:, 2], b[:, 2]) >= z_m) & (abs(rise) > 1e-9)
+    share = (z_m - a[crosses, 2]) / rise[crosses]
+    level = ~crosses & (abs((a[:, 2] + b[:, 2]) / 2 - z_m) <= slab_m)
+    pierced = a[crosses, :2] + share[:, None] * (b - a)[crosses, :2]
+    return np.concatenate([pierced, a[level, :2], b[level, :2]])
