@@ -58,7 +58,7 @@ class Trajectory:
         if np.any(abs(norm - 1) > 1e-3):
             raise InputError(f"quaternion {int(np.argmax(abs(norm - 1)))} is not of unit length", where="quat_xyzw")
         position = _array("position", self.position, (n, 3))
-        quat = quat / norm
+        quat = np.where(abs(norm - 1) < 1e-12, quat, quat / norm)  # so that cutting or storing changes no bit
         velocity = _slope(t_ns, position) if self.velocity is None else _array("velocity", self.velocity, (n, 3))
         spin = (
             _spin(t_ns, quat)
@@ -189,7 +189,7 @@ def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, coun
 def _slope(t_ns: Times, position: Floats) -> Floats:
     if len(t_ns) == 1:
         return np.zeros_like(position)
-    return np.asarray(np.gradient(position, (t_ns - t_ns[0]) * 1e-9, axis=0))
+    return np.asarray(np.gradient(position, (t_ns - t_ns[0]) * 1e-9, axis=0, edge_order=min(len(t_ns) - 1, 2)))
 
 
 def _spin(t_ns: Times, quat: Floats) -> Floats:

@@ -1,0 +1,70 @@
+"""Scenario files: round trip, overlay, bad input with file and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+import ullage as ul
+from ullage.config import Scenario, make_scenario, read_scenario, scenario_schema, scenario_text
+from ullage.experiments.catalog import find_scenario, scenario_names
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_shipped_scenario_comes_back_from_its_own_text(name: str) -> None:
+    scenario = find_scenario(name)
+    assert Scenario(**yaml.safe_load(scenario_text(scenario))) == scenario
+    assert scenario.title
+
+
+def test_options_are_laid_over_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("map: {step_m: 0.5}\n")
+    scenario = read_scenario(file, options=["map.step_m=0.2", "sensing.changes={iterations: 32}"])
+    assert scenario.name == "mine"
+    assert scenario.map.step_m == 0.2
+    assert scenario.sensing.radars().sensors["front"].iterations == 32
+
+
+def test_the_digest_follows_the_settings() -> None:
+    one, same, other = (make_scenario({"name": "a", "seed": seed}) for seed in (1, 1, 2))
+    assert one.digest == same.digest != other.digest
+
+
+def test_the_schema_names_every_group() -> None:
+    assert {"world", "flight", "sensing", "map", "expect"} <= set(scenario_schema()["properties"])
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"map: {step_m: -1}", "map.step_m"),
+        (b"map: [1, 2]", "map"),
+        (b"a: b: c", "not YAML.*|mapping values"),
+        (b"\xff\xfea\x00", "not UTF-8"),
+        (b"", "not a scenario"),
+        (b"3", "not a scenario"),
+        (b"colour: red", "colour"),
+        (b"flight: {waypoints: [[0, 0, .nan]]}", "waypoints"),
+    ],
+)
+def test_a_bad_scenario_is_refused_with_its_file(tmp_path: Path, content: bytes, words: str) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_bytes(content)
+    with pytest.raises(ul.InputError, match=words) as caught:
+        read_scenario(file)
+    assert "bad.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("option", ["map.step_m", "=3", "seed.x=3", "map.step_m=[", "nothing=3"])
+def test_a_bad_option_is_refused(option: str) -> None:
+    with pytest.raises(ul.InputError):
+        make_scenario({"name": "a"}, options=[option])
+
+
+def test_a_missing_file_is_named() -> None:
+    with pytest.raises(ul.InputError, match=r"nowhere.yaml: No such file"):
+        read_scenario("nowhere.yaml")

@@ -1,0 +1,116 @@
+"""Trajectories and frames: laws of motion, cutting and joining, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import ullage as ul
+from ullage.data import even_times, joined, sensors_of
+from ullage.geometry import apply, quat_matrix, rpy_quat, transform
+
+
+def circle(n: int = 200) -> ul.Trajectory:
+    """One turn in 10 s at 2 m radius, nose along the path."""
+    t_ns = even_times(20.0, count=n)
+    angle = 2 * np.pi * t_ns * 1e-9 / 10
+    position = np.stack([2 * np.cos(angle), 2 * np.sin(angle), np.full(n, 1.0)], axis=1)
+    return ul.Trajectory(t_ns, position, rpy_quat(np.zeros(n), np.zeros(n), angle + np.pi / 2))
+
+
+def frames(n: int = 10, bins: int = 16) -> ul.Frames:
+    path = ul.Trajectory.stationary(n=n)
+    rng = np.random.default_rng(1)
+    samples = (rng.normal(size=(n, bins)) + 1j * rng.normal(size=(n, bins))).astype(np.complex64)
+    spec = ul.RadarSpec.preset("x4m05")
+    return ul.Frames(samples, np.arange(bins) * 0.05, path.t_ns, spec, path, path, "front")
+
+
+def test_rates_of_a_circle_are_those_of_the_circle() -> None:
+    path = circle()
+    velocity, spin = path.rates
+    speed = np.linalg.norm(velocity, axis=1)[5:-5]
+    assert np.allclose(speed, 2 * 2 * np.pi / 10, rtol=1e-3)
+    assert np.allclose(spin[5:-5], [0, 0, 2 * np.pi / 10], atol=1e-6)
+
+
+@given(st.floats(0.0, 9.9))
+def test_interpolation_stays_on_the_circle(t_s: float) -> None:
+    at = circle().at(round(t_s * 1e9))
+    assert abs(np.linalg.norm(at.position[0, :2]) - 2) < 1e-4
+    heading = quat_matrix(at.quat_xyzw)[0, :2, 0]
+    assert abs(heading @ at.position[0, :2]) < 1e-2
+
+
+def test_a_mounted_sensor_moves_rigidly_with_the_body() -> None:
+    path = circle()
+    arm = transform((0.3, 0.1, -0.2), (0.1, 0.2, 0.3))
+    sensor = path.mounted(arm)
+    assert np.allclose(sensor.position[7], apply(path.world_from_body[7], arm[:3, 3][None])[0])
+    numeric = np.gradient(sensor.position, sensor.t_ns * 1e-9, axis=0)
+    assert np.allclose(sensor.velocity[5:-5], numeric[5:-5], atol=2e-3)
+
+
+def test_a_line_has_one_sample_per_period_and_the_asked_speed() -> None:
+    path = ul.Trajectory.line((0, 0, 1), (2, 0, 1), 0.5, 10)
+    assert len(path) == 41
+    assert path.duration_s == pytest.approx(4.0)
+    assert np.allclose(path.velocity, [0.5, 0, 0])
+
+
+@given(st.integers(1, 9))
+def test_cutting_and_joining_gives_the_same_bits(at: int) -> None:
+    whole = frames()
+    again = joined([whole[:at], whole[at:]])
+    assert np.array_equal(again.samples, whole.samples)
+    assert np.array_equal(again.t_ns, whole.t_ns)
+    assert np.array_equal(again.believed.position, whole.believed.position)
+
+
+def test_frames_of_one_or_several_sensors_are_taken_alike() -> None:
+    one = frames()
+    assert len(sensors_of(one)) == 1
+    assert len(sensors_of({"a": one, "b": one})) == 2
+    with pytest.raises(ul.InputError, match="no frames"):
+        sensors_of([])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"t_ns": [0, 0, 1]}, "does not rise after sample 0"),
+        ({"position": [[0, 0, 0], [0, np.nan, 0], [0, 0, 0]]}, "not finite in row 1"),
+        ({"quat_xyzw": [[0, 0, 0, 2]] * 3}, "not of unit length"),
+        ({"position": np.zeros((2, 3))}, r"shape \(2, 3\)"),
+    ],
+)
+def test_a_bad_trajectory_is_refused(change: dict, words: str) -> None:
+    good = {"t_ns": [0, 1, 2], "position": np.zeros((3, 3)), "quat_xyzw": [[0, 0, 0, 1.0]] * 3}
+    with pytest.raises(ul.InputError, match=words):
+        ul.Trajectory(**(good | change))
+
+
+def test_times_outside_a_trajectory_are_refused() -> None:
+    with pytest.raises(ul.InputError, match="outside the trajectory"):
+        circle().at(-1)
+
+
+@pytest.mark.parametrize("rate", [0.0, -5.0, float("nan"), float("inf")])
+def test_a_rate_must_be_positive(rate: float) -> None:
+    with pytest.raises(ul.InputError, match="rate_hz"):
+        ul.Trajectory.line((0, 0, 0), (1, 0, 0), 0.5, rate)
+
+
+def test_frames_with_poses_at_other_times_are_refused() -> None:
+    good = frames()
+    with pytest.raises(ul.InputError, match="not at the frames' times"):
+        ul.Frames(good.samples, good.range_m, good.t_ns, good.spec, good.poses[:5])
+
+
+def test_frames_without_poses_say_so_when_poses_are_wanted() -> None:
+    good = frames()
+    bare = ul.Frames(good.samples, good.range_m, good.t_ns, good.spec)
+    with pytest.raises(ul.InputError, match="no poses"):
+        bare.believed.position.sum()

@@ -1,0 +1,76 @@
+"""The rules of the house, checked: quick import, layers, short files, sources that exist."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ullage as ul
+
+ROOT = Path(__file__).parents[1]
+SOURCES = sorted((ROOT / "src" / "ullage").rglob("*.py"))
+HEAVY = {
+    "matplotlib",
+    "numba",
+    "mujoco",
+    "trimesh",
+    "embreex",
+    "scipy",
+    "rosbags",
+    "mcap",
+    "typer",
+    "numpy",
+    "pydantic",
+}
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    code = "import sys, ullage; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = set(
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    )
+    assert not loaded & HEAVY
+
+
+def test_help_loads_no_number_crunching() -> None:
+    code = "import sys, ullage.cli; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = set(
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    )
+    assert not loaded & (HEAVY - {"typer"})
+
+
+@pytest.mark.parametrize("name", ul.__all__)
+def test_every_public_name_is_there_and_has_a_docstring(name: str) -> None:
+    thing = getattr(ul, name)
+    assert name == "C0" or thing.__doc__
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT / "src")))
+def test_a_file_has_one_purpose(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count("\n") <= 400
+    assert ast.get_docstring(ast.parse(text)), "says on its first line what it is for"
+
+
+def test_every_source_named_is_in_the_references() -> None:
+    known = set(re.findall(r"@\w+\{([^,]+),", (ROOT / "docs" / "references.bib").read_text(encoding="utf-8")))
+    missing = {}
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)):
+                keys = set(re.findall(r"\[([A-Z][A-Za-z-]*\d[\w-]*)", text)) - known
+                missing |= dict.fromkeys(keys, path.name)
+    assert not missing
+
+
+def test_kernels_know_none_of_our_types() -> None:
+    for path in (ROOT / "src" / "ullage" / "kernels").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ullage"):
+                assert node.module.startswith(("ullage.kernels", "ullage.geometry")), path.name

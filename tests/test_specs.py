@@ -1,0 +1,48 @@
+"""Radar settings: the X4's own arithmetic, presets, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ullage as ul
+
+
+def test_the_x4_arithmetic_is_the_data_sheets() -> None:
+    radar = ul.RadarSpec.preset("x4m05")
+    assert radar.prf_hz == pytest.approx(15.1875e6)
+    assert radar.bin_m == pytest.approx(0.05144 * 299792458 / 3e8, rel=1e-4)
+    assert radar.unambiguous_range_m == pytest.approx(9.87, abs=0.01)
+    assert radar.max_fps == pytest.approx(17, abs=0.1)
+
+
+def test_the_pulse_is_ten_decibels_down_at_the_edge_of_its_band() -> None:
+    radar = ul.RadarSpec.preset("x4m05")
+    sigma = radar.pulse_sigma_s
+    spectrum = np.exp(-2 * (np.pi * sigma * radar.bandwidth_hz / 2) ** 2)
+    assert 20 * np.log10(spectrum) == pytest.approx(-10, abs=0.01)
+
+
+def test_the_thesis_rig_looks_four_ways() -> None:
+    rig = ul.Rig.preset("thesis-4")
+    ahead = {name: spec.mount.body_from_sensor()[:3, 0].round(9).tolist() for name, spec in rig.sensors.items()}
+    assert ahead == {"front": [1, 0, 0], "left": [0, 1, 0], "back": [-1, 0, 0], "right": [0, -1, 0]}
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: ul.RadarSpec.preset("x5"), "no radar preset 'x5'.*x4m05"),
+        (lambda: ul.RadarSpec.preset("x4m05", fps=-1), "fps"),
+        (lambda: ul.RadarSpec.preset("x4m05", dac_min=1200), "dac_max 1100 must be above dac_min 1200"),
+        (lambda: ul.RadarSpec.preset("x4m05", colour="red"), "colour"),
+        (lambda: ul.RadarSpec.preset("x4m05", center_hz=float("nan")), "center_hz"),
+        (lambda: ul.RadarSpec.preset("x4m05", antenna={"kind": "horn"}), "antenna.kind"),
+        (lambda: ul.Rig.preset("five"), "no rig preset"),
+        (lambda: ul.Rig(sensors={}), "sensors"),
+    ],
+)
+def test_bad_settings_are_refused_in_one_line(make, words: str) -> None:
+    with pytest.raises(ul.InputError, match=words) as caught:
+        make()
+    assert "\n" not in str(caught.value)
