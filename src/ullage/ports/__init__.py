@@ -1,0 +1,139 @@
+"""Doors to the outside: recordings and instruments come in as frames, and whatever flows goes out to files."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Floats, Frames, Times, Trajectory
+from ullage.errors import InputError, UllageWarning
+from ullage.ports.protocol import Sink, Source, WholeSource
+from ullage.specs import MountSpec
+
+__all__ = ["Sink", "Source", "open", "sink"]
+
+SOURCES = ".mcap, an X4 .dat, or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
+SINKS = ".mcap, or a folder for it"
+
+
+def open(target: str | Path, **options: Any) -> Source:
+    """A recording, whatever its kind.
+
+    Args:
+        target: a `.mcap` file, a run's or rosbag2 folder, an X4 `.dat`, or a folder with radar.out and mocap.csv.
+        **options: of that kind: X4 takes fps and range_start_m; a PulsON folder takes mount (a MountSpec).
+
+    Raises:
+        InputError: it is not there, or of no known kind.
+    """
+    path = Path(target)
+    if not path.exists():
+        kind = str(target).split(":", 1)[0]
+        if kind in ("ros2", "gazebo", "imc", "x4", "viewer") and ":" in str(target):
+            raise InputError(f"live {kind} input is not part of this version", where=target, allowed=SOURCES)
+        raise InputError("no such file or folder", where=target, allowed=SOURCES)
+    if path.is_dir():
+        return _open_folder(path, options)
+    if path.suffix.lower() == ".mcap":
+        from ullage.ports.replay import McapSource
+
+        return McapSource(path, **options)
+    if path.suffix.lower() == ".dat":
+        from ullage.ports.x4 import X4Source
+
+        return X4Source(path, **options)
+    raise InputError("not a recording", where=target, allowed=SOURCES)
+
+
+def sink(target: str | Path, **options: Any) -> Sink:
+    """Somewhere to write to.
+
+    Args:
+        target: a `.mcap` file.
+        **options: of that kind: a recording takes overwrite.
+
+    Raises:
+        InputError: it is of no known kind, or cannot be written.
+    """
+    path = Path(target)
+    if path.suffix.lower() == ".mcap":
+        from ullage.ports.bag import McapSink
+
+        return McapSink(path, **options)
+    raise InputError("not something to write to", where=target, allowed=SINKS)
+
+
+class RailSource(WholeSource):
+    """A PulsON log beside the motion capture of the radar, with reflectors as truth where they were surveyed."""
+
+    def __init__(self, frames: Frames, *, path: Trajectory, reflectors: Floats) -> None:
+        super().__init__({frames.sensor: frames}, path=path)
+        self._reflectors = reflectors
+
+    def reflectors(self) -> Floats:
+        """Where the reflectors truly stood (r, 3), world ENU [m]; never handed to processing."""
+        return self._reflectors
+
+
+def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
+    from ullage.ports.replay import McapSource
+
+    if (folder / "radar.out").exists():
+        return _open_rail(folder, **options)
+    if (folder / "frames.mcap").exists():
+        return McapSource(folder / "frames.mcap", **options)
+    bags = sorted(folder.glob("*.mcap"))
+    if len(bags) == 1:
+        return McapSource(bags[0], **options)
+    raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
+
+
+def _open_rail(folder: Path, *, mount: MountSpec | None = None) -> RailSource:
+    """Scans with poses from motion capture, as if both clocks had started together; `calibrate` finds the rest."""
+    from ullage.ports.motive import read_tracks
+    from ullage.ports.pulson import read_log
+
+    log = read_log(folder / "radar.out")
+    spec = log.spec.but(mount=mount) if mount else log.spec
+    tracks = read_tracks(folder / "mocap.csv")
+    name = _radar_body(tracks)
+    body = tracks[name]
+    sensor = body.mounted(spec.mount.body_from_sensor())
+    t_ns = log.t_ns + body.t_ns[0]
+    poses = _held(sensor, t_ns, folder)
+    frames = Frames(
+        log.scans.astype(np.float32),
+        log.range_m,
+        t_ns,
+        spec,
+        poses=poses,
+        track=sensor,
+        sensor="pulson",
+        unit="normalised",
+    )
+    surveyed = read_tracks(folder / "reflector.csv") if (folder / "reflector.csv").exists() else {}
+    points = [np.median(track.position, axis=0) for key, track in surveyed.items() if key != name]
+    return RailSource(frames, path=body, reflectors=np.array(points).reshape(-1, 3))
+
+
+def _held(track: Trajectory, t_ns: Times, folder: Path) -> Trajectory:
+    """The track at these times, standing still before its start and after its end."""
+    inside, row = np.unique(np.clip(t_ns, track.t_ns[0], track.t_ns[-1]), return_inverse=True)
+    if outside := int(((t_ns < track.t_ns[0]) | (t_ns > track.t_ns[-1])).sum()):
+        warnings.warn(
+            f"{folder}: {outside} of {len(t_ns)} scans lie outside the motion capture; its ends were held",
+            UllageWarning,
+            stacklevel=4,
+        )
+    known = track.at(inside)
+    velocity, spin = known.rates
+    return Trajectory(t_ns, known.position[row], known.quat_xyzw[row], velocity[row], spin[row])
+
+
+def _radar_body(tracks: dict[str, Trajectory]) -> str:
+    """The rigid body that carries the radar: named so, or the one that moved farthest."""
+    named = [name for name in tracks if "radar" in name.lower()]
+    return max(named or tracks, key=lambda name: float(np.ptp(tracks[name].position, axis=0).max()))

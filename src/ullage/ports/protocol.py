@@ -1,0 +1,152 @@
+"""What every door to the outside offers: a source of frames, a sink for whatever flows, and how clocks are mended."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Detections, Frames, Trajectory
+from ullage.errors import InputError, UllageWarning
+from ullage.grids import OccupancyMap
+from ullage.world.scene import Scene
+
+Chunk = Mapping[str, Frames]
+"""A piece of a recording: frames of each sensor by name."""
+
+Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | Scene
+"""Whatever a sink may be handed."""
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Something that measured, or remembers measuring."""
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything of one sensor as Frames, or of several as a dict by name."""
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+
+    def trajectory(self) -> Trajectory | None:
+        """The path of the body, where it is known."""
+
+    def map(self) -> OccupancyMap | None:
+        """The last map recorded, where there is one."""
+
+
+@runtime_checkable
+class Sink(Protocol):
+    """Something that keeps or shows what it is handed."""
+
+    def write(self, item: Item) -> None:
+        """Take one item."""
+
+    def close(self) -> None:
+        """Finish; nothing can be written afterwards."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class WholeSource:
+    """A recording held in memory.
+
+    Args:
+        frames: of each sensor by name.
+        path: of the body, where it is known.
+    """
+
+    def __init__(self, frames: dict[str, Frames], *, path: Trajectory | None = None) -> None:
+        self._frames, self._path = frames, path
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        return tuple(self._frames)
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything of one sensor as Frames, or of several as a dict by name."""
+        return one_or_all(self._frames, sensor)
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+        start = 0
+        while True:
+            part = {name: f[start : start + chunk] for name, f in self._frames.items() if len(f) > start}
+            if not part:
+                return
+            yield part
+            start += chunk
+
+    def trajectory(self) -> Trajectory | None:
+        """The path of the body, where it is known."""
+        return self._path
+
+    def map(self) -> OccupancyMap | None:
+        """None: these recordings hold no maps."""
+        return None
+
+
+def one_or_all(frames: dict[str, Frames], sensor: str | None) -> Frames | dict[str, Frames]:
+    """The frames of one sensor, asked for by name or the only one there; else all of them.
+
+    Raises:
+        InputError: there is no such sensor.
+    """
+    if sensor is not None:
+        if sensor not in frames:
+            raise InputError(f"no sensor {sensor!r}", where="sensor", allowed=", ".join(frames))
+        return frames[sensor]
+    return next(iter(frames.values())) if len(frames) == 1 else frames
+
+
+def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int64]:
+    """Times that rise: where the clock jumps back or stands still, the usual step is taken instead, with a warning."""
+    step = np.diff(t_ns)
+    bad = np.flatnonzero(step <= 0)
+    if not bad.size:
+        return t_ns
+    usual = max(int(np.median(step[step > 0])), 1) if np.any(step > 0) else 1_000_000
+    jumps = [float(step[i]) * 1e-9 for i in bad[:3]]
+    warnings.warn(
+        f"{where}: the clock jumps back or stands still {bad.size} times, first after frame {int(bad[0])} "
+        f"({jumps[0]:+.3f} s); the usual step of {usual * 1e-6:.3g} ms was taken there",
+        UllageWarning,
+        stacklevel=3,
+    )
+    step = step.copy()
+    step[bad] = usual
+    return np.asarray(np.concatenate([t_ns[:1], t_ns[0] + np.cumsum(step)]), np.int64)
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+    """Write a file under a temporary name and rename it, so that it is there wholly or not at all.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    name = ""
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as out:
+            name = out.name
+            write(out)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)
+        os.replace(name, path)
+    except OSError as error:
+        if name and os.path.exists(name):
+            os.unlink(name)
+        raise InputError(f"cannot write: {error.strerror or error}", where=path) from None

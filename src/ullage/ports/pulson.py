@@ -1,0 +1,105 @@
+"""PulsON 440 logs, `radar.out`: one configuration, then range scans in packets [TDSR-MRM].
+
+Scans are kept to the last sample as the radar gave them (int32, in its own counts); dropped packets leave zeros.
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Floats, Times
+from ullage.errors import InputError, UllageWarning
+from ullage.geometry import C0
+from ullage.ports.protocol import mend_clock
+from ullage.specs import RadarSpec
+
+STEP_S = 61e-12
+LEAD_S = 10e-9
+CONFIG = struct.Struct(">IiiHH4H4BBBBB")
+SCAN_INFO = 0xF201
+PACKET = np.dtype({
+    "names": ["kind", "message", "t_ms", "here", "total", "index", "packets", "samples"],
+    "formats": [">u2", ">u2", ">u4", ">u2", ">u4", ">u2", ">u2", (">i4", (350,))],
+    "offsets": [0, 2, 8, 42, 44, 48, 50, 52], "itemsize": 1452,
+})  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A decoded PulsON log."""
+
+    scans: NDArray[np.int32]  # (n, b) in the radar's counts
+    t_ns: Times  # (n) from the first scan on
+    range_m: Floats  # (b) [m]
+    spec: RadarSpec
+
+
+def read_log(path: str | Path) -> Log:
+    """Decode a PulsON log.
+
+    Raises:
+        InputError: it is no such log, or holds no scan.
+    """
+    path = Path(path)
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=path) from None
+    if len(raw) < CONFIG.size + PACKET.itemsize:
+        raise InputError(f"{len(raw)} bytes hold no scan", where=path, allowed="a PulsON 440 MRM log")
+    start_ps, stop_ps, _, integration = CONFIG.unpack(raw[: CONFIG.size])[1:5]
+    whole, rest = divmod(len(raw) - CONFIG.size, PACKET.itemsize)
+    packets = np.frombuffer(raw, PACKET, whole, CONFIG.size)
+    if rest:
+        _warn(path, f"cut within packet {whole}; the {whole} before are used")
+    scans, t_ms = _assemble(packets, path)
+    t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
+    range_m = C0 / 2 * (start_ps * 1e-12 - LEAD_S) + C0 / 2 * STEP_S * np.arange(scans.shape[1])
+    fps = 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 46.0
+    spec = RadarSpec.preset(
+        "pulson440",
+        bins=scans.shape[1],
+        range_start_m=float(range_m[0]),
+        fps=fps,
+        pulses_per_step=2**integration,
+        iterations=1,
+    )
+    return Log(scans, t_ns, range_m, spec)
+
+
+def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Times]:
+    good = (
+        (packets["kind"] == SCAN_INFO)
+        & (packets["here"] <= 350)
+        & (packets["total"] == packets["total"][0])
+        & (packets["packets"] == packets["packets"][0])
+        & (packets["index"] < packets["packets"])
+    )
+    if not good[0]:
+        raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")
+    if not good.all():
+        _warn(path, f"{int((~good).sum())} packets make no sense, first packet {int(np.argmin(good))}; left out")
+    kept = packets[good]
+    bins, per_scan = int(kept["total"][0]), int(kept["packets"][0])
+    if not 8 <= bins <= 350 * per_scan:
+        raise InputError(f"says {bins} samples in {per_scan} packets", where=path, allowed="8 .. 350 samples a packet")
+    new = np.concatenate(
+        [[True], (np.diff(kept["message"].astype(np.int64)) != 0) | (np.diff(kept["t_ms"].astype(np.int64)) != 0)]
+    )
+    scan = np.cumsum(new) - 1
+    scans = np.zeros((scan[-1] + 1, per_scan, 350), np.int32)
+    scans[scan, kept["index"]] = kept["samples"]
+    dropped = scans.shape[0] * per_scan - len(kept)
+    if dropped > 0:
+        _warn(path, f"{dropped} packets are missing; their samples are zero")
+    return scans.reshape(len(scans), -1)[:, :bins], kept["t_ms"][new].astype(np.int64)
+
+
+def _warn(path: Path, what: str) -> None:
+    warnings.warn(f"{path}: {what}", UllageWarning, stacklevel=4)
