@@ -1,0 +1,171 @@
+"""Time-domain back-projection over any path, frame by frame, onto a plane or a volume."""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames
+from ullage.errors import InputError
+from ullage.geometry import C0, quat_matrix
+from ullage.grids import Grid, Image
+from ullage.processing.baseband import checked, to_baseband
+from ullage.specs import AntennaSpec, RadarSpec
+
+Floats = NDArray[np.float64]
+MEMORY_LIMIT_BYTES = 4_000_000_000
+_SPAN = 1 / (1 - math.sqrt(0.5))  # (1 - q / span)^2 is one half at q = 1, the -3 dB opening
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """The two-way amplitude (1 - q / span)^2 with q = (v_y / sin half azimuth)^2 + (v_z / sin half elevation)^2."""
+
+    inv_y2: float
+    inv_z2: float
+    min_weight: float
+
+    @classmethod
+    def of(cls, antenna: AntennaSpec, *, weighted: bool, min_weight: float) -> Beam:
+        """The beam of an antenna; `weighted` False or an isotropic antenna: the same everywhere."""
+        if not weighted or antenna.kind == "isotropic":
+            return cls(0.0, 0.0, 0.0)
+        half = np.radians(np.minimum([antenna.azimuth_deg, antenna.elevation_deg], 180.0)) / 2
+        y, z = 1 / np.sin(half) ** 2
+        return cls(float(y), float(z), min_weight)
+
+    def weight(self, direction: Floats) -> Floats:
+        """Two-way amplitude for unit vectors (n, 3) in the sensor's frame."""
+        if self.inv_y2 == 0:
+            return np.ones(len(direction))
+        q = direction[:, 1] ** 2 * self.inv_y2 + direction[:, 2] ** 2 * self.inv_z2
+        w = np.where((direction[:, 0] > 0) & (q < _SPAN), (1 - q / _SPAN) ** 2, 0.0)
+        return np.where(w >= self.min_weight, w, 0.0)
+
+
+def oversampled(samples: NDArray[np.complex64], factor: int, *, reach: int = 6) -> NDArray[np.complex64]:
+    """Band-limited samples (n, b) on a grid `factor` times finer, (n, (b - 1) factor + 1); Kaiser-windowed sinc."""
+    if factor == 1:
+        return samples
+    lag = np.arange(1 - reach, reach + 1)[:, None] - np.arange(factor)[None, :] / factor
+    kernel = np.sinc(lag) * np.i0(7.0 * np.sqrt(np.clip(1 - (lag / reach) ** 2, 0, 1))) / np.i0(7.0)
+    padded = np.pad(samples, ((0, 0), (reach - 1, reach)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach, axis=1)
+    fine = windows @ (kernel / kernel.sum(0)).astype(np.float32)
+    return np.ascontiguousarray(fine.reshape(len(samples), -1)[:, : (samples.shape[1] - 1) * factor + 1])
+
+
+def oversampling(spec: RadarSpec, bin_m: float) -> int:
+    """How much finer the profile must be for linear interpolation to err by less than -50 dB."""
+    return max(1, math.ceil(bin_m / (C0 / (2 * spec.bandwidth_hz) / 16) - 1e-6))
+
+
+class Backprojector:
+    """Adds frames to an image as they come; memory is the grid's, whatever the length of the flight.
+
+    Args:
+        grid: where to look; a plane without a height takes that of the first frames' sensors.
+        antenna: weigh each cell with the two-way pattern and leave cells out of the beam alone.
+        min_weight: the pattern under which a cell is out of the beam.
+        threads: 0 takes every core.
+
+    Raises:
+        InputError: the grid would not fit into memory.
+    """
+
+    def __init__(self, grid: Grid, *, antenna: bool = True, min_weight: float = 0.05, threads: int = 0) -> None:
+        size = 20 * grid.size
+        if size > MEMORY_LIMIT_BYTES:
+            raise InputError(
+                f"the image of {' x '.join(map(str, grid.shape))} cells takes {size / 1e9:.1f} GB",
+                where="grid",
+                allowed=f"up to {MEMORY_LIMIT_BYTES / 1e9:.0f} GB; a larger step or a smaller box",
+            )
+        self.grid, self.antenna, self.min_weight = grid, antenna, min_weight
+        self.threads = threads or os.cpu_count() or 1
+        self.frames = 0
+        self._weight = 0.0
+        self._sums = np.zeros((5, *(grid.shape if grid.dims == 3 else (1, *grid.shape))), np.float32)
+
+    def update(self, frames: Frames, *, weights: Floats | None = None) -> None:
+        """Adds frames, each with a weight (None: 1).
+
+        Raises:
+            InputError: the frames have no poses or phase, or a sample is not finite.
+        """
+        path, spec = frames.believed, frames.spec
+        self.grid = self.grid.at_height(float(path.position[:, 2].mean()))
+        bin_m = float(np.diff(frames.range_m).mean())
+        factor = oversampling(spec, bin_m)
+        given = np.ones(len(frames)) if weights is None else np.ascontiguousarray(weights, np.float64)
+        beam = Beam.of(spec.antenna, weighted=self.antenna, min_weight=self.min_weight)
+        rotation = quat_matrix(path.quat_xyzw)
+        for start in range(0, len(frames), 256):
+            part = slice(start, start + 256)
+            fine = oversampled(to_baseband(checked(frames[part])), factor)
+            axis = (float(frames.range_m[0]), factor / bin_m, 2 / spec.wavelength_m)
+            self._add(fine, axis, path.position[part], rotation[part], given[part], beam)
+        self.frames += len(frames)
+        self._weight += float(given.sum())
+
+    def _add(
+        self,
+        fine: NDArray[np.complex64],
+        axis: tuple[float, float, float],
+        position: Floats,
+        rotation: Floats,
+        weight: Floats,
+        beam: Beam,
+    ) -> None:
+        from ullage.kernels.backprojection import backproject_rows
+
+        z, y = (a.ravel() for a in np.meshgrid(self.grid.z_m, self.grid.y_m, indexing="ij"))
+        x = self.grid.x_m
+        sums = self._sums.reshape(5, -1, len(x))
+        re, im = np.ascontiguousarray(fine.real), np.ascontiguousarray(fine.imag)
+        shape = (beam.inv_y2, beam.inv_z2, _SPAN, beam.min_weight)
+
+        def rows(part: slice) -> None:
+            backproject_rows(
+                y[part], z[part], x[0], self.grid.step_m, re, im, *axis, position, rotation, weight, *shape,
+                sums[:, part],
+            )  # fmt: skip
+
+        cuts = np.linspace(0, len(y), min(self.threads, len(y)) + 1).astype(int)
+        parts = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
+        if len(parts) == 1:
+            rows(parts[0])
+            return
+        with ThreadPoolExecutor(len(parts)) as pool:
+            list(pool.map(rows, parts))
+
+    @property
+    def values(self) -> NDArray[np.complex64]:
+        """The complex image so far: an echo of amplitude 1 that every frame saw on boresight has the value 1."""
+        flat = (self._sums[0] + 1j * self._sums[1]) / np.float32(max(self._weight, 1e-30))
+        return np.asarray(flat.reshape(self.grid.shape), np.complex64)
+
+    @property
+    def coherence(self) -> NDArray[np.float32]:
+        """|sum w s|^2 / (sum w  sum w |s|^2) of each cell: 1 when all echoes agree in phase and strength."""
+        top = self._sums[0] ** 2 + self._sums[1] ** 2
+        bottom = self._sums[2] * self._sums[3]
+        out = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
+        return np.asarray(np.minimum(out, 1.0).reshape(self.grid.shape), np.float32)
+
+    @property
+    def looks(self) -> NDArray[np.float32]:
+        """Effective number of frames behind each cell, (sum w)^2 / sum w^2; looks x coherence ~ Exp(1) in noise."""
+        top, bottom = self._sums[3] ** 2, self._sums[4]
+        out = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
+        return np.asarray(out.reshape(self.grid.shape), np.float32)
+
+    def image(self) -> Image:
+        """The image so far, with its coherence."""
+        return Image(self.grid, self.values, self.coherence, "backprojection")
