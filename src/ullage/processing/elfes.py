@@ -22,8 +22,8 @@ class ElfesMapper:
     """Streaming Elfes grid; updating with pieces gives the map of the whole.
 
     The four steps: readings outside the range limits are rejected; each cell of the lobe gets a chance to be empty
-    (f_e) or occupied (f_o); cells hold 0..100 or unknown; readings are added with `a + b - a b`, after each reading's f_o is
-    weakened by the known emptiness and normalised along the arc. That last step makes ghosts while hovering.
+    (f_e) or occupied (f_o); cells hold 0..100 or unknown; readings are added with `a + b - a b`, after each reading's
+    f_o is weakened by the known emptiness and normalised along the arc. That last step makes ghosts while hovering.
 
     Args:
         grid: a plane; without a height it takes that of the first frames.

@@ -16,7 +16,7 @@ BLANKED_M = 0.45
 def noise_sigma(frames: Frames) -> Floats:
     """Noise of one component (n), from the quietest half of each profile's bins, in the frames' unit."""
     quiet = np.sort(frames.amplitude, axis=1)[:, : max(frames.samples.shape[1] // 2, 4)]
-    return np.maximum(np.median(quiet, axis=1) / 0.7585, 1e-30).astype(np.float64)
+    return np.asarray(np.maximum(np.median(quiet, axis=1) / 0.7585, 1e-30), np.float64)
 
 
 def blank_m(frames: Frames) -> float:
@@ -41,5 +41,4 @@ def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Float
     peak = np.zeros(amplitude.shape, bool)
     peak[:, 1:-1] = (amplitude[:, 1:-1] >= amplitude[:, :-2]) & (amplitude[:, 1:-1] > amplitude[:, 2:])
     peak &= (amplitude >= level[:, None]) & (frames.range_m >= blank_m(frames))
-    found = peak.any(axis=1)
-    return frames.range_m[np.argmax(peak, axis=1)], found
+    return frames.range_m[np.argmax(peak, axis=1)], np.asarray(peak.any(axis=1))

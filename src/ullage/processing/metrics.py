@@ -1,0 +1,265 @@
+"""One evaluator for maps, whatever made them: against the scene they were flown in."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from ullage.data import Metric, Recording, sensors_of
+from ullage.grids import Grid, OccupancyMap
+from ullage.processing.truth import Surface, in_sight, surface_of
+from ullage.world.scene import Scene
+
+with contextlib.suppress(ImportError):
+    from ullage.processing.metrics_image import image_quality as image_quality  # noqa: PLC0414
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+MATCH_M = 0.15
+BEHIND_M = 0.3
+CORRIDOR_M = 0.5
+SMALL_M = 0.6
+MOST_CELLS = 40_000
+CLIP = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scored:
+    """Everything that the single scores are taken from."""
+
+    omap: OccupancyMap
+    surface: Surface
+    observable: Flags  # (s)
+    occupied: Floats  # (o, 3) centres of occupied cells
+    occupied_gap: Floats  # (o) to the nearest true surface [m]
+    surface_gap: Floats  # (s) to the nearest occupied cell [m], inf without one
+    cells: NDArray[np.int64]  # (c) flat index of the cells that are judged one by one
+    cell_gap: Floats  # (c) to the nearest true surface [m]
+    cell_open: Flags  # (c) seen from the flight
+
+
+def map_quality(
+    omap: OccupancyMap, scene: Scene, frames: Recording, *, match_m: float = MATCH_M, min_looks: int = 3
+) -> dict[str, Metric]:
+    """How true a map is, at its own fixed thresholds.
+
+    Surface counts as observable when at least `min_looks` looks (5 cm or 4 deg apart) had it in the 65 deg beam, in
+    range, in line of sight and, where it is smooth, within 10 deg of its normal (75 deg for the thesis' ray model,
+    whose cosine law lights oblique walls). Recall, completeness and F1 are over observable surface; precision and
+    accuracy over every occupied cell against every surface. A plane is judged in the slice at its height.
+
+    Args:
+        omap: the map.
+        scene: what was truly there.
+        frames: what the map was made from; their `truth` (else their poses) says what could be seen.
+        match_m: an occupied cell and a surface point this near count as the same [m].
+        min_looks: looks that make a point observable.
+
+    Returns:
+        Scores by name; `found:NAME` for each object smaller than 0.6 m on the map.
+
+    Raises:
+        InputError: nothing of the scene lies on the grid.
+    """
+    judged = _judge(omap, scene, frames, min_looks)
+    scores = (
+        _matches(judged, match_m, "")
+        + _matches(judged, omap.grid.step_m / 2, "_half_cell")
+        + _distances(judged)
+        + _shares(judged)
+        + _false_alarms(judged, match_m)
+        + _corridor(judged)
+        + _calibration(judged)
+        + _small_objects(judged, scene, match_m)
+    )
+    return {metric.name: metric for metric in scores}
+
+
+def _judge(omap: OccupancyMap, scene: Scene, frames: Recording, min_looks: int) -> _Scored:
+    grid = omap.grid
+    surface = surface_of(scene, grid, frames)
+    dims = grid.dims
+    occupied = cell_centres(grid, np.flatnonzero(omap.occupied))
+    tree = cKDTree(surface.points[:, :dims])
+    gap = np.asarray(tree.query(occupied[:, :dims])[0] if len(occupied) else np.zeros(0))
+    surface_gap = np.full(len(surface.points), np.inf)
+    if len(occupied):
+        surface_gap[:] = cKDTree(occupied[:, :dims]).query(surface.points[:, :dims])[0]
+    cells = np.arange(grid.size)
+    if grid.size > MOST_CELLS:
+        cells = np.sort(np.random.default_rng(0).choice(grid.size, MOST_CELLS, replace=False))
+    height = float(np.mean(np.concatenate([p.believed.position[:, 2] for p in sensors_of(frames)])))
+    centres = cell_centres(grid.at_height(height), cells)
+    open_ = in_sight(scene, frames, centres)
+    return _Scored(
+        omap, surface, surface.observable(min_looks), occupied, gap, surface_gap, cells,
+        np.asarray(tree.query(centres[:, :dims])[0]), open_,
+    )  # fmt: skip
+
+
+def cell_centres(grid: Grid, cells: NDArray[np.int64]) -> Floats:
+    """Centres (c, 3) [m] of cells given by flat index."""
+    where = np.unravel_index(cells, grid.shape)
+    z = grid.z_m[where[0]] if grid.dims == 3 else np.full(len(cells), grid.origin_m[2])
+    return np.column_stack([grid.x_m[where[-1]], grid.y_m[where[-2]], z])
+
+
+def _share(flags: Flags, empty: float = 0.0) -> float:
+    return float(np.mean(flags)) if flags.size else empty
+
+
+def _matches(judged: _Scored, within: float, suffix: str) -> list[Metric]:
+    precision = _share(judged.occupied_gap <= within)
+    recall = _share(judged.surface_gap[judged.observable] <= within)
+    f1 = 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+    return [Metric(name + suffix, value) for name, value in (("f1", f1), ("precision", precision), ("recall", recall))]
+
+
+def _distances(judged: _Scored) -> list[Metric]:
+    out = []
+    for name, gaps in (("accuracy", judged.occupied_gap), ("completeness", judged.surface_gap[judged.observable])):
+        known = gaps[np.isfinite(gaps)]
+        values = (np.median(known), known.mean(), np.percentile(known, 90)) if known.size else (np.nan,) * 3
+        out += [
+            Metric(f"{name}_{kind}", float(v), "m") for kind, v in zip(("median", "mean", "p90"), values, strict=True)
+        ]
+    return out
+
+
+def _shares(judged: _Scored) -> list[Metric]:
+    seen = judged.surface.seen
+    free, known = judged.omap.free.ravel()[judged.cells], _known(judged.omap).ravel()[judged.cells]
+    sides = _sides(judged)
+    declared = np.all([judged.omap.free.ravel()[side] for side in sides], axis=0)
+    behind = known & ~judged.cell_open & (judged.cell_gap > BEHIND_M)
+    clear = judged.cell_open & (judged.cell_gap > judged.omap.grid.step_m)
+    return [
+        Metric("surface_declared_free", _share(declared[seen])),
+        Metric("surface_missed_and_free", _share(declared[seen] & (judged.surface_gap[seen] > MATCH_M))),
+        Metric("known_behind", behind.sum() / max(known.sum(), 1)),
+        Metric("free_found", _share(free[clear])),
+        Metric("ambiguous", _share(judged.omap.ambiguous.ravel()[judged.cells][judged.cell_open])),
+        Metric("surface_observable", _share(judged.observable)),
+        Metric("surface_specular_invisible", _share(seen & ~judged.observable)),
+        Metric("surface_hidden", _share(~seen & ~judged.observable)),
+    ]
+
+
+def _sides(judged: _Scored) -> list[NDArray[np.int64]]:
+    """Flat index of the cells a hair before and behind each surface point: two where it lies on a cell's border."""
+    grid, out = judged.omap.grid, []
+    for side in (-0.1, 0.1):
+        cell, _ = grid.index(judged.surface.points + side * grid.step_m * judged.surface.normals)
+        cell = np.clip(cell, 0, np.asarray(grid.shape) - 1)
+        out.append(np.ravel_multi_index(tuple(cell.T), grid.shape))
+    return out
+
+
+def _known(omap: OccupancyMap) -> Flags:
+    return omap.occupied | omap.free
+
+
+def _false_alarms(judged: _Scored, within: float) -> list[Metric]:
+    grid = judged.omap.grid
+    false = int((judged.occupied_gap > within).sum())
+    seen = judged.cell_open.mean() * grid.size * grid.step_m**2
+    seen /= grid.shape[0] if grid.dims == 3 else 1
+    return [
+        Metric("false_occupied", float(false), "cells"),
+        Metric("false_occupied_per_100m2", 100.0 * false / max(seen, grid.step_m**2), "1/100m2"),
+    ]
+
+
+def _corridor(judged: _Scored) -> list[Metric]:
+    omap, half = judged.omap, CORRIDOR_M / 2
+    step = omap.grid.step_m
+    to_occupied = (
+        distance_transform_edt(~omap.occupied) * step if omap.occupied.any() else np.full(omap.grid.shape, np.inf)
+    )
+    to_not_free = distance_transform_edt(omap.free) * step
+    flyable = judged.cell_open & (judged.cell_gap > half + MATCH_M)
+    barred = judged.cell_gap < half - MATCH_M
+    return [
+        Metric("corridor_falsely_blocked", _share(to_occupied.ravel()[judged.cells][flyable] <= half)),
+        Metric("corridor_falsely_clear", _share(to_not_free.ravel()[judged.cells][barred] > half)),
+    ]
+
+
+def _calibration(judged: _Scored) -> list[Metric]:
+    flat = judged.omap.percent.ravel()
+    percent, (before, behind) = flat[judged.cells], _sides(judged)
+    solid = np.zeros(flat.shape, bool)
+    solid[np.where(flat[before] >= flat[behind], before, behind)[judged.surface.seen]] = True
+    label = solid[judged.cells]
+    use = label | (judged.cell_open & (judged.cell_gap > 0.75 * judged.omap.grid.step_m))
+    chance = np.clip(np.where(percent >= 0, percent / 100.0, 0.5), CLIP, 1 - CLIP)[use]
+    label, known = label[use], (percent >= 0)[use]
+    likelihood = np.where(label, np.log(chance), np.log1p(-chance))
+    bins = np.minimum((chance * 10).astype(int), 9)[known]
+    gap = 0.0
+    for k in range(10):
+        mine = bins == k
+        if mine.any():
+            gap += mine.mean() * abs(chance[known][mine].mean() - label[known][mine].mean())
+    return [
+        Metric("log_likelihood", float(likelihood.mean()) if use.any() else np.nan, "nat/cell"),
+        Metric("brier", float(np.mean((chance - label) ** 2)) if use.any() else np.nan),
+        Metric("ece", float(gap)),
+    ]
+
+
+def _small_objects(judged: _Scored, scene: Scene, within: float) -> list[Metric]:
+    out = []
+    for index, thing in enumerate(scene.objects):
+        mine = judged.surface.object_id == index
+        if not mine.any() or np.ptp(judged.surface.points[mine], axis=0)[:2].max() > SMALL_M:
+            continue
+        out.append(Metric(f"found:{thing.name}", float(judged.surface_gap[mine].min() <= within)))
+    return out
+
+
+def hover_change(before: OccupancyMap, after: OccupancyMap, scene: Scene, frames: Recording) -> dict[str, Metric]:
+    """What standing still did to a map: both maps scored on the same frames, later minus earlier."""
+    first, second = (map_quality(m, scene, frames) for m in (before, after))
+    names = ("f1", "surface_declared_free", "false_occupied")
+    return {f"hover_{n}": Metric(f"hover_{n}", second[n].value - first[n].value, second[n].unit) for n in names}
+
+
+def map_cost(mapper: Any, frames: Recording) -> dict[str, Metric]:
+    """CPU time a mapper takes for each profile, measured one frame at a time in turn of the sensors [ms]."""
+    parts = sensors_of(frames)
+    spent = []
+    for i in range(max(map(len, parts))):
+        for part in parts:
+            if i < len(part):
+                piece = part[i : i + 1]
+                start = time.process_time()
+                mapper.update(piece)
+                spent.append(1e3 * (time.process_time() - start))
+    values = (np.median(spent), np.mean(spent), np.percentile(spent, 99))
+    return {
+        f"cpu_{n}": Metric(f"cpu_{n}", float(v), "ms") for n, v in zip(("median", "mean", "p99"), values, strict=True)
+    }
+
+
+def map_size(omap: OccupancyMap) -> dict[str, Metric]:
+    """Memory of a dense map, and of the same compressed as its file would be [byte], per square metre too."""
+    import zlib
+
+    grid = omap.grid
+    area = grid.shape[-1] * grid.shape[-2] * grid.step_m**2
+    packed = len(zlib.compress(np.ascontiguousarray(omap.percent).tobytes(), 6))
+    return {
+        "ram": Metric("ram", float(omap.percent.nbytes), "B"),
+        "ram_per_m2": Metric("ram_per_m2", omap.percent.nbytes / area, "B/m2"),
+        "file": Metric("file", float(packed), "B"),
+        "file_per_m2": Metric("file_per_m2", packed / area, "B/m2"),
+    }

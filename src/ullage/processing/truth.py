@@ -1,0 +1,178 @@
+"""What is truly there on a grid, and which of it the radars could have seen; for metrics only, never for processing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Recording, Trajectory, sensors_of
+from ullage.errors import InputError
+from ullage.geometry import quat_matrix
+from ullage.grids import Grid
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+from ullage.world.section import section, wire_section
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+HALF_BEAM_RAD = np.radians(32.5)
+SPECULAR_RAD = np.radians(10.0)
+OBLIQUE_RAD = np.radians(75.0)
+LOOK_M, LOOK_RAD = 0.05, np.radians(4.0)
+EYES = 80
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Points on the true surfaces, and what the flight could see of them."""
+
+    points: Floats  # (s, 3) [m]
+    normals: Floats  # (s, 3), zero for wires: they have no one normal
+    object_id: NDArray[np.int64]  # (s) into scene.objects
+    looks: NDArray[np.int64]  # (s) looks in beam, in range, in line of sight and near enough to the normal
+    seen: Flags  # (s) in beam, in range and in line of sight at least once, at any incidence
+
+    def observable(self, min_looks: int) -> Flags:
+        """Points that gave an echo in at least so many looks."""
+        return np.asarray(self.looks >= min_looks)
+
+
+def spaced_looks(path: Trajectory, *, step_m: float = LOOK_M, turn_rad: float = LOOK_RAD) -> NDArray[np.int64]:
+    """Indices of poses that lie at least a step or a turn after the one before."""
+    keep = [0]
+    ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
+    for i in range(1, len(path)):
+        moved = np.linalg.norm(path.position[i] - path.position[keep[-1]]) >= step_m
+        if moved or ahead[i] @ ahead[keep[-1]] <= np.cos(turn_rad):
+            keep.append(i)
+    return np.asarray(keep, np.int64)
+
+
+def true_path(frames: Frames) -> Trajectory:
+    """Where the sensor truly was, as far as is known."""
+    return frames.believed if frames.truth is None else frames.truth
+
+
+def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float | None = None) -> Surface:
+    """Sample the true surfaces on the grid and count the looks that could see each point.
+
+    Raises:
+        InputError: nothing of the scene lies on the grid.
+    """
+    parts = sensors_of(frames)
+    plane = grid.at_height(float(np.mean(np.concatenate([true_path(p).position[:, 2] for p in parts]))))
+    spacing = min(0.025, grid.step_m / 2) if spacing_m is None else spacing_m
+    points, normals, owner = (_slice if grid.dims == 2 else _volume)(scene, plane, spacing)
+    _, inside = plane.index(points)
+    points, normals, owner = points[inside], normals[inside], owner[inside]
+    if not len(points):
+        raise InputError("no surface of the scene lies on the grid", where=scene.name)
+    looks, seen = np.zeros(len(points), np.int64), np.zeros(len(points), bool)
+    caster = Raycaster(scene)
+    smooth = np.array([8 * o.material.roughness_m < parts[0].spec.wavelength_m for o in scene.objects])[owner]
+    for part in parts:
+        _count_looks(part, caster, points, normals, smooth, looks, seen)
+    return Surface(points, normals, owner, looks, seen)
+
+
+def _count_looks(
+    frames: Frames,
+    caster: Raycaster,
+    points: Floats,
+    normals: Floats,
+    smooth: Flags,
+    looks: NDArray[np.int64],
+    seen: Flags,
+) -> None:
+    path = true_path(frames)
+    ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
+    limit = np.where(smooth & (frames.unit != "thesis"), np.cos(SPECULAR_RAD), np.cos(OBLIQUE_RAD))
+    round_ones = ~normals.any(axis=1)
+    for i in spaced_looks(path):
+        ray = points - path.position[i]
+        distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
+        ray = ray / distance[:, None]
+        lit = (ray @ ahead[i] >= np.cos(HALF_BEAM_RAD)) & (distance <= frames.range_m[-1])
+        facing = round_ones | (abs(np.einsum("ij,ij->i", ray, normals)) >= limit)
+        wanted = np.flatnonzero(lit & (facing | ~seen))
+        clear = wanted[caster.visible(path.position[i], points[wanted], slack_m=0.02)]
+        seen[clear] = True
+        looks[clear[facing[clear]]] += 1
+
+
+def _slice(scene: Scene, plane: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    z = float(plane.origin_m[2])
+    corners = scene.corners()
+    above = corners[:, :, 2] > z
+    cut = np.flatnonzero(above.any(1) & ~above.all(1))
+    lines = section(scene, z)
+    counts = np.maximum(np.ceil(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) / spacing), 1).astype(int)
+    which = np.repeat(np.arange(len(lines)), counts)
+    share = (np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / np.repeat(counts, counts)
+    flat = lines[which, 0] + share[:, None] * (lines[which, 1] - lines[which, 0])
+    normal = _normals(corners[cut])[which]
+    owner = scene.face_object[cut][which].astype(np.int64)
+    wires = wire_section(scene, z)
+    near = _nearest_wire(scene, wires, z)
+    xy = np.concatenate([flat, wires])
+    return (
+        np.column_stack([xy, np.full(len(xy), z)]),
+        np.concatenate([normal, np.zeros((len(wires), 3))]),
+        np.concatenate([owner, near]),
+    )
+
+
+def _nearest_wire(scene: Scene, points: Floats, z: float) -> NDArray[np.int64]:
+    if not len(points):
+        return np.zeros(0, np.int64)
+    a, b = scene.wires.start, scene.wires.end
+    rise = b[:, 2] - a[:, 2]
+    share = np.clip((z - a[:, 2]) / np.where(abs(rise) > 1e-9, rise, 1.0), 0, 1)
+    at = (a + share[:, None] * (b - a))[:, :2]
+    closest = np.argmin(np.linalg.norm(points[:, None] - at[None], axis=2), axis=1)
+    return np.asarray(scene.wires.object_id[closest], np.int64)
+
+
+def _normals(corners: Floats) -> Floats:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-12))
+
+
+def _volume(scene: Scene, grid: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    corners = scene.corners()
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    step = max(spacing, float(np.sqrt(area.sum() / 400_000)) if len(area) else spacing)
+    points, owner, normals = [], [], []
+    for face, normal in enumerate(_normals(corners)):
+        a, u, v = corners[face, 0], corners[face, 1] - corners[face, 0], corners[face, 2] - corners[face, 0]
+        n = max(int(np.ceil(max(np.linalg.norm(u), np.linalg.norm(v)) / step)), 1)
+        s, t = np.meshgrid((np.arange(n) + 1 / 3) / n, (np.arange(n) + 1 / 3) / n)
+        keep = s + t <= 1
+        points.append(a + s[keep][:, None] * u + t[keep][:, None] * v)
+        owner.append(np.full(int(keep.sum()), scene.face_object[face], np.int64))
+        normals.append(np.tile(normal, (int(keep.sum()), 1)))
+    for start, end, thing in zip(scene.wires.start, scene.wires.end, scene.wires.object_id, strict=True):
+        n = max(int(np.ceil(np.linalg.norm(end - start) / step)), 1)
+        points.append(start + ((np.arange(n) + 0.5) / n)[:, None] * (end - start))
+        owner.append(np.full(n, thing, np.int64))
+        normals.append(np.zeros((n, 3)))
+    if not points:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64)
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(owner)
+
+
+def in_sight(scene: Scene, frames: Recording, points: Floats, *, eyes: int = EYES) -> Flags:
+    """Whether each point (p, 3) can be seen from anywhere on the flight."""
+    spots = np.concatenate([true_path(p).position for p in sensors_of(frames)])
+    spots = spots[np.linspace(0, len(spots) - 1, min(eyes, len(spots))).astype(int)]
+    caster = Raycaster(scene)
+    seen = np.zeros(len(points), bool)
+    for spot in spots:
+        todo = np.flatnonzero(~seen)
+        if not len(todo):
+            break
+        seen[todo[caster.visible(spot, points[todo])]] = True
+    return seen
