@@ -1,0 +1,126 @@
+"""Where every frame of an SDF world is: the graph of `relative_to`, `attached_to` and `placement_frame`, solved."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.geometry import invert
+from ullage.world.sdf_parse import Node, Place, Pose
+from ullage.world.sdf_tree import Frame, Joint, Link, Scope
+
+Floats = NDArray[np.float64]
+Named = Link | Joint | Frame | Scope
+
+
+class ScopeFrames:
+    """The frames of one scope and, by name, of the scopes in it.
+
+    Args:
+        scope: the world or model.
+        around: the frames of the scope that holds it; None: it is the outermost.
+    """
+
+    def __init__(self, scope: Scope, around: ScopeFrames | None = None) -> None:
+        self.scope = scope
+        self.around = around
+        self.names: dict[str, Named] = {}
+        named: list[Named] = [*scope.models, *scope.links, *scope.frames, *scope.joints]
+        for thing in named:
+            self._add(thing)
+        self.inner = {model.name: ScopeFrames(model, self) for model in scope.models}
+        self._home: dict[str, ScopeFrames] = {}
+        for inner in self.inner.values():
+            if inner.scope.merged:
+                self._home |= {name: inner for name in inner.names if name not in self.names}
+        self._solved: dict[str, Floats] = {scope.own_frame: np.eye(4), "": np.eye(4)}
+        for frame in scope.frames:
+            self._check_attached(frame)
+
+    def _add(self, thing: Named) -> None:
+        if thing.name in self.names:
+            thing.node.place.warn(f"the name {thing.name!r} is used twice in {self.scope.name!r}")
+            number = 1
+            while f"{thing.name}_{number}" in self.names:
+                number += 1
+            thing.name = f"{thing.name}_{number}"
+        self.names[thing.name] = thing
+
+    def world_from_scope(self) -> Floats:
+        """The transform (4, 4) from this scope to the outermost one."""
+        if self.around is None:
+            return np.eye(4)
+        return self.around.world_from_scope() @ self.around.scope_from(self.scope.name, at=self.scope.node.place)
+
+    def scope_from_pose(self, pose: Pose, usual: str, *, at: Place) -> Floats:
+        """The transform of something with this pose, which without `relative_to` stands in the frame `usual`."""
+        return self.scope_from(pose.relative_to or usual, at=pose.place or at) @ pose.matrix
+
+    def scope_from(self, name: str, *, at: Place) -> Floats:
+        """The transform (4, 4) from a named frame, `a::b` for frame b of model a, to this scope.
+
+        Raises:
+            InputError: no such frame, or the poses go in a circle.
+        """
+        chain: list[tuple[str, Floats]] = []
+        while name not in self._solved:
+            if any(name == seen for seen, _ in chain):
+                ring = [seen for seen, _ in chain]
+                at.refuse("the poses go in a circle: " + " -> ".join([*ring[ring.index(name) :], name]))
+            parent, matrix, place = self._step(name, at)
+            chain.append((name, matrix))
+            name, at = parent, place
+        here = self._solved[name]
+        for one, matrix in reversed(chain):
+            here = here @ matrix
+            self._solved[one] = here
+        return here
+
+    def _step(self, name: str, at: Place) -> tuple[str, Floats, Place]:
+        """The frame that a frame's pose is in, its transform to that, and where this is written."""
+        thing = self.names.get(name)
+        if thing is None:
+            return self._outside(name, at)
+        place = thing.pose.place or thing.node.place
+        usual, matrix = "", thing.pose.matrix
+        if isinstance(thing, Joint):
+            usual = thing.child
+        elif isinstance(thing, Frame):
+            usual = thing.attached_to
+        elif isinstance(thing, Scope) and thing.placement_frame:
+            matrix = matrix @ invert(self.inner[name].scope_from(thing.placement_frame, at=place))
+        return thing.pose.relative_to or usual, matrix, place
+
+    def _outside(self, name: str, at: Place) -> tuple[str, Floats, Place]:
+        if name in self._home:
+            inner = self._home[name]
+            return inner.scope.name, inner.scope_from(name, at=at), at
+        model, _, rest = name.partition("::")
+        while rest:  # up to SDF 1.7 a model's own name may hold the ::
+            if model in self.inner:
+                return model, self.inner[model].scope_from(rest, at=at), at
+            if model in self._home and model in self._home[model].inner:
+                inner = self._home[model]
+                return inner.scope.name, inner.scope_from(name, at=at), at
+            more, _, rest = rest.partition("::")
+            model = f"{model}::{more}"
+        known = [self.scope.own_frame, *self.names, *self._home]
+        at.refuse(
+            f"no frame {name!r} in {self.scope.name!r}", allowed=", ".join(known[:12]) + ", ..." * (len(known) > 12)
+        )
+
+    def _check_attached(self, frame: Frame) -> None:
+        seen = [frame.name]
+        at = frame
+        while at.attached_to and isinstance(following := self.names.get(at.attached_to), Frame):
+            if following.name in seen:
+                frame.node.place.refuse("the frames are attached in a circle: " + " -> ".join([*seen, following.name]))
+            seen.append(following.name)
+            at = following
+        if at.attached_to:
+            self.scope_from(at.attached_to, at=frame.node.place)
+
+
+def shape_pose(frames: ScopeFrames, link: Link, shape: Node, pose: Pose) -> Floats:
+    """The transform (4, 4) from a collision or visual of a link to the link's scope."""
+    return frames.scope_from_pose(pose, link.name, at=shape.place)

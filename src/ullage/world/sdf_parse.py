@@ -1,0 +1,302 @@
+"""XML read safely, and the small things SDF writes in it: numbers, flags, poses; each complaint names file and line."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from ullage.errors import InputError, UllageWarning
+from ullage.geometry import quat_matrix, transform
+from ullage.world.sdf_schema import ELEMENTS
+
+Floats = NDArray[np.float64]
+Element = Any  # lxml's: its stubs lag behind it
+
+MOST_BYTES = 64 * 2**20
+"""An XML file above this size is refused before it is read (meshes have their own limit)."""
+
+FURTHEST_M = 1e6
+"""Lengths and positions above this are refused: no world that a radar sees is larger."""
+
+NAMESPACE = "urn:ullage:sdf"
+"""Declare it as `xmlns:ullage="urn:ullage:sdf"`; Gazebo passes elements with a prefix by."""
+
+_UTF16 = (b"\xff\xfe", b"\xfe\xff", b"<\x00", b"\x00<")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something is written."""
+
+    file: Path
+    line: int
+
+    def refuse(self, what: str, *, allowed: str = "") -> NoReturn:
+        """Raise InputError that names this place."""
+        raise InputError(what, where=self.file, line=self.line, allowed=allowed)
+
+    def warn(self, what: str) -> None:
+        """Warn with this place in front."""
+        warnings.warn(f"{self.file}:{self.line}: {what}", UllageWarning, stacklevel=2)
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}"
+
+
+def read_xml(path: Path, *, root: tuple[str, ...] = ()) -> Element:
+    """The root element of an XML file: no network, no entities, no huge or deep documents.
+
+    Args:
+        path: the file.
+        root: names that the root element may have; empty: any.
+
+    Raises:
+        InputError: the file is missing, too large, empty, not UTF-8 XML, or declares entities.
+    """
+    return parse_xml(_bytes(path), path, root=root)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if path.is_dir():
+            raise InputError("is a folder, not a file", where=path)
+        if size > MOST_BYTES:
+            raise InputError(f"{size / 2**20:.0f} MiB of XML", where=path, allowed=f"at most {MOST_BYTES // 2**20} MiB")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", where=path) from None
+
+
+def parse_xml(raw: bytes, path: Path, *, root: tuple[str, ...] = ()) -> Element:
+    """The root element of XML text that came from `path`.
+
+    Raises:
+        InputError: as `read_xml`.
+    """
+    if not raw.strip():
+        raise InputError("the file is empty", where=path, line=1, allowed="XML")
+    if raw.startswith(_UTF16):
+        raise InputError("the file is UTF-16", where=path, line=1, allowed="UTF-8")
+    if b"\x00" in raw:
+        line = raw.count(b"\n", 0, raw.index(b"\x00")) + 1
+        raise InputError("the file is binary, not XML", where=path, line=line, allowed="UTF-8 XML")
+    parser = etree.XMLParser(
+        resolve_entities=False, load_dtd=False, no_network=True, huge_tree=False,
+        remove_comments=True, remove_pis=True, recover=True,
+    )  # fmt: skip
+    try:
+        found: Any = etree.fromstring(raw, parser)
+    except etree.XMLSyntaxError as error:
+        raise InputError(f"not XML: {_said(error.msg)}", where=path, line=error.lineno) from None
+    for note in parser.error_log:
+        # an undeclared prefix such as <gz:pose> is common in the wild and harmless
+        if note.domain != etree.ErrorDomains.NAMESPACE and note.level >= etree.ErrorLevels.ERROR:
+            raise InputError(f"not XML: {_said(note.message)}", where=path, line=note.line)
+    if found is None:
+        raise InputError("not XML", where=path, line=1)
+    doctype: Any = found.getroottree().docinfo.internalDTD
+    if doctype is not None and any(True for _ in doctype.iterentities()):
+        raise InputError("declares XML entities", where=path, line=1, allowed="plain XML without entities")
+    if root and found.tag not in root:
+        place = Place(path, found.sourceline or 1)
+        place.refuse(f"the root element is <{found.tag}>", allowed=" or ".join(f"<{name}>" for name in root))
+    return found
+
+
+def _said(message: str | None) -> str:
+    return re.sub(r"\s+", " ", message or "unreadable").split(", line ")[0].strip()
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """An element together with the file it came from."""
+
+    element: Element
+    file: Path
+
+    @property
+    def tag(self) -> str:
+        """Name of the element, with a prefix where it has one."""
+        name = etree.QName(self.element.tag)
+        return f"{self.element.prefix}:{name.localname}" if self.element.prefix else name.localname
+
+    @property
+    def place(self) -> Place:
+        """Where it is written."""
+        return Place(self.file, self.element.sourceline or 1)
+
+    @property
+    def text(self) -> str:
+        """Its text without the white space around it."""
+        return (self.element.text or "").strip()
+
+    @property
+    def name(self) -> str:
+        """Its name attribute.
+
+        Raises:
+            InputError: it has none.
+        """
+        return self.attribute("name") or self.place.refuse(f"<{self.tag}> has no name")
+
+    def attribute(self, key: str, default: str = "") -> str:
+        """An attribute's text, or the default."""
+        return str(self.element.get(key, default)).strip()
+
+    def children(self, *tags: str) -> Iterator[Node]:
+        """Its children of these names, in order."""
+        for child in self.element.iterchildren(*tags):
+            yield Node(child, self.file)
+
+    def child(self, tag: str) -> Node | None:
+        """Its first child of this name."""
+        found = self.element.find(tag)
+        return None if found is None else Node(found, self.file)
+
+    def need(self, tag: str) -> Node:
+        """Its first child of this name.
+
+        Raises:
+            InputError: there is none.
+        """
+        return self.child(tag) or self.place.refuse(f"<{self.tag}> has no <{tag}>")
+
+    def said(self, tag: str, default: str = "") -> str:
+        """Text of a child, or the default."""
+        found = self.child(tag)
+        return default if found is None else found.text
+
+    def flag(self, tag: str, *, default: bool = False) -> bool:
+        """A child that says true or false, 1 or 0.
+
+        Raises:
+            InputError: it says something else.
+        """
+        found = self.child(tag)
+        return default if found is None else _truth(found, found.text)
+
+    def own_flag(self, key: str) -> bool:
+        """An attribute that says true or false, 1 or 0; absent: false.
+
+        Raises:
+            InputError: it says something else.
+        """
+        return _truth(self, self.attribute(key, "false"))
+
+    def numbers(self, count: int) -> Floats:
+        """Its text as this many finite numbers.
+
+        Raises:
+            InputError: it is not that many numbers, or one is not finite or absurdly large.
+        """
+        words = self.text.split()
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            self.place.refuse(f"<{self.tag}> is {_short(self.text)!r}", allowed=_many(count))
+        if len(values) != count:
+            self.place.refuse(f"<{self.tag}> holds {len(values)} numbers", allowed=_many(count))
+        if not np.isfinite(values).all():
+            self.place.refuse(f"<{self.tag}> is not finite: {_short(self.text)!r}", allowed=_many(count))
+        if count and abs(values).max() > FURTHEST_M:
+            self.place.refuse(f"<{self.tag}> is absurdly large: {_short(self.text)!r}", allowed=f"up to {FURTHEST_M:g}")
+        return values
+
+    def number(self, tag: str, default: float | None = None) -> float:
+        """A child that holds one finite number.
+
+        Raises:
+            InputError: it does not, or it is missing and there is no default.
+        """
+        found = self.child(tag)
+        if found is None and default is not None:
+            return default
+        return float(self.need(tag).numbers(1)[0])
+
+    def sizes(self, tag: str, count: int) -> Floats:
+        """A child that holds numbers above zero.
+
+        Raises:
+            InputError: it does not, or it is missing.
+        """
+        found = self.need(tag)
+        values = found.numbers(count)
+        if not (values > 0).all():
+            found.place.refuse(f"<{tag}> of <{self.tag}> is {found.text!r}", allowed="above zero")
+        return values
+
+
+def _many(count: int) -> str:
+    return f"{count} finite number{'s' * (count > 1)}"
+
+
+def _short(text: str) -> str:
+    flat = " ".join(text.split())
+    return flat if len(flat) <= 60 else flat[:57] + "..."
+
+
+def _truth(node: Node, text: str) -> bool:
+    low = text.lower()
+    if low in ("true", "1"):
+        return True
+    if low in ("false", "0", ""):
+        return False
+    node.place.refuse(f"<{node.tag}> says {_short(text)!r}", allowed="true, false, 1 or 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A pose as written: a matrix in the frame called `relative_to` (empty: the usual one)."""
+
+    matrix: Floats
+    relative_to: str = ""
+    place: Place | None = None  # None: not written, so identity
+
+
+def read_pose(node: Node) -> Pose:
+    """The pose of an element: x y z roll pitch yaw, in degrees if asked, or with a quaternion x y z w.
+
+    Raises:
+        InputError: it is not a pose.
+    """
+    found = node.child("pose")
+    if found is None:
+        return Pose(np.eye(4))
+    relative_to = found.attribute("relative_to") or found.attribute("frame")  # `frame` up to SDF 1.6
+    kind = found.attribute("rotation_format", "euler_rpy")
+    if kind not in ("euler_rpy", "quat_xyzw"):
+        found.place.refuse(f"rotation_format {kind!r}", allowed="euler_rpy or quat_xyzw")
+    if not found.text:
+        return Pose(np.eye(4), relative_to, found.place)
+    if kind == "quat_xyzw":
+        values = found.numbers(7)
+        norm = np.linalg.norm(values[3:])
+        if norm < 1e-9:
+            found.place.refuse("the quaternion has no length")
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = quat_matrix(values[3:] / norm), values[:3]
+        return Pose(matrix, relative_to, found.place)
+    values = found.numbers(6)
+    angles = np.radians(values[3:]) if found.own_flag("degrees") else values[3:]
+    return Pose(transform(values[:3], angles), relative_to, found.place)
+
+
+def warn_unknown(root: Node, told: set[str]) -> None:
+    """Warn once per name about elements that are in no version of SDF; those with a prefix are somebody's own."""
+    for element in root.element.iter(etree.Element):
+        name = element.tag
+        if name in ELEMENTS or name in told or element.prefix or ":" in name:
+            continue
+        if any(above.tag == "plugin" for above in element.iterancestors()):
+            continue
+        told.add(name)
+        Node(element, root.file).place.warn(f"<{name}> is not an SDF element; it is passed by")

@@ -1,0 +1,170 @@
+"""What an SDF file says, includes followed: scopes (a world or a model) that hold links, joints, frames and models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ullage.world.sdf_parse import Node, Pose, read_pose, read_xml, warn_unknown
+from ullage.world.sdf_resolve import Resolver, model_file, version
+from ullage.world.sdf_schema import NEWEST, OLDEST
+
+MOST_FILES = 10_000
+"""A world that includes more files than this is refused (files that include each other twice grow without end)."""
+
+DEEPEST = 64
+"""A world whose includes go deeper than this is refused."""
+
+
+@dataclass(slots=True)
+class Link:
+    """A rigid part: its shapes are read from its node when the scene is made."""
+
+    name: str
+    pose: Pose
+    node: Node
+
+
+@dataclass(slots=True)
+class Joint:
+    """A joint is a frame too, at its child unless its pose says otherwise."""
+
+    name: str
+    pose: Pose
+    node: Node
+    child: str
+
+
+@dataclass(slots=True)
+class Frame:
+    """A named frame, at what it is attached to unless its pose says otherwise."""
+
+    name: str
+    pose: Pose
+    node: Node
+    attached_to: str = ""
+
+
+@dataclass(slots=True)
+class Scope:
+    """A world or a model: what it holds, and where it stands in the scope around it."""
+
+    name: str
+    node: Node
+    own_frame: str = "__model__"  # or "world"
+    pose: Pose = field(default_factory=lambda: Pose(np.eye(4)))
+    placement_frame: str = ""
+    links: list[Link] = field(default_factory=list)
+    joints: list[Joint] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+    models: list[Scope] = field(default_factory=list)
+    actors: list[Node] = field(default_factory=list)
+    included_by: Node | None = None
+    merged: bool = False  # its links and frames count as those of the scope around it
+
+
+class TreeReader:
+    """Reads one SDF file and all that it includes."""
+
+    def __init__(self, resolver: Resolver) -> None:
+        self.resolver = resolver
+        self._parsed: dict[Path, Node] = {}
+        self._open: list[Path] = []
+        self._told: set[str] = set()
+        self._count = 0
+
+    def read(self, path: Path) -> Scope:
+        """The world of a file, or a world made of the models in it.
+
+        Raises:
+            InputError: something in it, or in what it includes, cannot be used.
+        """
+        root = self._root(path)
+        self._open.append(path.resolve())
+        worlds = list(root.children("world"))
+        if len(worlds) > 1:
+            worlds[1].place.warn(f"{len(worlds)} worlds in one file; only the first is read")
+        top = worlds[0] if worlds else root
+        scope = Scope(top.attribute("name") or path.stem, top, own_frame="world")
+        self._fill(scope, top)
+        if not worlds and not scope.models and not scope.actors:
+            root.place.refuse("holds no world, model or actor", allowed="<world>, <model> or <actor> in <sdf>")
+        return scope
+
+    def _root(self, path: Path) -> Node:
+        key = path.resolve()
+        if key not in self._parsed:
+            root = Node(read_xml(path, root=("sdf",)), path)
+            found = version(root)
+            if found < OLDEST:
+                said = root.attribute("version")
+                root.place.refuse(f"SDF version {said}" if said else "no SDF version", allowed="1.4 to 1.12")
+            if found > NEWEST:
+                root.place.warn(f"SDF version {root.attribute('version')} is read as 1.12")
+            warn_unknown(root, self._told)
+            self._parsed[key] = root
+        return self._parsed[key]
+
+    def _fill(self, scope: Scope, node: Node) -> None:
+        for link in node.children("link"):
+            scope.links.append(Link(link.name, read_pose(link), link))
+        for joint in node.children("joint"):
+            scope.joints.append(Joint(joint.name, read_pose(joint), joint, joint.said("child")))
+        for frame in node.children("frame"):
+            scope.frames.append(Frame(frame.name, read_pose(frame), frame, frame.attribute("attached_to")))
+        for model in node.children("model"):
+            scope.models.append(self._model(model))
+        scope.actors.extend(node.children("actor"))
+        for include in node.children("include"):
+            self._include(scope, include)
+
+    def _model(self, node: Node) -> Scope:
+        scope = Scope(node.name, node, pose=read_pose(node), placement_frame=node.attribute("placement_frame"))
+        self._fill(scope, node)
+        return scope
+
+    def _include(self, scope: Scope, node: Node) -> None:
+        uri = node.need("uri")
+        path = model_file(self.resolver.find(uri.text, at=uri.place), at=uri.place)
+        self._count += 1
+        if path in self._open:
+            ring = [*self._open[self._open.index(path) :], path]
+            node.place.refuse("the includes go in a circle: " + " -> ".join(str(one) for one in ring))
+        if self._count > MOST_FILES or len(self._open) > DEEPEST:
+            node.place.refuse("too many includes", allowed=f"{MOST_FILES} in all, {DEEPEST} deep")
+        self._open.append(path)
+        try:
+            for found in _contents(self._root(path), node):
+                if found.tag == "actor":
+                    scope.actors.append(found)
+                else:
+                    self._place(scope, self._model(found), node)
+        finally:
+            self._open.pop()
+
+    def _place(self, scope: Scope, model: Scope, include: Node) -> None:
+        """Put an included model into the scope, as its include says."""
+        placement = include.said("placement_frame")
+        if include.child("pose") is not None:
+            model.pose = read_pose(include)
+        elif placement:
+            include.place.refuse("<placement_frame> without a <pose>", allowed="both or neither")
+        model.name = include.said("name") or model.name
+        model.placement_frame = placement or model.placement_frame
+        model.included_by = include
+        if include.own_flag("merge"):
+            model.name, model.merged = f"_merged__{model.name}__model__", True
+        scope.models.append(model)
+
+
+def _contents(root: Node, include: Node) -> Iterator[Node]:
+    found = list(root.children("model", "actor", "light"))
+    if not found:
+        include.place.refuse(f"{root.file} holds no model, actor or light")
+    if len(found) > 1:
+        found[1].place.warn("an included file should hold one model; only the first is read")
+    if found[0].tag != "light":
+        yield found[0]
