@@ -1,0 +1,184 @@
+"""One step of a multirotor: geometric control, rotor lag, and the wrench on the body. Plain arrays only.
+
+Quaternions here are wxyz, as the physics engine keeps them. `memory` holds the integral of the position error (3),
+then the commanded and the actual speed of each rotor (2 r). A row of `track` is position, velocity, acceleration,
+jerk (12), yaw and yaw rate. The layout of `plane` and `gains` is that of flight/control.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+MASS, IX, IY, IZ, SPIN_J, TAU, TOP, C0, C1, KT, KM, DX, DY, DZ, MX, MY, MZ, G = range(18)
+KP, KV, KI, KR, KW, KRZ, KWZ, KROT, REACH, LEAN = range(10)
+
+
+@njit(cache=True)
+def rotation(q: np.ndarray) -> tuple[float, ...]:
+    """Rotation matrix (row by row, 9 numbers) of the unit quaternion wxyz at the end of a pose (7)."""
+    w, x, y, z = q[3], q[4], q[5], q[6]
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def lift(
+    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray,
+    track: np.ndarray, row: int, dt: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Acceleration asked for, gravity included, leaning no more than allowed; updates the integral."""
+    out = np.empty(3)
+    for k in range(3):
+        gap = min(max(track[row, k] - qpos[k], -gains[REACH]), gains[REACH])
+        pull = 0.0
+        if gains[KI] > 0:
+            most = 0.5 * plane[G] / gains[KI]
+            memory[k] = min(max(memory[k] + gap * dt, -most), most)
+            pull = gains[KI] * memory[k]
+        out[k] = track[row, 6 + k] + gains[KP] * gap + gains[KV] * (track[row, 3 + k] - qvel[k]) + pull
+    x, y, z = out[0], out[1], max(out[2] + plane[G], 0.2 * plane[G])
+    side, most_side = math.hypot(x, y), gains[LEAN] * z
+    if side > most_side:
+        x, y = x * most_side / side, y * most_side / side
+    return x, y, z
+
+
+@njit(cache=True)
+def demand(
+    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray,
+    track: np.ndarray, row: int, dt: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Total thrust and torque about x, y, z that the geometric tracking controller asks for."""
+    fx, fy, fz = lift(qpos, qvel, memory, plane, gains, track, row, dt)
+    size = math.sqrt(fx * fx + fy * fy + fz * fz)
+    b3x, b3y, b3z = fx / size, fy / size, fz / size
+    cos, sin = math.cos(track[row, 12]), math.sin(track[row, 12])
+    b2x, b2y, b2z = -b3z * sin, b3z * cos, b3x * sin - b3y * cos
+    norm = math.sqrt(b2x * b2x + b2y * b2y + b2z * b2z)
+    b2x, b2y, b2z = b2x / norm, b2y / norm, b2z / norm
+    b1x, b1y, b1z = b2y * b3z - b2z * b3y, b2z * b3x - b2x * b3z, b2x * b3y - b2y * b3x
+    jx, jy, jz = track[row, 9], track[row, 10], track[row, 11]
+    wx, wy = -(jx * b2x + jy * b2y + jz * b2z) / size, (jx * b1x + jy * b1y + jz * b1z) / size
+    wz = track[row, 13] * b3z
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qpos)
+    # m is desired_from_body
+    m00, m01, m02 = (
+        b1x * r00 + b1y * r10 + b1z * r20,
+        b1x * r01 + b1y * r11 + b1z * r21,
+        b1x * r02 + b1y * r12 + b1z * r22,
+    )
+    m10, m11, m12 = (
+        b2x * r00 + b2y * r10 + b2z * r20,
+        b2x * r01 + b2y * r11 + b2z * r21,
+        b2x * r02 + b2y * r12 + b2z * r22,
+    )
+    m20, m21, m22 = (
+        b3x * r00 + b3y * r10 + b3z * r20,
+        b3x * r01 + b3y * r11 + b3z * r21,
+        b3x * r02 + b3y * r12 + b3z * r22,
+    )
+    p, q, r = qvel[3], qvel[4], qvel[5]
+    slip_x = p - (m00 * wx + m10 * wy + m20 * wz)
+    slip_y = q - (m01 * wx + m11 * wy + m21 * wz)
+    slip_z = r - (m02 * wx + m12 * wy + m22 * wz)
+    ix, iy, iz = plane[IX], plane[IY], plane[IZ]
+    return (
+        plane[MASS] * (fx * r02 + fy * r12 + fz * r22),
+        -ix * (gains[KR] * 0.5 * (m21 - m12) + gains[KW] * slip_x) + (iz - iy) * q * r,
+        -iy * (gains[KR] * 0.5 * (m02 - m20) + gains[KW] * slip_y) + (ix - iz) * p * r,
+        -iz * (gains[KRZ] * 0.5 * (m10 - m01) + gains[KWZ] * slip_z) + (iy - ix) * p * q,
+    )
+
+
+@njit(cache=True)
+def share(thrust: float, tx: float, ty: float, tz: float, mixer: np.ndarray, most: float, out: np.ndarray) -> None:
+    """Thrust of each rotor, within 0..most, for a wanted thrust and torque; yaw yields first."""
+    keep = 1.0
+    for i in range(len(mixer)):
+        out[i] = min(max(mixer[i, 0] * thrust + mixer[i, 1] * tx + mixer[i, 2] * ty, 0.0), most)
+        twist = mixer[i, 3] * tz
+        room = most - out[i] if twist > 0 else out[i]
+        if abs(twist) > room:
+            keep = min(keep, room / abs(twist))
+    for i in range(len(mixer)):
+        out[i] = min(max(out[i] + keep * mixer[i, 3] * tz, 0.0), most)
+
+
+@njit(cache=True)
+def command(
+    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray, mixer: np.ndarray,
+    track: np.ndarray, row: int, dt: float,
+) -> None:  # fmt: skip
+    """Sets the commanded rotor speeds in `memory` from the state and a row of the track."""
+    n = len(mixer)
+    thrust = np.empty(n)
+    force, tx, ty, tz = demand(qpos, qvel, memory, plane, gains, track, row, dt)
+    share(force, tx, ty, tz, mixer, plane[C0] * plane[TOP] ** 2, thrust)
+    for i in range(n):
+        speed = math.sqrt(thrust[i] / plane[C0])
+        speed += gains[KROT] * (speed - memory[3 + n + i])
+        memory[3 + i] = min(max(speed, 0.0), plane[TOP])
+
+
+@njit(cache=True)
+def wrench(
+    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, rotors: np.ndarray,
+    wind: np.ndarray, row: int, dt: float, out: np.ndarray,
+) -> None:  # fmt: skip
+    """Moves the rotors on by `dt` and writes the force (world) and torque (body) of mid-step in `out` (6)."""
+    n = len(rotors)
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qpos)
+    p, q, r = qvel[3], qvel[4], qvel[5]
+    ax, ay, az = qvel[0] - wind[row, 0], qvel[1] - wind[row, 1], qvel[2] - wind[row, 2]
+    u = r00 * ax + r10 * ay + r20 * az
+    v = r01 * ax + r11 * ay + r21 * az
+    w = r02 * ax + r12 * ay + r22 * az
+    fast = math.sqrt(u * u + v * v + w * w)
+    turning = math.sqrt(p * p + q * q + r * r)
+    fx, fy, fz = -plane[DX] * fast * u, -plane[DY] * fast * v, -plane[DZ] * fast * w
+    tx, ty, tz = -plane[MX] * turning * p, -plane[MY] * turning * q, -plane[MZ] * turning * r
+    half = math.exp(-0.5 * dt / plane[TAU])
+    for i in range(n):
+        asked, speed = memory[3 + i], memory[3 + n + i]
+        middle = asked + (speed - asked) * half
+        memory[3 + n + i] = asked + (speed - asked) * half * half
+        x, y, spin = rotors[i, 0], rotors[i, 1], rotors[i, 3]
+        climb = w + p * y - q * x
+        thrust = (plane[C0] * middle + plane[C1] * climb) * middle
+        drag = max(plane[KT] * thrust + plane[KM] * middle, 0.0)
+        fz += thrust
+        tx += y * thrust + spin * plane[SPIN_J] * middle * q
+        ty += -x * thrust - spin * plane[SPIN_J] * middle * p
+        tz += spin * (drag + plane[SPIN_J] * (asked - middle) / plane[TAU])
+    # The force belongs to the attitude half a step on: without this the thrust would trail the body by dt / 2.
+    h = 0.5 * dt
+    gx, gy, gz = fx + h * (q * fz - r * fy), fy + h * (r * fx - p * fz), fz + h * (p * fy - q * fx)
+    out[0] = r00 * gx + r01 * gy + r02 * gz
+    out[1] = r10 * gx + r11 * gy + r12 * gz
+    out[2] = r20 * gx + r21 * gy + r22 * gz
+    out[3], out[4], out[5] = tx, ty, tz
+
+
+@njit(cache=True)
+def advance(
+    step: int, every: int, qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray,
+    gains: np.ndarray, mixer: np.ndarray, rotors: np.ndarray, track: np.ndarray, wind: np.ndarray,
+    log: np.ndarray, dt: float, out: np.ndarray,
+) -> None:  # fmt: skip
+    """Control (each `every` steps) and wrench of one physics step; logs the state when it controls."""
+    row, n = step // every, len(rotors)
+    if step % every == 0:
+        command(qpos, qvel, memory, plane, gains, mixer, track, row, dt * every)
+        for k in range(7):
+            log[row, k] = qpos[k]
+        for k in range(6):
+            log[row, 7 + k] = qvel[k]
+        for k in range(n):
+            log[row, 13 + k] = memory[3 + n + k]
+    wrench(qpos, qvel, memory, plane, rotors, wind, row, dt, out)
