@@ -19,6 +19,7 @@ from ullage.processing.baseband import checked, to_baseband
 from ullage.specs import AntennaSpec, RadarSpec
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 MEMORY_LIMIT_BYTES = 4_000_000_000
 _SPAN = 1 / (1 - math.sqrt(0.5))  # (1 - q / span)^2 is one half at q = 1, the -3 dB opening
 
@@ -91,7 +92,7 @@ class Backprojector:
         self.threads = threads or os.cpu_count() or 1
         self.frames = 0
         self._weight = 0.0
-        self._sums = np.zeros((5, *(grid.shape if grid.dims == 3 else (1, *grid.shape))), np.float32)
+        self._sums = np.zeros((grid.size // grid.shape[-1], 5, grid.shape[-1]), np.float32)
 
     def update(self, frames: Frames, *, weights: Floats | None = None) -> None:
         """Adds frames, each with a weight (None: 1).
@@ -106,10 +107,11 @@ class Backprojector:
         given = np.ones(len(frames)) if weights is None else np.ascontiguousarray(weights, np.float64)
         beam = Beam.of(spec.antenna, weighted=self.antenna, min_weight=self.min_weight)
         rotation = quat_matrix(path.quat_xyzw)
+        per_m = factor / bin_m
+        axis = np.array([per_m, float(frames.range_m[0]) * per_m, 2 / spec.wavelength_m], np.float32)
         for start in range(0, len(frames), 256):
             part = slice(start, start + 256)
             fine = oversampled(to_baseband(checked(frames[part])), factor)
-            axis = (float(frames.range_m[0]), factor / bin_m, 2 / spec.wavelength_m)
             self._add(fine, axis, path.position[part], rotation[part], given[part], beam)
         self.frames += len(frames)
         self._weight += float(given.sum())
@@ -117,7 +119,7 @@ class Backprojector:
     def _add(
         self,
         fine: NDArray[np.complex64],
-        axis: tuple[float, float, float],
+        axis: Singles,
         position: Floats,
         rotation: Floats,
         weight: Floats,
@@ -126,16 +128,12 @@ class Backprojector:
         from ullage.kernels.backprojection import backproject_rows
 
         z, y = (a.ravel() for a in np.meshgrid(self.grid.z_m, self.grid.y_m, indexing="ij"))
-        x = self.grid.x_m
-        sums = self._sums.reshape(5, -1, len(x))
-        re, im = np.ascontiguousarray(fine.real), np.ascontiguousarray(fine.imag)
-        shape = (beam.inv_y2, beam.inv_z2, _SPAN, beam.min_weight)
+        x0, step = float(self.grid.x_m[0]), self.grid.step_m
+        re, im, w = np.ascontiguousarray(fine.real), np.ascontiguousarray(fine.imag), weight.astype(np.float32)
+        shape = np.array([beam.inv_y2 / _SPAN, beam.inv_z2 / _SPAN, beam.min_weight], np.float32)
 
         def rows(part: slice) -> None:
-            backproject_rows(
-                y[part], z[part], x[0], self.grid.step_m, re, im, *axis, position, rotation, weight, *shape,
-                sums[:, part],
-            )  # fmt: skip
+            backproject_rows(y[part], z[part], x0, step, re, im, axis, shape, position, rotation, w, self._sums[part])
 
         cuts = np.linspace(0, len(y), min(self.threads, len(y)) + 1).astype(int)
         parts = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
@@ -148,21 +146,21 @@ class Backprojector:
     @property
     def values(self) -> NDArray[np.complex64]:
         """The complex image so far: an echo of amplitude 1 that every frame saw on boresight has the value 1."""
-        flat = (self._sums[0] + 1j * self._sums[1]) / np.float32(max(self._weight, 1e-30))
+        flat = (self._sums[:, 0] + 1j * self._sums[:, 1]) / np.float32(max(self._weight, 1e-30))
         return np.asarray(flat.reshape(self.grid.shape), np.complex64)
 
     @property
     def coherence(self) -> NDArray[np.float32]:
         """|sum w s|^2 / (sum w  sum w |s|^2) of each cell: 1 when all echoes agree in phase and strength."""
-        top = self._sums[0] ** 2 + self._sums[1] ** 2
-        bottom = self._sums[2] * self._sums[3]
+        top = self._sums[:, 0] ** 2 + self._sums[:, 1] ** 2
+        bottom = self._sums[:, 2] * self._sums[:, 3]
         out = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
         return np.asarray(np.minimum(out, 1.0).reshape(self.grid.shape), np.float32)
 
     @property
     def looks(self) -> NDArray[np.float32]:
         """Effective number of frames behind each cell, (sum w)^2 / sum w^2; looks x coherence ~ Exp(1) in noise."""
-        top, bottom = self._sums[3] ** 2, self._sums[4]
+        top, bottom = self._sums[:, 3] ** 2, self._sums[:, 4]
         out = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
         return np.asarray(out.reshape(self.grid.shape), np.float32)
 
