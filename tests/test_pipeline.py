@@ -1,0 +1,100 @@
+"""The loop: everything reaches every sink, Ctrl-C ends cleanly, a failing sink does not lose the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.experiments.watch import Looks, RangeTime
+from ullage.pipeline import DetectStage, Held, MapStage
+
+
+def thesis_frames(n: int = 60) -> ul.Frames:
+    path = ul.Trajectory.line((-1, 0, 0), (1, 0, 0), 0.5, n / 4)[:n]
+    return ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, ul.RadarSpec.preset("x4m05"), fidelity="thesis", seed=3)
+
+
+class Kept:
+    def __init__(self) -> None:
+        self.items: list[Any] = []
+        self.closed = False
+
+    def write(self, item: Any) -> None:
+        self.items.append(item)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Cut:
+    """A source that is interrupted after `after` pieces."""
+
+    def __init__(self, frames: ul.Frames, after: int) -> None:
+        self.frames, self.after = frames, after
+
+    def stream(self) -> Iterator[dict[str, ul.Frames]]:
+        for index, part in enumerate(self.frames.chunks(10)):
+            if index == self.after:
+                raise KeyboardInterrupt
+            yield {"front": part}
+
+
+def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None:
+    frames = thesis_frames()
+    grid = ul.Grid.covering([[-4, -3, 0], [4, 3, 1]], 0.1)
+    kept = Kept()
+    stages = [DetectStage(), MapStage(grid, "elfes")]
+    outcome = ul.run(Held(frames, size=7), stages=stages, sinks=[kept])
+    assert outcome.frames == len(frames)
+    assert sum(len(item[frames.sensor]) for item in kept.items if isinstance(item, dict)) == len(frames)
+    assert kept.closed
+    whole = ul.map_occupancy(frames, grid, method="elfes")
+    assert np.array_equal(outcome.results[-1].percent, whole.percent)
+
+
+def test_detections_count_frames_from_the_start_of_the_recording() -> None:
+    frames = thesis_frames()
+    kept = Kept()
+    ul.run(Held(frames, size=7), stages=[DetectStage()], sinks=[kept])
+    found = np.concatenate([item.frame for item in kept.items if isinstance(item, ul.Detections)])
+    assert np.array_equal(found, ul.detect(frames).frame)
+
+
+def test_ctrl_c_ends_with_everything_so_far_written() -> None:
+    kept = Kept()
+    grid = ul.Grid.covering([[-4, -3, 0], [4, 3, 1]], 0.1)
+    outcome = ul.run(Cut(thesis_frames(), 3), stages=[MapStage(grid, "elfes")], sinks=[kept])
+    assert outcome.interrupted
+    assert outcome.frames == 30
+    assert kept.closed
+    assert isinstance(kept.items[-1], ul.OccupancyMap)
+
+
+def test_sinks_are_closed_when_the_source_fails() -> None:
+    class Broken:
+        def stream(self) -> Iterator[dict[str, ul.Frames]]:
+            raise ul.InputError("gone", where="port")
+            yield {}
+
+    kept = Kept()
+    with pytest.raises(ul.InputError, match="gone"):
+        ul.run(Broken(), sinks=[kept])
+    assert kept.closed
+
+
+def test_what_is_watched_stays_bounded() -> None:
+    frames = thesis_frames()
+    picture, looks = RangeTime(most=8), Looks(most=8)
+    for part in frames.chunks(5):
+        picture.update({"front": part})
+        looks.update({"front": part})
+    (name, t_s, range_m, amplitude) = picture.pictures()[0]
+    assert name == "front"
+    assert 4 <= len(t_s) <= 8
+    assert amplitude.shape == (len(t_s), len(range_m))
+    assert amplitude.max() == pytest.approx(float(frames.amplitude[: len(t_s) * 8].max()), rel=0.2)
+    assert 4 <= len(looks.frames()["front"]) <= 9
