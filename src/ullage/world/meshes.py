@@ -1,10 +1,11 @@
-"""Triangle meshes from files: .stl .obj .ply .dae .glb .gltf through trimesh, checked and cleaned.
+"""Triangle meshes from files: .stl .obj .ply .dae .glb .gltf through trimesh and pycollada, checked and cleaned.
 
 Coordinates are taken as they stand, without turning any axis (as Gazebo does); a COLLADA file's unit is applied.
 """
 
 from __future__ import annotations
 
+import io
 import logging
 import warnings
 from pathlib import Path
@@ -35,13 +36,18 @@ def load_mesh(path: Path, *, submesh: str = "", center: bool = False) -> Mesh:
     Raises:
         InputError: the file is missing, too large, broken, of an unknown format, or without triangles.
     """
-    parts = [part for name, part in _parts(path) if not submesh or submesh in name]
+    found = _parts(path)
+    parts = [mesh for names, mesh in found if not submesh or submesh in names]
     if submesh and not parts:
-        known = sorted({name for names, _ in _parts(path) for name in names if name})
+        known = sorted({name for names, _ in found for name in names})
         raise InputError(f"no submesh {submesh!r}", where=path, allowed=", ".join(known[:20]))
     vertices, faces = joined(parts)
     if not len(faces):
         raise InputError("the mesh has no triangles", where=path)
+    if len(faces) > MOST_FACES:
+        raise InputError(f"{len(faces)} triangles", where=path, allowed=f"at most {MOST_FACES}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError("a triangle of the mesh names a vertex that is not there", where=path)
     if not np.isfinite(vertices).all():
         raise InputError("the mesh has a vertex that is not finite", where=path)
     if center:
@@ -70,7 +76,7 @@ def cleaned(vertices: Floats, faces: Ints, *, where: str) -> Mesh:
     if flat.all():
         raise InputError("no triangle of the mesh has an area", where=where)
     if flat.any():
-        some = f"{int(flat.sum())} degenerate triangle{'s' * (flat.sum() > 1)} of {len(faces)}"
+        some = f"{int(flat.sum())} degenerate triangle{'s' if flat.sum() > 1 else ''} of {len(faces)}"
         warnings.warn(f"{where}: {some} left out", UllageWarning, stacklevel=2)
         faces = faces[~flat]
     return vertices, np.ascontiguousarray(faces, np.int32)
@@ -78,37 +84,81 @@ def cleaned(vertices: Floats, faces: Ints, *, where: str) -> Mesh:
 
 def _parts(path: Path) -> list[tuple[set[str], Mesh]]:
     """Each part's names (of the geometry and of its node) and its triangles."""
-    import trimesh
-
     kind = path.suffix.lower()
     if kind not in FORMATS:
         raise InputError(f"a mesh of unknown format {path.suffix!r}", where=path, allowed=" ".join(FORMATS))
     raw = _bytes(path)
-    options: dict[str, Any] = {"split_object": True, "group_material": False} if kind == ".obj" else {}
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
-        found = trimesh.load_scene(
-            trimesh.util.wrap_as_stream(raw), file_type=kind[1:], resolver=_beside(path), process=False,
-            skip_materials=True, **options,
-        )  # fmt: skip
-        out = []
-        for node in found.graph.nodes_geometry:
-            matrix, name = found.graph[node]
-            geometry = found.geometry[name]
-            if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-                out.append(({str(node), str(name)}, _moved(geometry, np.asarray(matrix) * 1.0)))
-    except InputError:
+        return _collada(raw, path) if kind == ".dae" else _by_trimesh(raw, path, kind[1:])
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # whatever a broken file brings a reader to raise
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"the mesh cannot be read: {said}", where=path) from None
+
+
+def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], Mesh]]:
+    import trimesh
+
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what it would say is said by the caller
+    options: dict[str, Any] = {}
+    if kind == "obj":
+        objects = raw.startswith(b"o ") or b"\no " in raw
+        options = {"split_objects": objects, "split_groups": not objects, "group_material": False}
+    found = trimesh.load_scene(
+        trimesh.util.wrap_as_stream(raw), file_type=kind, resolver=_beside(path), process=False,
+        skip_materials=True, **options,
+    )  # fmt: skip
+    out = []
+    for node in found.graph.nodes_geometry:
+        matrix, name = found.graph[node]
+        geometry = found.geometry[name]
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            mesh = np.asarray(geometry.vertices, np.float64), np.asarray(geometry.faces, np.int32)
+            out.append(({str(node), str(name)}, _moved(mesh, np.asarray(matrix, float))))
     return out
 
 
-def _moved(geometry: Any, matrix: Floats) -> Mesh:
-    vertices, faces = np.asarray(geometry.vertices, np.float64), np.asarray(geometry.faces)
-    if np.allclose(matrix, np.eye(4), atol=0):
-        return vertices, faces
+def _collada(raw: bytes, path: Path) -> list[tuple[set[str], Mesh]]:
+    """As Gazebo reads it: nodes' names name the parts, the unit counts, the up axis does not."""
+    import collada  # type: ignore[import-untyped]
+
+    if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
+        raise InputError("declares XML entities", where=path, allowed="plain COLLADA without entities")
+    if not raw.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<"):
+        raise InputError("not COLLADA", where=path, allowed="XML")
+    document = collada.Collada(io.BytesIO(raw), ignore=[collada.common.DaeError])
+    unit = document.assetInfo.unitmeter if document.assetInfo is not None else None
+    scale = np.diag([unit or 1.0, unit or 1.0, unit or 1.0, 1.0])
+    out: list[tuple[set[str], Mesh]] = []
+    for node in document.scene.nodes if document.scene is not None else ():
+        _collada_node(node, scale, set(), out)
+    return out
+
+
+def _collada_node(node: Any, matrix: Floats, names: set[str], out: list[tuple[set[str], Mesh]]) -> None:
+    geometry = getattr(node, "geometry", None)
+    if geometry is None:
+        geometry = getattr(getattr(node, "controller", None), "geometry", None)
+    if geometry is not None:
+        called = {name for name in (*names, geometry.id, geometry.name) if name}
+        out.extend((called, _moved(mesh, matrix)) for mesh in map(_collada_triangles, geometry.primitives) if mesh)
+        return
+    own = {name for name in (getattr(node, "id", None), node.xmlnode.get("name")) if name}
+    for child in getattr(node, "children", None) or ():
+        _collada_node(child, matrix @ np.asarray(node.matrix, float), own or names, out)
+
+
+def _collada_triangles(primitive: Any) -> Mesh | None:
+    found = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
+    index = getattr(found, "vertex_index", None)
+    if index is None or np.ndim(index) != 2 or np.shape(index)[1] != 3 or not len(index):
+        return None  # lines
+    return np.asarray(found.vertex, np.float64), np.asarray(index, np.int32)
+
+
+def _moved(mesh: Mesh, matrix: Floats) -> Mesh:
+    vertices, faces = mesh
     moved = vertices @ matrix[:3, :3].T + matrix[:3, 3]
     return moved, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
 
