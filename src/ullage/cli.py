@@ -50,7 +50,7 @@ def main() -> None:
 def _quiet_warnings() -> None:
     import warnings
 
-    def show(message: Warning | str, category: type[Warning], *_: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         typer.echo(
             f"{'warning' if category.__module__.startswith('ullage') else category.__name__}: {message}", err=True
         )
@@ -98,8 +98,9 @@ def run(
     with progress_bar("flying", total=1.0) as tell:
         job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell)
     sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
-    for taker in sinks if job.scene is not None else ():
-        taker.write(job.scene)
+    if job.scene is not None:
+        for taker in sinks:
+            taker.write(job.scene)
     total = job.flown.duration_s if job.flown is not None else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
         report = execute(job, sinks=sinks, progress=tell, say=tell.say)

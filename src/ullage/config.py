@@ -16,6 +16,9 @@ from ullage.errors import InputError
 from ullage.specs import RadarSpec, Rig, Spec
 
 MAX_BYTES = 1_000_000
+DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"]
+MapMethod = Literal["ullage", "elfes"]
+ImageMethod = Literal["backprojection", "summation"]
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 
@@ -70,14 +73,14 @@ class SensingSpec(Spec):
 class DetectSpec(Spec):
     """Echoes judged to be objects."""
 
-    method: Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"] = "first_peak"
+    method: DetectMethod = "first_peak"
     threshold: float | None = Field(None, gt=0, description="none: 0.038 for thesis amplitudes, else from the noise")
 
 
 class MapSpec(Spec):
     """The occupancy map."""
 
-    method: Literal["ullage", "elfes"] = "ullage"
+    method: MapMethod = "ullage"
     step_m: float = Field(0.1, gt=0, le=10)
     dims: Literal[2, 3] = 2
     margin_m: float = Field(1.0, ge=0, le=100, description="room around the world")
@@ -86,9 +89,9 @@ class MapSpec(Spec):
 class ImageSpec(Spec):
     """The SAR image."""
 
-    method: Literal["backprojection", "summation"] = "backprojection"
+    method: ImageMethod = "backprojection"
     step_m: float = Field(0.05, gt=0, le=10)
-    sensor: str = Field("", description="one sensor; none: the first")
+    sensor: str = Field("", description="one sensor; none: all")
 
 
 class Bound(Spec):

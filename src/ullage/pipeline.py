@@ -9,6 +9,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, sensors_of
 from ullage.grids import Grid, Image, OccupancyMap
 
@@ -132,7 +136,7 @@ class Held:
 class DetectStage:
     """Detections, piece by piece."""
 
-    method: str = "first_peak"
+    method: DetectMethod = "first_peak"
     threshold: float | None = None
     found: int = 0
     _seen: dict[str, int] = field(default_factory=dict)
@@ -161,7 +165,7 @@ class MapStage:
     """An occupancy map that grows with each piece, given whole every so often and at the end."""
 
     grid: Grid
-    method: str = "ullage"
+    method: MapMethod = "ullage"
     threshold: float | None = None
     every_s: float = 1.0
     _mapper: Any = None
@@ -187,28 +191,49 @@ class MapStage:
 
 @dataclass(slots=True)
 class ImageStage:
-    """A SAR image of one sensor's frames, given at the end.
+    """A SAR image that grows with each piece, given at the end; its memory is the grid's, however long the flight.
 
-    Summation and back-projection are both sums over frames, but autofocus and windows want the whole track:
-    the frames of this one sensor are kept, at most `most_frames` of them.
+    Frames weigh by the way the sensor moved, so that standing still adds nothing; sensors add in power.
     """
 
     grid: Grid
-    method: str = "backprojection"
-    sensor: str = ""
-    most_frames: int = 20_000
-    _parts: list[Frames] = field(default_factory=list)
+    method: ImageMethod = "backprojection"
+    sensor: str = ""  # one sensor; none: all
+    _sums: dict[str, Any] = field(default_factory=dict)
+    _summed: Any = None
+    _last_m: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def update(self, chunk: Chunk) -> Iterable[Any]:
-        """Keeps the frames."""
-        name = self.sensor or next(iter(chunk))
-        if name in chunk and sum(map(len, self._parts)) < self.most_frames:
-            self._parts.append(chunk[name])
+        """Adds this piece."""
+        for name, part in chunk.items():
+            if not self.sensor or name == self.sensor:
+                self._add(name, part)
         return ()
+
+    def _add(self, name: str, part: Frames) -> None:
+        if self.method == "summation":
+            from ullage.processing.sar import focus
+
+            image = focus(part, self.grid, method="summation")
+            self.grid = image.grid
+            self._summed = image.values if self._summed is None else self._summed + image.values
+            return
+        from ullage.processing.backprojection import Backprojector
+
+        position = part.believed.position
+        before = self._last_m.get(name, position[0])
+        self._last_m[name] = position[-1]
+        moved = np.linalg.norm(np.diff(np.vstack([before, position]), axis=0), axis=1)
+        summing = self._sums.setdefault(name, Backprojector(self.grid))
+        summing.update(part, weights=np.minimum(moved, part.spec.wavelength_m / 2))
 
     def finish(self) -> Iterable[Image]:
         """The image."""
-        from ullage.data import joined
-        from ullage.processing.sar import focus
-
-        return (focus(joined(self._parts), self.grid, method=self.method),) if self._parts else ()
+        if self._summed is not None:
+            return (Image(self.grid, self._summed, None, "summation"),)
+        images = [summing.image() for summing in self._sums.values()]
+        if len(images) < 2:
+            return images
+        power = np.sqrt(np.sum([np.abs(i.values) ** 2 for i in images], axis=0)).astype(np.float32)
+        coherence = np.max([i.coherence for i in images], axis=0)
+        return (Image(images[0].grid, power, coherence, "backprojection"),)

@@ -100,9 +100,14 @@ def _stages(job: Run) -> list[Stage]:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=plan.map.margin_m)
         out.append(MapStage(grid, plan.map.method, plan.detect.threshold))
     if "image" in job.tasks:
-        grid = Grid.covering(_bounds(job), plan.image.step_m, margin_m=plan.map.margin_m)
+        grid = Grid.covering(_bounds(job), plan.image.step_m, z_m=_height(job), margin_m=plan.map.margin_m)
         out.append(ImageStage(grid, plan.image.method, plan.image.sensor))
     return out
+
+
+def _height(job: Run) -> float:
+    """The height of plans and planes: that at which the drone spent half its time above."""
+    return 0.0 if job.flown is None else float(np.median(job.flown.position[:, 2]))
 
 
 def _bounds(job: Run) -> np.ndarray:
@@ -138,8 +143,7 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
 
     folder, out = job.folder / "figures", []
     frames = job.looks.frames()
-    height = float(np.median(job.flown.position[:, 2])) if job.flown is not None else 0.0
-    walls = _walls(job.scene, height)
+    walls = _walls(job.scene, _height(job))
     if pictures := job.range_time.pictures():
         out.append(
             figures.range_time_figure(

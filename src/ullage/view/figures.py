@@ -74,8 +74,9 @@ def draw_map(
 def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
     low, high = known.min(0), known.max(0)
     x, y, pad = omap.grid.x_m, omap.grid.y_m, 5 * omap.grid.step_m
-    axes.set_xlim(x[low[1]] - pad, x[high[1]] + pad)
-    axes.set_ylim(y[low[0]] - pad, y[high[0]] + pad)
+    left, right, bottom, top = omap.grid.extent_m
+    axes.set_xlim(max(x[low[1]] - pad, left), min(x[high[1]] + pad, right))
+    axes.set_ylim(max(y[low[0]] - pad, bottom), min(y[high[0]] + pad, top))
 
 
 def draw_plan(axes: Axes, *, walls: Floats | None = None, path: Trajectory | None = None) -> None:
