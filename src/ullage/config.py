@@ -6,16 +6,17 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 from pydantic_core import PydanticUndefined
 
 from ullage.errors import InputError
 from ullage.specs import RadarSpec, Rig, Spec
 
 MAX_BYTES = 1_000_000
+Fidelity = Literal["physical", "thesis"]
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"]
 MapMethod = Literal["ullage", "elfes"]
 ImageMethod = Literal["backprojection", "summation"]
@@ -57,7 +58,7 @@ class SensingSpec(Spec):
     rig: str = Field("thesis-4", description="thesis-4 or single")
     preset: str = Field("x4m05", description="x4m05, x4m05-8ghz, x4m300 or pulson440")
     changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")
-    fidelity: Literal["physical", "thesis"] = "physical"
+    fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; none: the radar's own fps")
 
@@ -119,6 +120,12 @@ class Scenario(Spec):
     image: ImageSpec = ImageSpec()
     seed: int = Field(7, ge=0, lt=2**63)
     expect: dict[str, Bound] = Field({}, description="bounds on metrics; `ullage measure` exits 1 outside them")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if "image" in self.do and self.sensing.fidelity == "thesis" and self.image.method == "backprojection":
+            raise ValueError("the thesis' amplitudes have no phase: image.method has to be summation")
+        return self
 
     @property
     def digest(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ import numpy as np
 
 from ullage.config import Scenario, Task, scenario_text
 from ullage.data import Frames, Metric, Trajectory
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageError
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.watch import Looks, RangeTime
@@ -76,7 +77,12 @@ def execute(
     write_json(job.folder / "provenance.json", origin)
     stages = _stages(job)
     wall, cpu = time.perf_counter(), time.process_time()
-    outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
+    try:
+        outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
+    except UllageError:
+        if not job.range_time.pictures():  # nothing was received, so nothing is lost
+            shutil.rmtree(job.folder, ignore_errors=True)
+        raise
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
     say("drawing figures")
     metrics = _metrics(job, outcome)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ullage import kernels
+from ullage.config import Fidelity, MapMethod
 
 FOLDER = Path(kernels.__path__[0])
 
@@ -37,10 +38,11 @@ def compile_kernels() -> None:
     track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
     grid = Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2)
     radar = RadarSpec.preset("x4m05")
-    for fidelity in ("thesis", "physical"):
+    fidelities: tuple[Fidelity, ...] = ("thesis", "physical")
+    methods: tuple[MapMethod, ...] = ("elfes", "ullage")
+    for fidelity in fidelities:
         frames = simulate(wall, track, radar, fidelity=fidelity)
         detect(frames)
-        for image in ("summation", "backprojection"):
-            focus(frames, grid, method=image)
-        for method in ("elfes", "ullage"):
+        focus(frames, grid, method="summation" if fidelity == "thesis" else "backprojection")
+        for method in methods:
             map_occupancy(frames, grid, method=method)
