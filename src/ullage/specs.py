@@ -90,11 +90,20 @@ class NoiseSpec(Spec):
     thermal: float = Field(
         1.16e-3, ge=0, description="sigma of one RF sample at one count, in the sensor's normalised units"
     )
-    unit_gain: float = Field(1.0, gt=0, description="normalised units per unit of sqrt(path gain)")
+    unit_gain: float = Field(
+        5.0, gt=0, description="normalised RF units per unit of sqrt(path gain); estimated, good to about 6 dB"
+    )
+    baseband_gain: float = Field(0.78, gt=0, le=10, description="baseband amplitude per RF envelope")
     leakage: bool = Field(True, description="the direct path from transmitter to receiver")
-    phase_rad: float = Field(0.010, ge=0, description="sigma of the phase common to a whole frame")
-    amplitude: float = Field(0.0015, ge=0, description="sigma of the relative amplitude common to a whole frame")
+    phase_rad: float = Field(
+        0.010, ge=0, description="sigma of the phase common to a whole frame: the part that integration leaves"
+    )
+    phase_thermal_rad: float = Field(
+        0.0314, ge=0, description="the same at one count: the part that falls with the root of the counts"
+    )
+    amplitude: float = Field(0.001, ge=0, description="sigma of the relative amplitude common to a whole frame")
     clip: bool = Field(True, description="the DAC window limits strong echoes")
+    lattice: bool = Field(True, description="values lie on the lattice of the counts")
 
 
 class ThesisSpec(Spec):

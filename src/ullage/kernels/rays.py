@@ -9,7 +9,7 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, distance, cosine):
+def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, distance, cosine):  # type: ignore[no-untyped-def]
     """Put the hits of one body into `face`, `distance` and `cosine` where they are nearer than what is there.
 
     The float32 distance `tfar` chooses between plane and fallback only: where the float64 plane distance is
@@ -37,7 +37,7 @@ def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, dista
 
 
 @njit(cache=True, nogil=True)
-def refine_wires(
+def refine_wires(  # type: ignore[no-untyped-def]
     prim, tfar, origin, direction, first, per_wire, start, axis, length, radius, ids, face, distance, cosine
 ):
     """As `refine_faces`, for prisms that stand for round wires: distance and normal are those of the cylinder."""
@@ -70,7 +70,7 @@ def refine_wires(
 
 
 @njit(cache=True, nogil=True)
-def turn_fan(fan, rotation, out):
+def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
     """Directions (n, m, 3) of a fan (m, 3) under n rotations (n, 3, 3)."""
     for f in range(len(rotation)):
         r = rotation[f]
@@ -81,7 +81,7 @@ def turn_fan(fan, rotation, out):
 
 
 @njit(cache=True, nogil=True)
-def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):
+def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):  # type: ignore[no-untyped-def]
     """Sum I_m cos(theta) (|v| / far_m)^2 of the rays (n, m) into range bins `out` (n, b)."""
     frames, bins = out.shape
     for f in range(frames):
@@ -95,7 +95,7 @@ def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, o
 
 
 @njit(cache=True, nogil=True)
-def smooth(values, weights, out):
+def smooth(values, weights, out):  # type: ignore[no-untyped-def]
     """Weighted moving sum of rows (n, b) with an odd, centred window; nothing stands beyond the ends."""
     half = len(weights) // 2
     rows, bins = values.shape

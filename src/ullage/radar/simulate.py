@@ -16,7 +16,7 @@ import numpy as np
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.radar.rays import echoes_thesis
-from ullage.radar.receiver import receive
+from ullage.radar.receiver import receive, receive_thesis
 from ullage.specs import RadarSpec, Rig
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -157,10 +157,8 @@ class _Work:
         truth = self.path[cut].mounted(mount)
         poses = truth if self.believed is None else self.believed[cut].mounted(mount)
         clean = self.echoes(truth, spec)
-        samples = receive(
-            clean, spec, seed=sensor_seed(self.seed, name), first_frame=self.first_frame + cut.start,
-            fidelity=self.fidelity,
-        )  # fmt: skip
+        finish = receive_thesis if self.fidelity == "thesis" else receive
+        samples = finish(clean, spec, seed=sensor_seed(self.seed, name), first_frame=self.first_frame + cut.start)
         return Frames(
             samples, spec.range_m, truth.t_ns, spec, poses, truth, name,
             "thesis" if self.fidelity == "thesis" else "path_gain",

@@ -1,0 +1,20 @@
+"""Loops of the receiver: the DAC window on a complex envelope."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def limit_envelope(values, limit):  # type: ignore[no-untyped-def]
+    """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency."""
+    rows, bins = values.shape
+    for f in range(rows):
+        for k in range(bins):
+            size = math.hypot(values[f, k].real, values[f, k].imag)
+            if size > limit:
+                x = limit / size
+                values[f, k] *= 2 / np.pi * (math.asin(x) + x * math.sqrt(1 - x * x))
