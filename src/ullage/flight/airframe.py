@@ -89,6 +89,17 @@ class Airframe(Spec):
         return math.sqrt(self.weight_n / len(self.rotor_spin) / self.thrust_n_s2)
 
     @property
+    def rotor_half_height_m(self) -> float:
+        """Half the height of a rotor with its motor, as contacts see it [m]."""
+        return 0.16 * self.rotor_radius_m
+
+    @property
+    def half_height_m(self) -> float:
+        """From the centre to the highest or lowest part, at a lean of ten degrees [m]."""
+        rise = max(abs(place[2]) for place in self.rotor_position_m) + self.rotor_half_height_m
+        return max(rise, self.core_m[2] / 2) + 0.17 * self.radius_m
+
+    @property
     def radius_m(self) -> float:
         """From the centre to the farthest blade tip or corner of the hull [m]."""
         tips = max(math.hypot(math.hypot(x, y) + self.rotor_radius_m, z) for x, y, z in self.rotor_position_m)

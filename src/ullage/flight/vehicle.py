@@ -3,24 +3,57 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Trajectory, even_times
-from ullage.flight.airframe import GRAVITY_M_S2, Airframe, airframe
+from ullage.errors import InputError, UllageError, UllageWarning
+from ullage.flight.airframe import Airframe, airframe
 from ullage.flight.control import Tables, air
 from ullage.flight.missions import Waypoints
+from ullage.flight.obstacles import Body, Solids, bodies, into
+from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings, Touch
 from ullage.flight.reference import Reference, plan
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
+Progress = Callable[[float], None]
 
-PHYSICS_HZ = 500
-CONTROL_EVERY = 2  # physics steps per control step
-CONTROL_HZ = PHYSICS_HZ / CONTROL_EVERY
+
+class Collision(UllageError):
+    """The vehicle hit something, and the flight was asked to end there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The vehicle touched an object."""
+
+    t_ns: int  # when the contact began
+    until_ns: int  # when it was last felt
+    point: tuple[float, float, float]  # where it began, world [m]
+    object: str  # name of what was touched
+    speed_m_s: float  # of the vehicle when it began [m/s]
+
+    def __str__(self) -> str:
+        x, y, z = self.point
+        when, speed = self.t_ns * 1e-9, self.speed_m_s
+        return f"{self.object!r} at t = {when:.2f} s at ({x:.2f}, {y:.2f}, {z:.2f}) m, {speed:.2f} m/s"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightLog:
+    """What happened on a flight, at the times of its trajectory."""
+
+    contacts: tuple[Contact, ...]
+    t_ns: NDArray[np.int64]  # (n)
+    wanted: Floats  # (n, 3) position of the reference [m]
+    error_m: Floats  # (n) distance from the reference [m]
+    rotor_rad_s: Floats  # (n, r) rotor speeds
 
 
 def fly(
@@ -33,67 +66,195 @@ def fly(
     rate_hz: float = 25.0,
     seed: int = 0,
     start: ArrayLike | None = None,
-    progress: Callable[[float], None] | None = None,
+    on_contact: Literal["record", "raise"] = "record",
+    progress: Progress | None = None,
 ) -> Trajectory:
-    """Flies waypoints with a real multirotor: rigid body, rotor lag, drag, wind, a tracking controller.
+    """Flies waypoints with a real multirotor: rigid body, rotor lag, drag, wind, contact, a tracking controller.
+
+    Args:
+        waypoints: a mission, or its points.
+        vehicle: name of a vehicle, or an `Airframe`.
+        scene: what can be hit; None: free space. Moving objects push the vehicle, but not by friction.
+        wind_m_s: mean wind (3) [m/s] world.
+        gust_m_s: rms of the gusts along x and y [m/s]; half of it along z.
+        rate_hz: samples per second of the result [Hz].
+        seed: which gusts.
+        start: where it hovers at first: x, y, z [m], and yaw [deg] or not; None: at the first waypoint.
+        on_contact: "record" flies on, as physics has it, and warns; "raise" ends the flight.
+        progress: called with the fraction done, 0 to 1.
 
     Returns:
         The true path of the body, with true velocities and body rates, at `rate_hz`, from time zero.
 
     Raises:
-        InputError: a value is out of bounds.
+        InputError: a value is out of bounds, or the start or a waypoint lies inside something or too near to it.
+        Collision: something was hit, with on_contact="raise".
     """
+    flown, log = _fly(
+        waypoints, vehicle, scene, wind_m_s, gust_m_s, rate_hz, seed, start, on_contact, progress
+    )  # fmt: skip
+    _warn(log)
+    return flown
+
+
+def fly_log(
+    waypoints: Waypoints | ArrayLike,
+    vehicle: str | Airframe = "hector",
+    *,
+    scene: Scene | None = None,
+    wind_m_s: Sequence[float] = (0.0, 0.0, 0.0),
+    gust_m_s: float = 0.0,
+    rate_hz: float = 25.0,
+    seed: int = 0,
+    start: ArrayLike | None = None,
+    on_contact: Literal["record", "raise"] = "record",
+    progress: Progress | None = None,
+) -> tuple[Trajectory, FlightLog]:
+    """As `fly`, with a log: contacts, the reference, tracking error, rotor speeds.
+
+    Returns:
+        The true path, and the log at its times.
+
+    Raises:
+        InputError: as `fly`.
+        Collision: as `fly`.
+    """
+    flown, log = _fly(
+        waypoints, vehicle, scene, wind_m_s, gust_m_s, rate_hz, seed, start, on_contact, progress
+    )  # fmt: skip
+    _warn(log)
+    return flown, log
+
+
+def _warn(log: FlightLog) -> None:
+    if log.contacts:
+        more = f", and {len(log.contacts) - 1} more" if len(log.contacts) > 1 else ""
+        warnings.warn(f"the vehicle hit {log.contacts[0]}{more}", UllageWarning, stacklevel=3)
+
+
+def _fly(
+    waypoints: Waypoints | ArrayLike, vehicle: str | Airframe, scene: Scene | None, wind_m_s: Sequence[float],
+    gust_m_s: float, rate_hz: float, seed: int, start: ArrayLike | None, on_contact: str, progress: Progress | None,
+) -> tuple[Trajectory, FlightLog]:  # fmt: skip
     mission = waypoints if isinstance(waypoints, Waypoints) else Waypoints(np.asarray(waypoints))
     frame = airframe(vehicle)
-    reference = plan(mission, rate_hz=CONTROL_HZ)
-    wind = air(np.asarray(wind_m_s, float), gust_m_s, count=len(reference.track), rate_hz=CONTROL_HZ, seed=seed)
-    log = _run(frame, reference, wind, progress)
-    return _trajectory(log, rate_hz)
+    wind = _checked(wind_m_s, gust_m_s, rate_hz, on_contact)
+    place, yaw_deg = _start(start)
+    parts = bodies(scene) if scene is not None else []
+    if scene is not None:
+        _clear(mission, place, frame, scene, parts)
+    reference = plan(mission, rate_hz=CONTROL_HZ, start=place, start_yaw_deg=yaw_deg)
+    blowing = air(wind, gust_m_s, count=len(reference.track), rate_hz=CONTROL_HZ, seed=seed)
+    around = Surroundings(frame, parts, len(reference.track))
+    table = _steps(frame, reference, blowing, around, scene, on_contact, progress)
+    contacts = tuple(_contact(touch, scene) for touch in around.touches) if scene is not None else ()
+    return _result(table, reference, contacts, rate_hz)
 
 
-def _model(frame: Airframe) -> Any:
-    import mujoco
-
-    spec = mujoco.MjSpec()
-    spec.option.timestep = 1 / PHYSICS_HZ
-    spec.option.gravity = [0, 0, -GRAVITY_M_S2]
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    body = spec.worldbody.add_body(name=frame.name)
-    body.add_freejoint()
-    body.explicitinertial = True
-    body.mass, body.inertia = frame.mass_kg, frame.inertia_kg_m2
-    return spec.compile()
-
-
-def _run(frame: Airframe, reference: Reference, wind: Floats, progress: Callable[[float], None] | None) -> Floats:
+def _steps(
+    frame: Airframe, reference: Reference, wind: Floats, around: Surroundings, scene: Scene | None,
+    on_contact: str, progress: Progress | None,
+) -> Floats:  # fmt: skip
+    """The loop: look around, control, push, integrate. Returns the state at each control step."""
     import mujoco
 
     from ullage.kernels.flight import advance
 
+    control_and_push: Any = advance
     tables = Tables.of(frame)
-    model = _model(frame)
-    data = mujoco.MjData(model)
-    first = reference.track[0]
-    data.qpos[:] = [*first[:3], math.cos(first[12] / 2), 0, 0, math.sin(first[12] / 2)]
+    first, dt = reference.track[0], 1 / PHYSICS_HZ
+    around.data.qpos[:] = [*first[:3], math.cos(first[12] / 2), 0, 0, math.sin(first[12] / 2)]
     memory = tables.memory(frame.hover_rad_s)
-    steps = (len(reference.track) - 1) * CONTROL_EVERY + 1
+    last = (len(reference.track) - 1) * CONTROL_EVERY
     log = np.zeros((len(reference.track), 13 + len(tables.rotors)))
-    qpos, qvel, force, dt = data.qpos, data.qvel, data.qfrc_applied, 1 / PHYSICS_HZ
-    for step in range(steps):
-        advance(
-            step, CONTROL_EVERY, qpos, qvel, memory, tables.plane, tables.gains, tables.mixer, tables.rotors,
-            reference.track, wind, log, dt, force,
-        )  # fmt: skip
+    fixed: tuple[Any, ...] = (
+        memory, tables.plane, tables.gains, tables.mixer, tables.rotors, reference.track, wind, log, dt,
+    )  # fmt: skip
+    model, data = around.model, around.data
+    state, push = (data.qpos, data.qvel), data.qfrc_applied
+    for step in range(last + 1):
+        if step % CONTROL_EVERY == 0 and around.look(step // CONTROL_EVERY):
+            model, data = around.model, around.data
+            state, push = (data.qpos, data.qvel), data.qfrc_applied
+        control_and_push(step, CONTROL_EVERY, *state, *fixed, push)
         mujoco.mj_step(model, data)
+        if around.near and data.ncon:
+            around.note(step // CONTROL_EVERY)
+            if on_contact == "raise" and scene is not None:
+                raise Collision(f"the vehicle hit {_contact(around.touches[0], scene)}")
         if progress is not None and step % PHYSICS_HZ == 0:
-            progress(step / steps)
+            progress(step / (last + 1))
     if progress is not None:
         progress(1.0)
     return log
 
 
-def _trajectory(log: Floats, rate_hz: float) -> Trajectory:
-    quat = log[:, [4, 5, 6, 3]]
-    t_ns = even_times(CONTROL_HZ, count=len(log))
-    whole = Trajectory(t_ns, log[:, :3], quat, log[:, 7:10], log[:, 10:13])
-    return whole.resampled(rate_hz)
+def _contact(touch: Touch, scene: Scene) -> Contact:
+    period = 1e9 / CONTROL_HZ
+    name = scene.objects[touch.owner].name
+    return Contact(round(touch.step * period), round(touch.last * period), touch.point, name, touch.speed)
+
+
+def _result(
+    table: Floats, reference: Reference, contacts: tuple[Contact, ...], rate_hz: float
+) -> tuple[Trajectory, FlightLog]:
+    t_ns = even_times(CONTROL_HZ, count=len(table))
+    whole = Trajectory(t_ns, table[:, :3], table[:, [4, 5, 6, 3]], table[:, 7:10], table[:, 10:13])
+    flown = whole.resampled(rate_hz)
+    wanted = np.stack([np.interp(flown.t_ns, t_ns, reference.track[:, k]) for k in range(3)], axis=1)
+    rotors = np.stack([np.interp(flown.t_ns, t_ns, column) for column in table[:, 13:].T], axis=1)
+    error = np.linalg.norm(flown.position - wanted, axis=1)
+    return flown, FlightLog(contacts, flown.t_ns, wanted, error, rotors)
+
+
+def _checked(wind_m_s: Sequence[float], gust_m_s: float, rate_hz: float, on_contact: str) -> Floats:
+    wind = np.asarray(wind_m_s, float)
+    if wind.shape != (3,) or not np.isfinite(wind).all() or np.linalg.norm(wind) > 60:
+        raise InputError(f"wind_m_s is {wind_m_s}", where="fly", allowed="three finite numbers, at most 60 m/s")
+    if not (math.isfinite(gust_m_s) and 0 <= gust_m_s <= 30):
+        raise InputError(f"gust_m_s is {gust_m_s}", where="fly", allowed="0 .. 30")
+    if not (math.isfinite(rate_hz) and 0 < rate_hz <= 1e4):
+        raise InputError(f"rate_hz is {rate_hz}", where="fly", allowed="above 0, at most 10000")
+    if on_contact not in ("record", "raise"):
+        raise InputError(f"on_contact is {on_contact!r}", where="fly", allowed='"record", "raise"')
+    return wind
+
+
+def _start(start: ArrayLike | None) -> tuple[Floats | None, float]:
+    if start is None:
+        return None, 0.0
+    place = np.asarray(start, float)
+    if place.shape not in ((3,), (4,)) or not np.isfinite(place).all():
+        raise InputError(f"start is {start}", where="fly", allowed="x, y, z [m], and yaw [deg] or not, all finite")
+    return place[:3], float(place[3]) if len(place) == 4 else 0.0
+
+
+def _clear(mission: Waypoints, place: Floats | None, frame: Airframe, scene: Scene, parts: list[Body]) -> None:
+    """Refuses a start or waypoint inside a solid or nearer to a surface than the vehicle reaches, level."""
+    spots = [(f"waypoint {i}", point) for i, point in enumerate(mission.points)]
+    if place is not None:
+        spots.insert(0, ("the start", place))
+    squash = frame.radius_m / frame.half_height_m
+    for part in parts:
+        checked = spots if part.motion is None else spots[:1]  # where a moving thing will be later is not known here
+        solids = Solids(part)
+        local = [into(part, point, 0) for _, point in checked]
+        held = [solids.holding(point) for point in local]
+        around_all = set.intersection(*held) if part.motion is None else set()
+        if around_all:
+            names = ", ".join(sorted({scene.objects[owner].name for _, owner in around_all}))
+            warnings.warn(
+                f"the whole mission is inside {names}, taken for the hull of a tank", UllageWarning, stacklevel=4
+            )
+        for (what, point), here, inside in zip(checked, local, held, strict=True):
+            where = f"{what} at ({', '.join(f'{v:.2f}' for v in point)}) m"
+            for _, owner in inside - around_all:
+                raise InputError(f"{where} is inside {scene.objects[owner].name!r}", where="fly")
+            index, gap, near = part.gaps(here, frame.radius_m, squash=squash)
+            if len(gap) and gap.min() < frame.radius_m:
+                best = int(gap.argmin())
+                name = scene.objects[part.owner_of(int(index[best]))].name
+                raise InputError(
+                    f"{where} is {np.linalg.norm(near[best] - here):.2f} m from {name!r}", where="fly",
+                    allowed=f"{frame.radius_m:.2f} m to the side, {frame.half_height_m:.2f} m up and down",
+                )  # fmt: skip

@@ -65,7 +65,7 @@ class Wander(Spec):
     pace_s: float = Field(0.9, ge=0.2, le=60, description="correlation time")
     seed: int = Field(0, ge=0)
 
-    def at(self, t_s: Floats) -> Floats:
+    def at(self, t_s: ArrayLike) -> Floats:
         """Offset in x, y, z [m] and yaw [rad] with three derivatives: (4 derivatives, n, 4 axes)."""
         sizes = (self.lateral_m, self.lateral_m, self.vertical_m, np.radians(self.yaw_deg))
         axes = [
