@@ -299,6 +299,26 @@ def _facet_edge(edge_m: float | None, radius: float, area: float, where: str) ->
     return edge
 
 
+def hold(length_m: float = 30.0, width_m: float = 20.0, height_m: float = 12.0, **changes: float) -> Scene:
+    """A bulk carrier's cargo hold of steel; x forward, y to port, inner bottom at z = 0, x = 0 midway.
+
+    Args:
+        length_m: between the bulkheads [m].
+        width_m: between the side shells [m].
+        height_m: from inner bottom to deck [m].
+        **changes: other numbers of a `HoldPlan`, such as frame_spacing_m, hopper_deg, corrugation_m.
+
+    Raises:
+        InputError: a size is too small, a number not finite, or a name unknown.
+    """
+    from ullage.world.hold import hold_parts, hold_plan
+    from ullage.world.solids import scene_of
+
+    return scene_of(
+        hold_parts(hold_plan(length_m=length_m, width_m=width_m, height_m=height_m, **changes)), name="hold"
+    )
+
+
 def __getattr__(name: str) -> Callable[[], Scene]:
     """The shipped worlds under their Python names: `scenes.ntnu_room()`."""
     from ullage.world import library

@@ -1,0 +1,267 @@
+"""Pictures of worlds: a cutaway seen from a corner, with true hiding, and a plan in metres with the flight in it.
+
+The picture is cast ray by ray, so that nothing is drawn in the wrong order; what stands between the eye and the inside
+(near walls, roof) is left out by starting the rays behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+from ullage.world.section import section
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+COLORS = {
+    "steel": "#8fa3b5", "pec": "#8fa3b5", "aluminium": "#b9c4cf", "concrete": "#d9d5cc", "wood": "#c49a6c",
+    "glass": "#9fd3e6", "plastic": "#f0f0ea", "rubber": "#3c3c40", "skin": "#e0a98a", "brick": "#b5654a",
+    "plasterboard": "#ece8df", "gypsum": "#ece8df", "ground": "#b8a88a",
+}  # fmt: skip
+"""Colours of materials, as hex; what is not named here is grey."""
+CLEAR = ("glass",)
+"""Materials that one sees through."""
+LIGHT = np.array([-0.35, -0.55, 0.76])
+PATH_COLOR = "#d1495b"
+_BACKGROUND = np.array([1.0, 1.0, 1.0])
+
+
+def world_picture(
+    scene: Scene,
+    path: str | Path | None = None,
+    *,
+    elevation_deg: float = 35.0,
+    azimuth_deg: float = -60.0,
+    cut_height_m: float | None = None,
+    cut_side_m: float = 0.3,
+    plan_height_m: float | None = None,
+    waypoints: ArrayLike | None = None,
+    title: str = "",
+    colors: Sequence[str] | None = None,
+) -> Figure:
+    """A cutaway view and a plan of a world.
+
+    Args:
+        scene: what to draw.
+        path: PNG file to write, or None.
+        elevation_deg: height of the eye over the horizon [deg].
+        azimuth_deg: where the eye stands, seen from the middle; 0 is +x, 90 is +y [deg].
+        cut_height_m: what lies above is left out [m]; None: nothing is.
+        cut_side_m: what lies this near to the sides that face the eye is left out [m].
+        plan_height_m: height of the plan's section [m]; None: a third of the way up.
+        waypoints: the flight (n, 3 or more) [m], drawn into both.
+        title: text over the picture.
+        colors: a colour for each object; None: by material.
+
+    Returns:
+        The figure.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    low, high = scene.bounds
+    top = float(high[2]) if cut_height_m is None else cut_height_m
+    figure = Figure(figsize=(11.0, 4.9), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    paint = _Paint(scene, colors)
+    box = np.array([low, [high[0], high[1], top]])
+    eye = _Eye.looking(box, elevation_deg, azimuth_deg)
+    route = None if waypoints is None else np.asarray(waypoints, float)[:, :3]
+    _draw_view(left, paint, eye, _inside(box, eye.toward, cut_side_m), route)
+    level = float(low[2] + (high[2] - low[2]) / 3) if plan_height_m is None else plan_height_m
+    _draw_plan(right, scene, paint, box, level, route)
+    if title:
+        figure.suptitle(title)
+    if path is not None:
+        target = Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        draft = target.with_name(f".{target.name}")
+        figure.savefig(draft, dpi=100, format="png", pil_kwargs={"optimize": True})
+        _fewer_colors(draft)
+        draft.replace(target)
+    return figure
+
+
+class _Eye:
+    """A parallel view: picture axes right and up, and the direction of sight."""
+
+    def __init__(self, toward: Floats, right: Floats, up: Floats, box: Floats, width_px: int) -> None:
+        self.toward, self.right, self.up = toward, right, up
+        corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
+        seen = self.project(corners)
+        margin = 0.02 * np.ptp(seen[:, 0])
+        self.extent = (
+            seen[:, 0].min() - margin,
+            seen[:, 0].max() + margin,
+            seen[:, 1].min() - margin,
+            seen[:, 1].max() + margin,
+        )
+        self.back = float((corners @ toward).min()) - 1.0
+        self.pixel = (self.extent[1] - self.extent[0]) / width_px
+        self.shape = (round((self.extent[3] - self.extent[2]) / self.pixel), width_px)
+
+    @classmethod
+    def looking(cls, box: Floats, elevation_deg: float, azimuth_deg: float, *, width_px: int = 1500) -> _Eye:
+        e, a = np.radians([elevation_deg, azimuth_deg])
+        toward = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        right = np.array([-np.sin(a), np.cos(a), 0.0])
+        return cls(toward, right, np.cross(right, toward), box, width_px)
+
+    def project(self, points: Floats) -> Floats:
+        """Points (n, 3) in the picture (n, 2) [m]."""
+        return np.stack([points @ self.right, points @ self.up], axis=-1)
+
+    def origins(self) -> Floats:
+        """Where the rays of all pixels start (h w, 3), top row first."""
+        rows, columns = self.shape
+        u = self.extent[0] + (np.arange(columns) + 0.5) * self.pixel
+        v = self.extent[3] - (np.arange(rows) + 0.5) * self.pixel
+        flat = u[None, :, None] * self.right + v[:, None, None] * self.up
+        return np.asarray((flat + self.back * self.toward).reshape(-1, 3))
+
+
+def _inside(box: Floats, toward: Floats, side_m: float) -> list[tuple[Floats, float]]:
+    """Half-spaces n.x <= d that hold what is drawn: below the cut, and behind the near sides."""
+    keep = [(np.array([0.0, 0.0, 1.0]), float(box[1, 2]) + 1e-3)]
+    for axis in (0, 1):
+        if abs(toward[axis]) > 1e-6 and side_m > 0:
+            sign = -np.sign(toward[axis])
+            edge = box[1, axis] if sign > 0 else -box[0, axis]
+            keep.append((sign * np.eye(3)[axis], float(edge) - side_m))
+    return keep
+
+
+class _Paint:
+    """The scene as rays see it: what is clear and what is not, and the colour of each face and wire."""
+
+    def __init__(self, scene: Scene, colors: Sequence[str] | None) -> None:
+        from matplotlib.colors import to_rgb
+
+        names = [thing.material.name for thing in scene.objects]
+        chosen = [COLORS.get(name, "#b4b4b4") for name in names] if colors is None else list(colors)
+        self.rgb = np.array([to_rgb(c) for c in chosen]).reshape(-1, 3)
+        clear = np.array([name in CLEAR for name in names], bool)
+        self.all = Raycaster(scene, wires=True)
+        solid = Scene(
+            scene.vertices, scene.faces[~clear[scene.face_object]], scene.face_object[~clear[scene.face_object]],
+            scene.objects, scene.wires, scene.name,
+        )  # fmt: skip
+        self.solid = Raycaster(solid, wires=True) if clear.any() else self.all
+
+    def picture(self, eye: _Eye, keep: list[tuple[Floats, float]]) -> tuple[Floats, Floats]:
+        """Colours (h, w, 3) and depths (h, w) along the sight [m], inf where nothing is."""
+        start = eye.origins()
+        ahead = np.zeros(len(start))
+        for normal, edge in keep:
+            rate = float(normal @ eye.toward)
+            if rate < -1e-9:
+                ahead = np.maximum(ahead, (edge - start @ normal) / rate)
+        start = start + ahead[:, None] * eye.toward
+        color, depth = self._seen(self.solid, start, eye.toward)
+        if self.solid is not self.all:
+            tint, near = self._seen(self.all, start, eye.toward)
+            front = near < depth - 1e-6
+            color[front] = 0.65 * color[front] + 0.35 * tint[front]
+        edges = _edges(depth.reshape(eye.shape), eye.pixel)
+        shown = color.reshape(*eye.shape, 3) * np.where(edges, 0.45, 1.0)[..., None]
+        return shown, (depth + ahead).reshape(eye.shape)
+
+    def _seen(self, caster: Raycaster, start: Floats, toward: Floats) -> tuple[Floats, Floats]:
+        face, depth = caster.hits(start, np.broadcast_to(toward, start.shape))
+        hit = np.flatnonzero(face >= 0)
+        color = np.tile(_BACKGROUND, (len(start), 1))
+        ids = face[hit]
+        real = ids < len(caster.normals)
+        normal = np.tile(-toward, (len(hit), 1))
+        normal[real] = caster.normals[ids[real]]
+        normal *= np.where(normal @ toward > 0, -1.0, 1.0)[:, None]
+        point = start[hit] + depth[hit, None] * toward + 1e-3 * normal
+        bright = 0.62 + 0.38 * np.clip(normal @ (LIGHT / np.linalg.norm(LIGHT)), -0.4, 1)
+        shade = bright * (0.45 + 0.55 * _openness(caster, point, normal))
+        color[hit] = self.rgb[caster.owner[ids]] * shade[:, None]
+        return color, depth
+
+
+def _openness(caster: Raycaster, point: Floats, normal: Floats, *, reach_m: float = 1.5) -> Floats:
+    """How free each point is of things near it, 0 to 1: corners come out darker."""
+    turn = np.arange(10) * 2.39996  # a sunflower over the half sphere
+    z = np.sqrt((np.arange(10) + 0.5) / 10)
+    local = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
+    side = np.cross(normal, np.where(abs(normal[:, 2:]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]]))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(normal, side)
+    free = np.zeros(len(point))
+    for x, y, w in local:
+        _, far = caster.hits(point, x * side + y * other + w * normal)
+        free += np.minimum(far / reach_m, 1.0)
+    return free / len(local)
+
+
+def _edges(depth: Floats, pixel: float) -> NDArray[np.bool_]:
+    """Where the depth jumps or the surface bends, from second differences."""
+    far = np.nan_to_num(depth, posinf=1e4)
+    out = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        bend = abs(np.diff(far, n=2, axis=axis))
+        core = out[1:-1] if axis == 0 else out[:, 1:-1]
+        core |= bend > 0.9 * pixel
+    return out
+
+
+def _draw_view(axes: Any, paint: _Paint, eye: _Eye, keep: list[tuple[Floats, float]], route: Floats | None) -> None:
+    picture, depth = paint.picture(eye, keep)
+    axes.imshow(np.clip(picture, 0, 1), extent=eye.extent, interpolation="antialiased")
+    if route is not None:
+        _draw_route(axes, eye, depth, route)
+    span = eye.extent[1] - eye.extent[0]
+    bar = max(step for step in (0.5, 1, 2, 5, 10, 20, 50) if step < span / 4)
+    x, y = eye.extent[0] + 0.03 * span, eye.extent[2] + 0.01 * span
+    axes.plot([x, x + bar], [y, y], color="black", lw=3, solid_capstyle="butt")
+    axes.text(x + bar / 2, y + 0.008 * span, f"{bar:g} m", ha="center", va="bottom", fontsize=9)
+    axes.set_axis_off()
+
+
+def _draw_route(axes: Any, eye: _Eye, depth: Floats, route: Floats) -> None:
+    """The flight as a line, faint where something stands before it."""
+    fine = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(route)])
+    spot = eye.project(fine)
+    column = np.clip(((spot[:, 0] - eye.extent[0]) / eye.pixel).astype(int), 0, eye.shape[1] - 1)
+    row = np.clip(((eye.extent[3] - spot[:, 1]) / eye.pixel).astype(int), 0, eye.shape[0] - 1)
+    hidden = fine @ eye.toward - eye.back > depth[row, column] + 0.05
+    axes.plot(*spot.T, color=PATH_COLOR, lw=1.0, alpha=0.35)
+    axes.plot(*np.where(hidden[:, None], np.nan, spot).T, color=PATH_COLOR, lw=1.6)
+    axes.plot(*spot[0], "o", color=PATH_COLOR, ms=5)
+
+
+def _draw_plan(axes: Any, scene: Scene, paint: _Paint, box: Floats, level: float, route: Floats | None) -> None:
+    from matplotlib.collections import LineCollection
+
+    above = _Eye(np.array([0, 0, -1.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), box, 900)
+    picture, _ = paint.picture(above, [(np.array([0.0, 0.0, 1.0]), level)])
+    axes.imshow(np.clip(0.35 + 0.65 * picture, 0, 1), extent=above.extent, interpolation="antialiased")
+    axes.add_collection(LineCollection(list(section(scene, level)), colors="black", linewidths=0.9))
+    if route is not None:
+        axes.plot(route[:, 0], route[:, 1], color=PATH_COLOR, lw=1.4)
+        axes.plot(*route[0, :2], "o", color=PATH_COLOR, ms=5)
+    axes.set(xlabel="x, east [m]", ylabel="y, north [m]", title=f"cut at z = {level:g} m", aspect="equal")
+    axes.title.set_fontsize(9)
+
+
+def _fewer_colors(file: Path) -> None:
+    """Rewrite a PNG with a palette of 256 colours: a third of the size."""
+    from PIL import Image
+
+    with Image.open(file) as whole:
+        small = whole.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    small.save(file, format="PNG", optimize=True)
