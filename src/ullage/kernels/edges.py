@@ -1,0 +1,289 @@
+"""Loops of physical optics on large flat faces, by the boundary: specular point plus integrals along the edges.
+
+The Kirchhoff integral over a plane face equals the mirror image's wave where the line from image to receiver crosses
+the face, less a line integral along its rim [MiyamotoWolf1962]. With phi the angle around that line,
+the rim's share is -(1 / 4 pi) of the integral of e^{-jk(r + s)} K / (r s) dphi, K = 2 L rho^2 / ((r + s)^2 - L^2),
+which is smooth even where the line meets the rim. A piece of edge whose delay is nearly linear in phi has a closed form.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ullage.kernels.facets import _late, _lay, _reflection, _te_share, toward
+
+C0 = 299_792_458.0
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def mirror(point, normal, offset, out):
+    """The mirror image of a point in the plane normal . x = offset."""
+    gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
+    for k in range(3):
+        out[k] = point[k] - gap * normal[k]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _spot(p, q, share, source, image, axis, length, out):
+    """Point at `share` of the edge p-q: its place, path length, weight K / (r s) and offset from the axis."""
+    along, r2, s2 = 0.0, 0.0, 0.0
+    for k in range(3):
+        out[k] = p[k] + share * (q[k] - p[k])
+        from_image = out[k] - image[k]
+        along += from_image * axis[k]
+        r2 += from_image * from_image
+        s2 += (out[k] - source[k]) ** 2
+    rho2 = 0.0
+    for k in range(3):
+        out[5 + k] = out[k] - image[k] - along * axis[k]
+        rho2 += out[5 + k] * out[5 + k]
+    r, s = max(math.sqrt(r2), 1e-4), max(math.sqrt(s2), 1e-4)
+    out[3] = r + s
+    excess = (r + s) * (r + s) - length * length
+    weight = 2 * length * rho2 / excess if rho2 > 1e-9 * r2 else 2 * r * s / length
+    out[4] = weight / (r * s)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _turn(u, v, axis):
+    """Angle from u to v around the axis."""
+    cross = (
+        axis[0] * (u[6] * v[7] - u[7] * v[6])
+        + axis[1] * (u[7] * v[5] - u[5] * v[7])
+        + axis[2] * (u[5] * v[6] - u[6] * v[5])
+    )
+    return math.atan2(cross, u[5] * v[5] + u[6] * v[6] + u[7] * v[7])
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, omega, pieces, owner, windings):
+    """Cuts the rims of faces within the gate until each piece's delay is nearly linear in phi.
+
+    Args:
+        patches: (k) the faces to do.
+        spheres: (p, 4) centre and radius of each face [m].
+        normals: (p, 3) unit normals.
+        offsets: (p) planes normal . x = offset [m].
+        first: (p + 1) index of each face's first edge.
+        starts: (e, 3) edge starts, counter-clockwise about the normal [m].
+        ends: (e, 3) edge ends [m].
+        origins: (2, 3) transmitter and receiver, or their images [m].
+        gate: (2) least and greatest mean range [m].
+        omega: carrier [rad/s].
+        pieces: (m, 12) gets start, end (6), path lengths (2), weights (2), angle, early delay as length.
+        owner: (m) gets the face of each piece.
+        windings: (k) gets the turns of the rim around the line image - receiver; NaN where there is no echo.
+
+    Returns:
+        How many pieces there are; only the first m are written.
+    """
+    count = 0
+    image, axis = np.empty(3), np.empty(3)
+    stack = np.empty((64, 2))
+    a, b, m = np.empty(8), np.empty(8), np.empty(8)
+    wave = omega / C0
+    for i in range(len(patches)):
+        p = patches[i]
+        windings[i] = np.nan
+        ahead, behind, near, far = -offsets[p], -offsets[p], 0.0, 0.0
+        for k in range(3):
+            ahead += normals[p, k] * origins[0, k]
+            behind += normals[p, k] * origins[1, k]
+            near += (spheres[p, k] - origins[0, k]) ** 2
+            far += (spheres[p, k] - origins[1, k]) ** 2
+        r = 0.5 * (math.sqrt(near) + math.sqrt(far))
+        if r - spheres[p, 3] > gate[1] or r + spheres[p, 3] < gate[0]:
+            continue
+        if ahead * behind <= 0 or min(abs(ahead), abs(behind)) < 1e-4:
+            continue
+        mirror(origins[0], normals[p], offsets[p], image)
+        length = 0.0
+        for k in range(3):
+            axis[k] = origins[1, k] - image[k]
+            length += axis[k] * axis[k]
+        length = math.sqrt(length)
+        facing = 0.0
+        for k in range(3):
+            axis[k] /= length
+            facing += axis[k] * normals[p, k]
+        sign = 1.0 if facing > 0 else -1.0
+        winding = 0.0
+        for e in range(first[p], first[p + 1]):
+            size = 0.0
+            for k in range(3):
+                size += (ends[e, k] - starts[e, k]) ** 2
+            size = math.sqrt(size)
+            stack[0, 0], stack[0, 1] = 0.0, 1.0
+            top = 1
+            while top > 0:
+                top -= 1
+                s0, s1 = stack[top, 0], stack[top, 1]
+                half = 0.5 * (s0 + s1)
+                _spot(starts[e], ends[e], s0, origins[1], image, axis, length, a)
+                _spot(starts[e], ends[e], s1, origins[1], image, axis, length, b)
+                _spot(starts[e], ends[e], half, origins[1], image, axis, length, m)
+                turn = _turn(a, b, axis)
+                part = _turn(a, m, axis) / turn if abs(turn) > 1e-15 else 0.5
+                bend = m[3] - a[3] - part * (b[3] - a[3])
+                wide = wave * abs(bend) > 0.3 or (s1 - s0) * size > 0.2 * m[3]
+                if wide and abs(turn) > 2e-4 and top < 62:
+                    stack[top, 0], stack[top, 1] = s0, half
+                    stack[top + 1, 0], stack[top + 1, 1] = half, s1
+                    top += 2
+                    continue
+                winding += turn
+                if 0.5 * min(a[3], b[3]) > gate[1]:
+                    continue
+                if count < len(pieces):
+                    for k in range(3):
+                        pieces[count, k], pieces[count, 3 + k] = a[k], b[k]
+                    pieces[count, 6], pieces[count, 7] = a[3], b[3]
+                    pieces[count, 8], pieces[count, 9] = a[4], b[4]
+                    pieces[count, 10] = sign * turn
+                    round_part = part * (1 - part)
+                    pieces[count, 11] = bend / (6 * round_part) if round_part > 0.04 else 0.0
+                    owner[count] = p
+                count += 1
+        windings[i] = sign * winding / (2 * math.pi)
+    return count
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _weight(p, normal, origins, frames, fields, table, flat, gamma, stuff, tap):
+    """Antenna gains and reflection coefficient at a point of a face."""
+    g, cosine, share = 1.0, 0.0, 0.5
+    for s in range(2):
+        dx, dy, dz = p[0] - origins[s, 0], p[1] - origins[s, 1], p[2] - origins[s, 2]
+        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
+        ux, uy, uz = dx / r, dy / r, dz / r
+        cosine += 0.5 * abs(ux * normal[0] + uy * normal[1] + uz * normal[2])
+        g *= toward(table, flat, frames[s], ux, uy, uz)
+        if s == 0:
+            share = _te_share(fields[0], ux, uy, uz, normal)
+    return g * _reflection(gamma, stuff, tap, cosine, share), cosine
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lay_line(bulk, ends, w0, w1, x0, x1, place0, place1, scale):
+    """Echo of a line of unit measure with amplitude and phase linear along it; gives it at the carrier."""
+    z = x1 - x0
+    if abs(z) < 0.9:
+        mean, half = 0.5 * (w0 + w1), 0.5 * (w1 - w0)
+        y = 0.5 * z
+        y2 = y * y
+        value = mean * (1 - y2 / 6 + y2 * y2 / 120) - 1j * half * y / 3 * (1 - y2 / 10)
+        middle = 0.5 * (x0 + x1)
+        value *= scale * complex(math.cos(middle), -math.sin(middle))
+        _lay(bulk, 0.5 * (place0 + place1), value)
+        return value
+    i = 1j / z
+    slope = (w1 - w0) / (z * z)
+    at0 = scale * complex(math.cos(x0), -math.sin(x0)) * (-i * w0 - slope)
+    at1 = scale * complex(math.cos(x1), -math.sin(x1)) * (i * w1 + slope)
+    _lay(ends, place0, at0)
+    _lay(ends, place1, at1)
+    return at0 + at1
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
+             gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+    """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`, `factor` multiplies all."""
+    scale = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi) * factor
+    last = t0 + grids.shape[1] * dt
+    for k in range(len(pieces)):
+        echo[k], delay[k] = 0j, 0.0
+        if shade[k] == 0:
+            continue
+        p, n, stuff = pieces[k], normals[owner[k]], stuffs[owner[k]]
+        for tap in range(gamma.shape[1]):
+            if lag[stuff, tap, 0] < 0:
+                break
+            w0, c0 = _weight(p[:3], n, origins, frames, fields, table, flat, gamma, stuff, tap)
+            w1, c1 = _weight(p[3:6], n, origins, frames, fields, table, flat, gamma, stuff, tap)
+            late = extra[k] + _late(lag, stuff, tap, 0.5 * (c0 + c1))
+            mean = (0.5 * (p[6] + p[7]) + p[11]) / C0 + late
+            landed = mean - math.floor((mean - t0) / fold) * fold
+            if tap == 0:
+                delay[k] = mean
+            shift = p[11] / C0 + late + landed - mean
+            while landed < last:
+                a, b = p[6] / C0 + shift, p[7] / C0 + shift
+                value = lay_line(grids[1], grids[2], p[8] * w0, p[9] * w1, omega * a, omega * b, (a - t0) / dt, (b - t0) / dt,
+                                 scale * p[10] * shade[k])  # fmt: skip
+                landed += fold
+                shift += fold
+            echo[k] += value
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
+                gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+    """Lays the specular echoes of faces: unit image waves at (m, 3) points with (m) path lengths [m]."""
+    scale = (2 * math.pi * C0 / omega) / (4 * math.pi) * factor
+    last = t0 + grids.shape[1] * dt
+    for k in range(len(points)):
+        echo[k], delay[k] = 0j, 0.0
+        if shade[k] == 0:
+            continue
+        n, stuff = normals[owner[k]], stuffs[owner[k]]
+        for tap in range(gamma.shape[1]):
+            if lag[stuff, tap, 0] < 0:
+                break
+            w, cosine = _weight(points[k], n, origins, frames, fields, table, flat, gamma, stuff, tap)
+            late = extra[k] + _late(lag, stuff, tap, cosine)
+            mean = lengths[k] / C0 + late
+            landed = mean - math.floor((mean - t0) / fold) * fold
+            if tap == 0:
+                delay[k] = mean
+            while landed < last:
+                value = scale * w * shade[k] / lengths[k] * complex(math.cos(omega * landed), -math.sin(omega * landed))
+                _lay(grids[1], (landed - t0) / dt, value)
+                landed += fold
+            echo[k] += value
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def crossings(patches, windings, normals, offsets, origins, points, lengths):
+    """Where the lines from image to receiver cross the faces that hold them: points (k, 3) and lengths (k) [m].
+
+    Returns:
+        How many there are; `patches` is compacted to match, in place.
+    """
+    count = 0
+    image = np.empty(3)
+    for i in range(len(patches)):
+        if not windings[i] > 0.5:
+            continue
+        p = patches[i]
+        mirror(origins[0], normals[p], offsets[p], image)
+        ahead, behind, square = -offsets[p], offsets[p], 0.0
+        for k in range(3):
+            ahead += normals[p, k] * origins[1, k]
+            behind -= normals[p, k] * image[k]
+            square += (origins[1, k] - image[k]) ** 2
+        share = behind / (ahead + behind)
+        for k in range(3):
+            points[count, k] = image[k] + share * (origins[1, k] - image[k])
+        lengths[count] = math.sqrt(square)
+        patches[count] = p
+        count += 1
+    return count
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def inside(points, owner, normals, first, starts, ends, out):
+    """Whether each point (m, 3) lies within the rim of its face (m)."""
+    for i in range(len(points)):
+        p = owner[i]
+        n = normals[p]
+        turn = 0.0
+        for e in range(first[p], first[p + 1]):
+            ux, uy, uz = starts[e, 0] - points[i, 0], starts[e, 1] - points[i, 1], starts[e, 2] - points[i, 2]
+            vx, vy, vz = ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1], ends[e, 2] - points[i, 2]
+            cross = n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
+            turn += math.atan2(cross, ux * vx + uy * vy + uz * vz)
+        out[i] = abs(turn) > math.pi

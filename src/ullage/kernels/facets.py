@@ -1,0 +1,382 @@
+"""Loops of physical optics on triangles: culling and splitting, closed-form echoes, convolution with the pulse.
+
+A flat triangle whose delay is taken linear across it is a sum of a few impulses, each of one spectral kind n = 0, 1, 2
+(bulk, edge, vertex), whose spectrum falls as frequency^-n. Impulses are laid on one fine delay grid per kind with a
+cubic B-spline, demodulated at the carrier; one short convolution per kind then makes the range bins.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+C0 = 299_792_458.0
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def split(spheres, first, corners, origins, gate, kappa_lambda, reach, leaves, owner):
+    """Cut the triangles within the gate until each is small against the Fresnel zone.
+
+    Args:
+        spheres: (k, 4) centre and radius of each cluster of triangles [m].
+        first: (k + 1) index of each cluster's first triangle.
+        corners: (f, 3, 3) triangles [m].
+        origins: (2, 3) transmitter and receiver, or their images [m].
+        gate: (2) least and greatest mean range [m].
+        kappa_lambda: largest squared transverse edge over range [m].
+        reach: longest edge over range.
+        leaves: (m, 3, 3) gets the pieces [m].
+        owner: (m) gets the index of each piece's triangle.
+
+    Returns:
+        How many pieces there are; only the first m are written.
+    """
+    stack = np.empty((96, 3, 3))
+    count = 0
+    for k in range(len(spheres)):
+        r = _mean_range(spheres[k, 0], spheres[k, 1], spheres[k, 2], origins)
+        if r - spheres[k, 3] > gate[1] or r + spheres[k, 3] < gate[0]:
+            continue
+        for face in range(first[k], first[k + 1]):
+            stack[0] = corners[face]
+            top = 1
+            while top > 0:
+                top -= 1
+                edge = _longest(stack[top], origins, gate, kappa_lambda, reach)
+                if edge == -2:
+                    continue
+                if edge == -1 or top > 92:
+                    if count < len(leaves):
+                        leaves[count] = stack[top]
+                        owner[count] = face
+                    count += 1
+                    continue
+                _halve(stack, top, edge)
+                top += 2
+    return count
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _mean_range(x, y, z, origins):
+    a = math.sqrt((x - origins[0, 0]) ** 2 + (y - origins[0, 1]) ** 2 + (z - origins[0, 2]) ** 2)
+    b = math.sqrt((x - origins[1, 0]) ** 2 + (y - origins[1, 1]) ** 2 + (z - origins[1, 2]) ** 2)
+    return 0.5 * (a + b)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _longest(t, origins, gate, kappa_lambda, reach):
+    """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
+    cx, cy, cz = (
+        (t[0, 0] + t[1, 0] + t[2, 0]) / 3,
+        (t[0, 1] + t[1, 1] + t[2, 1]) / 3,
+        (t[0, 2] + t[1, 2] + t[2, 2]) / 3,
+    )
+    r = _mean_range(cx, cy, cz, origins)
+    dx, dy, dz = cx - origins[0, 0], cy - origins[0, 1], cz - origins[0, 2]
+    unit = 1.0 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    longest, which, across = 0.0, 0, 0.0
+    for e in range(3):
+        f = (e + 1) % 3
+        ex, ey, ez = t[f, 0] - t[e, 0], t[f, 1] - t[e, 1], t[f, 2] - t[e, 2]
+        square = ex * ex + ey * ey + ez * ez
+        along = (ex * dx + ey * dy + ez * dz) * unit
+        across = max(across, square - along * along)
+        if square > longest * 1.000001:  # equal edges: always the same one, so that pieces nest
+            longest, which = square, e
+    size = math.sqrt(longest)
+    if r - 0.67 * size > gate[1] or r + 0.67 * size < gate[0]:
+        return -2
+    near = max(r, 0.05)
+    if across > kappa_lambda * near or size > reach * near:
+        return which
+    return -1
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _halve(stack, top, edge):
+    a, b, c = edge, (edge + 1) % 3, (edge + 2) % 3
+    for k in range(3):
+        pa, pb, pc = stack[top, a, k], stack[top, b, k], stack[top, c, k]
+        middle = 0.5 * (pa + pb)
+        stack[top, 0, k], stack[top, 1, k], stack[top, 2, k] = pa, middle, pc
+        stack[top + 1, 0, k], stack[top + 1, 1, k], stack[top + 1, 2, k] = middle, pb, pc
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lookup(table, x, y, z):
+    """One-way amplitude gain towards (x, y, z), in the sensor's frame, from a (6, m, m) cube of directions."""
+    ax, ay, az = abs(x), abs(y), abs(z)
+    if ax >= ay and ax >= az:
+        face, a, b, m = (0 if x > 0 else 1), y, z, ax
+    elif ay >= az:
+        face, a, b, m = (2 if y > 0 else 3), x, z, ay
+    else:
+        face, a, b, m = (4 if z > 0 else 5), x, y, az
+    n = table.shape[1] - 1
+    scale = 0.5 * n / max(m, 1e-300)
+    u, v = min(max(a * scale + 0.5 * n, 0.0), n - 1e-9), min(max(b * scale + 0.5 * n, 0.0), n - 1e-9)
+    i, j = int(u), int(v)
+    u, v = u - i, v - j
+    low = table[face, i, j] * (1 - v) + table[face, i, j + 1] * v
+    high = table[face, i + 1, j] * (1 - v) + table[face, i + 1, j + 1] * v
+    return low * (1 - u) + high * u
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _lay(grid, place, value):
+    """Adds an impulse at a fractional grid place, with a cubic B-spline; outside the grid it is lost."""
+    i = math.floor(place)
+    if i < 1 or i + 2 >= len(grid):
+        return
+    u = place - i
+    v = 1.0 - u
+    grid[i - 1] += value * (v * v * v / 6)
+    grid[i] += value * (2.0 / 3 - 0.5 * u * u * (2 - u))
+    grid[i + 1] += value * (2.0 / 3 - 0.5 * v * v * (2 - v))
+    grid[i + 2] += value * (u * u * u / 6)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lay_triangle(grids, w, x, places, scale):
+    """Echo of one triangle: unit area, complex amplitude `w` and phase `x` [rad] at its corners, both linear between.
+
+    Args:
+        grids: (3, g) one delay grid for each spectral kind.
+        w: (3) complex amplitudes at the corners.
+        x: (3) carrier phase delays of the corners [rad].
+        places: (3) the same delays in grid steps.
+        scale: complex factor.
+
+    Returns:
+        The echo at the carrier, scale included.
+    """
+    d01, d12, d20 = abs(x[0] - x[1]), abs(x[1] - x[2]), abs(x[2] - x[0])
+    if max(d01, d12, d20) < 1.5:
+        return _bulk(grids, w, x, places, scale)
+    least = min(d01, d12, d20)
+    if least < 0.5:
+        if d12 == least:
+            return _strip(grids, w, x, places, scale, 0, 1, 2)
+        if d20 == least:
+            return _strip(grids, w, x, places, scale, 1, 2, 0)
+        return _strip(grids, w, x, places, scale, 2, 0, 1)
+    total = 0j
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        ab, ac = 1.0 / (x[a] - x[b]), 1.0 / (x[a] - x[c])
+        inner = w[a] + 1j * ((w[b] - w[a]) * ab + (w[c] - w[a]) * ac)
+        value = scale * (-2.0 * ab * ac) * inner * complex(math.cos(x[a]), -math.sin(x[a]))
+        _lay(grids[2], places[a], value)
+        total += value
+    return total
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _bulk(grids, w, x, places, scale):
+    """Corners nearly at one delay: the moment series to sixth order."""
+    middle = (x[0] + x[1] + x[2]) / 3
+    y0, y1, y2 = x[0] - middle, x[1] - middle, x[2] - middle
+    p2 = y0 * y0 + y1 * y1 + y2 * y2
+    p3 = y0 * y0 * y0 + y1 * y1 * y1 + y2 * y2 * y2
+    real = 1 - p2 / 24 + p2 * p2 / 1440 - (p2 * p2 * p2 / 8 + p3 * p3 / 9) / 20160
+    imag = p3 / 180 - p2 * p3 / 7560
+    mean = (w[0] + w[1] + w[2]) / 3
+    value = mean * complex(real, imag) - 1j * (w[0] * y0 + w[1] * y1 + w[2] * y2) / 12
+    value *= scale * complex(math.cos(middle), -math.sin(middle))
+    _lay(grids[0], (places[0] + places[1] + places[2]) / 3, value)
+    return value
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _strip(grids, w, x, places, scale, a, b, c):
+    """Corners b and c nearly at one delay, a far from it: strips parallel to bc, integrated exactly along the rest."""
+    z = 0.5 * (x[b] + x[c]) - x[a]
+    eta = 0.5 * (x[c] - x[b])
+    w0 = w[a]
+    w1 = 0.5 * (w[b] + w[c]) - w0
+    w3 = -(eta * eta / 6) * w0 - 1j * (eta / 3) * 0.5 * (w[c] - w[b])
+    i = 1j / z
+    start1 = -i * (-i)
+    start2 = -2 * i * start1
+    start3 = -3 * i * start2
+    rest1 = -i * i
+    rest2 = -2 * i * (i + rest1)
+    rest3 = -3 * i * (i + rest2)
+    near = scale * 2 * complex(math.cos(x[a]), -math.sin(x[a]))
+    far = scale * 2 * complex(math.cos(x[a] + z), -math.sin(x[a] + z))
+    at_a = near * (w0 * start1 + w1 * start2 + w3 * start3)
+    edge = far * i * (w0 + w1 + w3)
+    rest = far * (w0 * rest1 + w1 * rest2 + w3 * rest3)
+    middle = 0.5 * (places[b] + places[c])
+    _lay(grids[2], places[a], at_a)
+    _lay(grids[1], middle, edge)
+    _lay(grids[2], middle, rest)
+    return at_a + edge + rest
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _reflection(gamma, stuff, tap, cosine, across):
+    """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
+    n = gamma.shape[3] - 1
+    u = min(cosine, 0.9999999) * n
+    i = int(u)
+    u -= i
+    te = gamma[stuff, tap, 0, i] * (1 - u) + gamma[stuff, tap, 0, i + 1] * u
+    tm = gamma[stuff, tap, 1, i] * (1 - u) + gamma[stuff, tap, 1, i + 1] * u
+    return across * te + (1 - across) * tm
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _late(lag, stuff, tap, cosine):
+    """Delay of an inner echo from the table over cos(incidence) [s]."""
+    n = lag.shape[2] - 1
+    u = min(cosine, 0.9999999) * n
+    i = int(u)
+    return lag[stuff, tap, i] * (1 - u + i) + lag[stuff, tap, i + 1] * (u - i)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _te_share(e, ux, uy, uz, n):
+    """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
+    sx, sy, sz = uy * n[2] - uz * n[1], uz * n[0] - ux * n[2], ux * n[1] - uy * n[0]
+    eu = e[0] * ux + e[1] * uy + e[2] * uz
+    es = e[0] * sx + e[1] * sy + e[2] * sz
+    square = (sx * sx + sy * sy + sz * sz) * (1 - eu * eu)
+    if square < 1e-12:
+        return 0.5
+    return min(es * es / square, 1.0)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def toward(table, flat, f, ux, uy, uz):
+    """One-way amplitude gain along u in the world, for a sensor_from_world rotation f."""
+    if flat:
+        return table[0, 0, 0]
+    return lookup(
+        table,
+        f[0, 0] * ux + f[0, 1] * uy + f[0, 2] * uz,
+        f[1, 0] * ux + f[1, 1] * uy + f[1, 2] * uz,
+        f[2, 0] * ux + f[2, 1] * uy + f[2, 2] * uz,
+    )
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _corners(p, n, origins, frames, fields, table, flat, base, cosine, tau):
+    """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
+    mono = origins[0, 0] == origins[1, 0] and origins[0, 1] == origins[1, 1] and origins[0, 2] == origins[1, 2]
+    bulge, share = 0.0, 0.5
+    for i in range(3):
+        j = (i + 1) % 3
+        ex, ey, ez = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
+        base[i], cosine[i], tau[i] = 1.0, 0.0, 0.0
+        for s in range(1 if mono else 2):
+            dx, dy, dz = p[i, 0] - origins[s, 0], p[i, 1] - origins[s, 1], p[i, 2] - origins[s, 2]
+            r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
+            ux, uy, uz = dx / r, dy / r, dz / r
+            if s == 0 and i == 0:
+                share = _te_share(fields[0], ux, uy, uz, n)
+            along = ex * ux + ey * uy + ez * uz
+            curve = (ex * ex + ey * ey + ez * ez - along * along) / r
+            c = n[0] * ux + n[1] * uy + n[2] * uz
+            twice = 2 if mono else 1
+            gain = toward(table, flat, frames[s], ux, uy, uz) / r
+            base[i] *= gain * gain if mono else gain
+            if s == 1 and cosine[i] * c <= 0:
+                base[i] = 0.0
+            cosine[i] += 0.5 * twice * c
+            tau[i] += twice * r
+            bulge += twice * curve
+        cosine[i] = abs(cosine[i])
+    ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
+    bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
+    area = 0.5 * math.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+    # the chord lies beyond the curved path by sum(lambda_i lambda_j curve_ij / 2), whose mean is sum / 24
+    return bulge / 24, area, share
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
+            gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+    """Lays the echo of every piece on the delay grids.
+
+    Args:
+        leaves: (m, 3, 3) pieces [m].
+        owner: (m) triangle of each piece.
+        shade: (m) complex two-way factor of what lies between, 0 where hidden.
+        extra: (m) delay added by it [s].
+        normals: (f, 3) unit normals of the triangles.
+        stuffs: (f) material of each triangle.
+        origins: (2, 3) transmitter and receiver [m].
+        frames: (2, 3, 3) sensor_from_world rotations (with mirrors) for both.
+        fields: (2, 3) unit electric fields in the world.
+        table: (6, n, n) one-way amplitude gains.
+        flat: the pattern is the constant table[0, 0, 0].
+        factor: multiplies every echo.
+        gamma: (s, taps, 2, c) complex reflection of each material and tap over cos(incidence), TE and TM.
+        lag: (s, taps, c) delay of each tap [s], negative where there is no such tap.
+        omega: carrier [rad/s].
+        t0: delay of the first grid place [s].
+        dt: grid step [s].
+        fold: delay at which the frame folds [s].
+        grids: (3, g) complex, added to.
+        echo: (m) gets the complex echo of each piece at the carrier.
+        delay: (m) gets its delay [s].
+    """
+    w, x, places = np.zeros(3, np.complex128), np.zeros(3), np.zeros(3)
+    base, cosine, tau = np.zeros(3), np.zeros(3), np.zeros(3)
+    last = t0 + grids.shape[1] * dt
+    for k in range(len(leaves)):
+        echo[k], delay[k] = 0j, 0.0
+        if shade[k] == 0:
+            continue
+        n, stuff = normals[owner[k]], stuffs[owner[k]]
+        early, area, share = _corners(leaves[k], n, origins, frames, fields, table, flat, base, cosine, tau)
+        scale = 1j * area / (4 * math.pi) * shade[k] * factor
+        for tap in range(gamma.shape[1]):
+            if lag[stuff, tap, 0] < 0:
+                break
+            late = extra[k] + _late(lag, stuff, tap, (cosine[0] + cosine[1] + cosine[2]) / 3)
+            mean = (tau[0] + tau[1] + tau[2] - 3 * early) / (3 * C0) + late
+            if tap == 0:
+                delay[k] = mean
+            landed = mean - math.floor((mean - t0) / fold) * fold
+            for i in range(3):
+                w[i] = base[i] * cosine[i] * _reflection(gamma, stuff, tap, cosine[i], share)
+            while landed < last:
+                for i in range(3):
+                    t = (tau[i] - early) / C0 + late + landed - mean
+                    x[i] = omega * t
+                    places[i] = (t - t0) / dt
+                echo[k] += lay_triangle(grids, w, x, places, scale)
+                landed += fold
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def convolve(grids, taps, every, shift, out):
+    """Bins from delay grids: out[m] = sum over kinds and places of taps * grid, `every` places per bin.
+
+    Args:
+        grids: (3, g) complex.
+        taps: (3, h) complex pulse of each kind, centred on index (h - 1) / 2.
+        every: grid places per bin.
+        shift: grid place of bin 0.
+        out: (b) complex, added to.
+    """
+    half = (taps.shape[1] - 1) // 2
+    size = grids.shape[1]
+    for kind in range(3):
+        low, high = 0, size
+        while low < size and grids[kind, low] == 0:
+            low += 1
+        while high > low and grids[kind, high - 1] == 0:
+            high -= 1
+        if low == high:
+            continue
+        for m in range(len(out)):
+            centre = m * every + shift
+            total = 0j
+            for g in range(max(low, centre - half), min(high, centre + half + 1)):
+                total += grids[kind, g] * taps[kind, centre - g + half]
+            out[m] += total

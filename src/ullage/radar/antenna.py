@@ -1,0 +1,142 @@
+"""Antenna patterns: smooth, one-way, in the sensor's own frame (x along the boresight, y left, z up).
+
+The X4A02 dome goes through the values of its data sheet [NoveldaX4A02]: 5.97 dBi at the peak, 3 dB less at 32.5 deg,
+0 dBi near 47.5 deg, between -5 and -8 dBi at 90 deg, a low back lobe.
+"""
+
+from __future__ import annotations
+
+import csv
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.errors import InputError
+from ullage.specs import AntennaSpec
+
+Floats = NDArray[np.float64]
+
+X4A02_DBI = ((0.0, 5.97), (32.5, 2.97), (47.5, 0.0), (90.0, -6.5), (130.0, -11.0), (180.0, -13.0))
+"""Angle off boresight [deg] and gain [dBi]; both main planes are alike. Beyond 90 deg the sheet gives no numbers."""
+_CUBE = 96  # cells along each side of the cube of directions
+
+
+def gain(antenna: AntennaSpec, directions: ArrayLike) -> Floats:
+    """One-way amplitude gain (n), the square root of the power gain over isotropic.
+
+    Args:
+        antenna: which pattern.
+        directions: (n, 3) unit vectors in the sensor's frame.
+
+    Raises:
+        InputError: a table cannot be read.
+    """
+    unit = np.atleast_2d(np.asarray(directions, float))
+    unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-300)
+    shape = _shape(antenna, unit)
+    if antenna.gain_dbi is not None:
+        peak = antenna.gain_dbi
+    elif antenna.kind == "cosine":
+        peak = _directivity_dbi(antenna)
+    else:
+        peak = {"isotropic": 0.0, "x4a02": X4A02_DBI[0][1], "table": _table_peak(antenna)}[antenna.kind]
+    return np.asarray(shape * 10 ** (peak / 20))
+
+
+def _shape(antenna: AntennaSpec, unit: Floats) -> Floats:
+    """Amplitude over the peak's."""
+    if antenna.kind == "isotropic":
+        return np.ones(len(unit))
+    if antenna.kind == "x4a02":
+        return np.asarray(10 ** (_dome()(1 - np.clip(unit[:, 0], -1, 1)) / 20))
+    if antenna.kind == "cosine":
+        return _cosine_power(antenna, unit)
+    return np.asarray(_interpolated(antenna, unit))
+
+
+@lru_cache(maxsize=1)
+def _dome():  # type: ignore[no-untyped-def]
+    """Gain over the peak [dB] against 1 - cos(angle), in which the dome is smooth at both poles."""
+    from scipy.interpolate import PchipInterpolator
+
+    angle, dbi = np.asarray(X4A02_DBI).T
+    return PchipInterpolator(1 - np.cos(np.radians(angle)), dbi - dbi[0])
+
+
+def _cosine_power(antenna: AntennaSpec, unit: Floats) -> Floats:
+    """Powers of (1 + cos)/2, halved in power at half the opening in each main plane, blended between them."""
+
+    def power(opening_deg: float) -> float:
+        level = (1 + np.cos(np.radians(opening_deg / 2))) / 2
+        return 0.0 if level < 1e-12 else float(0.5 * np.log(2) / -np.log(level))
+
+    y2, z2 = unit[:, 1] ** 2, unit[:, 2] ** 2
+    side = np.maximum(y2 + z2, 1e-300)
+    n = (power(antenna.azimuth_deg) * y2 + power(antenna.elevation_deg) * z2) / side
+    return np.asarray(np.clip((1 + unit[:, 0]) / 2, 1e-12, 1) ** n)
+
+
+@lru_cache(maxsize=32)
+def _directivity_dbi(antenna: AntennaSpec) -> float:
+    """Peak gain of a lossless antenna of this shape [dBi]."""
+    k = np.arange(20000) + 0.5
+    z, turn = 1 - 2 * k / len(k), np.pi * (1 + 5**0.5) * k
+    flat = np.sqrt(1 - z * z)
+    ball = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], 1)
+    return float(-10 * np.log10(np.mean(_cosine_power(antenna, ball) ** 2)))
+
+
+@lru_cache(maxsize=8)
+def _table(file: str) -> tuple[Floats, Floats, Floats]:
+    """Azimuths (a), elevations (e) [deg] and gains (a, e) [dBi] of a CSV file."""
+    path = Path(file)
+    try:
+        with path.open(newline="") as handle:
+            rows = list(csv.DictReader(handle))
+    except OSError as error:
+        raise InputError(f"cannot read the antenna table: {error.strerror}", where=path) from None
+    try:
+        data = np.array([[float(r[c]) for c in ("azimuth_deg", "elevation_deg", "gain_dbi")] for r in rows])
+    except (KeyError, TypeError, ValueError):
+        raise InputError("not an antenna table", where=path,
+                         allowed="numbers under azimuth_deg,elevation_deg,gain_dbi") from None  # fmt: skip
+    if len(data) < 4 or not np.isfinite(data).all():
+        raise InputError("too few or not finite rows in the antenna table", where=path)
+    az, el = np.unique(data[:, 0]), np.unique(data[:, 1])
+    grid = np.full((len(az), len(el)), np.nan)
+    grid[np.searchsorted(az, data[:, 0]), np.searchsorted(el, data[:, 1])] = data[:, 2]
+    if np.isnan(grid).any() or min(grid.shape) < 2:
+        raise InputError("the antenna table has gaps", where=path, allowed="every azimuth with every elevation")
+    return az, el, grid
+
+
+def _table_peak(antenna: AntennaSpec) -> float:
+    if antenna.kind != "table":
+        return 0.0
+    if not antenna.file:
+        raise InputError("a table antenna needs a file", where="antenna.file")
+    return float(_table(antenna.file)[2].max())
+
+
+def _interpolated(antenna: AntennaSpec, unit: Floats) -> Floats:
+    """The table's amplitude over its peak; directions beyond the table take its edge."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    peak = _table_peak(antenna)
+    az, el, dbi = _table(str(antenna.file))
+    look = RegularGridInterpolator((az, el), 10 ** ((dbi - peak) / 20))
+    a = np.clip(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])), az[0], az[-1])
+    e = np.clip(np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1))), el[0], el[-1])
+    return np.asarray(look(np.stack([a, e], 1)))
+
+
+@lru_cache(maxsize=32)
+def cube(antenna: AntennaSpec) -> Floats:
+    """The pattern on a cube of directions (6, m, m) for `kernels.facets.lookup`; faces +x -x +y -y +z -z."""
+    side = np.linspace(-1, 1, _CUBE + 1)
+    a, b = (g.ravel() for g in np.meshgrid(side, side, indexing="ij"))
+    one = np.ones_like(a)
+    faces = [(one, a, b), (-one, a, b), (a, one, b), (a, -one, b), (a, b, one), (a, b, -one)]
+    return np.stack([gain(antenna, np.stack(f, 1)).reshape(_CUBE + 1, _CUBE + 1) for f in faces])

@@ -1,0 +1,199 @@
+"""A scene made ready for physical optics: triangles in clusters, materials, and rays for what hides what."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ullage.errors import UllageWarning
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+FLAT_M = 0.15
+"""Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
+WELD_M = 1e-6
+"""Corners nearer than this are one [m]."""
+_CLUSTER = 16  # triangles, about
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flats:
+    """Flat faces of any outline, known by their rims."""
+
+    normals: Floats  # (p, 3)
+    offsets: Floats  # (p) plane normal . x = offset [m]
+    stuffs: Ints  # (p) object of each face
+    spheres: Floats  # (p, 4) centre and radius [m]
+    first: Ints  # (p + 1) first edge of each
+    starts: Floats  # (e, 3) counter-clockwise about the normal, holes clockwise [m]
+    ends: Floats  # (e, 3) [m]
+
+    def __len__(self) -> int:
+        return len(self.offsets)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfaces:
+    """What stands still together: large flat faces, small triangles in clusters, and a tree of rays over both."""
+
+    corners: Floats  # (f, 3, 3) [m]
+    normals: Floats  # (f, 3)
+    stuffs: Ints  # (f) object of each triangle, which is also its row in the material tables
+    spheres: Floats  # (k, 4) centre and radius of each cluster [m]
+    first: Ints  # (k + 1)
+    flats: Flats
+    rays: Raycaster
+
+
+def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> Surfaces:
+    """The chosen faces of a scene as they stand at one time; faces without area are left out."""
+    corners = scene.corners(t_ns)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    index = np.flatnonzero(faces & (area > 1e-12))
+    part = replace(scene, faces=scene.faces[index], face_object=scene.face_object[index])
+    rays = Raycaster(part, t_ns=t_ns)
+    corners, normals, stuffs = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
+    patch = coplanar(corners, normals, stuffs)
+    large = _extents(corners, patch)[patch] >= FLAT_M
+    flats = _flats(corners[large], normals[large], stuffs[large], patch[large])
+    small = np.flatnonzero(~large)
+    order, first = _clusters(corners[small].mean(1), np.sqrt(area[index][small]))
+    small = small[order]
+    mine = np.ascontiguousarray(corners[small])
+    return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
+                    flats, rays)  # fmt: skip
+
+
+def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:
+    """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object."""
+    if not len(corners):
+        return np.zeros(0, np.int64)
+    _, ids = np.unique(np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
+    tri = ids.reshape(-1, 3)
+    edge = np.sort(np.stack([tri, np.roll(tri, -1, 1)], -1), -1).reshape(-1, 2)
+    face = np.repeat(np.arange(len(tri)), 3)
+    order = np.lexsort((face, edge[:, 1], edge[:, 0]))
+    edge, face = edge[order], face[order]
+    twin = np.flatnonzero((edge[1:] == edge[:-1]).all(1))
+    a, b = face[twin], face[twin + 1]
+    gap = np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])
+    size = np.linalg.norm(corners[b, 1] - corners[b, 0], axis=1) + np.linalg.norm(corners[b, 2] - corners[b, 0], axis=1)
+    same = (abs(gap).max(1) < 1e-5 * np.maximum(size, 1e-2)) & (stuffs[a] == stuffs[b])
+    links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(tri), len(tri)))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def _extents(corners: Floats, patch: NDArray[np.int64]) -> Floats:
+    """Diagonal of the box around each patch [m]."""
+    count = int(patch.max()) + 1 if len(patch) else 0
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, patch, corners.min(1))
+    np.maximum.at(high, patch, corners.max(1))
+    return np.asarray(np.linalg.norm(high - low, axis=1))
+
+
+def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int64]) -> Flats:
+    """Rims of patches: the directed edges that no neighbour of the same patch runs back along."""
+    names, lead, patch = np.unique(patch, return_index=True, return_inverse=True)
+    normal = normals[lead]
+    flip = np.einsum("ni,ni->n", normals, normal[patch]) < 0
+    turned = corners.copy()
+    turned[flip] = corners[flip][:, ::-1]
+    _, ids = np.unique(np.round(turned.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
+    tri = ids.reshape(-1, 3)
+    start, end = tri.ravel(), np.roll(tri, -1, 1).ravel()
+    of = np.repeat(patch, 3)
+    wide = max(int(ids.max(initial=0)) + 1, 1)
+    key, back = (of * wide + start) * wide + end, (of * wide + end) * wide + start
+    rim = np.flatnonzero(~np.isin(key, back))
+    rim = rim[np.argsort(of[rim], kind="stable")]
+    first = np.searchsorted(of[rim], np.arange(len(names) + 1)).astype(np.int32)
+    a = turned.reshape(-1, 3)[rim]
+    b = np.roll(turned, -1, 1).reshape(-1, 3)[rim]
+    offsets = np.einsum("ni,ni->n", normal, turned[lead, 0])
+    spheres = _spheres(np.stack([a, b], 1), first)
+    return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, np.ascontiguousarray(a), np.ascontiguousarray(b))
+
+
+def _clusters(centres: Floats, sizes: Floats) -> tuple[NDArray[np.int64], Ints]:
+    """An order of the triangles and where each cluster starts: halves along the longest side, large ones alone."""
+    groups: list[NDArray[np.int64]] = []
+    waiting = [np.arange(len(centres))]
+    while waiting:
+        group = waiting.pop()
+        if not len(group):
+            continue
+        span = np.ptp(centres[group], axis=0)
+        if len(group) <= _CLUSTER and (len(group) == 1 or span.max() < 2 * max(sizes[group].max(), 0.5)):
+            groups.append(group)
+            continue
+        ranked = group[np.argsort(centres[group, int(span.argmax())], kind="stable")]
+        waiting += [ranked[len(ranked) // 2 :], ranked[: len(ranked) // 2]]
+    order = np.concatenate(groups) if groups else np.zeros(0, np.int64)
+    return order, np.cumsum([0, *(len(g) for g in groups)]).astype(np.int32)
+
+
+def _spheres(corners: Floats, first: Ints) -> Floats:
+    out = np.zeros((len(first) - 1, 4))
+    for k in range(len(out)):
+        points = corners[first[k] : first[k + 1]].reshape(-1, 3)
+        middle = (points.min(0) + points.max(0)) / 2
+        out[k, :3], out[k, 3] = middle, np.linalg.norm(points - middle, axis=1).max()
+    return out
+
+
+class Prepared:
+    """A scene's still part, made once, and its moving part at the last time asked for."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        moves = np.array([o.motion is not None for o in scene.objects], bool)
+        self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
+        self.still = gather(scene, ~self.moving)
+        self.materials = tuple(o.material for o in scene.objects)
+
+    def parts(self, t_ns: int) -> list[Surfaces]:
+        """Everything there is at one time: what stands still, then what moves."""
+        if not self.moving.any():
+            return [self.still]
+        return [self.still, gather(self.scene, self.moving, t_ns)]
+
+
+_LOCK = threading.Lock()
+_KNOWN: OrderedDict[int, Prepared] = OrderedDict()
+_KEPT = 4
+
+
+def prepare(scene: Scene) -> Prepared:
+    """The scene made ready; the last few are kept, since tracks come in pieces."""
+    with _LOCK:
+        known = _KNOWN.get(id(scene))
+        if known is None or known.scene is not scene:
+            known = _KNOWN[id(scene)] = Prepared(scene)
+            warn_of_doubles(known.still)
+        _KNOWN.move_to_end(id(scene))
+        while len(_KNOWN) > _KEPT:
+            _KNOWN.popitem(last=False)
+        return known
+
+
+def warn_of_doubles(surfaces: Surfaces) -> None:
+    """Warn where two faces lie on the same three corners: both would echo."""
+    if not len(surfaces.corners):
+        return
+    keys = np.sort(np.round(surfaces.corners, 6).view([("", float)] * 3)[..., 0], axis=1)
+    _, counts = np.unique(keys, axis=0, return_counts=True)
+    if (counts > 1).any():
+        warnings.warn(f"{int((counts - 1).sum())} faces coincide with others; each of them echoes", UllageWarning,
+                      stacklevel=4)  # fmt: skip

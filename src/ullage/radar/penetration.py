@@ -1,0 +1,117 @@
+"""Waves at plane layers: Fresnel coefficients, slabs with all their inner reflections, and what comes through them.
+
+Time runs as e^{+jwt}; permittivity is eps' - j eps''. Both polarisations are given for the electric field's tangential
+sense, so that at normal incidence TE and TM agree, and a perfect conductor reflects -1 in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.geometry import C0
+from ullage.specs import RadarSpec
+from ullage.world.materials import Material
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+COSINES = 65
+"""Entries of a table over cos(incidence), from 0 to 1."""
+TAPS = 3
+"""Echoes of a thick slab that are kept: its face, its back, and one more round trip."""
+_BROAD = 0.25  # a slab longer than this part of the pulse, there and back, has its echoes laid apart
+_FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
+
+
+def fresnel(eps: complex, cosine: ArrayLike) -> tuple[Complexes, Complexes]:
+    """Reflection of a half-space from air, TE and TM, against cos(incidence)."""
+    c = np.asarray(cosine, float)
+    inner = np.sqrt(eps - (1 - c * c) + 0j)
+    return (c - inner) / (c + inner), -(eps * c - inner) / (eps * c + inner)
+
+
+def slab(
+    eps: complex, thickness_m: float, frequency_hz: float, cosine: ArrayLike
+) -> tuple[Complexes, Complexes, Complexes, Complexes]:
+    """Reflection TE, TM and transmission TE, TM of a slab in air; transmission relative to the same path without it.
+
+    All inner reflections are summed [Orfanidis, ch. 8]; the transmitted wave's phase is that of the slab less that of
+    the air it replaces.
+    """
+    c = np.asarray(cosine, float)
+    k = 2 * np.pi * frequency_hz / C0
+    inner = np.sqrt(eps - (1 - c * c) + 0j)
+    once = np.exp(-1j * k * thickness_m * inner)
+    free = np.exp(1j * k * thickness_m * c)
+    out: list[Complexes] = []
+    through: list[Complexes] = []
+    for r in fresnel(eps, c):
+        loop = 1 - r * r * once * once
+        out.append(r * (1 - once * once) / loop)
+        through.append((1 - r * r) * once * free / loop)
+    return out[0], out[1], through[0], through[1]
+
+
+@lru_cache(maxsize=512)
+def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[Complexes, Floats]:
+    """Reflection (TAPS, 2, COSINES) and delay [s] (TAPS, COSINES) of a surface; unused taps have delay -1."""
+    c = np.linspace(0, 1, COSINES)
+    gamma = np.zeros((TAPS, 2, COSINES), complex)
+    lag = np.full((TAPS, COSINES), -1.0)
+    lag[0] = 0.0
+    if material.conductor:
+        gamma[0] = -1.0
+    else:
+        _fill_dielectric(material, center_hz, bandwidth_hz, c, gamma, lag)
+    if material.roughness_m:
+        wave = 2 * np.pi * center_hz / C0
+        gamma *= coherent(wave * material.roughness_m, c)
+    return gamma, lag
+
+
+def _fill_dielectric(
+    material: Material, center_hz: float, bandwidth_hz: float, c: Floats, gamma: Complexes, lag: Floats
+) -> None:
+    eps = material.permittivity(center_hz)
+    face = fresnel(eps, c)
+    gamma[0, 0], gamma[0, 1] = face
+    if material.thickness_m is None:
+        return
+    inner = np.sqrt(eps - (1 - c * c) + 0j)
+    trip = 2 * material.thickness_m * inner.real / C0
+    loss = np.exp(-2j * 2 * np.pi * center_hz / C0 * material.thickness_m * inner)
+    if abs(loss).max() < _FAINT:
+        return
+    if trip.max() * bandwidth_hz < _BROAD:
+        gamma[0, 0], gamma[0, 1], *_ = slab(eps, material.thickness_m, center_hz, c)
+        return
+    turn = np.exp(2j * np.pi * center_hz * trip)  # the laid delay turns the carrier by itself
+    for pol, r in enumerate(face):
+        for n in range(1, TAPS):
+            gamma[n, pol] = -(1 - r * r) * r ** (2 * n - 1) * (loss * turn) ** n
+    lag[1:] = trip * np.arange(1, TAPS)[:, None]
+
+
+def coherent(roughness: float, cosine: ArrayLike) -> Floats:
+    """Share of the amplitude that a rough surface keeps coherent; `roughness` is k times the rms height.
+
+    exp(-(2 k s cos)^2 / 2): the mean of the phase 2 k s cos over Gaussian heights, so that the *power* falls by
+    exp(-(2 k s cos)^2) [Ament1953].
+    """
+    return np.asarray(np.exp(-0.5 * (2 * roughness * np.asarray(cosine, float)) ** 2))
+
+
+def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[Complexes, Floats]:
+    """Reflection (m, TAPS, 2, COSINES) and delay (m, TAPS, COSINES) of every material at the radar's carrier.
+
+    Raises:
+        InputError: the carrier lies outside a material's data.
+    """
+    rows = [_tables(m, spec.center_hz, spec.bandwidth_hz) for m in materials]
+    if not rows:
+        return np.zeros((1, TAPS, 2, COSINES), complex), np.zeros((1, TAPS, COSINES))
+    return np.stack([r[0] for r in rows]), np.stack([r[1] for r in rows])

@@ -1,0 +1,283 @@
+"""Coherent echoes by physical optics on surfaces fixed to the world.
+
+Each lit triangle adds (j / 4 pi) times the integral of g^2 Gamma cos / r^2 q(t - 2 r / c), in closed form where delay
+and weight are linear across it [Balanis2012, ch. 7]; triangles are cut until that holds within the Fresnel zone.
+Signals are analytic with e^{+jwt}: an echo at delay tau has the phase -2 pi f_c tau in the baseband, and a conductor
+turns it by pi.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Trajectory
+from ullage.errors import InputError
+from ullage.geometry import C0, quat_matrix
+from ullage.kernels import edges as rim
+from ullage.kernels import facets as kernel
+from ullage.radar.antenna import cube
+from ullage.radar.facets import Flats, Prepared, Surfaces, prepare
+from ullage.radar.penetration import reflection_tables
+from ullage.radar.pulse import Pulse, tabulate
+from ullage.radar.visibility import seen
+from ullage.specs import RadarSpec
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+KAPPA = 1 / 4
+"""Largest squared transverse edge of a piece over wavelength times range."""
+REACH = 0.3
+"""Longest edge of a piece over its range."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A radar at one place: where it sends and receives from, and how it is turned."""
+
+    origins: Floats  # (2, 3) transmitter and receiver [m]
+    frames: Floats  # (2, 3, 3) sensor_from_world
+    fields: Floats  # (2, 3) unit electric fields in the world
+    factor: complex = 1.0 + 0j  # of every echo
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """Echoes laid down, for those who want to know where they came from."""
+
+    stuffs: NDArray[np.int32]  # (m) object
+    points: Floats  # (m, 3) [m]
+    echo: Complexes  # (m) at the carrier
+    delay_s: Floats  # (m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """All that the frames of one radar in one scene share."""
+
+    world: Prepared
+    spec: RadarSpec
+    pulse: Pulse
+    table: Floats
+    gamma: Complexes
+    lag: Floats
+    first_m: float  # range of the first grid place [m]
+    places: int
+    shift: int  # grid place of bin 0
+    gate: tuple[float, float]  # ranges whose echoes can reach the frame [m]
+
+    @property
+    def fold_s(self) -> float:
+        """Time between pulses: echoes later than this land in the next frame's start [s]."""
+        return 1 / self.spec.prf_hz
+
+
+def bench(scene: Scene, spec: RadarSpec) -> Bench:
+    """Pulse, tables and gates of one radar in one scene.
+
+    Raises:
+        InputError: the pulse is wider than the frame, or a material has no data at the carrier.
+    """
+    world = prepare(scene)
+    pulse = tabulate(spec)
+    pad = pulse.half + 4
+    places = 2 * pad + (spec.bins - 1) * pulse.every + 1
+    first = spec.range_start_m - pad * pulse.step_s * C0 / 2
+    gamma, lag = reflection_tables(world.materials, spec)
+    last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
+    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, first, places, pad, (0.0, last))
+
+
+def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
+    """The radar at a position (3) [m] with world_from_sensor rotation (3, 3)."""
+    arm = turn[:, 1] * (spec.antenna_offset_m / 2)
+    field = turn[:, 2] if spec.antenna.polarization == "vertical" else turn[:, 1]
+    return View(np.stack([position + arm, position - arm]), np.stack([turn.T, turn.T]), np.stack([field, field]))
+
+
+def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int = 1, seed: int = 0) -> NDArray[Any]:
+    """Echoes without noise along a sensor's track, in units of sqrt(received / transmitted power).
+
+    Args:
+        scene: what there is.
+        path: the sensor's poses, one frame each (x along the boresight).
+        spec: the radar.
+        max_bounces: reflections between sending and receiving, 1 to 3.
+        seed: of the fine structure of rough surfaces.
+
+    Returns:
+        complex64 baseband (n, b), or float32 RF when spec.output is "rf".
+
+    Raises:
+        InputError: the pulse is wider than the frame, or a material has no data at the carrier.
+    """
+    if max_bounces not in (1, 2, 3):
+        raise InputError(f"max_bounces is {max_bounces}", where="echoes", allowed="1, 2 or 3")
+    ready = bench(scene, spec)
+    turns = quat_matrix(path.quat_xyzw)
+    out = np.zeros((len(path), spec.bins), complex)
+    for i in range(len(path)):
+        grids = np.zeros((3, ready.places), complex)
+        lay(ready, view_of(spec, path.position[i], turns[i]), int(path.t_ns[i]), grids)
+        kernel.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[i])
+    if spec.output == "rf":
+        return radio(out, spec)
+    return out.astype(np.complex64)
+
+
+def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
+    """The real signal at the antenna (n, b) from its complex envelope."""
+    phase = 2 * np.pi * spec.center_hz * 2 * spec.range_m / C0
+    return (baseband * np.exp(1j * phase)).real.astype(np.float32)
+
+
+def lay(ready: Bench, view: View, t_ns: int, grids: Complexes) -> list[Laid]:
+    """Adds every echo at one pose to the delay grids."""
+    parts = ready.world.parts(t_ns)
+    out = []
+    for part in parts:
+        out += [_lay_small(ready, parts, part, view, grids), *_lay_flats(ready, parts, part, view, grids)]
+    return out
+
+
+def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
+    leaves, owner = triangles(ready, part, view)
+    middle = leaves.mean(1)
+    shade, extra = shading(parts, view, middle)
+    echo, delay = np.empty(len(leaves), complex), np.empty(len(leaves))
+    kernel.deposit(leaves, owner, shade, extra, part.normals, part.stuffs, *_common(ready, view, grids), echo, delay)
+    return Laid(part.stuffs[owner], middle, echo, delay)
+
+
+def _lay_flats(
+    ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes
+) -> tuple[Laid, Laid] | tuple[()]:
+    flats = part.flats
+    if not len(flats):
+        return ()
+    which = np.arange(len(flats), dtype=np.int64)
+    pieces, owner, windings = rims(ready, flats, view, which)
+    middle = (pieces[:, :3] + pieces[:, 3:6]) / 2
+    inward = np.cross(flats.normals[owner], pieces[:, 3:6] - pieces[:, :3])
+    inward *= _NUDGE_M / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-12)
+    shade, extra = shading(parts, view, middle + inward)
+    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
+    rim.lay_rims(pieces, owner, shade, extra, flats.normals, flats.stuffs, *_common(ready, view, grids), echo, delay)
+    points, lengths = np.empty((len(which), 3)), np.empty(len(which))
+    count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins, points, lengths)
+    points, lengths, which = points[:count], lengths[:count], which[:count]
+    shade, extra = _zone_shading(ready, parts, flats, view, points, which, lengths)
+    bright, when = np.empty(count, complex), np.empty(count)
+    rim.lay_images(points, which, lengths, shade, extra, flats.normals, flats.stuffs, *_common(ready, view, grids),
+                   bright, when)  # fmt: skip
+    return Laid(flats.stuffs[owner], middle, echo, delay), Laid(flats.stuffs[which], points, bright, when)
+
+
+def _common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
+    """What every kernel that lays echoes is told."""
+    return (view.origins, view.frames, view.fields, ready.table, ready.spec.antenna.kind == "isotropic", view.factor,
+            ready.gamma, ready.lag, ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s,
+            grids)  # fmt: skip
+
+
+def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
+    """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
+    size = 8192
+    limit = KAPPA * ready.spec.wavelength_m
+    while True:
+        leaves, owner = np.empty((size, 3, 3)), np.empty(size, np.int32)
+        count = kernel.split(part.spheres, part.first, part.corners, view.origins, np.array(ready.gate), limit, REACH,
+                             leaves, owner)  # fmt: skip
+        if count <= size:
+            return leaves[:count], owner[:count]
+        size = int(1.2 * count)
+
+
+def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int32], Floats]:
+    """Pieces of rim within the gate (m, 12), the face of each, and how often each face's rim goes round the axis."""
+    size = 4096
+    windings = np.empty(len(which))
+    while True:
+        pieces, owner = np.empty((size, 12)), np.empty(size, np.int32)
+        count = rim.cut(which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
+                        view.origins, np.array(ready.gate), ready.pulse.omega, pieces, owner, windings)  # fmt: skip
+        if count <= size:
+            return pieces[:count], owner[:count], windings
+        size = int(1.2 * count)
+
+
+def shading(parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
+    """Two-way factor (m) of what stands before each point, 1 in the open and 0 behind something, and its delay [s]."""
+    clear = seen(parts, view.origins[0], points)
+    if not np.array_equal(view.origins[0], view.origins[1]):
+        clear &= seen(parts, view.origins[1], points)
+    return clear.astype(complex), np.zeros(len(points))
+
+
+def _zone_shading(
+    ready: Bench,
+    parts: list[Surfaces],
+    flats: Flats,
+    view: View,
+    points: Floats,
+    which: NDArray[np.int64],
+    lengths: Floats,
+) -> tuple[Complexes, Floats]:
+    """Mean factor over the first Fresnel zone around each mirror point, as far as it lies on the face."""
+    if not len(points):
+        return np.zeros(0, complex), np.zeros(0)
+    n = flats.normals[which]
+    u = np.cross(n, np.where(abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(n, u)
+    radius = np.sqrt(ready.spec.wavelength_m * lengths / 4)[:, None, None]
+    spread = _ZONE[None, :, :1] * u[:, None] + _ZONE[None, :, 1:] * v[:, None]
+    spots = (points[:, None] + radius * spread).reshape(-1, 3)
+    held = np.empty(len(spots), np.bool_)
+    rim.inside(spots, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, held)
+    held = held.reshape(len(points), -1)
+    held[:, 0] = True
+    shade, extra = (a.reshape(held.shape) for a in shading(parts, view, spots))
+    share = held.sum(1)
+    return (shade * held).sum(1) / share, (extra * held).sum(1) / share
+
+
+_NUDGE_M = 5e-3
+_RINGS = np.arange(6) * np.pi / 3
+_ZONE = np.concatenate(
+    [[[0.0, 0.0]], *(q * np.stack([np.cos(_RINGS + q), np.sin(_RINGS + q)], 1) for q in (0.4, 0.75))]
+)
+
+
+@lru_cache(maxsize=8)
+def _carrier_only(spec: RadarSpec, frequency_hz: float) -> RadarSpec:
+    """The same antenna and place with a frame so long that nothing is lost."""
+    return spec.but(center_hz=frequency_hz, bins=2000, range_start_m=0.0, prf_div=255)
+
+
+def path_gain_cw(
+    scene: Scene, pose: Trajectory, spec: RadarSpec, frequency_hz: float | None = None, *, max_bounces: int = 1
+) -> Complexes:
+    """Complex path gain (n) of everything in sight at one frequency (None: the radar's centre), all delays summed.
+
+    Args:
+        scene: what there is.
+        pose: the sensor's poses.
+        spec: the radar.
+        frequency_hz: [Hz].
+        max_bounces: 1 to 3.
+    """
+    ready = bench(scene, _carrier_only(spec, frequency_hz or spec.center_hz))
+    turns = quat_matrix(pose.quat_xyzw)
+    out = np.zeros(len(pose), complex)
+    for i in range(len(pose)):
+        grids = np.zeros((3, ready.places), complex)
+        lay(ready, view_of(spec, pose.position[i], turns[i]), int(pose.t_ns[i]), grids)
+        out[i] = grids.sum()
+    return out
