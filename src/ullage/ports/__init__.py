@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from ullage.data import Floats, Frames, Times, Trajectory
 from ullage.errors import InputError, UllageWarning
-from ullage.ports.protocol import Sink, Source, WholeSource
+from ullage.grids import OccupancyMap
+from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.specs import MountSpec
 
-__all__ = ["Sink", "Source", "open", "sink"]
+__all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 
-SOURCES = ".mcap, an X4 .dat, or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
-SINKS = ".mcap, or a folder for it"
+SOURCES = ".mcap, .zarr, an X4 .dat, or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
+SINKS = ".mcap, a folder, .zarr, or a map: .yaml, .bt, .ot, .ply"
+MAPS = {
+    ".yaml": ("maps", "write_map_server", "read_map_server"),
+    ".pgm": ("maps", "write_map_server", "read_map_server"),
+    ".bt": ("octomap", "write_octomap", "read_octomap"),
+    ".ot": ("octomap", "write_octomap", "read_octomap"),
+    ".ply": ("ply", "write_ply", "read_ply"),
+}
 
 
 def open(target: str | Path, **options: Any) -> Source:
@@ -35,6 +44,10 @@ def open(target: str | Path, **options: Any) -> Source:
         if kind in ("ros2", "gazebo", "imc", "x4", "viewer") and ":" in str(target):
             raise InputError(f"live {kind} input is not part of this version", where=target, allowed=SOURCES)
         raise InputError("no such file or folder", where=target, allowed=SOURCES)
+    if path.suffix.lower() == ".zarr":
+        from ullage.ports.store import ZarrSource
+
+        return ZarrSource(path, **options)
     if path.is_dir():
         return _open_folder(path, options)
     if path.suffix.lower() == ".mcap":
@@ -49,21 +62,84 @@ def open(target: str | Path, **options: Any) -> Source:
 
 
 def sink(target: str | Path, **options: Any) -> Sink:
-    """Somewhere to write to.
+    """Somewhere to write to, by the kind of name.
 
     Args:
-        target: a `.mcap` file.
-        **options: of that kind: a recording takes overwrite.
+        target: a `.mcap` recording, a folder for one, a `.zarr` store, or a map file: `.yaml` or `.pgm` (map_server),
+            `.bt` or `.ot` (OctoMap), `.ply`.
+        **options: of that kind: recordings and stores take overwrite, map_server takes mode.
 
     Raises:
         InputError: it is of no known kind, or cannot be written.
     """
     path = Path(target)
-    if path.suffix.lower() == ".mcap":
+    kind = path.suffix.lower()
+    if ":" in str(target) and not path.parent.exists():
+        raise InputError("not something to write to", where=target, allowed=SINKS)
+    if kind in MAPS:
+        return MapSink(path, **options)
+    if kind == ".zarr":
+        from ullage.ports.store import ZarrSink
+
+        return ZarrSink(path, **options)
+    if kind == ".mcap" or (not kind and not path.is_file()) or path.is_dir():
         from ullage.ports.bag import McapSink
 
         return McapSink(path, **options)
     raise InputError("not something to write to", where=target, allowed=SINKS)
+
+
+def write_map(omap: OccupancyMap, path: str | Path, **options: Any) -> None:
+    """Write a map as map_server's `.yaml` and image, OctoMap's `.bt` or `.ot`, or `.ply`, by the suffix.
+
+    Raises:
+        InputError: the suffix is another, or the map does not fit that kind.
+    """
+    kind = Path(path).suffix.lower()
+    if kind not in MAPS:
+        raise InputError("not a map file", where=path, allowed=", ".join(MAPS))
+    module, write, _ = MAPS[kind]
+    getattr(importlib.import_module(f"ullage.ports.{module}"), write)(omap, path, **options)
+
+
+def read_map(path: str | Path, **options: Any) -> OccupancyMap:
+    """Read a map that `write_map` or somebody else wrote, by the suffix.
+
+    Raises:
+        InputError: it is not there, of another kind, or damaged.
+    """
+    kind = Path(path).suffix.lower()
+    if kind not in MAPS or kind == ".pgm":
+        raise InputError("not a map file", where=path, allowed=", ".join(k for k in MAPS if k != ".pgm"))
+    module, _, read = MAPS[kind]
+    omap: OccupancyMap = getattr(importlib.import_module(f"ullage.ports.{module}"), read)(path, **options)
+    return omap
+
+
+class MapSink:
+    """Keeps a file as the last map that was handed in; everything else passes by.
+
+    Args:
+        path: of the map file; its suffix says which kind.
+        **options: of that kind.
+    """
+
+    def __init__(self, path: Path, **options: Any) -> None:
+        self.path, self._options = path, options
+
+    def write(self, item: Item) -> None:
+        """Write the file anew, if this is a map."""
+        if isinstance(item, OccupancyMap):
+            write_map(item, self.path, **self._options)
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 class RailSource(WholeSource):

@@ -1,4 +1,8 @@
-"""ROS 2 messages: their definitions, their bytes (CDR), and what they mean in ullage's types."""
+"""ROS 2 messages: their definitions and their bytes (CDR).
+
+Messages that come by the thousand are built as numpy records of one layout, which takes microseconds; the rest goes
+through the `rosbags` types.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +12,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Floats, Times
+from ullage.data import Times
+from ullage.errors import InputError
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Records = NDArray[np.void]
-WORLD, BODY = "world", "base_link"
+Text = bytes | str | tuple[str | np.dtype[Any], int]
+
+FRAME = "ullage_msgs/msg/RadarFrame"
+SETTINGS = "ullage_msgs/msg/RadarSettings"
+TRACK = "ullage_msgs/msg/Track"
+CELLS = "ullage_msgs/msg/CellMap"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+GRID = "nav_msgs/msg/OccupancyGrid"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+MARKERS = "visualization_msgs/msg/MarkerArray"
 
 DEFINITIONS = {
-    "ullage_msgs/msg/RadarFrame": """\
+    FRAME: """\
 # One frame of one ultra-wideband radar, without loss.
 uint8 BASEBAND=0  # samples are re, im, re, im, ...
 uint8 REAL=1      # one sample a bin: RF or amplitude
@@ -31,19 +46,27 @@ float64 range_start     # range of bin 0 [m]
 float64 range_step      # mean range between bins [m]
 geometry_msgs/Pose believed        # world from sensor, as the drone believes
 geometry_msgs/Twist believed_rate  # linear in the world, angular in the sensor's frame
-geometry_msgs/Pose truth           # as it was
+geometry_msgs/Pose truth           # world from sensor, as it was
 geometry_msgs/Twist truth_rate
 float32[] samples
 """,
-    "ullage_msgs/msg/RadarSettings": """\
+    SETTINGS: """\
 # What holds for all frames of one radar until the next message of this kind.
 std_msgs/Header header
 string sensor
-string unit       # path_gain: sqrt(received / transmitted power); normalised: the sensor's own; thesis: eq. 4.2
-string settings   # JSON, the fields of ullage.RadarSpec
-float64[] range   # of each bin [m]
+string unit         # path_gain: sqrt(received / transmitted power); normalised: the sensor's own; thesis: eq. 4.2
+string settings     # JSON, the fields of ullage.RadarSpec
+string calibration  # JSON, the fields of ullage.data.Calibration; empty if none
+float64[] range     # of each bin [m]
 """,
-    "ullage_msgs/msg/CellMap": """\
+    TRACK: """\
+# The whole track of one sensor in the clock of whatever measured it.
+std_msgs/Header header
+string sensor
+int64[] time      # [ns], rising
+float64[] state   # 13 a time: position [m], quaternion xyzw, velocity [m/s] in the world, rate [rad/s] in the sensor
+""",
+    CELLS: """\
 # A map of square cells on a plane or cubes in a volume, without loss.
 std_msgs/Header header
 string method
@@ -74,22 +97,43 @@ def schema_text(name: str) -> str:
     return text
 
 
+def make(name: str, *values: Any) -> Any:
+    """One message from the values of its fields in order."""
+    return typestore().types[name](*values)
+
+
+def header(t_ns: int, frame_id: str) -> Any:
+    """A std_msgs/Header."""
+    sec, nanosec = divmod(t_ns, 1_000_000_000)
+    return make("std_msgs/msg/Header", make("builtin_interfaces/msg/Time", sec, nanosec), frame_id)
+
+
+def to_bytes(name: str, message: Any) -> bytes:
+    """A message of this type as CDR."""
+    return bytes(typestore().serialize_cdr(message, name))
+
+
+def from_bytes(name: str, data: bytes) -> Any:
+    """A message of this type from CDR."""
+    return typestore().deserialize_cdr(data, name)
+
+
 class Layout:
     """The bytes of a message whose strings and array lengths do not change, as a numpy record.
 
-    Building many such messages then is filling columns. CDR aligns each number to its own size, counted from after
+    Building many such messages is then filling columns. CDR aligns each number to its own size, counted from after
     the four bytes that say little endian.
 
     Args:
-        fields: name and what is there: a numpy type, with a count to repeat it, or the text of a string.
+        fields: name and what is there: the text of a string, a numpy type, or a type and how often.
     """
 
-    def __init__(self, *fields: tuple[str, str | tuple[str, int] | bytes]) -> None:
+    def __init__(self, *fields: tuple[str, Text]) -> None:
         names: list[str] = []
         formats: list[Any] = []
         offsets: list[int] = []
         self.texts: dict[str, bytes] = {}
-        at = 0
+        at = 4
         for name, kind in fields:
             if isinstance(kind, bytes):
                 at += -at % 4
@@ -100,37 +144,41 @@ class Layout:
                 at += 5 + len(kind)
                 continue
             base, count = kind if isinstance(kind, tuple) else (kind, 1)
-            size = np.dtype(base).itemsize
-            at += -at % min(size, 8) if np.dtype(base).kind != "V" else 0
+            dtype = np.dtype(base)
+            at += -(at - 4) % (1 if dtype.kind == "V" else dtype.itemsize)
             names.append(name)
-            formats.append((base, (count,)) if isinstance(kind, tuple) else base)
+            formats.append((dtype, (count,)) if isinstance(kind, tuple) else dtype)
             offsets.append(at)
-            at += size * count
-        shifted = [4 + o for o in offsets]
-        self.dtype = np.dtype({"names": names, "formats": formats, "offsets": shifted, "itemsize": at + 4})
+            at += dtype.itemsize * count
+        self.dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at})
+        self._blank = self._template()
 
-    def make(self, n: int, /, **columns: Any) -> Records:
-        """Records (n) with the strings in place and these columns filled; the rest is zero."""
-        out: Records = np.zeros(n, self.dtype)
-        out.view(np.uint8).reshape(n, -1)[:, 1] = 1
+    def _template(self) -> NDArray[np.uint8]:
+        out: Records = np.zeros(1, self.dtype)
+        out.view(np.uint8)[1] = 1
         for name, text in self.texts.items():
             out[f"{name}.len"] = len(text)
             out[name] = np.frombuffer(text, f"V{len(text)}")[0]
+        return out.view(np.uint8)
+
+    def fill(self, n: int, /, **columns: Any) -> list[bytes]:
+        """`n` messages with the strings in place and these columns filled; the rest is zero."""
+        records: Records = np.tile(self._blank, n).view(self.dtype)
         for name, value in columns.items():
-            out[name] = value
-        return out
+            records[name] = value
+        whole, size = records.tobytes(), self.dtype.itemsize
+        return [whole[i : i + size] for i in range(0, len(whole), size)]
 
 
-def split(records: Records) -> list[bytes]:
-    """The bytes of each record."""
-    size = records.dtype.itemsize
-    whole = records.tobytes()
-    return [whole[i : i + size] for i in range(0, len(whole), size)]
+def stamps(t_ns: Times) -> dict[str, NDArray[np.int64]]:
+    """Columns of a header's time.
 
-
-def stamps(t_ns: Times) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Seconds and the nanoseconds over them."""
-    return t_ns // 1_000_000_000, t_ns % 1_000_000_000
+    Raises:
+        InputError: a time is beyond what ROS can say.
+    """
+    if len(t_ns) and not (t_ns.min() >= 0 and t_ns.max() < 2**31 * 1_000_000_000):
+        raise InputError("a time cannot be recorded", where="t_ns", allowed="0 .. 2^31 s in nanoseconds")
+    return {"sec": t_ns // 1_000_000_000, "nanosec": t_ns % 1_000_000_000}
 
 
 HEADER = (("sec", "<i4"), ("nanosec", "<u4"))
@@ -147,9 +195,13 @@ def frame_layout(frame_id: bytes, sensor: bytes, floats: int) -> Layout:
 
 
 @lru_cache(64)
-def transform_layout(parent: bytes, child: bytes) -> Layout:
-    """TFMessage with one transform."""
-    return Layout(("count", "<u4"), *HEADER, ("parent", parent), ("child", child), ("pose", ("<f8", 7)))
+def transform_layout(parent: bytes, children: tuple[bytes, ...]) -> Layout:
+    """TFMessage with a transform for each child."""
+    fields: list[tuple[str, Text]] = [("count", "<u4")]
+    for i, child in enumerate(children):
+        fields += [(f"sec{i}", "<i4"), (f"nanosec{i}", "<u4"), (f"parent{i}", parent), (f"child{i}", child)]
+        fields += [(f"pose{i}", ("<f8", 7))]
+    return Layout(*fields)
 
 
 @lru_cache(16)
@@ -161,6 +213,27 @@ def odometry_layout(parent: bytes, child: bytes) -> Layout:
     )  # fmt: skip
 
 
-def states(position: Floats, quat_xyzw: Floats, velocity: Floats, spin: Floats) -> Floats:
-    """Columns (n, 13) of RadarFrame's poses and rates."""
-    return np.concatenate([position, quat_xyzw, velocity, spin], axis=1)
+CODES = {"float32": 7, "float64": 8, "uint32": 6, "int32": 5}
+
+
+@lru_cache(256)
+def cloud_layout(frame_id: bytes, fields: tuple[tuple[str, str], ...], points: int) -> Layout:
+    """PointCloud2 of `points` points that have these named fields; fill `columns_of` with what does not change."""
+    described: list[tuple[str, Text]] = []
+    for i, (name, _) in enumerate(fields):
+        described += [(f"name{i}", name.encode()), (f"offset{i}", "<u4"), (f"code{i}", "u1"), (f"many{i}", "<u4")]
+    return Layout(
+        *HEADER, ("frame_id", frame_id), ("height", "<u4"), ("width", "<u4"), ("fields", "<u4"), *described,
+        ("bigendian", "u1"), ("point_step", "<u4"), ("row_step", "<u4"), ("size", "<u4"),
+        ("data", (np.dtype(list(fields)), points)), ("dense", "u1"),
+    )  # fmt: skip
+
+
+def cloud_columns(fields: tuple[tuple[str, str], ...], points: int) -> dict[str, Any]:
+    """The columns of a `cloud_layout` that do not change."""
+    dtype = np.dtype(list(fields))
+    out: dict[str, Any] = {"height": 1, "width": points, "fields": len(fields), "point_step": dtype.itemsize}
+    out |= {"row_step": dtype.itemsize * points, "size": dtype.itemsize * points}
+    for i, (name, kind) in enumerate(fields):
+        out |= {f"offset{i}": dtype.fields[name][1], f"code{i}": CODES[kind], f"many{i}": 1}  # type: ignore[index]
+    return out

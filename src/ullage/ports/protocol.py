@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
-from ullage.grids import OccupancyMap
+from ullage.grids import Image, OccupancyMap
 from ullage.world.scene import Scene
 
 Chunk = Mapping[str, Frames]
 """A piece of a recording: frames of each sensor by name."""
 
-Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | Scene
-"""Whatever a sink may be handed."""
+Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | Scene | Image
+"""Whatever a sink may be handed; what it has no place for, it passes over."""
 
 
 @runtime_checkable
@@ -131,7 +131,7 @@ def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int6
     return np.asarray(np.concatenate([t_ns[:1], t_ns[0] + np.cumsum(step)]), np.int64)
 
 
-def write_whole(path: Path, write: Callable[[IO[bytes]], None]) -> None:
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file under a temporary name and rename it, so that it is there wholly or not at all.
 
     Raises:

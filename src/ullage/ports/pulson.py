@@ -53,7 +53,7 @@ def read_log(path: str | Path) -> Log:
         raise InputError(f"cannot read: {error.strerror}", where=path) from None
     if len(raw) < CONFIG.size + PACKET.itemsize:
         raise InputError(f"{len(raw)} bytes hold no scan", where=path, allowed="a PulsON 440 MRM log")
-    start_ps, stop_ps, _, integration = CONFIG.unpack(raw[: CONFIG.size])[1:5]
+    start_ps, _, _, integration = CONFIG.unpack(raw[: CONFIG.size])[1:5]
     whole, rest = divmod(len(raw) - CONFIG.size, PACKET.itemsize)
     packets = np.frombuffer(raw, PACKET, whole, CONFIG.size)
     if rest:

@@ -1,13 +1,13 @@
-"""Reading recordings back: whole ones by their index or none, and what is left of cut or damaged ones.
+"""Reading recordings back: finished ones, and what is left of cut or damaged ones.
 
-Only RadarFrame messages become Frames; a file from elsewhere without them is refused in one line.
+Files are read from front to back, a chunk at a time, so memory stays flat and no index is needed.
 """
 
 from __future__ import annotations
 
-import json
 import struct
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,23 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats, Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
-from ullage.ports import messages
-from ullage.ports.protocol import one_or_all
-from ullage.specs import RadarSpec
+from ullage.ports import conversions
+from ullage.ports import messages as ros
+from ullage.ports.protocol import mend_clock, one_or_all
 
-FRAME, SETTINGS = "ullage_msgs/msg/RadarFrame", "ullage_msgs/msg/RadarSettings"
+MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass
-class Pending:
-    """Messages of one sensor that wait to become Frames, and what holds for them."""
+class Waiting:
+    """Messages of one sensor that are to become Frames, and what holds for them."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     notes: list[bytes] = field(default_factory=list)
     last_ns: int | None = None
+    shift_ns: int = 0  # added since the clock jumped back
 
 
 class McapSource:
@@ -48,10 +49,10 @@ class McapSource:
         self.path = Path(path)
         try:
             with open(self.path, "rb") as file:
-                magic = file.read(8)
+                magic = file.read(len(MAGIC))
         except OSError as error:
             raise InputError(f"cannot read: {error.strerror}", where=self.path) from None
-        if magic != b"\x89MCAP0\r\n":
+        if magic != MAGIC:
             raise InputError("not an MCAP recording" if magic else "empty file", where=self.path, allowed="MCAP")
         self._sensors: tuple[str, ...] | None = None
 
@@ -59,7 +60,8 @@ class McapSource:
     def sensors(self) -> tuple[str, ...]:
         """Names of the radars."""
         if self._sensors is None:
-            self._sensors = tuple(dict.fromkeys(text(data, 1) for _, data in self._messages(FRAME)))
+            found = (conversions.text_in(data, 1) for _, data in self._messages(ros.FRAME))
+            self._sensors = tuple(dict.fromkeys(found))
         return self._sensors
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
@@ -69,117 +71,115 @@ class McapSource:
             InputError: no frames are there, or no such sensor.
         """
         parts: dict[str, list[Frames]] = {}
-        for chunk in self.stream(4096):
+        for chunk in self.stream(1024):
             for name, part in chunk.items():
                 parts.setdefault(name, []).append(part)
         if not parts:
-            raise InputError("no radar frames in it", where=self.path, allowed=f"messages of {FRAME}")
+            raise InputError("no radar frames in it", where=self.path, allowed=f"messages of {ros.FRAME}")
         return one_or_all({name: joined(part) for name, part in parts.items()}, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
-        waiting: dict[str, Pending] = {}
-        for kind, data in self._messages(FRAME, SETTINGS):
-            mine = waiting.setdefault(text(data, 1), Pending())
-            if kind == SETTINGS:
-                if mine.notes:
-                    yield self._made(waiting)
-                mine.settings = decode_settings(data)
-                continue
-            if not mine.settings or (mine.notes and len(mine.notes[0]) != len(data)):
-                continue
-            mine.notes.append(data)
-            if len(mine.notes) >= chunk:
+        """The same in pieces of at most `chunk` frames of each sensor, in order of time.
+
+        Raises:
+            InputError: what was recorded makes no frames.
+        """
+        waiting: dict[str, Waiting] = {}
+        for kind, data in self._messages(ros.FRAME, ros.SETTINGS, ros.TRACK):
+            mine = waiting.setdefault(conversions.text_in(data, 1), Waiting())
+            full = len(mine.notes) >= chunk or (mine.notes and len(mine.notes[0]) != len(data))
+            if mine.notes and (full or kind != ros.FRAME):
                 yield self._made(waiting)
-        if any(p.notes for p in waiting.values()):
+            if kind == ros.FRAME:
+                mine.notes.append(data)
+            elif kind == ros.SETTINGS:
+                mine.settings = {**mine.settings, **conversions.settings_of(data)}
+            else:
+                mine.settings["track"] = conversions.track_of(data)
+        if any(mine.notes for mine in waiting.values()):
             yield self._made(waiting)
 
-    def _made(self, waiting: dict[str, Pending]) -> dict[str, Frames]:
+    def _made(self, waiting: dict[str, Waiting]) -> dict[str, Frames]:
         out = {}
         for name, mine in waiting.items():
             if mine.notes:
-                out[name] = decode_frames(mine.notes, name, mine.settings)
+                out[name] = self._frames(name, mine)
                 mine.notes = []
         return out
 
+    def _frames(self, name: str, mine: Waiting) -> Frames:
+        raw = conversions.times_in(mine.notes)
+        t_ns = raw + mine.shift_ns
+        if mine.last_ns is not None:
+            t_ns = np.concatenate([[mine.last_ns], t_ns])
+        t_ns = mend_clock(t_ns, where=f"{self.path} ({name})")[-len(raw) :]
+        mine.shift_ns, mine.last_ns = int(t_ns[-1] - raw[-1]), int(t_ns[-1])
+        return conversions.frames_of(mine.notes, name, mine.settings, t_ns)
+
     def trajectory(self) -> Trajectory | None:
-        """The path of the body, where it is known."""
-        return None
+        """The path of the body as it was believed, where it is known."""
+        notes = [data for _, data in self._messages(ros.ODOMETRY, topic="/odom")]
+        return conversions.odometry_path(notes) if notes else None
 
     def map(self) -> OccupancyMap | None:
         """The last map recorded, where there is one."""
-        return None
+        last = dict(self._messages(ros.CELLS, ros.GRID))
+        if ros.CELLS in last:
+            return conversions.cells_of(last[ros.CELLS])
+        return conversions.grid_of(last[ros.GRID]) if last else None
 
-    def _messages(self, *kinds: str) -> Iterator[tuple[str, bytes]]:
-        """Messages of these kinds as far as the file can be read."""
-        from mcap.exceptions import McapError
+    def _messages(self, *kinds: str, topic: str = "") -> Iterator[tuple[str, bytes]]:
+        """Messages of these kinds, as far as the file can be read."""
         from mcap.records import Channel, Message, Schema
-        from mcap.stream_reader import StreamReader
 
         names: dict[int, str] = {}
         channels: dict[int, str] = {}
+        for record in self._records():
+            if isinstance(record, Schema):
+                names[record.id] = record.name
+            elif isinstance(record, Channel):
+                mine = names.get(record.schema_id, "") if topic in ("", record.topic) else ""
+                channels[record.id] = mine if record.message_encoding == "cdr" else ""
+            elif isinstance(record, Message) and channels.get(record.channel_id) in kinds:
+                if record.data[:2] != b"\0\1":
+                    continue  # big endian: no ROS 2 machine of today writes it
+                yield channels[record.channel_id], record.data
+
+    def _records(self) -> Iterator[Any]:
+        """Records in and outside chunks; damaged chunks are left out, with one warning at the end."""
+        from mcap.exceptions import EndOfFile
+        from mcap.records import Chunk
+        from mcap.stream_reader import StreamReader, breakup_chunk
+
+        broken: Counter[str] = Counter()
         with open(self.path, "rb") as file:
-            reader = StreamReader(file, record_size_limit=self.path.stat().st_size)
+            reader = StreamReader(file, emit_chunks=True, record_size_limit=self.path.stat().st_size)
             records = iter(reader.records)
             while True:
                 try:
                     record = next(records)
                 except StopIteration:
-                    return
-                except (McapError, ValueError, struct.error, EOFError, Exception) as error:
-                    warnings.warn(
-                        f"{self.path}: cut or damaged; what came before is used ({error})", UllageWarning, stacklevel=2
-                    )
-                    return
-                if isinstance(record, Schema):
-                    names[record.id] = record.name
-                elif isinstance(record, Channel):
-                    channels[record.id] = names.get(record.schema_id, "")
-                elif isinstance(record, Message) and channels.get(record.channel_id) in kinds:
-                    yield channels[record.channel_id], record.data
+                    break
+                except EndOfFile:
+                    broken["it was never finished, or cut"] += 1
+                    break
+                except unreadable() as error:
+                    broken[f"it ends in what is no record, at byte {file.tell()} ({type(error).__name__})"] += 1
+                    break
+                try:
+                    inner = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+                except unreadable():
+                    broken["damaged chunks"] += 1
+                    continue
+                yield from inner
+        if broken:
+            what = "; ".join(f"{count} {why}" if count > 1 else why for why, count in broken.items())
+            warnings.warn(f"{self.path}: {what}; all that can be read is used", UllageWarning, stacklevel=2)
 
 
-def text(data: bytes, index: int) -> str:
-    """The string at this place among a message's first ones, which follow its stamp."""
-    at = 12
-    for _ in range(index):
-        at += 4 + int.from_bytes(data[at : at + 4], "little")
-        at += -at % 4
-    size = int.from_bytes(data[at : at + 4], "little")
-    return data[at + 4 : at + 3 + size].decode()
+def unreadable() -> tuple[type[Exception], ...]:
+    """What the MCAP reader raises on damaged bytes."""
+    from mcap.exceptions import McapError
+    from zstandard import ZstdError
 
-
-def decode_settings(data: bytes) -> dict[str, Any]:
-    """Fields of Frames that a RadarSettings message holds."""
-    note = messages.typestore().deserialize_cdr(data, SETTINGS)
-    return {
-        "unit": note.unit,
-        "range_m": np.array(note.range),
-        "spec": RadarSpec(**json.loads(note.settings)),
-    }
-
-
-def decode_frames(notes: list[bytes], sensor: str, settings: dict[str, Any]) -> Frames:
-    """Frames of messages of one size."""
-    frame_id, name = text(notes[0], 0).encode(), sensor.encode()
-    floats = (len(notes[0]) - messages.frame_layout(frame_id, name, 1).dtype.itemsize) // 4 + 1
-    layout = messages.frame_layout(frame_id, name, floats)
-    records = np.frombuffer(b"".join(notes), layout.dtype)
-    samples = np.ascontiguousarray(records["samples"])
-    t_ns = records["sec"].astype(np.int64) * 1_000_000_000 + records["nanosec"]
-    poses = {
-        key: path_of(t_ns, records[name]) if records[f"has_{name}"].all() else None
-        for key, name in (("poses", "believed"), ("truth", "truth"))
-    }
-    return Frames(
-        samples.view(np.complex64) if records["kind"][0] == 0 else samples,
-        t_ns=t_ns,
-        sensor=sensor,
-        **settings,
-        **poses,
-    )
-
-
-def path_of(t_ns: Any, states: Floats) -> Trajectory:
-    """The trajectory of columns (n, 13)."""
-    return Trajectory(t_ns, states[:, :3], states[:, 3:7], states[:, 7:10], states[:, 10:])
+    return (McapError, ZstdError, struct.error, ValueError, RuntimeError, MemoryError, OverflowError)

@@ -110,8 +110,8 @@ def open_rows(path: Path, fps: float, range_start_m: float | None) -> Rows:
     _, bins, bin_m, rate, center, start = struct.unpack("<IIffff", head)
     if 1 <= bins <= 65536 and 1e-3 < bin_m < 10 and 1e8 < rate < 1e11 and 1e9 < center < 1e11 and abs(start) < 1e3:
         scale = C0 / DRIVER_C if abs(bin_m * 2 * rate / DRIVER_C - 1) < 1e-4 else 1.0
-        spec = _x4m05(path, bins, fps, bandwidth_hz=1.4e9, center_hz=float(center), sampling_hz=8 * C0 / (2 * bin_m * scale),
-                      range_start_m=start * scale)  # fmt: skip
+        rate_hz = 8 * C0 / (2 * bin_m * scale)
+        spec = _x4m05(path, bins, fps, center_hz=float(center), sampling_hz=rate_hz, range_start_m=start * scale)
         return Rows(_map(path, size, BASEBAND, bins), spec)
     if kind == 0 and 2 <= count <= 131072 and count % 2 == 0:
         if range_start_m is None:

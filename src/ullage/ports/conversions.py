@@ -1,0 +1,308 @@
+"""What flows, as ROS 2 messages, and back."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Calibration, Detections, Floats, Frames, Times, Trajectory
+from ullage.errors import InputError, UllageWarning
+from ullage.geometry import quat_matrix
+from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
+from ullage.ports import messages as ros
+from ullage.specs import RadarSpec
+from ullage.world.scene import Scene
+
+WORLD, BODY = "world", "base_link"
+MOST_TRIANGLES = 50_000
+PROFILE = (("x", "float32"), ("y", "float32"), ("z", "float32"), ("intensity", "float32"))
+HIT = (*PROFILE, ("range", "float32"), ("snr_db", "float32"))
+PAINT = {
+    "steel": (0.55, 0.60, 0.68),
+    "pec": (0.55, 0.60, 0.68),
+    "concrete": (0.70, 0.68, 0.64),
+    "wood": (0.72, 0.54, 0.34),
+}
+
+
+def state_columns(path: Trajectory) -> Floats:
+    """Position, quaternion, velocity and rate (n, 13)."""
+    return np.concatenate([path.position, path.quat_xyzw, *path.rates], axis=1)
+
+
+def path_of(t_ns: Times, states: Floats) -> Trajectory:
+    """The trajectory of columns (n, 13)."""
+    return Trajectory(t_ns, states[:, :3], states[:, 3:7], states[:, 7:10], states[:, 10:])
+
+
+def frame_notes(frames: Frames, start: int) -> list[bytes]:
+    """RadarFrame of each frame, counted from `start`."""
+    floats = frames.samples.view(np.float32)
+    layout = ros.frame_layout(frames.sensor.encode(), frames.sensor.encode(), floats.shape[1])
+    axis = frames.range_m
+    columns: dict[str, Any] = ros.stamps(frames.t_ns) | {
+        "index": start + np.arange(len(frames)),
+        "kind": 0 if np.iscomplexobj(frames.samples) else 1,
+        "range_start": axis[0],
+        "range_step": (axis[-1] - axis[0]) / max(len(axis) - 1, 1),
+        "count": floats.shape[1],
+        "samples": floats,
+    }
+    for name, path in (("believed", frames.poses), ("truth", frames.truth)):
+        if path is not None:
+            columns |= {f"has_{name}": 1, name: state_columns(path)}
+    return layout.fill(len(frames), **columns)
+
+
+def times_in(notes: Sequence[bytes]) -> Times:
+    """Times of messages that begin with a header."""
+    stamps = np.frombuffer(b"".join(note[4:12] for note in notes), [("sec", "<i4"), ("nanosec", "<u4")])
+    return np.asarray(stamps["sec"].astype(np.int64) * 1_000_000_000 + stamps["nanosec"])
+
+
+def frames_of(notes: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Times) -> Frames:
+    """Frames of RadarFrame messages of one size, with the fields that `settings_of` gave, at these times.
+
+    Raises:
+        InputError: the messages are no frames after all.
+    """
+    frame_id, name = text_in(notes[0], 0).encode(), sensor.encode()
+    floats = (len(notes[0]) - ros.frame_layout(frame_id, name, 0).dtype.itemsize) // 4
+    records = np.frombuffer(b"".join(notes), ros.frame_layout(frame_id, name, floats).dtype)
+    samples: Any = np.ascontiguousarray(records["samples"])
+    if (records["count"] != floats).any() or (records["kind"] != records["kind"][0]).any():
+        raise InputError("a frame's length or kind does not fit", where=sensor)
+    if records["kind"][0] == 0:
+        samples = samples.view(np.complex64)
+    known = fields if "spec" in fields else fields | assumed_settings(records[0], sensor, samples)
+    poses, truth = (
+        path_of(t_ns, records[key]) if records[f"has_{key}"].all() else None for key in ("believed", "truth")
+    )
+    return Frames(samples, t_ns=t_ns, sensor=sensor, poses=poses, truth=truth, **known)
+
+
+def assumed_settings(record: Any, sensor: str, samples: Any) -> dict[str, Any]:
+    """Fields of Frames where no settings came with the messages."""
+    bins = samples.shape[1]
+    warnings.warn(f"{sensor}: no settings were recorded; an X4M05's are assumed", UllageWarning, stacklevel=3)
+    output = "baseband" if np.iscomplexobj(samples) else "rf"
+    spec = RadarSpec.preset("x4m05", output=output, bins=max(bins, 8), range_start_m=float(record["range_start"]))
+    range_m = record["range_start"] + record["range_step"] * np.arange(bins)
+    return {"spec": spec, "range_m": range_m, "unit": "normalised"}
+
+
+def text_in(data: bytes, index: int) -> str:
+    """The string at this place among a message's first ones, which follow its stamp."""
+    at = 12
+    for _ in range(index):
+        at += 4 + int.from_bytes(data[at : at + 4], "little")
+        at += -at % 4
+    size = int.from_bytes(data[at : at + 4], "little")
+    return data[at + 4 : at + 3 + size].decode()
+
+
+def settings_note(frames: Frames) -> bytes:
+    """RadarSettings of these frames."""
+    calibration = "" if frames.calibration is None else json.dumps(asdict(frames.calibration))
+    head = ros.header(int(frames.t_ns[0]), frames.sensor)
+    values = (head, frames.sensor, frames.unit, frames.spec.model_dump_json(), calibration, frames.range_m)
+    return ros.to_bytes(ros.SETTINGS, ros.make(ros.SETTINGS, *values))
+
+
+def settings_of(data: bytes) -> dict[str, Any]:
+    """Fields of Frames that a RadarSettings message holds."""
+    note = ros.from_bytes(ros.SETTINGS, data)
+    calibration = Calibration(**json.loads(note.calibration)) if note.calibration else None
+    spec = spec_of(json.loads(note.settings), note.sensor)
+    return {"unit": note.unit, "range_m": np.array(note.range), "spec": spec, "calibration": calibration}
+
+
+def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
+    """A radar's settings; those that this version does not know are left out with a warning."""
+    unknown = sorted(values.keys() - RadarSpec.model_fields.keys())
+    if unknown:
+        what = f"{where}: settings this version does not know are left out: {', '.join(unknown)}"
+        warnings.warn(what, UllageWarning, stacklevel=3)
+    return RadarSpec(**{key: value for key, value in values.items() if key not in unknown})
+
+
+def track_note(track: Trajectory, sensor: str, t_ns: int) -> bytes:
+    """Track of one sensor."""
+    values = (ros.header(t_ns, WORLD), sensor, track.t_ns, state_columns(track).ravel())
+    return ros.to_bytes(ros.TRACK, ros.make(ros.TRACK, *values))
+
+
+def track_of(data: bytes) -> Trajectory:
+    """The trajectory that a Track message holds."""
+    note = ros.from_bytes(ros.TRACK, data)
+    return path_of(np.array(note.time), np.array(note.state).reshape(-1, 13))
+
+
+def transform_notes(paths: dict[str, Trajectory]) -> list[bytes]:
+    """TFMessage at each time: the world's children, which share their times."""
+    first = next(iter(paths.values()))
+    layout = ros.transform_layout(WORLD.encode(), tuple(name.encode() for name in paths))
+    columns: dict[str, Any] = {"count": len(paths)}
+    stamp = ros.stamps(first.t_ns)
+    for i, path in enumerate(paths.values()):
+        columns |= {f"sec{i}": stamp["sec"], f"nanosec{i}": stamp["nanosec"]}
+        columns[f"pose{i}"] = np.concatenate([path.position, path.quat_xyzw], axis=1)
+    return layout.fill(len(first), **columns)
+
+
+def odometry_notes(path: Trajectory) -> list[bytes]:
+    """Odometry at each time; rates in the body's frame, as ROS has it."""
+    velocity, spin = path.rates
+    in_body = np.einsum("nij,ni->nj", quat_matrix(path.quat_xyzw), velocity)
+    return ros.odometry_layout(WORLD.encode(), BODY.encode()).fill(
+        len(path),
+        **ros.stamps(path.t_ns),
+        pose=np.concatenate([path.position, path.quat_xyzw], axis=1),
+        twist=np.concatenate([in_body, spin], axis=1),
+    )
+
+
+def odometry_path(notes: Sequence[bytes]) -> Trajectory:
+    """The trajectory of Odometry messages, each time once.
+
+    Raises:
+        InputError: the messages are of another frame of reference or length.
+    """
+    layout = ros.odometry_layout(text_in(notes[0], 0).encode(), text_in(notes[0], 1).encode())
+    if any(len(note) != layout.dtype.itemsize for note in notes):
+        raise InputError("odometry changes its frames of reference", where="odom")
+    records = np.frombuffer(b"".join(notes), layout.dtype)
+    t_ns, row = np.unique(times_in(notes), return_index=True)
+    pose, twist = records["pose"][row], records["twist"][row]
+    velocity = np.einsum("nij,nj->ni", quat_matrix(pose[:, 3:]), twist[:, :3])
+    return Trajectory(t_ns, pose[:, :3], pose[:, 3:], velocity, twist[:, 3:])
+
+
+def profile_notes(frames: Frames) -> list[bytes]:
+    """PointCloud2 of each frame's profile along the boresight, for eyes."""
+    bins = len(frames.range_m)
+    points = np.zeros((len(frames), bins), np.dtype(list(PROFILE)))
+    points["x"], points["intensity"] = frames.range_m, frames.amplitude
+    columns = ros.cloud_columns(PROFILE, bins) | ros.stamps(frames.t_ns)
+    return ros.cloud_layout(frames.sensor.encode(), PROFILE, bins).fill(len(frames), data=points, dense=1, **columns)
+
+
+def detection_notes(found: Detections) -> list[tuple[int, bytes]]:
+    """PointCloud2 of the detections at each time, in the world; points whose bearing is unknown are NaN."""
+    out = []
+    order = np.argsort(found.t_ns, kind="stable")
+    times, first = np.unique(found.t_ns[order], return_index=True)
+    for t_ns, rows in zip(times, np.split(order, first[1:]), strict=True):
+        points = np.zeros((1, len(rows)), np.dtype(list(HIT)))
+        for k, axis in enumerate("xyz"):
+            points[axis] = found.point[rows, k]
+        points["intensity"], points["range"] = found.amplitude[rows], found.range_m[rows]
+        points["snr_db"] = found.snr_db[rows]
+        columns = ros.cloud_columns(HIT, len(rows)) | ros.stamps(np.array([t_ns]))
+        layout = ros.cloud_layout(WORLD.encode(), HIT, len(rows))
+        out.append(
+            (int(t_ns), layout.fill(1, data=points, dense=int(np.isfinite(found.point[rows]).all()), **columns)[0])
+        )
+    return out
+
+
+def grid_note(omap: OccupancyMap, t_ns: int) -> bytes:
+    """OccupancyGrid of a plane; what is ambiguous is unknown there."""
+    x, y, z = omap.grid.origin_m
+    pose = _pose((x, y, z if np.isfinite(z) else 0.0))
+    ny, nx = omap.grid.shape
+    head = ros.header(t_ns, WORLD)
+    info = ros.make("nav_msgs/msg/MapMetaData", head.stamp, float(omap.grid.step_m), nx, ny, pose)
+    known = np.where(omap.percent == AMBIGUOUS, UNKNOWN, omap.percent).astype(np.int8).ravel()
+    return ros.to_bytes(ros.GRID, ros.make(ros.GRID, head, info, known))
+
+
+def grid_of(data: bytes) -> OccupancyMap:
+    """The map that an OccupancyGrid message holds.
+
+    Raises:
+        InputError: it is turned, or its size does not fit.
+    """
+    note = ros.from_bytes(ros.GRID, data)
+    at, turn, info = note.info.origin.position, note.info.origin.orientation, note.info
+    if abs(turn.x) + abs(turn.y) + abs(turn.z) > 1e-9:
+        raise InputError("the map is turned", where="OccupancyGrid", allowed="an origin along the axes of the world")
+    percent = np.array(note.data, np.int8)
+    if len(percent) != info.width * info.height:
+        raise InputError("the map's size does not fit", where="OccupancyGrid")
+    step = float(str(np.float32(info.resolution)))  # the shortest number that this float32 can mean
+    return OccupancyMap(Grid((at.x, at.y, at.z), step, (info.height, info.width)), percent.reshape(info.height, -1))
+
+
+def cells_note(omap: OccupancyMap, t_ns: int) -> bytes:
+    """CellMap of any map."""
+    grid = omap.grid
+    values = (np.array(grid.origin_m), float(grid.step_m), np.array(grid.shape, np.uint32))
+    levels = (omap.occupied_from, omap.free_to, np.ascontiguousarray(omap.percent).ravel())
+    return ros.to_bytes(ros.CELLS, ros.make(ros.CELLS, ros.header(t_ns, WORLD), omap.method, *values, *levels))
+
+
+def cells_of(data: bytes) -> OccupancyMap:
+    """The map that a CellMap message holds."""
+    note = ros.from_bytes(ros.CELLS, data)
+    x, y, z = (float(k) for k in note.origin)
+    grid = Grid((x, y, z), note.step, tuple(int(k) for k in note.shape))
+    percent = np.array(note.percent, np.int8).reshape(grid.shape)
+    return OccupancyMap(grid, percent, note.method, note.occupied_from, note.free_to)
+
+
+def occupied_note(omap: OccupancyMap, t_ns: int) -> bytes:
+    """PointCloud2 of the occupied cells of a volume."""
+    cells = np.argwhere(omap.occupied)
+    points = np.zeros((1, len(cells)), np.dtype(list(PROFILE)))
+    for axis, centres, row in zip("zyx", (omap.grid.z_m, omap.grid.y_m, omap.grid.x_m), cells.T, strict=True):
+        points[axis] = centres[row]
+    points["intensity"] = omap.percent[omap.occupied]
+    columns = ros.cloud_columns(PROFILE, len(cells)) | ros.stamps(np.array([t_ns]))
+    layout = ros.cloud_layout.__wrapped__(WORLD.encode(), PROFILE, len(cells))
+    return layout.fill(1, data=points, dense=1, **columns)[0]
+
+
+def scene_note(scene: Scene, t_ns: int) -> bytes:
+    """MarkerArray of a scene: triangles of each object, and its wires as lines; the largest if there are too many."""
+    corners = scene.corners()
+    owner = scene.face_object
+    if len(corners) > MOST_TRIANGLES:
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        keep = np.sort(np.argsort(area)[-MOST_TRIANGLES:])
+        corners, owner = corners[keep], owner[keep]
+    lines = np.stack([scene.wires.start, scene.wires.end], axis=1)
+    found = []
+    for index, thing in enumerate(scene.objects):
+        triangles, wires = corners[owner == index], lines[scene.wires.object_id == index]
+        red, green, blue = PAINT.get(thing.material.name, (0.6, 0.6, 0.6))
+        colour = ros.make("std_msgs/msg/ColorRGBA", red, green, blue, 0.6)
+        if len(triangles):
+            found.append(_marker(t_ns, thing.name, 11, index, triangles.reshape(-1, 3), 1.0, colour))
+        if len(wires):
+            width = 2 * float(scene.wires.radius_m[scene.wires.object_id == index].max())
+            found.append(_marker(t_ns, f"{thing.name} wires", 5, index, wires.reshape(-1, 3), width, colour))
+    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, found))
+
+
+def _marker(t_ns: int, name: str, kind: int, index: int, points: Floats, width: float, colour: Any) -> Any:
+    point = ros.typestore().types["geometry_msgs/msg/Point"]
+    scale = ros.make("geometry_msgs/msg/Vector3", width, 1.0, 1.0)
+    lifetime = ros.make("builtin_interfaces/msg/Duration", 0, 0)
+    picture = ros.make("sensor_msgs/msg/CompressedImage", ros.header(0, ""), "", np.zeros(0, np.uint8))
+    mesh = ros.make("visualization_msgs/msg/MeshFile", "", np.zeros(0, np.uint8))
+    places = [point(x, y, z) for x, y, z in points.tolist()]
+    return ros.make(
+        "visualization_msgs/msg/Marker", ros.header(t_ns, WORLD), name, index, kind, 0, _pose((0, 0, 0)), scale,
+        colour, lifetime, True, places, [], "", picture, [], "", "", mesh, False,
+    )  # fmt: skip
+
+
+def _pose(position: tuple[float, float, float]) -> Any:
+    at = ros.make("geometry_msgs/msg/Point", *map(float, position))
+    return ros.make("geometry_msgs/msg/Pose", at, ros.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0))

@@ -1,0 +1,165 @@
+"""Maps as `map_server` has them: an image and a `.yaml` that says where it lies [MapServer].
+
+trinary: black is occupied, white free, grey (205) unknown. scale: grey levels between the thresholds, unknown is
+transparent, so the image is a PNG. raw: the pixel is the percent, 255 unknown; nothing is lost but the mark ambiguous.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.errors import InputError
+from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.ports.protocol import write_whole
+
+Mode = Literal["trinary", "scale", "raw"]
+MODES = ("trinary", "scale", "raw")
+FREE_PIXEL, UNKNOWN_PIXEL = 254, 205
+FREE_THRESHOLD, OCCUPIED_THRESHOLD = 0.196, 0.65  # map_server's own, between which 205 is unknown
+MOST_PIXELS = 400_000_000
+
+
+def write_map_server(omap: OccupancyMap, path: str | Path, *, mode: Mode = "trinary") -> Path:
+    """Write a plane as `<name>.yaml` and its image beside it, `.pgm` or (scale) `.png`.
+
+    Args:
+        omap: a plane; what is ambiguous becomes unknown.
+        path: of the `.yaml` or of the image.
+        mode: how percent become pixels.
+
+    Returns:
+        The path of the `.yaml`.
+
+    Raises:
+        InputError: the map is a volume, the mode is unknown, or the folder cannot be written.
+    """
+    path = Path(path)
+    if omap.grid.dims != 2:
+        raise InputError("map_server knows planes only", where=path, allowed="a 2D map; .bt, .ot or .ply for a volume")
+    if mode not in MODES:
+        raise InputError(f"no mode {mode!r}", where="mode", allowed=", ".join(MODES))
+    image = path.with_suffix(".png" if mode == "scale" else ".pgm")
+    pixels = np.ascontiguousarray(_pixels(omap, mode)[::-1])
+    _write_image(pixels, image)
+    x, y, z = omap.grid.origin_m
+    low, high = (
+        (omap.free_to / 100, omap.occupied_from / 100) if mode != "trinary" else (FREE_THRESHOLD, OCCUPIED_THRESHOLD)
+    )
+    about: dict[str, Any] = {
+        "image": image.name, "mode": mode, "resolution": omap.grid.step_m, "origin": [x, y, 0.0], "negate": 0,
+        "occupied_thresh": high, "free_thresh": low,
+        "ullage": {"height_m": z if math.isfinite(z) else None, "method": omap.method},
+    }  # fmt: skip
+    import yaml
+
+    text = yaml.safe_dump(about, sort_keys=False, default_flow_style=None)
+    write_whole(path.with_suffix(".yaml"), lambda out: out.write(text.encode()))
+    return path.with_suffix(".yaml")
+
+
+def _pixels(omap: OccupancyMap, mode: Mode) -> NDArray[np.uint8]:
+    """Rows from low y to high y; (ny, nx), or (ny, nx, 2) with opacity."""
+    known = omap.percent >= 0
+    if mode == "trinary":
+        return np.where(omap.occupied, 0, np.where(omap.free, FREE_PIXEL, UNKNOWN_PIXEL)).astype(np.uint8)
+    if mode == "raw":
+        return np.where(known, omap.percent, 255).astype(np.uint8)
+    grey = np.where(known, np.rint(255 - 2.55 * omap.percent), UNKNOWN_PIXEL)
+    return np.stack([grey, np.where(known, 255, 0)], axis=-1).astype(np.uint8)
+
+
+def _write_image(pixels: NDArray[np.uint8], path: Path) -> None:
+    from PIL import Image
+
+    kind = "PNG" if path.suffix == ".png" else "PPM"
+    write_whole(path, lambda out: Image.fromarray(pixels).save(out, kind))
+
+
+def read_map_server(path: str | Path) -> OccupancyMap:
+    """Read a `map_server` map, ours or anybody's.
+
+    Args:
+        path: of the `.yaml`.
+
+    Raises:
+        InputError: the file or its image cannot be read or make no map; turned maps are refused.
+    """
+    import yaml
+
+    path = Path(path)
+    try:
+        about = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=path) from None
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"no YAML: {' '.join(str(error).split())}", where=path) from None
+    if not isinstance(about, dict) or "image" not in about:
+        raise InputError("no map", where=path, allowed="a map_server .yaml with image, resolution, origin, ...")
+    step = _number(about, "resolution", path)
+    low, high = _number(about, "free_thresh", path), _number(about, "occupied_thresh", path)
+    mode = str(about.get("mode", "trinary"))
+    if mode not in MODES:
+        raise InputError(f"no mode {mode!r}", where=path, allowed=", ".join(MODES))
+    if not low < high:
+        raise InputError(f"free_thresh {low:g} is not below occupied_thresh {high:g}", where=path)
+    x, y = _origin(about, path)
+    grey, opacity = _read_image(path.parent / str(about["image"]))
+    percent = _percent(grey, opacity, mode, bool(about.get("negate", 0)), low, high)[::-1]
+    said = about.get("ullage")
+    own: dict[str, Any] = said if isinstance(said, dict) else {}
+    z = own.get("height_m")
+    height = float(z) if isinstance(z, int | float) else math.nan
+    grid = Grid((x, y, height), step, percent.shape)
+    levels = (round(100 * high), round(100 * low)) if mode == "raw" else (65, 35)
+    return OccupancyMap(grid, np.ascontiguousarray(percent), str(own.get("method") or "map_server"), *levels)
+
+
+def _number(about: dict[str, Any], name: str, path: Path) -> float:
+    value = about.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{name} is {value!r}", where=path, allowed="a number")
+    return float(value)
+
+
+def _origin(about: dict[str, Any], path: Path) -> tuple[float, float]:
+    origin = about.get("origin")
+    if not (isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)):
+        raise InputError(f"origin is {origin!r}", where=path, allowed="[x, y, yaw]")
+    if origin[2] != 0:
+        raise InputError(f"the map is turned by {origin[2]:g} rad", where=path, allowed="yaw 0")
+    return float(origin[0]), float(origin[1])
+
+
+def _read_image(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Brightness 0..255, the mean of colours, and whether each pixel is opaque."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            if image.width * image.height > MOST_PIXELS:
+                size = f"{image.width} x {image.height} pixels"
+                raise InputError(f"{size} are too many", where=path, allowed=f"{MOST_PIXELS:.0e}")
+            has_opacity = "A" in image.getbands() or "transparency" in image.info
+            pixels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"no image: {error}", where=path, allowed="PGM, PNG, BMP") from None
+    opaque = pixels[..., 3] > 0 if has_opacity else np.ones(pixels.shape[:2], np.bool_)
+    return pixels[..., :3].mean(axis=-1), opaque
+
+
+def _percent(
+    grey: NDArray[np.float64], opaque: NDArray[np.bool_], mode: str, negate: bool, low: float, high: float
+) -> NDArray[np.int8]:
+    if mode == "raw":
+        return np.where(grey <= 100, grey, UNKNOWN).astype(np.int8)
+    chance = grey / 255 if negate else (255 - grey) / 255
+    between = np.full(grey.shape, float(UNKNOWN))
+    if mode == "scale":
+        between = np.rint(1 + 98 * (chance - low) / (high - low))
+    out = np.where(chance > high, 100, np.where(chance < low, 0, between))
+    return np.where(opaque, out, UNKNOWN).astype(np.int8)

@@ -1,0 +1,88 @@
+"""Occupied cells as a PLY point cloud, which every mesh viewer opens [Turk1994]."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Floats
+from ullage.errors import InputError
+from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.ports.protocol import write_whole
+
+TAG = "comment ullage grid "
+
+
+def write_ply(omap: OccupancyMap, path: str | Path, *, normals: Floats | None = None) -> None:
+    """Write the centre of each occupied cell, with its percent.
+
+    Args:
+        omap: a plane or a volume; a plane without a height lies at z = 0.
+        path: of the `.ply` file.
+        normals: of the surface in each occupied cell, in array order (n, 3); None: unknown.
+
+    Raises:
+        InputError: normals of another length were given, or the folder cannot be written.
+    """
+    cells = np.argwhere(omap.occupied)
+    centres = [omap.grid.x_m[cells[:, -1]], omap.grid.y_m[cells[:, -2]]]
+    centres += [
+        omap.grid.z_m[cells[:, 0]] if omap.grid.dims == 3 else np.full(len(cells), np.nan_to_num(omap.grid.z_m[0]))
+    ]
+    names = ["x", "y", "z"]
+    if normals is not None:
+        if normals.shape != (len(cells), 3):
+            raise InputError(f"normals have shape {normals.shape}", where="normals", allowed=f"({len(cells)}, 3)")
+        names += ["nx", "ny", "nz"]
+        centres += list(normals.T)
+    points = np.zeros(len(cells), [(name, "<f4") for name in names] + [("occupied", "u1")])
+    for name, values in zip(names, centres, strict=True):
+        points[name] = values
+    points["occupied"] = omap.percent[omap.occupied]
+    origin = [value if math.isfinite(value) else None for value in omap.grid.origin_m]
+    about = {"origin_m": origin, "step_m": omap.grid.step_m, "shape": omap.grid.shape, "method": omap.method}
+    head = ["ply", "format binary_little_endian 1.0", TAG + json.dumps(about), f"element vertex {len(cells)}"]
+    head += [f"property float {name}" for name in names] + ["property uchar occupied", "end_header", ""]
+    write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
+
+
+def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
+    """Read points as occupied cells; all others are unknown.
+
+    Args:
+        path: of the `.ply` file.
+        step_m: edge of a cell [m]; None: what the file says, if ullage wrote it.
+
+    Raises:
+        InputError: it is no PLY file, holds no points, or no step is known.
+    """
+    import trimesh
+
+    path = Path(path)
+    try:
+        head = path.read_bytes()[:65536].split(b"end_header")[0].decode("latin1").splitlines()
+        cloud: Any = trimesh.load(path, file_type="ply", process=False)
+        points = np.asarray(cloud.vertices, float)
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=path) from None
+    except Exception as error:  # trimesh says what is wrong in a dozen kinds of exception
+        raise InputError(f"no PLY point cloud: {error}", where=path) from None
+    points = points[np.isfinite(points).all(1)]
+    said = next((json.loads(line.removeprefix(TAG)) for line in head if line.startswith(TAG)), None)
+    if said is not None and step_m is None:
+        x, y, z = (math.nan if value is None else value for value in said["origin_m"])
+        grid = Grid((x, y, z), said["step_m"], tuple(said["shape"]))
+    elif not len(points):
+        raise InputError("no points in it", where=path)
+    elif step_m is None:
+        raise InputError("does not say how large its cells are", where=path, allowed="read_ply(path, step_m=...)")
+    else:
+        grid = Grid.covering(np.stack([points.min(0), points.max(0)]), step_m, dims=3)
+    percent = np.full(grid.shape, UNKNOWN, np.int8)
+    cells, inside = grid.index(points)
+    percent[tuple(cells[inside].T)] = 100
+    return OccupancyMap(grid, percent, said["method"] if said else "ply")

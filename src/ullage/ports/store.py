@@ -1,0 +1,196 @@
+"""Recordings at rest in zarr: whole arrays, quick to slice, read by xarray and friends; the extra `ullage[zarr]`."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from ullage.data import Calibration, Frames, Trajectory, joined, sensors_of
+from ullage.errors import InputError, need
+from ullage.grids import Grid, OccupancyMap
+from ullage.ports import conversions
+from ullage.ports.protocol import Item, one_or_all
+
+ROWS = 256  # frames in a chunk
+
+
+class ZarrSink:
+    """Writes a store under a temporary name; `close` puts it in place.
+
+    Args:
+        path: the `.zarr` folder.
+        overwrite: replace a store that is there already.
+
+    Raises:
+        InputError: it exists already, or cannot be written.
+    """
+
+    def __init__(self, path: str | Path, *, overwrite: bool = False) -> None:
+        zarr: Any = need("zarr", extra="zarr")
+        self.path = Path(path)
+        if self.path.exists() and not overwrite:
+            raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
+        self._folder = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        try:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._root: Any = zarr.create_group(str(self._folder), attributes={"format": "ullage frames 1"})
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
+        self._waiting: dict[str, list[Frames]] = {}
+        self._open = True
+
+    def write(self, item: Item) -> None:
+        """Take frames, or a map (the last one stays); everything else passes by.
+
+        Raises:
+            InputError: the store is closed, or the disk is full.
+        """
+        if not self._open:
+            raise InputError("the store is closed", where=self.path)
+        if isinstance(item, OccupancyMap):
+            self._write_map(item)
+        elif isinstance(item, Frames | Mapping):
+            for frames in sensors_of(item):
+                parts = self._waiting.setdefault(frames.sensor, [])
+                parts.append(frames)
+                if sum(map(len, parts)) >= ROWS:
+                    self._store(frames.sensor)
+
+    def _store(self, sensor: str) -> None:
+        frames = joined(self._waiting.pop(sensor))
+        columns: dict[str, Any] = {"samples": frames.samples, "t_ns": frames.t_ns}
+        for name, path in (("poses", frames.poses), ("truth", frames.truth)):
+            if path is not None:
+                columns[name] = conversions.state_columns(path)
+        try:
+            if sensor not in self._root:
+                self._begin(frames, columns)
+            group = self._root[sensor]
+            if set(columns) != set(group.attrs["columns"]):
+                raise InputError("poses come and go", where=sensor, allowed="poses with all frames or none")
+            for name, values in columns.items():
+                group[name].append(values)
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
+
+    def _begin(self, frames: Frames, columns: dict[str, Any]) -> None:
+        about = {
+            "unit": frames.unit, "spec": frames.spec.model_dump_json(), "columns": sorted(columns),
+            "calibration": None if frames.calibration is None else asdict(frames.calibration),
+        }  # fmt: skip
+        group = self._root.create_group(frames.sensor, attributes=about)
+        for name, values in columns.items():
+            shape, rows = (0, *values.shape[1:]), (ROWS, *values.shape[1:])
+            dims = ("t_ns", {"samples": "range_m"}.get(name, "state"))[: values.ndim]
+            group.create_array(name, shape=shape, chunks=rows, dtype=values.dtype, dimension_names=dims)
+        group.create_array("range_m", data=frames.range_m, dimension_names=("range_m",))
+        if frames.track is not None:
+            group.create_array("track_t_ns", data=frames.track.t_ns)
+            group.create_array("track", data=conversions.state_columns(frames.track))
+
+    def _write_map(self, omap: OccupancyMap) -> None:
+        origin = [None if np.isnan(v) else v for v in omap.grid.origin_m]
+        about = {"origin_m": origin, "step_m": omap.grid.step_m, "method": omap.method,
+                 "occupied_from": omap.occupied_from, "free_to": omap.free_to}  # fmt: skip
+        self._root.create_group("map", attributes=about, overwrite=True).create_array("percent", data=omap.percent)
+
+    def close(self) -> None:
+        """Write what waits and put the store in place."""
+        if not self._open:
+            return
+        for sensor in list(self._waiting):
+            self._store(sensor)
+        self._open = False
+        try:
+            if self.path.exists():
+                shutil.rmtree(self.path)
+            self._folder.rename(self.path)
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class ZarrSource:
+    """Reads a store; streaming reads only the rows it hands out.
+
+    Args:
+        path: the `.zarr` folder.
+
+    Raises:
+        InputError: it is no store of ullage's.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        zarr: Any = need("zarr", extra="zarr")
+        self.path = Path(path)
+        try:
+            self._root: Any = zarr.open_group(str(self.path), mode="r")
+            known = str(self._root.attrs.get("format", "")).startswith("ullage frames")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"no zarr store: {error}", where=self.path) from None
+        if not known:
+            raise InputError("not a store of ullage's", where=self.path, allowed="what ul.sink('name.zarr') wrote")
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        return tuple(sorted(name for name in self._root.group_keys() if name != "map"))
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything of one sensor as Frames, or of several as a dict by name.
+
+        Raises:
+            InputError: no such sensor, or the store is damaged.
+        """
+        names = self.sensors if sensor is None else (sensor,)
+        if not self.sensors:
+            raise InputError("no radar frames in it", where=self.path)
+        return one_or_all({name: self._cut(name, 0, None) for name in names if name in self.sensors}, sensor)
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+        sizes = {name: self._root[name]["t_ns"].shape[0] for name in self.sensors}
+        for start in range(0, max(sizes.values(), default=0), chunk):
+            yield {name: self._cut(name, start, start + chunk) for name, size in sizes.items() if start < size}
+
+    def _cut(self, name: str, start: int, stop: int | None) -> Frames:
+        try:
+            group, rows = self._root[name], slice(start, stop)
+            t_ns = group["t_ns"][rows]
+            paths = {
+                key: conversions.path_of(t_ns, group[key][rows]) if key in group else None for key in ("poses", "truth")
+            }
+            track = conversions.path_of(group["track_t_ns"][:], group["track"][:]) if "track" in group else None
+            about = group.attrs["calibration"]
+            spec = conversions.spec_of(json.loads(group.attrs["spec"]), name)
+            return Frames(
+                group["samples"][rows], group["range_m"][:], t_ns, spec, paths["poses"], paths["truth"], name,
+                group.attrs["unit"], track, None if about is None else Calibration(**about),
+            )  # fmt: skip
+        except (OSError, KeyError, ValueError, RuntimeError) as error:
+            raise InputError(f"damaged: {error}", where=self.path) from None
+
+    def trajectory(self) -> Trajectory | None:
+        """None: stores hold the sensors' poses, with the frames."""
+        return None
+
+    def map(self) -> OccupancyMap | None:
+        """The map, where there is one."""
+        if "map" not in self._root:
+            return None
+        about, percent = self._root["map"].attrs, self._root["map"]["percent"][...]
+        x, y, z = (np.nan if v is None else v for v in about["origin_m"])
+        grid = Grid((x, y, z), about["step_m"], percent.shape)
+        return OccupancyMap(grid, percent, about["method"], about["occupied_from"], about["free_to"])

@@ -1,0 +1,55 @@
+"""Frames to write and read back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ullage as ul
+
+
+def some_frames(n: int = 40, *, seed: int = 0, sensor: str = "front", real: bool = False, bins: int = 24) -> ul.Frames:
+    """Noise on a tumbling path, believed a little wrong."""
+    rng = np.random.default_rng(seed)
+    spec = ul.RadarSpec.preset("x4m05", bins=bins, range_start_m=0.3, fps=25, output="rf" if real else "baseband")
+    t_ns = 1_700_000_000_000_000_000 + np.cumsum(rng.integers(1, 80_000_000, n))
+    truth = tumbling(t_ns, rng)
+    samples = rng.normal(size=(n, bins, 2)).astype(np.float32)
+    return ul.Frames(
+        samples[..., 0] if real else samples.view(np.complex64)[..., 0],
+        spec.range_m,
+        t_ns,
+        spec,
+        poses=tumbling(t_ns, rng),
+        truth=truth,
+        sensor=sensor,
+        unit="thesis" if real else "path_gain",
+    )
+
+
+def tumbling(t_ns: np.ndarray, rng: np.random.Generator) -> ul.Trajectory:
+    """A path with nothing even about it."""
+    quat = rng.normal(size=(len(t_ns), 4))
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    return ul.Trajectory(t_ns, rng.normal(size=(len(t_ns), 3)), quat)
+
+
+def assert_same(got: ul.Frames, want: ul.Frames) -> None:
+    """To the last bit."""
+    assert got.samples.dtype == want.samples.dtype
+    assert got.samples.tobytes() == want.samples.tobytes()
+    assert got.range_m.tobytes() == want.range_m.tobytes()
+    assert got.t_ns.tobytes() == want.t_ns.tobytes()
+    assert (got.spec, got.sensor, got.unit, got.calibration) == (want.spec, want.sensor, want.unit, want.calibration)
+    for a, b in ((got.poses, want.poses), (got.truth, want.truth), (got.track, want.track)):
+        assert (a is None) == (b is None)
+        if a is not None and b is not None:
+            assert a.t_ns.tobytes() == b.t_ns.tobytes()
+            for x, y in zip((a.position, a.quat_xyzw, *a.rates), (b.position, b.quat_xyzw, *b.rates), strict=True):
+                assert x.tobytes() == y.tobytes()
+
+
+@pytest.fixture
+def frames() -> ul.Frames:
+    """One sensor's."""
+    return some_frames()

@@ -1,0 +1,429 @@
+"""Recordings: the same bits back, through other people's readers too, and whatever a kill or a full disk leaves."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import assert_same, some_frames, tumbling
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ullage as ul
+from ullage.data import Calibration, joined
+from ullage.ports import Sink, conversions
+from ullage.ports import messages as ros
+from ullage.ports.bag import McapSink, topic_name
+
+
+def record(path: Path, *items: object) -> Path:
+    with ul.sink(path) as sink:
+        for item in items:
+            sink.write(item)
+    return path
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    n=st.integers(1, 30), bins=st.integers(8, 40), real=st.booleans(), chunk=st.integers(1, 40), known=st.integers(0, 3)
+)
+def test_same_bits_back(
+    tmp_path_factory: pytest.TempPathFactory, n: int, bins: int, real: bool, chunk: int, known: int
+) -> None:
+    path = tmp_path_factory.mktemp("bag") / "a.mcap"
+    want = some_frames(n, bins=bins, real=real, sensor="Röntgen 1")
+    want = replace(want, poses=want.poses if known & 1 else None, truth=want.truth if known & 2 else None)
+    record(path, *want.chunks(chunk))
+    got = ul.open(path).frames()
+    assert isinstance(got, ul.Frames)
+    assert_same(got, want)
+
+
+def test_track_and_calibration_survive(tmp_path: Path, frames: ul.Frames) -> None:
+    track = tumbling(np.arange(0, 10**9, 10**6), np.random.default_rng(3))
+    want = replace(frames, track=track, calibration=Calibration(4.44, 0.425, 1e-3, 2e-3, 9.5, "focus"))
+    got = ul.open(record(tmp_path / "a.mcap", want)).frames()
+    assert_same(got, want)
+
+
+def test_several_sensors_by_name(tmp_path: Path) -> None:
+    want = {name: some_frames(33, seed=k, sensor=name) for k, name in enumerate(("front", "left", "back"))}
+    source = ul.open(record(tmp_path / "a.mcap", want))
+    assert sorted(source.sensors) == sorted(want)
+    got = source.frames()
+    assert isinstance(got, dict)
+    for name, frames in want.items():
+        assert_same(got[name], frames)
+        assert_same(source.frames(name), frames)
+    with pytest.raises(ul.InputError, match=r"no sensor 'up'.*front"):
+        source.frames("up")
+
+
+def test_stream_is_the_whole_in_pieces(tmp_path: Path) -> None:
+    want = {name: some_frames(50, seed=k, sensor=name) for k, name in enumerate(("front", "left"))}
+    parts = list(ul.open(record(tmp_path / "a.mcap", want)).stream(8))
+    assert max(len(f) for part in parts for f in part.values()) <= 8
+    for name, frames in want.items():
+        assert_same(joined([part[name] for part in parts if name in part]), frames)
+
+
+def test_settings_that_change_are_kept_apart(tmp_path: Path, frames: ul.Frames) -> None:
+    later = replace(frames[20:], unit="normalised", spec=frames.spec.but(iterations=32))
+    parts = [part["front"] for part in ul.open(record(tmp_path / "a.mcap", frames[:20], later)).stream(64)]
+    assert [len(p) for p in parts] == [20, 20]
+    assert [p.unit for p in parts] == ["path_gain", "normalised"]
+    assert [p.spec.iterations for p in parts] == [64, 32]
+
+
+def everything(tmp_path: Path, n: int = 40) -> Path:
+    frames = {name: some_frames(n, sensor=name) for name in ("front", "left")}
+    grid = ul.Grid((-1.0, -2.0, float("nan")), 0.1, (6, 5))
+    percent = np.random.default_rng(2).integers(-2, 101, grid.shape).astype(np.int8)
+    volume = ul.Grid((0.0, 0.0, 0.0), 0.5, (2, 3, 4))
+    found = ul.Detections(
+        np.array([0, 0, 3]), frames["front"].t_ns[[0, 0, 3]], np.array([1.0, 2.0, 1.5]), np.array([0.1, 0.2, 0.3]),
+        np.array([10.0, 11.0, np.nan]), np.array([[1.0, 2, 3], [4, 5, 6], [np.nan] * 3]), "front",
+    )  # fmt: skip
+    scene = ul.Scene.union(
+        [
+            ul.Scene.of_mesh(np.eye(3), np.array([[0, 1, 2]]), name="tri"),
+            ul.Scene.of_wires(np.zeros(3), np.ones(3), 0.003, name="wire"),
+        ]
+    )
+    omap = ul.OccupancyMap(grid, percent, "elfes", 70, 20)
+    cubes = ul.OccupancyMap(volume, np.full(volume.shape, 80, np.int8), "ullage")
+    return record(tmp_path / "run", scene, frames, found, cubes, omap) / "frames.mcap"
+
+
+def test_public_mcap_reader_with_its_index(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    with open(everything(tmp_path), "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        topics = {channel.topic for channel in summary.channels.values()}
+        assert sum(1 for _ in reader.iter_messages()) == summary.statistics.message_count
+        assert reader.get_header().profile == "ros2"
+    assert {"/radar/front/frame", "/radar/left/settings", "/tf", "/odom", "/truth/odom", "/map", "/world"} <= topics
+    assert {"/map/cells", "/map/occupied", "/radar/front/detections", "/radar/front/profile"} <= topics
+
+
+def test_rosbags_reads_the_folder_and_agrees_on_every_byte(tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    folder = everything(tmp_path).parent
+    seen = set()
+    with AnyReader([folder]) as reader:
+        for connection, t_ns, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            again = reader.typestore.serialize_cdr(message, connection.msgtype)
+            assert bytes(again) == bytes(raw), connection.topic
+            assert t_ns >= some_frames().t_ns[0]
+            seen.add(connection.topic)
+            if connection.topic == "/radar/front/frame" and message.index == 7:
+                want = some_frames().samples[7]
+                np.testing.assert_array_equal(np.array(message.samples).view(np.complex64), want)
+    assert len(seen) == 14
+
+
+def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    mount = ul.MountSpec(position_m=(0.1, 0.2, 0.3), yaw_deg=90)
+    body = ul.Trajectory.line((0, 0, 1), (2, 0, 1), yaw_deg=30)
+    spec = ul.RadarSpec.preset("x4m05", mount=mount)
+    samples = np.zeros((len(body), spec.bins), np.complex64)
+    frames = ul.Frames(samples, spec.range_m, body.t_ns, spec, body.mounted(mount.body_from_sensor()), sensor="left")
+    record(tmp_path / "run", frames)
+    with AnyReader([tmp_path / "run"]) as reader:
+        notes = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic != "/tf"}
+        children = {
+            tf.child_frame_id
+            for c, _, raw in reader.messages() if c.topic == "/tf"
+            for tf in reader.deserialize(raw, c.msgtype).transforms
+        }  # fmt: skip
+    at, twist = notes["/odom"].pose.pose.position, notes["/odom"].twist.twist.linear
+    np.testing.assert_allclose((at.x, at.y, at.z), body.position[-1], atol=1e-12)
+    np.testing.assert_allclose((twist.x, twist.y), 0.5 * np.array([np.cos(np.pi / 6), -np.sin(np.pi / 6)]), atol=1e-12)
+    assert children == {"left", "base_link"}
+    path = ul.open(tmp_path / "run").trajectory()
+    assert path is not None
+    np.testing.assert_allclose(path.position, body.position, atol=1e-12)
+    np.testing.assert_allclose(path.rates[0], body.rates[0], atol=1e-12)
+
+
+def test_last_map_comes_back(tmp_path: Path) -> None:
+    omap = ul.open(everything(tmp_path).parent).map()
+    assert omap is not None
+    assert omap.grid.shape == (6, 5)
+    assert (omap.method, omap.occupied_from, omap.free_to) == ("elfes", 70, 20)
+    want = np.random.default_rng(2).integers(-2, 101, (6, 5)).astype(np.int8)
+    np.testing.assert_array_equal(omap.percent, want)
+
+
+WRITER = """
+    import sys, time, numpy as np
+    sys.path.insert(0, {here!r})
+    from conftest import some_frames
+    import ullage as ul
+    from dataclasses import replace
+    sink = ul.sink({path!r})
+    frames = some_frames(4000)
+    frames = replace(frames, t_ns=frames.t_ns[0] + np.arange(4000) * 40_000_000, poses=None, truth=None)
+    for i, part in enumerate(frames.chunks(5)):
+        sink.write(part)
+        print(i * 5 + len(part), flush=True)
+        time.sleep(0.001)
+"""
+
+
+def writing(path: Path) -> tuple[subprocess.Popen[str], int]:
+    """A process that records, and how many frames it had handed over when it was looked at."""
+    code = textwrap.dedent(WRITER.format(here=str(Path(__file__).parent), path=str(path)))
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if int(line) >= 300:
+            return process, int(line)
+    raise AssertionError("the writer ended too soon")
+
+
+def test_killed_recording_is_readable_to_the_last_second(tmp_path: Path) -> None:
+    path = tmp_path / "run" / "frames.mcap"
+    path.parent.mkdir()
+    process, handed = writing(path)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    with pytest.warns(ul.UllageWarning, match="never finished"):
+        got = ul.open(path.parent).frames()
+    assert isinstance(got, ul.Frames)
+    assert len(got) >= handed - 25  # a second is 25 frames
+    np.testing.assert_array_equal(got.samples, some_frames(4000).samples[: len(got)])
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Message
+    from mcap.stream_reader import StreamReader
+
+    index = -1
+    with open(path, "rb") as file:
+        records = iter(StreamReader(file).records)
+        with suppress(EndOfFile):
+            while True:
+                found = next(records)
+                if isinstance(found, Message) and len(found.data) > 400:
+                    index += 1
+    assert index + 1 >= len(got)
+
+
+def test_interrupt_leaves_a_finished_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    frames = some_frames(20)
+    before = signal.getsignal(signal.SIGINT)
+    sink = McapSink(path)
+    real, calls = sink._writer.add_message, [0]
+
+    def interrupted(*args: object) -> None:
+        calls[0] += 1
+        if calls[0] == 9:
+            os.kill(os.getpid(), signal.SIGINT)
+        real(*args)
+
+    sink._writer.add_message = interrupted
+    with pytest.raises(KeyboardInterrupt), sink:
+        sink.write(frames)
+    assert_same(ul.open(path).frames(), frames)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def write_all(sink: Sink, frames: ul.Frames) -> None:
+    for part in frames.chunks(10):
+        sink.write(part)
+
+
+def test_full_disk_is_one_line_and_keeps_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    frames = some_frames(2000)
+    frames = replace(frames, t_ns=frames.t_ns[0] + np.arange(2000) * 40_000_000, poses=None, truth=None)
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    sink = ul.sink(path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limit[1]))
+    try:
+        with pytest.raises(ul.InputError, match=r"a\.mcap: cannot write: File too large; readable up to") as error:
+            write_all(sink, frames)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert "\n" not in str(error.value)
+    sink.close()
+    with pytest.raises(ul.InputError, match="recording is closed"):
+        sink.write(frames)
+    with pytest.warns(ul.UllageWarning, match="never finished"):
+        got = ul.open(path).frames()
+    assert len(got) >= 250
+    np.testing.assert_array_equal(got.samples, frames.samples[: len(got)])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return record(tmp_path_factory.mktemp("whole") / "a.mcap", some_frames(60)).read_bytes()
+
+
+@settings(deadline=None, max_examples=60)
+@given(data=st.data())
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+def test_cut_anywhere(whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    path = tmp_path_factory.mktemp("cut") / "a.mcap"
+    path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
+    read_or_refuse(path)
+
+
+@settings(deadline=None, max_examples=60)
+@given(data=st.data())
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+def test_damaged_anywhere(whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    damaged = bytearray(whole)
+    at = data.draw(st.integers(0, len(whole) - 1))
+    junk = data.draw(st.binary(min_size=1, max_size=20))
+    damaged[at : at + len(junk)] = junk
+    path = tmp_path_factory.mktemp("damaged") / "a.mcap"
+    path.write_bytes(damaged)
+    read_or_refuse(path)
+
+
+def read_or_refuse(path: Path) -> None:
+    """What is read is right, and what is not read is said in one line."""
+    want = some_frames(60)
+    try:
+        got = ul.open(path).frames()
+    except ul.InputError as error:
+        said = str(error)
+        assert "\n" not in said
+        return
+    rows = np.searchsorted(want.t_ns, got.t_ns)
+    np.testing.assert_array_equal(got.samples, want.samples[rows])
+
+
+def test_damaged_chunk_costs_only_itself(whole: bytes, tmp_path: Path) -> None:
+    damaged = bytearray(whole)
+    damaged[len(whole) // 3] ^= 0xFF
+    path = tmp_path / "a.mcap"
+    path.write_bytes(damaged)
+    with pytest.warns(ul.UllageWarning, match="damaged"):
+        got = ul.open(path).frames()
+    assert 20 < len(got) < 60
+
+
+def test_clock_that_jumps_back_keeps_every_frame(tmp_path: Path, frames: ul.Frames) -> None:
+    path = record(tmp_path / "a.mcap", frames[:30], replace(frames, poses=None, truth=None)[:25])
+    with pytest.warns(ul.UllageWarning, match="clock jumps back"):
+        parts = list(ul.open(path).stream(10))
+    t_ns = np.concatenate([part["front"].t_ns for part in parts])
+    assert len(t_ns) == 55
+    assert (np.diff(t_ns) > 0).all()
+    np.testing.assert_array_equal(np.diff(t_ns[30:]), np.diff(frames.t_ns[:25]))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "empty file"),
+        (b"\xff\xfeh\0i\0", "not an MCAP"),
+        (b"\x89MCAP0\r\n", "no radar frames"),
+        (b"PK" * 99, "not an MCAP"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(ul.InputError, match=words):
+        ul.open(path).frames()
+
+
+def test_recordings_are_not_overwritten_unasked(tmp_path: Path, frames: ul.Frames) -> None:
+    path = record(tmp_path / "a.mcap", frames)
+    with pytest.raises(ul.InputError, match="exists already"):
+        ul.sink(path)
+    with ul.sink(path, overwrite=True) as sink:
+        sink.write(frames[:5])
+    assert len(ul.open(path).frames()) == 5
+
+
+def test_unwritable_places_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ul.InputError, match="cannot write"):
+        ul.sink(tmp_path / "file" / "a.mcap")
+
+
+def test_times_that_ros_cannot_say_are_refused(tmp_path: Path, frames: ul.Frames) -> None:
+    early = replace(frames, t_ns=frames.t_ns - frames.t_ns[5], poses=None, truth=None)
+    with ul.sink(tmp_path / "a.mcap") as sink, pytest.raises(ul.InputError, match="time cannot be recorded"):
+        sink.write(early)
+
+
+def test_frames_without_settings_are_read_as_assumed(tmp_path: Path, frames: ul.Frames) -> None:
+    from mcap.writer import Writer
+
+    path = tmp_path / "a.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(ros.FRAME, "ros2msg", ros.schema_text(ros.FRAME).encode())
+        channel = writer.register_channel("/somewhere", "cdr", schema)
+        for t_ns, data in zip(frames.t_ns.tolist(), conversions.frame_notes(frames, 0), strict=True):
+            writer.add_message(channel, t_ns, data, t_ns)
+        writer.finish()
+    with pytest.warns(ul.UllageWarning, match="no settings were recorded"):
+        got = ul.open(path).frames()
+    assert got.samples.tobytes() == frames.samples.tobytes()
+    np.testing.assert_allclose(got.range_m, frames.range_m, atol=1e-12)
+
+
+def test_unknown_settings_are_left_out_with_a_warning() -> None:
+    values = ul.RadarSpec.preset("x4m05").model_dump() | {"tune": 3}
+    with pytest.warns(ul.UllageWarning, match="tune"):
+        assert conversions.spec_of(values, "a") == ul.RadarSpec.preset("x4m05")
+
+
+@pytest.mark.parametrize(("name", "topic"), [("front", "front"), ("a b/c", "a_b_c"), ("4", "radar_4"), ("ø", "radar")])
+def test_sensor_names_become_topics(name: str, topic: str) -> None:
+    assert topic_name(name) == topic
+
+
+def test_streaming_takes_the_same_memory_however_long(tmp_path: Path) -> None:
+    import tracemalloc
+
+    peaks = []
+    for seconds in (20, 80):
+        path = tmp_path / f"{seconds}.mcap"
+        part = some_frames(25, bins=188)
+        part = replace(part, poses=None, truth=None)
+        with ul.sink(path) as sink:
+            for k in range(seconds):
+                sink.write(replace(part, t_ns=part.t_ns[0] + k * 10**9 + np.arange(25) * 40_000_000))
+        tracemalloc.start()
+        assert sum(len(chunk["front"]) for chunk in ul.open(path).stream(64)) == 25 * seconds
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def test_wall_clock_flushes_too(tmp_path: Path, frames: ul.Frames, monkeypatch: pytest.MonkeyPatch) -> None:
+    sink = ul.sink(tmp_path / "a.mcap")
+    sink.write(frames[:1])
+    before = (tmp_path / "a.mcap").stat().st_size
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now + 1)
+    sink.write(frames[1:2])
+    assert (tmp_path / "a.mcap").stat().st_size > before
+    sink.close()
