@@ -10,7 +10,10 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def limit_envelope(values, limit):  # type: ignore[no-untyped-def]
-    """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency."""
+    """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency.
+
+    The describing function of a limiter [GelbVanderVelde1968].
+    """
     rows, bins = values.shape
     for f in range(rows):
         for k in range(bins):

@@ -5,9 +5,9 @@ coefficient I_m. Eq. 4.1 and 4.2 give each ray the intensity I_R = I_m cos(theta
 range, white noise and a moving average make a profile of it.
 
 The equation grows with range. It makes sense once the rays are summed: neighbouring rays stand x_n = 2 tan(fov / 2 /
-(n - 1)) |v_r| apart (eq. 4.3), so a ray's cosine times (|v_r| / R_max)^2 is the area that it stands for, facing the
-radar, as a share of a ray's footprint at R_max. The thesis does not print how its amplitudes were scaled. Here they
-are multiplied by that footprint, which makes a bin's amplitude the facing area that echoes in it [m2] times I_m,
+(n - 1)) |v_r| apart (eq. 4.3), so (|v_r| / R_max)^2 is the area across the ray that it stands for, as a share of a
+ray's footprint at R_max. The thesis does not print how its amplitudes were scaled. Here they are multiplied by that
+footprint, which makes a bin's amplitude the lit area in it [m2], as seen from the radar, times cos(theta) and I_m,
 averaged over `smoothing_bins`: it depends neither on the number of rays nor on R_max, and the thesis' threshold of
 0.038 is then the footprint of a single ray of 30 x 30 at 5 m (0.195 m squared), the range at which the thesis calls
 the resolution acceptable. A facing wall of I_m = 1 gives about 0.32 per metre of distance, a 0.5 m plate 0.08.
