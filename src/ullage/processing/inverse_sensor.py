@@ -11,6 +11,7 @@ Floats = NDArray[np.float64]
 RAYLEIGH_MEDIAN = 1.1774
 FALSE_ALARM_SIGMAS = 6.0
 BLANKED_M = 0.45
+DYNAMIC = 10 ** (-40 / 20)
 
 
 def noise_sigma(frames: Frames) -> Floats:
@@ -24,6 +25,14 @@ def blank_m(frames: Frames) -> float:
     if frames.unit == "thesis":
         return frames.spec.thesis.min_range_m
     return max(BLANKED_M, float(frames.range_m[0]))
+
+
+def echo_level(frames: Frames) -> NDArray[np.float32]:
+    """Amplitude above which a bin holds an echo (n), in the frames' unit."""
+    if frames.unit == "thesis":
+        return np.full(len(frames), frames.spec.thesis.threshold, np.float32)
+    strongest = frames.amplitude[:, frames.range_m >= blank_m(frames)].max(axis=1)
+    return np.maximum(FALSE_ALARM_SIGMAS * noise_sigma(frames), DYNAMIC * strongest).astype(np.float32)
 
 
 def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Floats, NDArray[np.bool_]]:

@@ -37,6 +37,10 @@ def Mapper(grid: Grid, *, method: Method = "ullage", **options: float | None) ->
         from ullage.processing.elfes import ElfesMapper
 
         return ElfesMapper(grid, **options)  # type: ignore[arg-type]
+    if method == "ullage":
+        from ullage.processing.mapper import UllageMapper
+
+        return UllageMapper(grid, **options)  # type: ignore[arg-type]
     raise InputError(f"no mapping method {method!r}", where="method", allowed="ullage, elfes")
 
 

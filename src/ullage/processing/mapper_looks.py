@@ -1,0 +1,174 @@
+"""Which frames count as looks: a sensor is heard again only after it has moved, and with the frames around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames
+from ullage.geometry import quat_matrix
+from ullage.kernels.occupancy import find_peaks, fit_bearings
+from ullage.processing.inverse_sensor import blank_m, echo_level
+
+Floats = NDArray[np.float64]
+
+MOST_PEAKS = 16
+STEP_M, TURN_RAD = 0.05, np.radians(4.0)
+WINDOW_M = 0.2
+BEND_M = 0.02
+LEAST_BASE_M = 0.12
+JUMP_M = 0.5
+MOST_WAITING = 96
+MOST_SPOTS = 200_000
+SMOOTH = 0.25
+
+
+@dataclass(slots=True, eq=False)
+class Heard:
+    """One frame as the mapper keeps it."""
+
+    t_ns: int
+    position: Floats  # (3)
+    axes: Floats  # (3, 3) world_from_sensor
+    count: int
+    ranges: Floats  # (MOST_PEAKS)
+    heights: Floats  # (MOST_PEAKS)
+    quiet: NDArray[np.bool_]  # (b)
+    look: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class Look:
+    """A frame that counts, with its echoes: range, sigma, cosine to the track, sigma, share, height."""
+
+    heard: Heard
+    track: Floats  # (3) unit vector along the way, zero when there was none
+    echoes: Floats  # (k, 6)
+
+
+class Listener:
+    """Turns one sensor's frames into looks; a look waits until the frames around it are there.
+
+    A frame becomes a look when the (smoothed) pose has moved 5 cm or turned 4 deg since the last one, to a place and
+    heading where no look was taken before: standing still, or coming back, adds nothing.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[Heard] = []
+        self._next = 0
+        self._smooth: Floats | None = None
+        self._last: tuple[Floats, Floats] | None = None
+        self._spots: dict[tuple[int, ...], None] = {}
+
+    def hear(self, frames: Frames) -> list[Look]:
+        """The looks that these frames complete."""
+        out: list[Look] = []
+        for heard in _heard(frames):
+            if self._held and np.linalg.norm(heard.position - self._held[-1].position) > JUMP_M:
+                out += self.flush()
+            if self._held and self._still(heard) and not self._held[-1].look:
+                continue
+            heard.look = self._counts(heard)
+            self._held.append(heard)
+            out += self._ready(patient=True)
+        return out
+
+    def flush(self) -> list[Look]:
+        """The looks that still waited, with what is there; nothing is joined across."""
+        out = self._ready(patient=False)
+        self._held, self._next, self._smooth, self._last = [], 0, None, None
+        return out
+
+    def _still(self, heard: Heard) -> bool:
+        last = self._held[-1]
+        return bool(
+            np.linalg.norm(heard.position - last.position) < 1e-3 and heard.axes[:, 0] @ last.axes[:, 0] > 1 - 1e-5
+        )
+
+    def _counts(self, heard: Heard) -> bool:
+        known = self._smooth is not None
+        self._smooth = self._smooth + SMOOTH * (heard.position - self._smooth) if known else heard.position.copy()
+        if self._last is not None:
+            moved = np.linalg.norm(self._smooth - self._last[0]) >= STEP_M
+            if not moved and heard.axes[:, 0] @ self._last[1] > np.cos(TURN_RAD):
+                return False
+        heading = np.rint(heard.axes[:, 0] / TURN_RAD).astype(int)
+        spot = (*np.floor(self._smooth / STEP_M).astype(int).tolist(), *heading.tolist())
+        if spot in self._spots:
+            return False
+        self._last = self._smooth.copy(), heard.axes[:, 0].copy()
+        self._spots[spot] = None
+        if len(self._spots) > MOST_SPOTS:
+            del self._spots[next(iter(self._spots))]
+        return True
+
+    def _ready(self, *, patient: bool) -> list[Look]:
+        out = []
+        while self._next < len(self._held):
+            heard = self._held[self._next]
+            if heard.look:
+                ahead = np.linalg.norm(self._held[-1].position - heard.position)
+                if patient and ahead < WINDOW_M and len(self._held) - self._next < MOST_WAITING:
+                    break
+                out.append(self._look(self._next))
+            self._next += 1
+        drop = 0
+        if self._next:
+            here = self._held[min(self._next, len(self._held) - 1)].position
+            while drop < self._next and (
+                np.linalg.norm(self._held[drop].position - here) > 1.5 * WINDOW_M or self._next - drop > MOST_WAITING
+            ):
+                drop += 1
+        del self._held[:drop]
+        self._next -= drop
+        return out
+
+    def _look(self, index: int) -> Look:
+        heard = self._held[index]
+        window = self._window(index)
+        offsets = np.array([self._held[j].position - heard.position for j in window])
+        span = np.linalg.norm(offsets, axis=1)
+        track = offsets[int(np.argmax(span))] / max(span.max(), 1e-9)
+        along = offsets @ track
+        straight = np.linalg.norm(offsets - along[:, None] * track, axis=1) < BEND_M
+        window, along = [j for j, ok in zip(window, straight, strict=True) if ok], along[straight]
+        echoes = np.zeros((MOST_PEAKS, 6))
+        if np.ptp(along) < LEAST_BASE_M:
+            track = np.zeros(3)
+            echoes[: heard.count, 0] = heard.ranges[: heard.count]
+            echoes[: heard.count, 5] = heard.heights[: heard.count]
+            return Look(heard, track, echoes[: heard.count])
+        counts = np.array([self._held[j].count for j in window])
+        ranges = np.stack([self._held[j].ranges for j in window])
+        heights = np.stack([self._held[j].heights for j in window])
+        found = fit_bearings(window.index(index), along, counts, ranges, heights, 0.03, 0.004, echoes)
+        return Look(heard, track, echoes[:found])
+
+    def _window(self, index: int) -> list[int]:
+        """Indices of at most 21 held frames within the window's reach on both sides."""
+        here = self._held[index].position
+        first = last = index
+        while first > 0 and np.linalg.norm(self._held[first - 1].position - here) <= WINDOW_M:
+            first -= 1
+        while last + 1 < len(self._held) and np.linalg.norm(self._held[last + 1].position - here) <= WINDOW_M:
+            last += 1
+        stride = max(1, -(-(last - first) // 20))
+        return sorted({*range(first, last + 1, stride), index})
+
+
+def _heard(frames: Frames) -> list[Heard]:
+    amplitude = np.ascontiguousarray(frames.amplitude, np.float32)
+    n, bins = amplitude.shape
+    counts, quiet = np.zeros(n, np.int64), np.zeros((n, bins), bool)
+    ranges, heights = np.zeros((n, MOST_PEAKS)), np.zeros((n, MOST_PEAKS))
+    step = float(frames.range_m[-1] - frames.range_m[0]) / (bins - 1)
+    first = int(np.searchsorted(frames.range_m, blank_m(frames)))
+    find_peaks(amplitude, echo_level(frames), first, float(frames.range_m[0]), step, counts, ranges, heights, quiet)
+    path = frames.believed
+    axes = quat_matrix(path.quat_xyzw)
+    return [
+        Heard(int(frames.t_ns[i]), path.position[i], axes[i], int(counts[i]), ranges[i], heights[i], quiet[i])
+        for i in range(n)
+    ]
