@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.geometry import invert
-from ullage.world.sdf_parse import Node, Place, Pose
+from ullage.world.sdf_parse import Place, Pose
 from ullage.world.sdf_tree import Frame, Joint, Link, Scope
 
 Floats = NDArray[np.float64]
@@ -34,6 +34,7 @@ class ScopeFrames:
             if inner.scope.merged:
                 self._home |= {name: inner for name in inner.names if name not in self.names}
         self._solved: dict[str, Floats] = {scope.own_frame: np.eye(4), "": np.eye(4)}
+        self._attached: set[str] = set()
         for frame in scope.frames:
             self._check_attached(frame)
 
@@ -62,16 +63,15 @@ class ScopeFrames:
         Raises:
             InputError: no such frame, or the poses go in a circle.
         """
-        chain: list[tuple[str, Floats]] = []
+        chain: dict[str, Floats] = {}
         while name not in self._solved:
-            if any(name == seen for seen, _ in chain):
-                ring = [seen for seen, _ in chain]
+            if name in chain:
+                ring = list(chain)
                 at.refuse("the poses go in a circle: " + " -> ".join([*ring[ring.index(name) :], name]))
-            parent, matrix, place = self._step(name, at)
-            chain.append((name, matrix))
-            name, at = parent, place
+            parent, chain[name], at = self._step(name, at)
+            name = parent
         here = self._solved[name]
-        for one, matrix in reversed(chain):
+        for one, matrix in reversed(chain.items()):
             here = here @ matrix
             self._solved[one] = here
         return here
@@ -110,17 +110,16 @@ class ScopeFrames:
         )
 
     def _check_attached(self, frame: Frame) -> None:
-        seen = [frame.name]
+        seen = {frame.name: None}
         at = frame
         while at.attached_to and isinstance(following := self.names.get(at.attached_to), Frame):
+            if following.name in self._attached:
+                break
             if following.name in seen:
                 frame.node.place.refuse("the frames are attached in a circle: " + " -> ".join([*seen, following.name]))
-            seen.append(following.name)
+            seen[following.name] = None
             at = following
-        if at.attached_to:
-            self.scope_from(at.attached_to, at=frame.node.place)
-
-
-def shape_pose(frames: ScopeFrames, link: Link, shape: Node, pose: Pose) -> Floats:
-    """The transform (4, 4) from a collision or visual of a link to the link's scope."""
-    return frames.scope_from_pose(pose, link.name, at=shape.place)
+        else:
+            if at.attached_to:
+                self.scope_from(at.attached_to, at=at.node.place)
+        self._attached |= set(seen)

@@ -61,7 +61,7 @@ class Scope:
     joints: list[Joint] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     models: list[Scope] = field(default_factory=list)
-    actors: list[Node] = field(default_factory=list)
+    actors: list[Scope] = field(default_factory=list)
     included_by: Node | None = None
     merged: bool = False  # its links and frames count as those of the scope around it
 
@@ -90,6 +90,7 @@ class TreeReader:
         top = worlds[0] if worlds else root
         scope = Scope(top.attribute("name") or path.stem, top, own_frame="world")
         self._fill(scope, top)
+        _apply_state(scope, top)
         if not worlds and not scope.models and not scope.actors:
             root.place.refuse("holds no world, model or actor", allowed="<world>, <model> or <actor> in <sdf>")
         return scope
@@ -117,7 +118,7 @@ class TreeReader:
             scope.frames.append(Frame(frame.name, read_pose(frame), frame, frame.attribute("attached_to")))
         for model in node.children("model"):
             scope.models.append(self._model(model))
-        scope.actors.extend(node.children("actor"))
+        scope.actors.extend(self._model(actor) for actor in node.children("actor"))
         for include in node.children("include"):
             self._include(scope, include)
 
@@ -138,10 +139,7 @@ class TreeReader:
         self._open.append(path)
         try:
             for found in _contents(self._root(path), node):
-                if found.tag == "actor":
-                    scope.actors.append(found)
-                else:
-                    self._place(scope, self._model(found), node)
+                self._place(scope, self._model(found), node)
         finally:
             self._open.pop()
 
@@ -155,6 +153,9 @@ class TreeReader:
         model.name = include.said("name") or model.name
         model.placement_frame = placement or model.placement_frame
         model.included_by = include
+        if model.node.tag == "actor":
+            scope.actors.append(model)
+            return
         if include.own_flag("merge"):
             model.name, model.merged = f"_merged__{model.name}__model__", True
         scope.models.append(model)
@@ -168,3 +169,21 @@ def _contents(root: Node, include: Node) -> Iterator[Node]:
         found[1].place.warn("an included file should hold one model; only the first is read")
     if found[0].tag != "light":
         yield found[0]
+
+
+def _apply_state(scope: Scope, world: Node) -> None:
+    """Put models where the world's <state> has them, as Gazebo Classic does with worlds that it saved."""
+    placed = {model.name: model for model in scope.models}
+    moved = []
+    for state in world.children("state"):
+        for entry in state.children("model"):
+            model = placed.get(entry.attribute("name"))
+            if model is None or entry.child("pose") is None:
+                continue
+            pose = read_pose(entry)
+            if not np.allclose(pose.matrix, model.pose.matrix, atol=1e-9):
+                model.pose, model.placement_frame = pose, ""
+                moved.append(model.name)
+    if moved:
+        names = ", ".join(moved[:5]) + ", ..." * (len(moved) > 5)
+        world.place.warn(f"<state> places {names}, as Gazebo Classic does and gz sim does not")

@@ -1,0 +1,56 @@
+"""What an SDF shape is made of.
+
+The nearest `<ullage:material>` of the shape, its link, its model, the include or a model around it decides; without one
+it is steel, since the thesis gives all its objects steel-like coefficients. `<laser_retro>` sets that object's
+reflection coefficient of the thesis' model and nothing else; without it, the material's own holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ullage.errors import InputError
+from ullage.world.materials import Material, material
+from ullage.world.sdf_parse import NAMESPACE, Node
+
+DEFAULT_MATERIAL = "steel"
+_ATTRIBUTES = ("thickness_m", "roughness_m")
+
+
+def read_material(shape: Node, around: Sequence[Node]) -> Material:
+    """The material of a collision or visual, given the elements around it, nearest first.
+
+    Raises:
+        InputError: the material is unknown or a value of it is out of bounds.
+    """
+    tag = next((found for node in (shape, *around) if (found := _tag(node)) is not None), None)
+    stuff = material(DEFAULT_MATERIAL) if tag is None else _tagged(tag)
+    retro = shape.child("laser_retro")
+    if retro is None:
+        return stuff
+    value = float(retro.numbers(1)[0])
+    if value < 0:
+        retro.place.refuse(f"<laser_retro> is {value:g}", allowed="0 or more")
+    return stuff.but(reflection=value)
+
+
+def _tag(node: Node) -> Node | None:
+    for child in node.element:
+        if child.tag in (f"{{{NAMESPACE}}}material", "ullage:material"):
+            return Node(child, node.file)
+        if child.prefix == "ullage" and child.tag.endswith("}material"):
+            return Node(child, node.file)
+    return None
+
+
+def _tagged(tag: Node) -> Material:
+    other = set(tag.element.attrib) - set(_ATTRIBUTES)
+    if other:
+        tag.place.refuse(f"<{tag.tag}> has {sorted(other)[0]!r}", allowed=", ".join(_ATTRIBUTES))
+    try:
+        changes = {key: float(tag.element.get(key)) for key in _ATTRIBUTES if key in tag.element.attrib}
+        return material(tag.text).but(**changes)
+    except InputError as error:
+        tag.place.refuse(error.what, allowed=error.allowed)
+    except ValueError:
+        tag.place.refuse(f"an attribute of <{tag.tag}> is not a number", allowed="a length [m]")
