@@ -3,7 +3,8 @@
 The Kirchhoff integral over a plane face equals the mirror image's wave where the line from image to receiver crosses
 the face, less a line integral along its rim [MiyamotoWolf1962]. With phi the angle around that line,
 the rim's share is -(1 / 4 pi) of the integral of e^{-jk(r + s)} K / (r s) dphi, K = 2 L rho^2 / ((r + s)^2 - L^2),
-which is smooth even where the line meets the rim. A piece of edge whose delay is nearly linear in phi has a closed form.
+which is smooth even where the line meets the rim. A piece of edge whose delay is nearly linear in phi has a closed
+form.
 """
 
 from __future__ import annotations
@@ -167,22 +168,29 @@ def _weight(p, normal, origins, frames, fields, table, flat, gamma, stuff, tap):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lay_line(bulk, ends, w0, w1, x0, x1, place0, place1, scale):
-    """Echo of a line of unit measure with amplitude and phase linear along it; gives it at the carrier."""
+def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):
+    """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
+
+    Phases are those of the mean line; the true phase leads it by bow (4 s (1 - s) - 2 / 3) at share s, to first order.
+    """
     z = x1 - x0
+    y = 0.5 * z
+    y2 = y * y
+    scale = scale * (1 - 0.0444 * bow * bow)
+    mean, half = 0.5 * (w0 + w1), 0.5 * (w1 - w0)
     if abs(z) < 0.9:
-        mean, half = 0.5 * (w0 + w1), 0.5 * (w1 - w0)
-        y = 0.5 * z
-        y2 = y * y
-        value = mean * (1 - y2 / 6 + y2 * y2 / 120) - 1j * half * y / 3 * (1 - y2 / 10)
+        value = mean * (1 - y2 / 6 + y2 * y2 / 120 + 1j * bow * y2 * (2 / 45 - 0.00317 * y2))
+        value -= 1j * half * y / 3 * (1 - y2 / 10)
         middle = 0.5 * (x0 + x1)
         value *= scale * complex(math.cos(middle), -math.sin(middle))
         _lay(bulk, 0.5 * (place0 + place1), value)
         return value
     i = 1j / z
     slope = (w1 - w0) / (z * z)
-    at0 = scale * complex(math.cos(x0), -math.sin(x0)) * (-i * w0 - slope)
-    at1 = scale * complex(math.cos(x1), -math.sin(x1)) * (i * w1 + slope)
+    odd = mean * bow * (1 / y2 - 1.0 / 3) / y
+    even = -1j * mean * bow / y2
+    at0 = scale * complex(math.cos(x0), -math.sin(x0)) * (-i * w0 - slope + even + odd)
+    at1 = scale * complex(math.cos(x1), -math.sin(x1)) * (i * w1 + slope + even - odd)
     _lay(ends, place0, at0)
     _lay(ends, place1, at1)
     return at0 + at1
@@ -191,7 +199,7 @@ def lay_line(bulk, ends, w0, w1, x0, x1, place0, place1, scale):
 @njit(cache=True, fastmath=True, nogil=True)
 def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
              gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
-    """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`, `factor` multiplies all."""
+    """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`."""
     scale = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi) * factor
     last = t0 + grids.shape[1] * dt
     for k in range(len(pieces)):
@@ -210,13 +218,13 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
             if tap == 0:
                 delay[k] = mean
             shift = p[11] / C0 + late + landed - mean
+            bow = -1.5 * omega * p[11] / C0
             while landed < last:
                 a, b = p[6] / C0 + shift, p[7] / C0 + shift
-                value = lay_line(grids[1], grids[2], p[8] * w0, p[9] * w1, omega * a, omega * b, (a - t0) / dt, (b - t0) / dt,
-                                 scale * p[10] * shade[k])  # fmt: skip
+                echo[k] += lay_line(grids[1], grids[2], p[8] * w0, p[9] * w1, omega * a, omega * b, bow,
+                                    (a - t0) / dt, (b - t0) / dt, scale * p[10] * shade[k])  # fmt: skip
                 landed += fold
                 shift += fold
-            echo[k] += value
 
 
 @njit(cache=True, fastmath=True, nogil=True)

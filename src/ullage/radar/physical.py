@@ -8,6 +8,7 @@ turns it by pi.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -20,18 +21,20 @@ from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import edges as rim
 from ullage.kernels import facets as kernel
+from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
 from ullage.radar.facets import Flats, Prepared, Surfaces, prepare
 from ullage.radar.penetration import reflection_tables
 from ullage.radar.pulse import Pulse, tabulate
 from ullage.radar.visibility import seen
+from ullage.radar.wires import Lines, placed, strung
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-KAPPA = 1 / 4
+KAPPA = 1 / 8
 """Largest squared transverse edge of a piece over wavelength times range."""
 REACH = 0.3
 """Longest edge of a piece over its range."""
@@ -67,6 +70,7 @@ class Bench:
     table: Floats
     gamma: Complexes
     lag: Floats
+    lines: Lines
     first_m: float  # range of the first grid place [m]
     places: int
     shift: int  # grid place of bin 0
@@ -91,7 +95,8 @@ def bench(scene: Scene, spec: RadarSpec) -> Bench:
     first = spec.range_start_m - pad * pulse.step_s * C0 / 2
     gamma, lag = reflection_tables(world.materials, spec)
     last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
-    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, first, places, pad, (0.0, last))
+    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag,
+                 strung(scene, spec.center_hz), first, places, pad, (0.0, last))  # fmt: skip
 
 
 def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
@@ -143,7 +148,22 @@ def lay(ready: Bench, view: View, t_ns: int, grids: Complexes) -> list[Laid]:
     out = []
     for part in parts:
         out += [_lay_small(ready, parts, part, view, grids), *_lay_flats(ready, parts, part, view, grids)]
+    if len(ready.lines):
+        out.append(_lay_wires(ready, parts, view, t_ns, grids))
     return out
+
+
+def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids: Complexes) -> Laid:
+    lines = ready.lines
+    starts, ends = placed(lines, ready.world.scene, t_ns)
+    pieces, owner = _grown(2048, (2, 3), lambda out, of: string.cut_wires(
+        starts, ends, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
+    middle = pieces.mean(1)
+    shade, extra = shading(parts, view, middle)
+    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
+    told = _common(ready, view, grids)
+    string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:], echo, delay)
+    return Laid(lines.stuffs[owner], middle, echo, delay)
 
 
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
@@ -186,30 +206,32 @@ def _common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
             grids)  # fmt: skip
 
 
+def _grown(
+    size: int, shape: tuple[int, ...], fill: Callable[[Floats, NDArray[np.int32]], int]
+) -> tuple[Floats, NDArray[np.int32]]:
+    """Runs a kernel that counts what it writes, again with more room when there was too little."""
+    while True:
+        out, owner = np.empty((size, *shape)), np.empty(size, np.int32)
+        count = fill(out, owner)
+        if count <= size:
+            return out[:count], owner[:count]
+        size = int(1.2 * count)
+
+
 def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
     """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
-    size = 8192
-    limit = KAPPA * ready.spec.wavelength_m
-    while True:
-        leaves, owner = np.empty((size, 3, 3)), np.empty(size, np.int32)
-        count = kernel.split(part.spheres, part.first, part.corners, view.origins, np.array(ready.gate), limit, REACH,
-                             leaves, owner)  # fmt: skip
-        if count <= size:
-            return leaves[:count], owner[:count]
-        size = int(1.2 * count)
+    return _grown(8192, (3, 3), lambda out, owner: kernel.split(
+        part.spheres, part.first, part.corners, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m,
+        REACH, out, owner))  # fmt: skip
 
 
 def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int32], Floats]:
     """Pieces of rim within the gate (m, 12), the face of each, and how often each face's rim goes round the axis."""
-    size = 4096
     windings = np.empty(len(which))
-    while True:
-        pieces, owner = np.empty((size, 12)), np.empty(size, np.int32)
-        count = rim.cut(which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
-                        view.origins, np.array(ready.gate), ready.pulse.omega, pieces, owner, windings)  # fmt: skip
-        if count <= size:
-            return pieces[:count], owner[:count], windings
-        size = int(1.2 * count)
+    pieces, owner = _grown(4096, (12,), lambda out, of: rim.cut(
+        which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends, view.origins,
+        np.array(ready.gate), ready.pulse.omega, out, of, windings))  # fmt: skip
+    return pieces, owner, windings
 
 
 def shading(parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:

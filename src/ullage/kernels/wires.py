@@ -1,0 +1,132 @@
+"""Loops for straight round wires: cutting within the Fresnel zone, and closed-form echoes of the pieces."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ullage.kernels.edges import lay_line
+from ullage.kernels.facets import _mean_range, toward
+
+C0 = 299_792_458.0
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):
+    """Halves each wire (w, 3)-(w, 3) within the gate until each piece's delay is nearly linear; gives the count."""
+    count = 0
+    stack = np.empty((64, 2))
+    p = np.empty(3)
+    for w in range(len(starts)):
+        size = 0.0
+        for k in range(3):
+            size += (ends[w, k] - starts[w, k]) ** 2
+        size = math.sqrt(size)
+        stack[0, 0], stack[0, 1] = 0.0, 1.0
+        top = 1
+        while top > 0:
+            top -= 1
+            s0, s1 = stack[top, 0], stack[top, 1]
+            half = 0.5 * (s0 + s1)
+            along, square = 0.0, 0.0
+            for k in range(3):
+                p[k] = starts[w, k] + half * (ends[w, k] - starts[w, k])
+                along += (p[k] - origins[0, k]) * (ends[w, k] - starts[w, k]) / size
+                square += (p[k] - origins[0, k]) ** 2
+            r = _mean_range(p[0], p[1], p[2], origins)
+            piece = (s1 - s0) * size
+            if r - 0.5 * piece > gate[1]:
+                continue
+            near = max(r, 0.02)
+            across = piece * piece * max(0.0, 1 - along * along / max(square, 1e-12))
+            if (across > kappa_lambda * near or piece > reach * near) and top < 62:
+                stack[top, 0], stack[top, 1] = s0, half
+                stack[top + 1, 0], stack[top + 1, 1] = half, s1
+                top += 2
+                continue
+            if count < len(pieces):
+                for k in range(3):
+                    pieces[count, 0, k] = starts[w, k] + s0 * (ends[w, k] - starts[w, k])
+                    pieces[count, 1, k] = starts[w, k] + s1 * (ends[w, k] - starts[w, k])
+                owner[count] = w
+            count += 1
+    return count
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _element(p, axis, radius, series, origins, frames, fields, table, flat, out):
+    """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
+    g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
+    share = 0.0
+    for s in range(2):
+        dx, dy, dz = p[0] - origins[s, 0], p[1] - origins[s, 1], p[2] - origins[s, 2]
+        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
+        ux, uy, uz = dx / r, dy / r, dz / r
+        along = axis[0] * ux + axis[1] * uy + axis[2] * uz
+        slope = math.sqrt(max(1 - along * along, 0.0))
+        e = fields[s]
+        eu = e[0] * ux + e[1] * uy + e[2] * uz
+        ea = e[0] * axis[0] + e[1] * axis[1] + e[2] * axis[2]
+        square = slope * slope * max(1 - eu * eu, 1e-12)
+        share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
+        g *= toward(table, flat, frames[s], ux, uy, uz) / r
+        path += r - radius * slope
+        bend += (1 - along * along) / r
+        sine += 0.5 * slope
+    n = series.shape[1] - 1
+    u = min(sine, 0.9999999) * n
+    i = int(u)
+    u -= i
+    tm = series[0, i] * (1 - u) + series[0, i + 1] * u
+    te = series[1, i] * (1 - u) + series[1, i + 1] * u
+    out[0], out[1] = path, bend
+    return g * (share * tm + (1 - share) * te)
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, fields, table, flat, factor,
+              omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+    """Lays the echoes of pieces of wire (m, 2, 3) on the delay grids.
+
+    Args:
+        pieces: (m, 2, 3) ends of each piece [m].
+        owner: (m) wire of each piece.
+        shade: (m) complex two-way factor of what lies between.
+        extra: (m) delay added by it [s].
+        radii: (w) [m].
+        series: (w, 2, c) complex backscatter series, TM and TE, over the sine of the angle to the axis.
+        origins: (2, 3), as in `facets.deposit`, and so the rest.
+    """
+    scale = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi) * factor
+    last = t0 + grids.shape[1] * dt
+    axis, out = np.empty(3), np.empty(2)
+    for k in range(len(pieces)):
+        echo[k], delay[k] = 0j, 0.0
+        if shade[k] == 0:
+            continue
+        w, size = owner[k], 0.0
+        for j in range(3):
+            axis[j] = pieces[k, 1, j] - pieces[k, 0, j]
+            size += axis[j] * axis[j]
+        size = math.sqrt(size)
+        for j in range(3):
+            axis[j] /= size
+        w0 = _element(pieces[k, 0], axis, radii[w], series[w], origins, frames, fields, table, flat, out)
+        path0, bend = out[0], out[1]
+        w1 = _element(pieces[k, 1], axis, radii[w], series[w], origins, frames, fields, table, flat, out)
+        path1, bend = out[0], 0.5 * (bend + out[1])
+        early = bend * size * size / 12  # mean of bend s (L - s) / 2, by which the chord lies beyond the path
+        late = extra[k] - early / C0
+        mean = 0.5 * (path0 + path1) / C0 + late
+        delay[k] = mean
+        landed = mean - math.floor((mean - t0) / fold) * fold
+        shift = late + landed - mean
+        while landed < last:
+            a, b = path0 / C0 + shift, path1 / C0 + shift
+            echo[k] += lay_line(grids[1], grids[2], w0, w1, omega * a, omega * b, 1.5 * omega * early / C0,
+                                (a - t0) / dt, (b - t0) / dt,
+                                scale * size * shade[k])  # fmt: skip
+            landed += fold
+            shift += fold
