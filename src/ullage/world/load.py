@@ -36,6 +36,10 @@ def load_scene(
         from ullage.world.sdf import load_sdf
 
         return load_sdf(file, geometry=geometry, search_path=search_path)
+    if kind in URDF:
+        from ullage.world.urdf import load_urdf
+
+        return load_urdf(file, geometry=geometry, search_path=search_path)
     from ullage.world.meshes import FORMATS, load_mesh
 
     if kind in FORMATS:

@@ -71,8 +71,8 @@ class Resolver:
     def _candidates(self, scheme: str, rest: str, here: Path) -> list[Path]:
         if scheme in ("model", "package"):
             name, _, inside = rest.partition("/")
-            roots = [root / name for root in (*self.folders, *self.homes, *(home.parent for home in self.homes))]
-            roots += [folder for folder in self.folders if folder.name == name]
+            roots = [root / name for root in (*self.folders, *self.homes)]
+            roots += [root for root in (*self.homes, *self.folders) if root.name == name]
             return [root / inside if inside else root for root in roots]
         if Path(rest).is_absolute():
             return [Path(rest)]

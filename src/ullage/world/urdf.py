@@ -1,0 +1,250 @@
+"""URDF, with xacro: the robot is rewritten as an SDF model whose links stand where yourdfpy's kinematics puts them.
+
+So names, materials, wires and refusals are those of SDF. A `<laserRetro>` in `<gazebo reference="LINK">` and an
+`<ullage:material>` in a link, visual or collision count as in SDF.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from ullage.errors import InputError
+from ullage.geometry import matrix_quat, transform
+from ullage.world.scene import Scene
+from ullage.world.sdf import Geometry, scene_of
+from ullage.world.sdf_parse import Node, Place, Pose, parse_xml, read_xml
+from ullage.world.sdf_resolve import Resolver
+from ullage.world.sdf_tree import Link, Scope
+
+Floats = NDArray[np.float64]
+
+_NAMES = """
+acceleration actuator axis box calibration capsule child collision color contact cylinder dynamics effort gazebo
+geometry group_name hardwareInterface inertia inertial joint leftActuator limit link mass material
+mechanicalReduction mesh mimic origin parent rightActuator robot role ros2_control safety_controller
+self_collision_checking simulated_actuated_joint sphere texture transmission type verbose visual
+"""
+KNOWN = frozenset(_NAMES.split())
+
+
+def load_urdf(
+    path: Path, *, geometry: Geometry = "collision", search_path: Sequence[str | Path] = (),
+    joints: Mapping[str, float] | None = None,
+) -> Scene:  # fmt: skip
+    """The scene of a URDF or xacro file.
+
+    Args:
+        path: the file.
+        geometry: which shapes to take.
+        search_path: folders for package://, model:// and relative names, and for xacro's $(find).
+        joints: joint values [rad or m]; those not named are at zero.
+
+    Raises:
+        InputError: something in it, or a file that it names, cannot be used.
+    """
+    resolver = Resolver(path, search_path)
+    root = Node(_expanded(path, resolver) if path.suffix.lower() == ".xacro" else read_xml(path, root=("robot",)), path)
+    _check(root)
+    poses = _link_poses(root, joints or {})
+    robot = Scope(root.attribute("name") or path.stem, root)
+    for link in root.children("link"):
+        made = _sdf_link(link, _retros(root))
+        robot.links.append(Link(link.name, Pose(poses[link.name]), made))
+    world = Scope(robot.name, root, own_frame="world", models=[robot])
+    return scene_of(world, resolver, geometry=geometry)
+
+
+def _check(root: Node) -> None:
+    """Joints make one tree of the links that are there."""
+    links: dict[str, Node] = {}
+    for link in root.children("link"):
+        if link.name in links:
+            link.place.refuse(f"a second link {link.name!r}")
+        links[link.name] = link
+    if not links:
+        root.place.refuse("the robot has no links")
+    above: dict[str, str] = {}
+    for joint in root.children("joint"):
+        parent, child = (joint.need(tag).attribute("link") for tag in ("parent", "child"))
+        for name in (parent, child):
+            if name not in links:
+                joint.place.refuse(f"joint {joint.name!r} names no link {name!r}", allowed=", ".join(list(links)[:12]))
+        if child in above:
+            joint.place.refuse(f"link {child!r} is the child of two joints")
+        above[child] = parent
+        ring = [child]
+        while ring[-1] in above:
+            ring.append(above[ring[-1]])
+            if ring[-1] == child:
+                joint.place.refuse("the joints go in a circle: " + " -> ".join(ring))
+        _origin(joint)
+    loose = sorted(set(links) - set(above))
+    if len(loose) > 1:
+        root.place.warn(f"no joint leads to {', '.join(loose[1:5])}; placed at the root, as {loose[0]} is")
+    _warn_unknown(root)
+
+
+def _warn_unknown(root: Node) -> None:
+    told: set[str] = set()
+    for element in root.element.iter(etree.Element):
+        name = element.tag
+        inside = any(up.tag in ("gazebo", "transmission", "ros2_control") for up in element.iterancestors())
+        if not (inside or name in KNOWN or name in told or ":" in name or element.prefix):
+            told.add(name)
+            Node(element, root.file).place.warn(f"<{name}> is not a URDF element; it is passed by")
+
+
+def _link_poses(root: Node, joints: Mapping[str, float]) -> dict[str, Floats]:
+    """World from each link, by yourdfpy."""
+    import yourdfpy
+
+    bare = etree.Element("robot", name=root.attribute("name") or "robot")  # shapes are read here, not by yourdfpy
+    for link in root.children("link"):
+        etree.SubElement(bare, "link", name=link.name)
+    bare.extend(copy.deepcopy(joint.element) for joint in root.children("joint"))
+    logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
+    try:
+        robot = yourdfpy.URDF.load(io.BytesIO(etree.tostring(bare)), load_meshes=False)
+    except Exception as error:  # whatever a malformed joint brings the reader to raise
+        said = " ".join(str(error).split())[:120] or type(error).__name__
+        root.place.refuse(f"the joints cannot be read: {said}")
+    unknown = set(joints) - set(robot.joint_map)
+    if unknown:
+        raise InputError(f"no joint {min(unknown)!r}", where=root.file, allowed=", ".join(robot.actuated_joint_names))
+    robot.update_cfg(dict.fromkeys(robot.actuated_joint_names, 0.0) | {k: float(v) for k, v in joints.items()})
+    return {link.name: np.asarray(robot.get_transform(link.name), float) for link in root.children("link")}
+
+
+def _sdf_link(link: Node, retros: Mapping[str, str]) -> Node:
+    """The link as SDF writes it, on the same lines."""
+    out = _like("link", link, name=link.name)
+    out.extend(copy.deepcopy(tag) for tag in link.element if _ours(tag))
+    for number, shape in enumerate(link.children("collision", "visual")):
+        made = _like(shape.tag, shape, name=shape.attribute("name") or f"{shape.tag}{number}")
+        made.append(_pose(shape))
+        made.extend(copy.deepcopy(tag) for tag in shape.element if _ours(tag))
+        if link.name in retros:
+            etree.SubElement(made, "laser_retro").text = retros[link.name]
+        made.append(_geometry(shape.need("geometry")))
+        out.append(made)
+    return Node(out, link.file)
+
+
+def _ours(tag: Any) -> bool:
+    return bool(tag.prefix == "ullage" or str(tag.tag).startswith("ullage:"))
+
+
+def _geometry(node: Node) -> Any:
+    out = _like("geometry", node)
+    for shape in node.children():
+        made = _like(shape.tag, shape)
+        if shape.tag == "mesh":
+            _text(made, shape, "uri", shape.attribute("filename"))
+            scale = shape.attribute("scale", "1 1 1").split()
+            _text(made, shape, "scale", " ".join(scale * 3 if len(scale) == 1 else scale))
+        else:
+            for key, value in shape.element.attrib.items():
+                _text(made, shape, key, value)
+        out.append(made)
+    return out
+
+
+def _pose(shape: Node) -> Any:
+    matrix = _origin(shape)
+    values = [*matrix[:3, 3], *matrix_quat(matrix[:3, :3])]
+    out = _like("pose", shape.child("origin") or shape, rotation_format="quat_xyzw")
+    out.text = " ".join(repr(float(value)) for value in values)
+    return out
+
+
+def _origin(node: Node) -> Floats:
+    origin = node.child("origin")
+    if origin is None:
+        return np.eye(4)
+    both = []
+    for key in ("xyz", "rpy"):
+        made = _like(f"{key} of origin", origin)
+        made.text = origin.attribute(key, "0 0 0")
+        both.append(Node(made, node.file).numbers(3))
+    return transform(*both)
+
+
+def _like(tag: str, node: Node, **attributes: str) -> Any:
+    """A new element that claims the place of another."""
+    out: Any = etree.Element(tag.replace(" ", "-"), attributes)
+    out.sourceline = node.place.line
+    return out
+
+
+def _text(parent: Any, node: Node, tag: str, text: str) -> None:
+    made = _like(tag, node)
+    made.text = text
+    parent.append(made)
+
+
+def _retros(root: Node) -> dict[str, str]:
+    found = {}
+    for note in root.children("gazebo"):
+        retro = note.said("laserRetro") or note.said("laser_retro")
+        if retro:
+            found[note.attribute("reference")] = retro
+    return found
+
+
+def _expanded(path: Path, resolver: Resolver) -> Any:
+    """The URDF that a xacro file makes; lines in messages are then those of the expanded text."""
+    import xacro
+    import xacro.substitution_args
+
+    read_xml(path, root=("robot",))  # no entities; what it includes goes through the same door below
+    with _finding(xacro, path, resolver) as refused:
+        try:
+            text = xacro.process_file(str(path)).toxml(encoding="utf-8")
+        except Exception as error:  # xacro evaluates expressions: anything may come
+            if refused:
+                raise refused[0] from None
+            said = " ".join(str(error).split())[:160] or type(error).__name__
+            raise InputError(f"xacro fails: {said}", where=path) from None
+    return parse_xml(text, path, root=("robot",))
+
+
+@contextmanager
+def _finding(xacro: Any, path: Path, resolver: Resolver) -> Iterator[list[InputError]]:
+    """While it lasts, xacro's $(find PACKAGE) looks on the search path, and its includes are checked as files are.
+
+    Gives the list of what was refused meanwhile, since xacro wraps errors in its own.
+    """
+    refused: list[InputError] = []
+    terms, place = xacro.substitution_args, Place(path, 1)
+    old_find, old_eval, old_parse = terms._eval_find, terms._eval_dict["find"], xacro.parse
+
+    def sought(uri: str) -> Path:
+        try:
+            return resolver.find(uri, at=place)
+        except InputError as error:
+            refused.append(error)
+            raise
+
+    def find(package: str) -> str:
+        return str(sought(f"package://{package}"))
+
+    def parse(given: Any, name: str | None = None) -> Any:
+        if given is None and name is not None and Path(name).exists():
+            read_xml(sought(str(Path(name).absolute())))
+        return old_parse(given, name)
+
+    terms._eval_find, terms._eval_dict["find"], xacro.parse = find, find, parse
+    try:
+        yield refused
+    finally:
+        terms._eval_find, terms._eval_dict["find"], xacro.parse = old_find, old_eval, old_parse
