@@ -1,22 +1,52 @@
-"""Every kind of recording comes in as the same type."""
+"""What can be opened and written to, and what is said of the rest."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
+from conftest import some_frames
 
 import ullage as ul
-
-DATA = Path(__file__).parents[3] / "shared" / "data"
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="the real recordings are not here")
+from ullage.ports import Sink, Source
 
 
-@needs_data
-@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
-def test_rail_decodes_to_the_last_sample() -> None:
-    source = ul.open(DATA / "pulson440/rail_a")
-    frames = source.frames()
-    known = np.load(DATA / "pulson440/rail_a/decoded.npz")
-    np.testing.assert_array_equal(frames.samples, known["scans"].astype(np.float32))
-    np.testing.assert_allclose(frames.range_m, known["range_m"], atol=1e-12)
-    np.testing.assert_allclose(frames.t_ns * 1e-9, known["t_radar_s"], atol=1e-9)
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("none.mcap", "no such file or folder.*mcap"), ("ros2:/radar", "live ros2 input is not part of this version"),
+        ("x4:/dev/ttyACM0", "live x4 input"), ("imc:localhost", "live imc input"), ("gazebo:", "live gazebo input"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_opened_is_one_line(name: str, words: str) -> None:
+    with pytest.raises(ul.InputError, match=words) as error:
+        ul.open(name)
+    assert "\n" not in str(error.value)
+
+
+def test_other_files_and_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ul.InputError, match="no recording in this folder"):
+        ul.open(tmp_path)
+    (tmp_path / "a.txt").write_text("hello")
+    with pytest.raises(ul.InputError, match="not a recording"):
+        ul.open(tmp_path / "a.txt")
+    for target in (tmp_path / "a.txt", "nothing:"):
+        with pytest.raises(ul.InputError, match="not something to write to"):
+            ul.sink(target)
+
+
+def test_options_that_do_not_apply_are_refused(tmp_path: Path) -> None:
+    with ul.sink(tmp_path / "a.mcap") as sink:
+        sink.write(some_frames(3))
+    with pytest.raises(ul.InputError, match=r"no option 'fps'"):
+        ul.open(tmp_path / "a.mcap", fps=3)
+
+
+def test_every_folder_with_one_recording_opens(tmp_path: Path) -> None:
+    for path in (tmp_path / "run", tmp_path / "bag" / "bag_0.mcap"):
+        with ul.sink(path) as sink:
+            sink.write(some_frames(9))
+        source = ul.open(path if path.is_dir() else path.parent)
+        assert isinstance(source, Source)
+        assert isinstance(sink, Sink)
+        assert len(source.frames()) == 9

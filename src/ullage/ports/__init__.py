@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import inspect
+import re
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -17,6 +21,8 @@ from ullage.specs import MountSpec
 
 __all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 
+Made = TypeVar("Made")
+SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+]+):")
 SOURCES = ".mcap, .zarr, an X4 .dat, or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
 SINKS = ".mcap, a folder, .zarr, or a map: .yaml, .bt, .ot, .ply"
 MAPS = {
@@ -40,24 +46,24 @@ def open(target: str | Path, **options: Any) -> Source:
     """
     path = Path(target)
     if not path.exists():
-        kind = str(target).split(":", 1)[0]
-        if kind in ("ros2", "gazebo", "imc", "x4", "viewer") and ":" in str(target):
-            raise InputError(f"live {kind} input is not part of this version", where=target, allowed=SOURCES)
+        live = SCHEME.match(str(target))
+        if live:
+            raise InputError(f"live {live[1]} input is not part of this version", where=target, allowed=SOURCES)
         raise InputError("no such file or folder", where=target, allowed=SOURCES)
     if path.suffix.lower() == ".zarr":
         from ullage.ports.store import ZarrSource
 
-        return ZarrSource(path, **options)
+        return with_options(ZarrSource, path, options)
     if path.is_dir():
         return _open_folder(path, options)
     if path.suffix.lower() == ".mcap":
         from ullage.ports.replay import McapSource
 
-        return McapSource(path, **options)
+        return with_options(McapSource, path, options)
     if path.suffix.lower() == ".dat":
         from ullage.ports.x4 import X4Source
 
-        return X4Source(path, **options)
+        return with_options(X4Source, path, options)
     raise InputError("not a recording", where=target, allowed=SOURCES)
 
 
@@ -74,18 +80,18 @@ def sink(target: str | Path, **options: Any) -> Sink:
     """
     path = Path(target)
     kind = path.suffix.lower()
-    if ":" in str(target) and not path.parent.exists():
+    if SCHEME.match(str(target)):
         raise InputError("not something to write to", where=target, allowed=SINKS)
     if kind in MAPS:
         return MapSink(path, **options)
     if kind == ".zarr":
         from ullage.ports.store import ZarrSink
 
-        return ZarrSink(path, **options)
+        return with_options(ZarrSink, path, options)
     if kind == ".mcap" or (not kind and not path.is_file()) or path.is_dir():
         from ullage.ports.bag import McapSink
 
-        return McapSink(path, **options)
+        return with_options(McapSink, path, options)
     raise InputError("not something to write to", where=target, allowed=SINKS)
 
 
@@ -99,7 +105,8 @@ def write_map(omap: OccupancyMap, path: str | Path, **options: Any) -> None:
     if kind not in MAPS:
         raise InputError("not a map file", where=path, allowed=", ".join(MAPS))
     module, write, _ = MAPS[kind]
-    getattr(importlib.import_module(f"ullage.ports.{module}"), write)(omap, path, **options)
+    door = partial(getattr(importlib.import_module(f"ullage.ports.{module}"), write), omap)
+    with_options(door, Path(path), options)
 
 
 def read_map(path: str | Path, **options: Any) -> OccupancyMap:
@@ -112,8 +119,8 @@ def read_map(path: str | Path, **options: Any) -> OccupancyMap:
     if kind not in MAPS or kind == ".pgm":
         raise InputError("not a map file", where=path, allowed=", ".join(k for k in MAPS if k != ".pgm"))
     module, _, read = MAPS[kind]
-    omap: OccupancyMap = getattr(importlib.import_module(f"ullage.ports.{module}"), read)(path, **options)
-    return omap
+    door: Callable[..., OccupancyMap] = getattr(importlib.import_module(f"ullage.ports.{module}"), read)
+    return with_options(door, Path(path), options)
 
 
 class MapSink:
@@ -142,6 +149,15 @@ class MapSink:
         self.close()
 
 
+def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any]) -> Made:
+    """Make a source or sink, and refuse in one line what it has no option for."""
+    known = list(inspect.signature(make).parameters)[1:]
+    for name in options:
+        if name not in known:
+            raise InputError(f"no option {name!r}", where=path, allowed=", ".join(known) or "none")
+    return make(path, **options)
+
+
 class RailSource(WholeSource):
     """A PulsON log beside the motion capture of the radar, with reflectors as truth where they were surveyed."""
 
@@ -158,12 +174,12 @@ def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
     from ullage.ports.replay import McapSource
 
     if (folder / "radar.out").exists():
-        return _open_rail(folder, **options)
+        return with_options(_open_rail, folder, options)
     if (folder / "frames.mcap").exists():
-        return McapSource(folder / "frames.mcap", **options)
+        return with_options(McapSource, folder / "frames.mcap", options)
     bags = sorted(folder.glob("*.mcap"))
     if len(bags) == 1:
-        return McapSource(bags[0], **options)
+        return with_options(McapSource, bags[0], options)
     raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
 
 

@@ -81,7 +81,8 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     elif step_m is None:
         raise InputError("does not say how large its cells are", where=path, allowed="read_ply(path, step_m=...)")
     else:
-        grid = Grid.covering(np.stack([points.min(0), points.max(0)]), step_m, dims=3)
+        box = np.stack([points.min(0), points.max(0)])
+        grid = Grid.covering(box, step_m, dims=3, margin_m=0.01 * step_m)  # so that no point lies on the last edge
     percent = np.full(grid.shape, UNKNOWN, np.int8)
     cells, inside = grid.index(points)
     percent[tuple(cells[inside].T)] = 100

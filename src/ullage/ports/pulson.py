@@ -54,6 +54,12 @@ def read_log(path: str | Path) -> Log:
     if len(raw) < CONFIG.size + PACKET.itemsize:
         raise InputError(f"{len(raw)} bytes hold no scan", where=path, allowed="a PulsON 440 MRM log")
     start_ps, _, _, integration = CONFIG.unpack(raw[: CONFIG.size])[1:5]
+    if not (6 <= integration <= 15 and -500_000 <= start_ps <= 500_000):
+        raise InputError(
+            f"starts at {start_ps} ps with integration index {integration}",
+            where=path,
+            allowed="a PulsON 440 MRM log: -500000 .. 500000 ps, index 6 .. 15",
+        )
     whole, rest = divmod(len(raw) - CONFIG.size, PACKET.itemsize)
     packets = np.frombuffer(raw, PACKET, whole, CONFIG.size)
     if rest:
@@ -74,21 +80,25 @@ def read_log(path: str | Path) -> Log:
 
 
 def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Times]:
+    info = packets[(packets["kind"] == SCAN_INFO) & (packets["here"] <= 350)]
+    if not len(info):
+        raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")
+    shapes, counts = np.unique(info[["total", "packets"]], return_counts=True)
+    bins, per_scan = (int(value) for value in shapes[np.argmax(counts)])
+    if not (8 <= bins <= 65536 and per_scan == -(-bins // 350)):
+        raise InputError(f"says {bins} samples in {per_scan} packets", where=path, allowed="350 samples a packet")
     good = (
         (packets["kind"] == SCAN_INFO)
         & (packets["here"] <= 350)
-        & (packets["total"] == packets["total"][0])
-        & (packets["packets"] == packets["packets"][0])
-        & (packets["index"] < packets["packets"])
+        & (packets["total"] == bins)
+        & (packets["packets"] == per_scan)
+        & (packets["index"] < per_scan)
     )
-    if not good[0]:
+    if not good.any():
         raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")
     if not good.all():
         _warn(path, f"{int((~good).sum())} packets make no sense, first packet {int(np.argmin(good))}; left out")
     kept = packets[good]
-    bins, per_scan = int(kept["total"][0]), int(kept["packets"][0])
-    if not 8 <= bins <= 350 * per_scan:
-        raise InputError(f"says {bins} samples in {per_scan} packets", where=path, allowed="8 .. 350 samples a packet")
     new = np.concatenate(
         [[True], (np.diff(kept["message"].astype(np.int64)) != 0) | (np.diff(kept["t_ms"].astype(np.int64)) != 0)]
     )

@@ -1,0 +1,339 @@
+"""Maps to files and back: map_server, OctoMap, PLY, and what others make of them."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+import ullage as ul
+from ullage.ports import read_map, write_map
+
+tools = pytest.mark.skipif(shutil.which("compare_octrees") is None, reason="octomap-tools are not installed")
+
+
+def plane(*, z: float = 1.5, seed: int = 0) -> ul.OccupancyMap:
+    grid = ul.Grid((-2.0, 0.5, z), 0.05, (30, 47))
+    return ul.OccupancyMap(grid, np.random.default_rng(seed).integers(-2, 101, grid.shape).astype(np.int8), "elfes")
+
+
+def volume(seed: int = 0, *, shape: tuple[int, int, int] = (12, 20, 33), values: int = 101) -> ul.OccupancyMap:
+    """Noise, and two blocks of one value that a tree holds in few nodes."""
+    grid = ul.Grid((-1.6, -0.8, -0.4), 0.1, shape)
+    percent = np.random.default_rng(seed).integers(-2, values, shape).astype(np.int8)
+    percent[:4, :8, :16], percent[4:, 8:16] = 5, 95
+    return ul.OccupancyMap(grid, percent, "ullage")
+
+
+def three_states(omap: ul.OccupancyMap) -> np.ndarray:
+    return np.where(omap.occupied, 1, np.where(omap.free, 0, -1))
+
+
+def test_trinary_keeps_the_three_states(tmp_path: Path) -> None:
+    want = plane()
+    write_map(want, tmp_path / "map.yaml")
+    got = read_map(tmp_path / "map.yaml")
+    np.testing.assert_array_equal(three_states(got), three_states(want))
+    assert got.grid == want.grid
+    assert got.method == "elfes"
+
+
+def test_trinary_is_what_map_server_expects(tmp_path: Path) -> None:
+    """Its own law, written out: rows from the top, black occupied, between the thresholds unknown."""
+    want = plane()
+    write_map(want, tmp_path / "map.pgm")
+    about = yaml.safe_load((tmp_path / "map.yaml").read_text())
+    pixels = np.asarray(Image.open(tmp_path / about["image"]))
+    chance = (255 - pixels[::-1].astype(float)) / 255
+    np.testing.assert_array_equal(chance > about["occupied_thresh"], want.occupied)
+    np.testing.assert_array_equal(chance < about["free_thresh"], want.free)
+    assert (tmp_path / "map.pgm").read_bytes().startswith(b"P5")
+    assert about["origin"] == [-2.0, 0.5, 0.0]
+    assert about["resolution"] == 0.05
+    assert about["negate"] == 0
+
+
+def test_raw_loses_nothing_but_ambiguity(tmp_path: Path) -> None:
+    want = plane(z=float("nan"))
+    write_map(want, tmp_path / "map.yaml", mode="raw")
+    got = read_map(tmp_path / "map.yaml")
+    np.testing.assert_array_equal(got.percent, np.where(want.percent < 0, -1, want.percent))
+    assert np.isnan(got.grid.origin_m[2])
+
+
+def test_scale_keeps_grey_between_the_thresholds(tmp_path: Path) -> None:
+    want = plane()
+    write_map(want, tmp_path / "map.yaml", mode="scale")
+    got = read_map(tmp_path / "map.yaml")
+    np.testing.assert_array_equal(got.unknown, want.percent < 0)
+    assert (got.percent[want.percent > 65] == 100).all()
+    assert (got.percent[(want.percent < 35) & (want.percent >= 0)] == 0).all()
+    middle = (want.percent > 36) & (want.percent < 64)
+    np.testing.assert_allclose(got.percent[middle], (want.percent[middle] - 35) / 0.3, atol=2.5)
+
+
+def test_maps_of_others(tmp_path: Path) -> None:
+    """As slam_toolbox and gmapping write them: no mode, negate, colours."""
+    grey = np.array([[0, 205, 254], [255, 100, 205]], np.uint8)
+    Image.fromarray(grey).save(tmp_path / "m.pgm")
+    text = "image: m.pgm\nresolution: 0.050000\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
+    text += "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    (tmp_path / "m.yaml").write_text(text)
+    np.testing.assert_array_equal(read_map(tmp_path / "m.yaml").percent, [[0, -1, -1], [100, -1, 0]])
+    (tmp_path / "m.yaml").write_text(text.replace("negate: 0", "negate: 1"))
+    np.testing.assert_array_equal(read_map(tmp_path / "m.yaml").percent, [[100, -1, 100], [0, 100, 100]])
+    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "m.png")
+    (tmp_path / "m.yaml").write_text(text.replace("pgm", "png"))
+    np.testing.assert_array_equal(read_map(tmp_path / "m.yaml").percent, [[0, -1, -1], [100, -1, 0]])
+
+
+GOOD = {
+    "image": "m.pgm",
+    "resolution": 0.1,
+    "origin": [0, 0, 0],
+    "negate": 0,
+    "occupied_thresh": 0.65,
+    "free_thresh": 0.2,
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no map"), ("- 1\n", "no map"), (": [", "no YAML"), ("image: [\n", "no YAML"),
+        (yaml.dump(GOOD | {"resolution": "wide"}), "resolution is 'wide'"),
+        (yaml.dump(GOOD | {"resolution": -1}), "step_m"),
+        (yaml.dump(GOOD | {"origin": [0, 0, 0.5]}), "turned by 0.5"), (yaml.dump(GOOD | {"origin": 3}), "origin is 3"),
+        (yaml.dump(GOOD | {"mode": "odd"}), "no mode 'odd'"), (yaml.dump(GOOD | {"free_thresh": 0.9}), "not below"),
+        (yaml.dump(GOOD | {"image": "none.pgm"}), "no image"), (yaml.dump(GOOD | {"image": "m.yaml"}), "no image"),
+    ],
+)  # fmt: skip
+def test_bad_maps_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    Image.fromarray(np.zeros((2, 2), np.uint8)).save(tmp_path / "m.pgm")
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(ul.InputError, match=words) as error:
+        read_map(tmp_path / "m.yaml")
+    assert "\n" not in str(error.value)
+
+
+def test_volumes_and_odd_suffixes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ul.InputError, match="planes only"):
+        write_map(volume(), tmp_path / "a.yaml")
+    with pytest.raises(ul.InputError, match=r"not a map file.*\.bt"):
+        write_map(volume(), tmp_path / "a.xyz")
+    with pytest.raises(ul.InputError, match="not a map file"):
+        read_map(tmp_path / "a.xyz")
+    with pytest.raises(ul.InputError, match=r"no option 'colour'.*mode"):
+        write_map(plane(), tmp_path / "a.yaml", colour="red")
+    with pytest.raises(ul.InputError, match="no mode 'odd'"):
+        write_map(plane(), tmp_path / "a.yaml", mode="odd")
+    with pytest.raises(ul.InputError, match="cannot read"):
+        read_map(tmp_path / "a.bt")
+    with pytest.raises(ul.InputError, match="cannot write"):
+        write_map(volume(), tmp_path / "nowhere" / "a.bt")
+
+
+def on_grid(got: ul.OccupancyMap, grid: ul.Grid) -> np.ndarray:
+    """What was read, laid over another grid of the same step."""
+    out = np.full(grid.shape, -1)
+    shift = np.rint((np.array(got.grid.origin_m) - np.array(grid.origin_m)) / grid.step_m).astype(int)[::-1]
+    where = tuple(slice(s, s + n) for s, n in zip(shift, got.grid.shape, strict=True))
+    out[where] = got.percent
+    return out
+
+
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 99), shape=st.tuples(*[st.integers(1, 18)] * 3), values=st.sampled_from([0, 3, 101]))
+def test_octomap_files_come_back(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, shape: tuple[int, int, int], values: int
+) -> None:
+    folder, want = tmp_path_factory.mktemp("oct"), volume(seed, shape=shape, values=values)
+    if (want.percent >= 0).any():
+        write_map(want, folder / "a.ot")
+        known = np.where(want.percent < 0, -1, want.percent)
+        np.testing.assert_array_equal(on_grid(read_map(folder / "a.ot"), want.grid), known)
+    if (want.occupied | want.free).any():
+        write_map(want, folder / "a.bt")
+        states = np.where(want.occupied, 100, np.where(want.free, 0, -1))
+        np.testing.assert_array_equal(on_grid(read_map(folder / "a.bt"), want.grid), states)
+
+
+@pytest.mark.parametrize("suffix", [".bt", ".ot"])
+def test_pyoctomap_reads_the_same_cells(tmp_path: Path, suffix: str) -> None:
+    pyoctomap = pytest.importorskip("pyoctomap")
+    want = volume()
+    path = tmp_path / f"a{suffix}"
+    write_map(want, path)
+    tree = pyoctomap.OcTree(0.1)
+    if suffix == ".bt":
+        assert tree.readBinary(str(path))
+    else:
+        tree = tree.read(str(path))
+    states = three_states(want)
+    for cell in np.random.default_rng(1).integers(0, want.grid.shape, (400, 3)):
+        z, y, x = cell
+        at = [want.grid.x_m[x], want.grid.y_m[y], want.grid.z_m[z]]
+        node = tree.search(at)
+        if suffix == ".ot":
+            percent = want.percent[z, y, x]
+            assert (node is None) == (percent < 0)
+            if node is not None:
+                assert round(100 * node.getOccupancy()) == percent
+        else:
+            assert (node is None) == (states[z, y, x] < 0)
+            if node is not None:
+                assert tree.isNodeOccupied(node) == (states[z, y, x] == 1)
+
+
+def test_trees_of_pyoctomap_are_read(tmp_path: Path) -> None:
+    pyoctomap = pytest.importorskip("pyoctomap")
+    points = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    tree = pyoctomap.OcTree(0.1)
+    tree.updateNodes(points, True)
+    tree.updateInnerOccupancy()
+    assert tree.write(str(tmp_path / "a.ot"))
+    assert tree.writeBinary(str(tmp_path / "a.bt"))
+    for name in ("a.ot", "a.bt"):
+        got = read_map(tmp_path / name)
+        cells, inside = got.grid.index(points)
+        assert inside.all()
+        assert got.occupied[tuple(cells.T)].all()
+        assert got.occupied.sum() == len(np.unique(cells, axis=0))
+
+
+@tools
+def test_octomap_tools_agree(tmp_path: Path) -> None:
+    """Debian's tools count our nodes, convert our trees and find no difference."""
+    want = volume()
+    write_map(want, tmp_path / "a.ot")
+    write_map(want, tmp_path / "a.bt")
+    run = lambda *words: subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)  # noqa: E731
+    said = run("bt2vrml", "a.bt")
+    assert f"Finished writing {int(want.occupied.sum())} voxels" in said.stderr + said.stdout or voxels(tmp_path, want)
+    said = run("convert_octree", "a.bt", "b.ot")
+    assert "ERROR" not in said.stderr + said.stdout
+    np.testing.assert_array_equal(three_states(read_map(tmp_path / "b.ot")), three_states(read_map(tmp_path / "a.bt")))
+    said = run("convert_octree", "a.ot", "c.ot")
+    assert "ERROR" not in said.stderr + said.stdout
+    said = run("compare_octrees", "a.ot", "c.ot")
+    assert "KLD: 0" in said.stderr + said.stdout
+
+
+def voxels(folder: Path, want: ul.OccupancyMap) -> bool:
+    """Whether the boxes in the VRML file fill the occupied volume; pruned leaves are one box."""
+    import re
+
+    sizes = re.findall(r"size ([\d.]+)", (folder / "a.bt.wrl").read_text())
+    return round(sum(float(s) ** 3 for s in sizes) / 1e-3) == int(want.occupied.sum())
+
+
+def test_trees_are_pruned(tmp_path: Path) -> None:
+    grid = ul.Grid((0.0, 0.0, 0.0), 0.1, (64, 64, 64))
+    write_map(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8)), tmp_path / "a.bt")
+    assert (tmp_path / "a.bt").stat().st_size < 200
+    got = read_map(tmp_path / "a.bt")
+    assert got.grid.shape == (64, 64, 64)
+    assert (got.percent == 0).all()
+
+
+def test_planes_become_one_layer(tmp_path: Path) -> None:
+    want = plane(z=1.5)
+    write_map(want, tmp_path / "a.ot")
+    got = read_map(tmp_path / "a.ot")
+    assert got.grid.shape[0] == 1
+    assert got.grid.origin_m[2] == pytest.approx(1.5)
+
+
+def test_cells_off_octomaps_lattice_are_said(tmp_path: Path) -> None:
+    omap = ul.OccupancyMap(ul.Grid((0.03, 0.0, 0.0), 0.1, (2, 2, 2)), np.full((2, 2, 2), 90, np.int8))
+    with pytest.warns(ul.UllageWarning, match=r"shifted by 0\.03 m"):
+        write_map(omap, tmp_path / "a.bt")
+    far = ul.OccupancyMap(ul.Grid((9e9, 0.0, 0.0), 0.1, (2, 2, 2)), np.full((2, 2, 2), 90, np.int8))
+    with pytest.raises(ul.InputError, match="outside OctoMap's world"):
+        write_map(far, tmp_path / "a.bt")
+
+
+@settings(deadline=None, max_examples=80)
+@given(data=st.data(), suffix=st.sampled_from([".bt", ".ot"]))
+def test_trees_cut_or_damaged_anywhere(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, suffix: str
+) -> None:
+    path = tmp_path_factory.mktemp("oct") / f"a{suffix}"
+    write_map(volume(shape=(3, 9, 9)), path)
+    content = bytearray(path.read_bytes())
+    at, junk = data.draw(st.integers(0, len(content) - 1)), data.draw(st.binary(max_size=9))
+    content[at : at + len(junk) if junk else None] = junk
+    path.write_bytes(content)
+    try:
+        read_map(path)
+    except ul.InputError as error:
+        said = str(error)
+        assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "not an OctoMap"), (b"P5 hello\ndata\n", "not an OctoMap"),
+        (b"# Octomap OcTree file\nid ColorOcTree\nsize 1\nres 0.1\ndata\n", "holds a ColorOcTree"),
+        (b"# Octomap OcTree file\nid OcTree\nsize 0\nres 0.1\ndata\n", "empty tree"),
+        (b"# Octomap OcTree file\nid OcTree\nsize 9\nres 0.1\ndata\n\0\0", "cut or damaged"),
+        (b"# Octomap OcTree binary file\nid OcTree\nsize 9\nres 0.1\ndata\n\x02\0", "too many for an array"),
+    ],
+)  # fmt: skip
+def test_bad_trees_are_refused(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "a.bt").write_bytes(content)
+    with pytest.raises(ul.InputError, match=words):
+        read_map(tmp_path / "a.bt")
+
+
+def test_ply_opens_in_trimesh_and_comes_back(tmp_path: Path) -> None:
+    import trimesh
+
+    for want in (volume(), plane(), plane(z=float("nan"))):
+        write_map(want, tmp_path / "a.ply")
+        cloud = trimesh.load(tmp_path / "a.ply")
+        assert len(cloud.vertices) == want.occupied.sum()
+        got = read_map(tmp_path / "a.ply")
+        np.testing.assert_array_equal(got.occupied, want.occupied)
+        np.testing.assert_array_equal(got.grid.origin_m, want.grid.origin_m)
+
+
+def test_ply_normals(tmp_path: Path) -> None:
+    want = volume()
+    normals = np.random.default_rng(0).normal(size=(int(want.occupied.sum()), 3))
+    write_map(want, tmp_path / "a.ply", normals=normals)
+    head, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n")
+    assert b"property float nx" in head
+    table = np.frombuffer(body, [("p", "<f4", 3), ("n", "<f4", 3), ("o", "u1")])
+    np.testing.assert_allclose(table["n"], normals, rtol=1e-6)
+    with pytest.raises(ul.InputError, match=r"normals have shape \(1, 3\)"):
+        write_map(want, tmp_path / "a.ply", normals=normals[:1])
+
+
+def test_ply_of_others_needs_a_step(tmp_path: Path) -> None:
+    import trimesh
+
+    trimesh.PointCloud([[0.01, 0.02, 0.03], [0.95, 0.5, 0.5]]).export(tmp_path / "a.ply")
+    with pytest.raises(ul.InputError, match="how large its cells are"):
+        read_map(tmp_path / "a.ply")
+    got = read_map(tmp_path / "a.ply", step_m=0.1)
+    assert got.occupied.sum() == 2
+    (tmp_path / "a.ply").write_bytes(b"ply\nformat odd\nend_header\n")
+    with pytest.raises(ul.InputError, match="no PLY"):
+        read_map(tmp_path / "a.ply")
+
+
+def test_map_sinks_keep_the_last_map(tmp_path: Path) -> None:
+    with ul.sink(tmp_path / "a.yaml") as sink:
+        sink.write(plane(seed=1))
+        sink.write(plane(seed=2))
+    np.testing.assert_array_equal(three_states(read_map(tmp_path / "a.yaml")), three_states(plane(seed=2)))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.pgm", "a.yaml"]  # nothing temporary stays
