@@ -33,6 +33,13 @@ CLEAR = ("glass",)
 """Materials that one sees through."""
 LIGHT = np.array([-0.35, -0.55, 0.76])
 PATH_COLOR = "#d1495b"
+_ROOM_VIEW: dict[str, Any] = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
+VIEWS: dict[str, dict[str, Any]] = {
+    **{f"ntnu-{name}": _ROOM_VIEW for name in ("room", "plate", "plate45", "pole", "wire", "mapping")},
+    "cluttered-room": {"elevation_deg": 42, "azimuth_deg": -70, "cut_height_m": 3.2, "plan_height_m": 1.0},
+    "cargo-hold": {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
+}
+"""How the shipped worlds are best seen."""
 _BACKGROUND = np.array([1.0, 1.0, 1.0])
 
 
@@ -43,7 +50,7 @@ def world_picture(
     elevation_deg: float = 35.0,
     azimuth_deg: float = -60.0,
     cut_height_m: float | None = None,
-    cut_side_m: float = 0.3,
+    cut_side_m: float | tuple[float, float] = 0.3,
     plan_height_m: float | None = None,
     waypoints: ArrayLike | None = None,
     title: str = "",
@@ -57,7 +64,7 @@ def world_picture(
         elevation_deg: height of the eye over the horizon [deg].
         azimuth_deg: where the eye stands, seen from the middle; 0 is +x, 90 is +y [deg].
         cut_height_m: what lies above is left out [m]; None: nothing is.
-        cut_side_m: what lies this near to the sides that face the eye is left out [m].
+        cut_side_m: what lies this near to the sides that face the eye is left out, along x and y [m]; 0: nothing.
         plan_height_m: height of the plan's section [m]; None: a third of the way up.
         waypoints: the flight (n, 3 or more) [m], drawn into both.
         title: text over the picture.
@@ -112,7 +119,7 @@ class _Eye:
         self.shape = (round((self.extent[3] - self.extent[2]) / self.pixel), width_px)
 
     @classmethod
-    def looking(cls, box: Floats, elevation_deg: float, azimuth_deg: float, *, width_px: int = 1500) -> _Eye:
+    def looking(cls, box: Floats, elevation_deg: float, azimuth_deg: float, *, width_px: int = 1150) -> _Eye:
         e, a = np.radians([elevation_deg, azimuth_deg])
         toward = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -131,14 +138,14 @@ class _Eye:
         return np.asarray((flat + self.back * self.toward).reshape(-1, 3))
 
 
-def _inside(box: Floats, toward: Floats, side_m: float) -> list[tuple[Floats, float]]:
+def _inside(box: Floats, toward: Floats, side_m: float | tuple[float, float]) -> list[tuple[Floats, float]]:
     """Half-spaces n.x <= d that hold what is drawn: below the cut, and behind the near sides."""
     keep = [(np.array([0.0, 0.0, 1.0]), float(box[1, 2]) + 1e-3)]
-    for axis in (0, 1):
-        if abs(toward[axis]) > 1e-6 and side_m > 0:
+    for axis, cut in zip((0, 1), np.broadcast_to(side_m, 2), strict=True):
+        if abs(toward[axis]) > 1e-6 and cut > 0:
             sign = -np.sign(toward[axis])
             edge = box[1, axis] if sign > 0 else -box[0, axis]
-            keep.append((sign * np.eye(3)[axis], float(edge) - side_m))
+            keep.append((sign * np.eye(3)[axis], float(edge) - float(cut)))
     return keep
 
 
@@ -173,9 +180,9 @@ class _Paint:
             tint, near = self._seen(self.all, start, eye.toward)
             front = near < depth - 1e-6
             color[front] = 0.65 * color[front] + 0.35 * tint[front]
-        edges = _edges(depth.reshape(eye.shape), eye.pixel)
-        shown = color.reshape(*eye.shape, 3) * np.where(edges, 0.45, 1.0)[..., None]
-        return shown, (depth + ahead).reshape(eye.shape)
+        whole = (depth + ahead).reshape(eye.shape)
+        shown = color.reshape(*eye.shape, 3) * np.where(_edges(whole, eye.pixel), 0.45, 1.0)[..., None]
+        return shown, whole
 
     def _seen(self, caster: Raycaster, start: Floats, toward: Floats) -> tuple[Floats, Floats]:
         face, depth = caster.hits(start, np.broadcast_to(toward, start.shape))
@@ -195,8 +202,8 @@ class _Paint:
 
 def _openness(caster: Raycaster, point: Floats, normal: Floats, *, reach_m: float = 1.5) -> Floats:
     """How free each point is of things near it, 0 to 1: corners come out darker."""
-    turn = np.arange(10) * 2.39996  # a sunflower over the half sphere
-    z = np.sqrt((np.arange(10) + 0.5) / 10)
+    turn = np.arange(20) * 2.39996  # a sunflower over the half sphere
+    z = np.sqrt((np.arange(20) + 0.5) / 20)
     local = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
     side = np.cross(normal, np.where(abs(normal[:, 2:]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]]))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
@@ -247,7 +254,7 @@ def _draw_route(axes: Any, eye: _Eye, depth: Floats, route: Floats) -> None:
 def _draw_plan(axes: Any, scene: Scene, paint: _Paint, box: Floats, level: float, route: Floats | None) -> None:
     from matplotlib.collections import LineCollection
 
-    above = _Eye(np.array([0, 0, -1.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), box, 900)
+    above = _Eye(np.array([0, 0, -1.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), box, 750)
     picture, _ = paint.picture(above, [(np.array([0.0, 0.0, 1.0]), level)])
     axes.imshow(np.clip(0.35 + 0.65 * picture, 0, 1), extent=above.extent, interpolation="antialiased")
     axes.add_collection(LineCollection(list(section(scene, level)), colors="black", linewidths=0.9))
@@ -265,3 +272,11 @@ def _fewer_colors(file: Path) -> None:
     with Image.open(file) as whole:
         small = whole.convert("RGB").quantize(256, dither=Image.Dither.NONE)
     small.save(file, format="PNG", optimize=True)
+
+
+if __name__ == "__main__":  # the documentation's pictures
+    from ullage.world.library import WORLDS
+
+    for world in WORLDS.values():
+        file = Path("docs/pictures/worlds") / f"{world.name}.png"
+        world_picture(world.scene(), file, waypoints=world.path_xyzyaw, **VIEWS[world.name])

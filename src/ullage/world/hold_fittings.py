@@ -31,7 +31,7 @@ def vertical_ladder(plan: HoldPlan) -> list[Part]:
     lean = math.atan2(plan.stool_foot_m, plan.lower_stool_m)
     span = math.hypot(plan.stool_foot_m, plan.lower_stool_m)
     lower = moved(_ladder(span - 0.05), pitch_deg=-math.degrees(lean))
-    lower = moved(lower, (face + plan.stool_foot_m + stand, y, 0.02))
+    lower = moved(lower, (face + plan.stool_foot_m + stand, y, 0.03))
     return [Part("ladder_aft", "steel", clean(join(upper, lower)))]
 
 
@@ -69,7 +69,7 @@ def _flight(x: tuple[float, float], y: tuple[float, float], z: tuple[float, floa
     """Two stringers 150 x 8 mm and treads between them, from (y, z) to (y, z)."""
     run, rise = y[1] - y[0], z[1] - z[0]
     span, angle = math.hypot(run, rise), math.degrees(math.atan2(rise, run))
-    stringer = moved(block((-0.004, 0.05, -0.075), (0.004, span - 0.05, 0.075)), roll_deg=angle)
+    stringer = moved(block((-0.004, 0.06, -0.075), (0.004, span - 0.06, 0.075)), roll_deg=angle)
     stringers = [moved(stringer, (at, y[0], z[0])) for at in x]
     steps = round(rise / TREAD_PITCH_M)
     treads = []

@@ -1,6 +1,6 @@
 """The worlds that come with ullage: where their files are, where a drone starts, how far it may go, what it flies.
 
-`python -m ullage.world.library` writes the files anew, each byte as it was; with `--pictures` the documentation's too.
+`python -m ullage.world.library` writes the files anew, each byte as it was.
 """
 
 from __future__ import annotations

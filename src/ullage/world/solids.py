@@ -167,7 +167,7 @@ def limb(points: Sequence[ArrayLike], radii_m: Sequence[float], *, sides: int = 
 
 
 def loft(rings: ArrayLike, *, caps: bool = True) -> Shape:
-    """A skin through closed rings (k, m, 3) that turn to the left seen along the line of rings; flat convex ends."""
+    """A skin through closed rings (k, m, 3) that turn to the left seen along their line; flat star-shaped ends."""
     grid = np.asarray(rings, float)
     count, around = grid.shape[:2]
     index = np.arange(count * around).reshape(count, around)
@@ -175,9 +175,10 @@ def loft(rings: ArrayLike, *, caps: bool = True) -> Shape:
     quads = np.stack([index[:-1], after[:-1], after[1:], index[1:]], axis=-1).reshape(-1, 4)
     faces = [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     if caps:
-        fan = np.array([[0, k, k + 1] for k in range(1, around - 1)])
-        faces += [index[0][fan[:, ::-1]], index[-1][fan]]
-    return clean((grid.reshape(-1, 3), np.concatenate(faces).astype(np.int32)))
+        middle = np.full(around, count * around)
+        faces += [np.stack([middle, after[0], index[0]], 1), np.stack([middle + 1, index[-1], after[-1]], 1)]
+    vertices = np.concatenate([grid.reshape(-1, 3), grid[[0, -1]].mean(1)])
+    return clean((vertices, np.concatenate(faces).astype(np.int32)))
 
 
 def flat(polygon: Any, place: Callable[[Floats], Floats]) -> Shape:
