@@ -84,6 +84,7 @@ def execute(
             shutil.rmtree(job.folder, ignore_errors=True)
         raise
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
+    _write_maps(job.folder, outcome)
     say("drawing figures")
     metrics = _metrics(job, outcome)
     figures = _draw(job, outcome)
@@ -124,6 +125,20 @@ def _bounds(job: Run) -> np.ndarray:
         raise InputError("no poses, so nothing can be imaged or mapped", where="--do", allowed="detect")
     reach = 6.0
     return np.stack([job.flown.position.min(0) - reach, job.flown.position.max(0) + reach])
+
+
+def _write_maps(folder: Path, outcome: Outcome) -> None:
+    """The final map as map_server files, a volume as an OctoMap tree and as points."""
+    from ullage.ports.maps import write_map_server
+    from ullage.ports.octomap import write_octomap
+    from ullage.ports.ply import write_ply
+
+    for item in outcome.results:
+        if isinstance(item, OccupancyMap) and item.grid.dims == 2:
+            write_map_server(item, folder / "map.yaml")
+        elif isinstance(item, OccupancyMap):
+            write_octomap(item, folder / "map.bt")
+            write_ply(item, folder / "map.ply")
 
 
 def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:

@@ -99,10 +99,9 @@ def map_figure(
     with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
         mesh = draw_map(axes, omap, walls=walls, path=flown)
         figure.colorbar(mesh, ax=axes, label="chance of being occupied [%]", shrink=0.8)
-        axes.legend(loc="upper right", fontsize=7, framealpha=0.9)
-        axes.set_title(
-            f"{title}: {omap.method}, {omap.grid.step_m:g} m cells; grey unknown, amber ambiguous", fontsize=9
-        )
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        figure.suptitle(title, fontsize=10)
+        axes.set_title(f"{omap.method}, {omap.grid.step_m:g} m cells; grey unknown, amber ambiguous", fontsize=8)
     return path
 
 
@@ -127,7 +126,9 @@ def image_figure(
         draw_plan(axes, walls=walls, path=flown)
         axes.set(xlim=(left, right), ylim=(bottom, top))
         figure.colorbar(mesh, ax=axes, label="amplitude below the brightest cell [dB]", shrink=0.8)
-        axes.set_title(f"{title}: {image.method}, {image.grid.step_m:g} m cells", fontsize=9)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        figure.suptitle(title, fontsize=10)
+        axes.set_title(f"{image.method}, {image.grid.step_m:g} m cells", fontsize=8)
     return path
 
 
@@ -155,7 +156,8 @@ def range_time_figure(
         top = max(float(np.quantile(v, 0.999)) for v in values)
         floor = 0.0 if unit == "thesis" else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
         for panel, (name, t_s, range_m, _), value in zip(panels, pictures, values, strict=True):
-            mesh = panel.pcolormesh(t_s, range_m, value.T, cmap="viridis", vmin=floor, vmax=top, rasterized=True)
+            extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-9), range_m[0], range_m[-1])
+            mesh = panel.imshow(value.T, extent=extent, origin="lower", aspect="auto", vmin=floor, vmax=top)
             panel.set(xlabel="time [s]", title=name)
         panels[0].set_ylabel("range [m]")
         figure.colorbar(mesh, ax=list(panels), label=UNIT_LABEL[unit])
