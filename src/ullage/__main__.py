@@ -1,0 +1,5 @@
+"""`python -m ullage` is the `ullage` command."""
+
+from ullage.cli import main
+
+main()

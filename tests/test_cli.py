@@ -1,0 +1,131 @@
+"""The command line as a person meets it: what it prints, what it leaves behind, how it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOM = """<?xml version="1.0"?><sdf version="1.9"><world name="w">
+<model name="east"><static>true</static><pose>3 0 1 0 0 0</pose><link name="l"><collision name="c">
+<geometry><box><size>0.1 6 2</size></box></geometry></collision></link></model>
+<model name="north"><static>true</static><pose>0 3 1 0 0 0</pose><link name="l"><collision name="c">
+<geometry><box><size>6 0.1 2</size></box></geometry></collision></link></model>
+</world></sdf>"""
+PLAN = """
+title: Two walls
+world: {file: room.sdf}
+flight: {vehicle: ideal, waypoints: [[-1, -1, 1], [1, -1, 1], [1, 1, 1]]}
+sensing: {fidelity: thesis, rig: single}
+map: {method: elfes}
+image: {method: summation, step_m: 0.1}
+expect: {frames: {min: 100}, recall: {max: 1.0}}
+"""
+
+
+def ullage(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "ullage", *words]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=200)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "room.sdf").write_text(ROOM)
+    (folder / "walls.yaml").write_text(PLAN)
+    done = ullage("run", "walls.yaml", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_a_run_leaves_everything_in_one_folder(place: Path) -> None:
+    folder = place / "runs" / "latest"
+    names = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+    wanted = {"scenario.yaml", "provenance.json", "frames.mcap", "metrics.json", "report.html", "map.pgm", "map.yaml"}
+    assert wanted | {f"figures/{n}.png" for n in ("map", "image", "range_time", "snapshot")} <= names
+    assert json.loads((folder / "provenance.json").read_text())["interrupted"] is False
+
+
+def test_the_report_needs_nothing_from_outside(place: Path) -> None:
+    page = (place / "runs" / "latest" / "report.html").read_text()
+    assert page.count("data:image/png;base64") == 4
+    assert not re.search(r"(src|href)=\"(?!data:)", page)
+    assert "Two walls" in page
+
+
+def test_a_run_is_measured_against_its_bounds(place: Path) -> None:
+    assert ullage("measure", cwd=place).returncode == 0
+    broken = ullage("run", "walls.yaml", "-o", "expect.frames={max: 3}", "--do", "detect", cwd=place)
+    assert broken.returncode == 0, broken.stderr
+    judged = ullage("measure", cwd=place)
+    assert judged.returncode == 1
+    assert "OUT" in judged.stdout
+    (place / "runs" / "latest").unlink()
+    first = next(p for p in (place / "runs").iterdir() if (p / "map.pgm").exists())
+    (place / "runs" / "latest").symlink_to(first.name)
+
+
+def test_a_recording_replays_to_the_same_map(place: Path) -> None:
+    grid = ("-o", "map.method=elfes", "-o", "map.margin_m=1")
+    done = ullage("run", "runs/latest/frames.mcap", "--do", "map", *grid, "--out", "replayed", cwd=place)
+    assert done.returncode == 0, done.stderr
+    frames = json.loads((place / "replayed/latest/metrics.json").read_text())["frames"]["value"]
+    assert frames == json.loads((place / "runs/latest/metrics.json").read_text())["frames"]["value"]
+
+
+def test_show_list_config_doctor_speak(place: Path) -> None:
+    assert "frames.mcap" in ullage("show", "latest", cwd=place).stdout
+    listed = ullage("list", cwd=place).stdout
+    assert "cargo-hold" in listed
+    assert "x4m05" in listed
+    assert "step_m: 0.1" in ullage("config", "cargo-hold", cwd=place).stdout
+    assert '"properties"' in ullage("config", "--schema", cwd=place).stdout
+    checked = ullage("doctor", cwd=place)
+    assert checked.returncode == 0, checked.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("run", "nowhere"), "no scenario, recording or port 'nowhere'"),
+        (("run", "walls.yaml"), "this run exists.*--force"),
+        (("run", "walls.yaml", "-o", "map.step_m=-1"), "map.step_m"),
+        (("run", "walls.yaml", "--do", "dance"), "no task 'dance'"),
+        (("run", "walls.yaml", "-o", "sensing.preset=x5"), "no radar preset 'x5'"),
+        (("run", "walls.yaml", "-o", "sensing.changes={fps: -3}"), "fps"),
+        (("run", "walls.yaml", "-o", "world.file=gone.sdf"), "gone.sdf"),
+        (("run", "walls.yaml", "--force", "--to", "thing.xyz"), "thing.xyz"),
+        (("run", "walls.yaml", "--out", "/proc/nowhere"), "cannot write"),
+        (("show", "nothing"), "no run 'nothing'"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(place: Path, words: tuple[str, ...], says: str) -> None:
+    done = ullage(*words, cwd=place)
+    assert done.returncode == 2
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert re.search(says, lines[0])
+
+
+def test_ctrl_c_leaves_a_whole_run(place: Path) -> None:
+    far = "flight.waypoints=[[-1,-1,1],[1,-1,1],[1,1,1],[-1,1,1],[-1,-1,1],[1,-1,1],[1,1,1],[-1,1,1],[-1,-1,1]]"
+    slow = ("-o", "sensing.rate_hz=400", "-o", far, "-o", "map.step_m=0.02")
+    command = [sys.executable, "-m", "ullage", "run", "walls.yaml", "--out", "cut", *slow]
+    process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    recording = place / "cut" / "latest" / "frames.mcap"
+    until = time.monotonic() + 60
+    while not (recording.exists() and recording.stat().st_size > 30_000) and time.monotonic() < until:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    said, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    assert "interrupted" in said
+    assert json.loads((place / "cut/latest/provenance.json").read_text())["interrupted"] is True
+    assert (place / "cut/latest/report.html").exists()
