@@ -28,14 +28,14 @@ class Gains(Spec):
     Attitude gains are per unit inertia, so they are squared frequencies and rates, not torques.
     """
 
-    position_s2: float = Field(3.0, ge=0, le=100, description="1/s^2")
-    velocity_s: float = Field(3.2, ge=0, le=100, description="1/s")
-    integral_s3: float = Field(1.2, ge=0, le=100, description="1/s^3; carries wind")
-    attitude_s2: float = Field(60.0, gt=0, le=1e4, description="roll and pitch, 1/s^2")
-    rate_s: float = Field(14.0, gt=0, le=1e3, description="roll and pitch, 1/s")
+    position_s2: float = Field(5.0, ge=0, le=100, description="1/s^2")
+    velocity_s: float = Field(4.0, ge=0, le=100, description="1/s")
+    integral_s3: float = Field(1.0, ge=0, le=100, description="1/s^3; carries wind")
+    attitude_s2: float = Field(120.0, gt=0, le=1e4, description="roll and pitch, 1/s^2")
+    rate_s: float = Field(20.0, gt=0, le=1e3, description="roll and pitch, 1/s")
     yaw_s2: float = Field(9.0, gt=0, le=1e4, description="1/s^2")
     yaw_rate_s: float = Field(5.0, gt=0, le=1e3, description="1/s")
-    rotor: float = Field(2.0, ge=0, le=20, description="feedback of rotor speed in the speed controller")
+    rotor: float = Field(4.0, ge=0, le=20, description="feedback of rotor speed in the speed controller")
     error_m: float = Field(0.6, gt=0, le=100, description="position error beyond which the pull grows no further")
     tilt_deg: float = Field(35.0, gt=0, lt=80, description="steepest lean asked for")
 
@@ -89,9 +89,14 @@ class Airframe(Spec):
         return math.sqrt(self.weight_n / len(self.rotor_spin) / self.thrust_n_s2)
 
     @property
+    def skin_m(self) -> float:
+        """Outer layer of the vehicle that contacts may sink into [m]."""
+        return min(0.02, 0.25 * min(self.core_m), 0.5 * self.rotor_radius_m)
+
+    @property
     def rotor_half_height_m(self) -> float:
         """Half the height of a rotor with its motor, as contacts see it [m]."""
-        return 0.16 * self.rotor_radius_m
+        return 1.05 * self.skin_m
 
     @property
     def half_height_m(self) -> float:

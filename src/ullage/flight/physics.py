@@ -7,6 +7,7 @@ triangles (one rigid `flex` per body, so concave meshes keep their shape) and wi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ PHYSICS_HZ = 500
 CONTROL_EVERY = 2  # physics steps per control step
 CONTROL_HZ = PHYSICS_HZ / CONTROL_EVERY
 
-_SKIN = 0.003  # [m] half thickness given to a triangle
+_STIFF = [0.005, 1.0]  # contact's time constant [s] and damping ratio
 _SLACK = 0.25  # [m] how far the vehicle goes on one set of nearby triangles
 _ALERT = 0.10  # [m] beyond the vehicle's radius, where contact is looked for
 
@@ -41,7 +42,11 @@ class Touch:
 
 
 def body_spec(frame: Airframe) -> Any:
-    """The engine's description of the vehicle: one rigid body, a hull and a disc for each rotor."""
+    """The engine's description of the vehicle: one rigid body, a hull and a disc for each rotor.
+
+    Against a triangle without thickness the engine finds no sure direction once something is in it. So the world wears
+    the vehicle's skin: its shapes are drawn that much smaller, and triangles and wires are that much thicker.
+    """
     import mujoco
 
     spec = mujoco.MjSpec()
@@ -52,10 +57,10 @@ def body_spec(frame: Airframe) -> Any:
     body.add_freejoint()
     body.explicitinertial = True
     body.mass, body.inertia = frame.mass_kg, frame.inertia_kg_m2
-    solid = {"friction": [0.4, 0.005, 0.0001], "solref": [0.01, 1.0]}
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[edge / 2 for edge in frame.core_m], **solid)
+    solid = {"friction": [0.4, 0.005, 0.0001], "solref": _STIFF}
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[edge / 2 - frame.skin_m for edge in frame.core_m], **solid)
     for place in frame.rotor_position_m:
-        disc = [frame.rotor_radius_m, frame.rotor_half_height_m, 0]
+        disc = [frame.rotor_radius_m - frame.skin_m, frame.rotor_half_height_m - frame.skin_m, 0]
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=disc, pos=place, **solid)
     return spec
 
@@ -82,8 +87,9 @@ class Surroundings:
         # Where the nearness of each part was last measured, and how far the vehicle may go from there [m].
         full = [k for k, part in enumerate(parts) if len(part.corners) + len(part.wires)]
         self._watched = dict.fromkeys(full, (0.0, 0.0, 0.0, -1.0))
-        self._owners: dict[tuple[str, int], int] = {}
-        self._flexes: list[list[int]] = []
+        self._before = [0.0, 0.0, 0.0]
+        self._flexes: list[tuple[int, NDArray[np.int64]]] = []  # part, and its triangles
+        self._wires: dict[int, tuple[int, int]] = {}  # of each capsule: part, and wire past its triangles
         self._mocap: list[tuple[int, int]] = []
 
     @property
@@ -94,6 +100,8 @@ class Surroundings:
     def look(self, row: int) -> bool:
         """Brings the model up to date for a control step; true when the model was exchanged."""
         x, y, z = self.data.qpos[:3].tolist()
+        if self.near:
+            self._before = self.data.qvel[:3].tolist()
         stale = False
         for k, (ax, ay, az, slack) in self._watched.items():
             if self._parts[k].motion is None:
@@ -134,7 +142,7 @@ class Surroundings:
     def _exchange(self, chosen: list[tuple[int, NDArray[np.int64]]]) -> None:
         old = self.data
         self.near = bool(chosen)
-        self._mocap, self._flexes, self._owners = [], [], {}
+        self._mocap, self._flexes, self._wires = [], [], {}
         self.data = self._engine.MjData(self._build(chosen)) if chosen else self._free
         if self.data is not old:
             self.data.time = old.time
@@ -143,6 +151,7 @@ class Surroundings:
 
     def _build(self, chosen: list[tuple[int, NDArray[np.int64]]]) -> Any:
         spec = body_spec(self._frame)
+        strung: dict[str, tuple[int, int]] = {}
         for k, close in chosen:
             part = self._parts[k]
             home = spec.worldbody
@@ -151,41 +160,53 @@ class Surroundings:
                 self._mocap.append((k, len(self._mocap)))
             faces = close[close < len(part.corners)]
             if len(faces):
-                flex = spec.add_flex(name=f"part{k}", dim=2, radius=_SKIN, selfcollide=0)
+                flex = spec.add_flex(name=f"part{k}", dim=2, radius=self._frame.skin_m, selfcollide=0)
+                flex.solref = _STIFF
                 flex.vertbody = [home.name]
                 flex.vert = part.corners[faces].ravel().tolist()
                 flex.elem = list(range(3 * len(faces)))
-                self._flexes.append(part.owner[faces].tolist())
+                self._flexes.append((k, faces))
             for wire in close[close >= len(part.corners)] - len(part.corners):
                 name = f"wire{k}.{wire}"
-                ends, radius = part.wires[wire].ravel(), part.wire_radius[wire]
+                strung[name] = (k, int(wire) + len(part.corners))
+                radius = float(part.wire_radius[wire]) + self._frame.skin_m
                 capsule = self._engine.mjtGeom.mjGEOM_CAPSULE
-                home.add_geom(name=name, type=capsule, fromto=ends, size=[max(radius, 1e-3), 0, 0])
-                self._owners[name, 0] = int(part.wire_owner[wire])
-        return spec.compile()
+                ends = part.wires[wire].ravel()
+                home.add_geom(name=name, type=capsule, fromto=ends, size=[radius, 0, 0], solref=_STIFF)
+        model = spec.compile()
+        self._wires = {model.geom(name).id: place for name, place in strung.items()}
+        return model
 
     def note(self, row: int) -> None:
         """Writes down the contacts of the step just taken."""
         for contact in self.data.contact:
-            owner = self._owner(contact)
+            k, index = self._hit(contact)
+            owner = self._parts[k].owner_of(index)
             known = self._open.get(owner)
             if known is None or row - known.last > CONTROL_HZ / 4:  # a bounce within a quarter second is one contact
-                x, y, z = (float(v) for v in contact.pos)
-                speed = float(np.linalg.norm(self.data.qvel[:3]))
-                self._open[owner] = Touch(row, row, (x, y, z), owner, speed)
-                self.touches.append(self._open[owner])
+                touch = Touch(row, row, self._surface(k, index, contact.pos, row), owner, math.hypot(*self._before))
+                self._open[owner] = touch
+                self.touches.append(touch)
             else:
                 known.last = row
 
-    def _owner(self, contact: Any) -> int:
+    def _hit(self, contact: Any) -> tuple[int, int]:
+        """Part, and triangle or wire in it (counted past the triangles), of a contact."""
         for flex, element in zip(contact.flex, contact.elem, strict=True):
             if flex >= 0:
-                return int(self._flexes[flex][element])
-        for geom in contact.geom:
-            name = (self.model.geom(int(geom)).name, 0)
-            if name in self._owners:
-                return self._owners[name]
-        return -1
+                k, faces = self._flexes[flex]
+                return k, int(faces[element])
+        return next(self._wires[int(geom)] for geom in contact.geom if int(geom) in self._wires)
+
+    def _surface(self, k: int, index: int, point: Floats, row: int) -> tuple[float, float, float]:
+        """The place on a triangle or wire nearest to a contact, which lies in the skin around it [m] world."""
+        part = self._parts[k]
+        near, _, spots = part.gaps(self._local(k, np.array(point), row), 4 * self._frame.skin_m)
+        spot = spots[np.flatnonzero(near == index)[0]]
+        if part.motion is not None:
+            spot = self._poses[k][0][row] @ spot + self._poses[k][1][row]
+        x, y, z = (float(v) for v in spot)
+        return x, y, z
 
 
 def _poses(part: Body, count: int) -> tuple[Floats, Floats]:
@@ -193,5 +214,6 @@ def _poses(part: Body, count: int) -> tuple[Floats, Floats]:
     if part.motion is None:
         return np.zeros((0, 3, 3)), np.zeros((0, 3))
     times = np.clip(even_times(CONTROL_HZ, count=count), part.motion.t_ns[0], part.motion.t_ns[-1])
-    pose = part.motion.at(times).world_from_body
+    known, row = np.unique(times, return_inverse=True)
+    pose = part.motion.at(known).world_from_body[row]
     return pose[:, :3, :3], pose[:, :3, 3]
