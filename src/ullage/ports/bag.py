@@ -1,4 +1,4 @@
-"""Recordings: MCAP files of ROS 2 messages, which ROS 2 tools and Foxglove open and a kill leaves readable.
+"""Recordings: MCAP files of ROS 2 messages [MCAP], which ROS 2 tools open and a kill leaves readable.
 
 What is written follows the data's clock: a chunk goes to the file at least every half second of it.
 """
