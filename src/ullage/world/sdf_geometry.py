@@ -115,7 +115,12 @@ def _cylinder(node: Node) -> Mesh | Rod:
 
 def _sphere(node: Node) -> Mesh:
     radius = float(node.sizes("radius", 1)[0])
-    return shapes.sphere(radius, edge_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
+    return shapes.sphere(radius, edge_m=_edge_m(radius))
+
+
+def _edge_m(radius_m: float) -> float:
+    """A triangle's middle bows out 4/3 as far as the middle of its edges."""
+    return shapes.sagitta_segment_m(radius_m, 0.75 * SAGITTA_M)
 
 
 def _capsule(node: Node) -> Mesh:
@@ -125,7 +130,7 @@ def _capsule(node: Node) -> Mesh:
 
 def _ellipsoid(node: Node) -> Mesh:
     radii = node.sizes("radii", 3)
-    return shapes.ellipsoid(radii, edge_m=shapes.sagitta_segment_m(float(radii.max()), SAGITTA_M))
+    return shapes.ellipsoid(radii, edge_m=_edge_m(float(radii.max())))
 
 
 def _cone(node: Node) -> Mesh:

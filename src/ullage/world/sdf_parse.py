@@ -296,7 +296,7 @@ def warn_unknown(root: Node, told: set[str]) -> None:
         name = element.tag
         if name in ELEMENTS or name in told or element.prefix or ":" in name:
             continue
-        if any(above.tag == "plugin" for above in element.iterancestors()):
+        if any(above.tag == "plugin" or above.prefix or ":" in above.tag for above in element.iterancestors()):
             continue
         told.add(name)
         Node(element, root.file).place.warn(f"<{name}> is not an SDF element; it is passed by")
