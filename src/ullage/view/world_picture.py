@@ -6,6 +6,7 @@ The picture is cast ray by ray, so that nothing is drawn in the wrong order; wha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.errors import InputError
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 from ullage.world.section import section
@@ -55,6 +57,7 @@ def world_picture(
     waypoints: ArrayLike | None = None,
     title: str = "",
     colors: Sequence[str] | None = None,
+    width_px: int = 1150,
 ) -> Figure:
     """A cutaway view and a plan of a world.
 
@@ -69,25 +72,31 @@ def world_picture(
         waypoints: the flight (n, 3 or more) [m], drawn into both.
         title: text over the picture.
         colors: a colour for each object; None: by material.
+        width_px: rays across the cutaway; the plan has two thirds of them.
 
     Returns:
         The figure.
+
+    Raises:
+        InputError: the world is empty.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     low, high = scene.bounds
+    if not (high > low).any():
+        raise InputError("there is nothing to draw", where=scene.name)
     top = float(high[2]) if cut_height_m is None else cut_height_m
     figure = Figure(figsize=(11.0, 4.9), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
     paint = _Paint(scene, colors)
     box = np.array([low, [high[0], high[1], top]])
-    eye = _Eye.looking(box, elevation_deg, azimuth_deg)
+    eye = _Eye.looking(box, elevation_deg, azimuth_deg, width_px)
     route = None if waypoints is None else np.asarray(waypoints, float)[:, :3]
     _draw_view(left, paint, eye, _inside(box, eye.toward, cut_side_m), route)
     level = float(low[2] + (high[2] - low[2]) / 3) if plan_height_m is None else plan_height_m
-    _draw_plan(right, scene, paint, box, level, route)
+    _draw_plan(right, scene, paint, _Eye.above(box, width_px * 2 // 3), level, route)
     if title:
         figure.suptitle(title)
     if path is not None:
@@ -119,11 +128,15 @@ class _Eye:
         self.shape = (round((self.extent[3] - self.extent[2]) / self.pixel), width_px)
 
     @classmethod
-    def looking(cls, box: Floats, elevation_deg: float, azimuth_deg: float, *, width_px: int = 1150) -> _Eye:
+    def looking(cls, box: Floats, elevation_deg: float, azimuth_deg: float, width_px: int) -> _Eye:
         e, a = np.radians([elevation_deg, azimuth_deg])
         toward = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         right = np.array([-np.sin(a), np.cos(a), 0.0])
         return cls(toward, right, np.cross(right, toward), box, width_px)
+
+    @classmethod
+    def above(cls, box: Floats, width_px: int) -> _Eye:
+        return cls(np.array([0, 0, -1.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), box, width_px)
 
     def project(self, points: Floats) -> Floats:
         """Points (n, 3) in the picture (n, 2) [m]."""
@@ -232,7 +245,8 @@ def _draw_view(axes: Any, paint: _Paint, eye: _Eye, keep: list[tuple[Floats, flo
     if route is not None:
         _draw_route(axes, eye, depth, route)
     span = eye.extent[1] - eye.extent[0]
-    bar = max(step for step in (0.5, 1, 2, 5, 10, 20, 50) if step < span / 4)
+    decade = 10.0 ** math.floor(math.log10(span / 4))
+    bar = max(step * decade for step in (1, 2, 5) if step * decade <= span / 4)
     x, y = eye.extent[0] + 0.03 * span, eye.extent[2] + 0.01 * span
     axes.plot([x, x + bar], [y, y], color="black", lw=3, solid_capstyle="butt")
     axes.text(x + bar / 2, y + 0.008 * span, f"{bar:g} m", ha="center", va="bottom", fontsize=9)
@@ -251,10 +265,9 @@ def _draw_route(axes: Any, eye: _Eye, depth: Floats, route: Floats) -> None:
     axes.plot(*spot[0], "o", color=PATH_COLOR, ms=5)
 
 
-def _draw_plan(axes: Any, scene: Scene, paint: _Paint, box: Floats, level: float, route: Floats | None) -> None:
+def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float, route: Floats | None) -> None:
     from matplotlib.collections import LineCollection
 
-    above = _Eye(np.array([0, 0, -1.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), box, 750)
     picture, _ = paint.picture(above, [(np.array([0.0, 0.0, 1.0]), level)])
     axes.imshow(np.clip(0.35 + 0.65 * picture, 0, 1), extent=above.extent, interpolation="antialiased")
     axes.add_collection(LineCollection(list(section(scene, level)), colors="black", linewidths=0.9))
