@@ -84,3 +84,16 @@ def test_an_empty_world_is_refused():
 
 def test_every_shipped_world_has_a_view():
     assert set(VIEWS) == set(WORLDS)
+
+
+def test_a_wire_too_thin_for_a_pixel_is_drawn():
+    scene = Scene.union([two_plates(), ul.scenes.wire(0.0005, 0.9, 1.0)])
+    figure = world_picture(scene, width_px=150, elevation_deg=0, azimuth_deg=180, cut_side_m=0, plan_height_m=0.2)
+    view, plan = figure.axes
+    line = np.asarray(view.lines[0].get_xydata())
+    assert np.isfinite(line).all()
+    assert np.ptp(line[:, 1]) == pytest.approx(0.9)
+    assert np.asarray(plan.lines[0].get_xydata())[0] == pytest.approx([1.0, 0.0])
+    behind = Scene.union([two_plates(), ul.scenes.wire(0.0005, 0.9, 4.0)])
+    view = world_picture(behind, width_px=150, elevation_deg=0, azimuth_deg=180, cut_side_m=0).axes[0]
+    assert np.isnan(np.asarray(view.lines[0].get_xydata())).all()

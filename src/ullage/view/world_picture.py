@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.errors import InputError
 from ullage.world.raycast import Raycaster
-from ullage.world.scene import Scene
-from ullage.world.section import section
+from ullage.world.scene import Scene, Wires
+from ullage.world.section import section, wire_section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,12 +100,7 @@ def world_picture(
     if title:
         figure.suptitle(title)
     if path is not None:
-        target = Path(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        draft = target.with_name(f".{target.name}")
-        figure.savefig(draft, dpi=100, format="png", pil_kwargs={"optimize": True})
-        _fewer_colors(draft)
-        draft.replace(target)
+        _save(figure, Path(path))
     return figure
 
 
@@ -172,6 +167,7 @@ class _Paint:
         chosen = [COLORS.get(name, "#b4b4b4") for name in names] if colors is None else list(colors)
         self.rgb = np.array([to_rgb(c) for c in chosen]).reshape(-1, 3)
         clear = np.array([name in CLEAR for name in names], bool)
+        self.wires = scene.wires
         self.all = Raycaster(scene, wires=True)
         solid = Scene(
             scene.vertices, scene.faces[~clear[scene.face_object]], scene.face_object[~clear[scene.face_object]],
@@ -244,6 +240,7 @@ def _draw_view(axes: Any, paint: _Paint, eye: _Eye, keep: list[tuple[Floats, flo
     axes.imshow(np.clip(picture, 0, 1), extent=eye.extent, interpolation="antialiased")
     if route is not None:
         _draw_route(axes, eye, depth, route)
+    _draw_wires(axes, eye, depth, paint.wires, keep)
     span = eye.extent[1] - eye.extent[0]
     decade = 10.0 ** math.floor(math.log10(span / 4))
     bar = max(step * decade for step in (1, 2, 5) if step * decade <= span / 4)
@@ -257,12 +254,27 @@ def _draw_route(axes: Any, eye: _Eye, depth: Floats, route: Floats) -> None:
     """The flight as a line, faint where something stands before it."""
     fine = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(route)])
     spot = eye.project(fine)
+    axes.plot(*spot.T, color=PATH_COLOR, lw=1.0, alpha=0.35)
+    axes.plot(*np.where(_hidden(eye, depth, fine)[:, None], np.nan, spot).T, color=PATH_COLOR, lw=1.6)
+    axes.plot(*spot[0], "o", color=PATH_COLOR, ms=5)
+
+
+def _draw_wires(axes: Any, eye: _Eye, depth: Floats, wires: Wires, keep: list[tuple[Floats, float]]) -> None:
+    """Wires as thin lines: a pixel is wider than most of them."""
+    for start, end in zip(wires.start, wires.end, strict=True):
+        fine = np.linspace(start, end, 200)
+        gone = _hidden(eye, depth, fine)
+        for normal, edge in keep:
+            gone |= fine @ normal > edge
+        axes.plot(*np.where(gone[:, None], np.nan, eye.project(fine)).T, color="#222222", lw=0.8)
+
+
+def _hidden(eye: _Eye, depth: Floats, points: Floats) -> NDArray[np.bool_]:
+    """Whether something stands between the eye and each point (n, 3)."""
+    spot = eye.project(points)
     column = np.clip(((spot[:, 0] - eye.extent[0]) / eye.pixel).astype(int), 0, eye.shape[1] - 1)
     row = np.clip(((eye.extent[3] - spot[:, 1]) / eye.pixel).astype(int), 0, eye.shape[0] - 1)
-    hidden = fine @ eye.toward - eye.back > depth[row, column] + 0.05
-    axes.plot(*spot.T, color=PATH_COLOR, lw=1.0, alpha=0.35)
-    axes.plot(*np.where(hidden[:, None], np.nan, spot).T, color=PATH_COLOR, lw=1.6)
-    axes.plot(*spot[0], "o", color=PATH_COLOR, ms=5)
+    return np.asarray(points @ eye.toward - eye.back > depth[row, column] + 0.05)
 
 
 def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float, route: Floats | None) -> None:
@@ -271,6 +283,7 @@ def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float
     picture, _ = paint.picture(above, [(np.array([0.0, 0.0, 1.0]), level)])
     axes.imshow(np.clip(0.35 + 0.65 * picture, 0, 1), extent=above.extent, interpolation="antialiased")
     axes.add_collection(LineCollection(list(section(scene, level)), colors="black", linewidths=0.9))
+    axes.plot(*wire_section(scene, level).T, "o", color="black", ms=2.5)
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color=PATH_COLOR, lw=1.4)
         axes.plot(*route[0, :2], "o", color=PATH_COLOR, ms=5)
@@ -278,13 +291,17 @@ def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float
     axes.title.set_fontsize(9)
 
 
-def _fewer_colors(file: Path) -> None:
-    """Rewrite a PNG with a palette of 256 colours: a third of the size."""
+def _save(figure: Figure, file: Path) -> None:
+    """Write a PNG with a palette of 256 colours, a third of the size, under a temporary name until whole."""
     from PIL import Image
 
-    with Image.open(file) as whole:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    draft = file.with_name(f".{file.name}")
+    figure.savefig(draft, dpi=100, format="png")
+    with Image.open(draft) as whole:
         small = whole.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-    small.save(file, format="PNG", optimize=True)
+    small.save(draft, format="PNG", optimize=True)
+    draft.replace(file)
 
 
 if __name__ == "__main__":  # the documentation's pictures
