@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import ullage as ul
 
@@ -20,3 +21,25 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not():
     assert np.array_equal(one.position, two.position)
     assert np.array_equal(one.quat_xyzw, two.quat_xyzw)
     assert not np.array_equal(one.position, three.position)
+
+
+def test_progress_rises_from_zero_to_one():
+    seen = []
+    ul.fly(ul.Waypoints([(0, 0, 1), (2, 0, 1)]), progress=seen.append)
+    assert seen[0] == 0
+    assert seen[-1] == 1
+    assert seen == sorted(seen)
+    assert len(seen) > 4
+
+
+def test_an_interrupted_flight_leaves_at_once_and_the_next_is_untouched():
+    way = ul.Waypoints([(0, 0, 1), (2, 0, 1)])
+    whole = ul.fly(way)
+
+    def stop(done):
+        if done > 0.3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ul.fly(way, progress=stop)
+    assert np.array_equal(ul.fly(way).position, whole.position)
