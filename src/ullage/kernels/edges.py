@@ -60,7 +60,7 @@ def _turn(u, v, axis):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, omega, pieces, owner, windings):
+def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, pieces, owner, windings):
     """Cuts the rims of faces within the gate until each piece's delay is nearly linear in phi.
 
     Args:
@@ -71,12 +71,13 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
         first: (p + 1) index of each face's first edge.
         starts: (e, 3) edge starts, counter-clockwise about the normal [m].
         ends: (e, 3) edge ends [m].
-        origins: (2, 3) transmitter and receiver, or their images [m].
+        origins: (1 or p, 2, 3) transmitter and receiver, or their images, for all or for each face [m].
         gate: (2) least and greatest mean range [m].
+        most: rim whose path exceeds the mirror path by more is left out [m].
         omega: carrier [rad/s].
         pieces: (m, 12) gets start, end (6), path lengths (2), weights (2), angle, early delay as length.
         owner: (m) gets the face of each piece.
-        windings: (k) gets the turns of the rim around the line image - receiver; NaN where there is no echo.
+        windings: (k) gets the turns of the rim around the line image - receiver, 0 where there is no echo.
 
     Returns:
         How many pieces there are; only the first m are written.
@@ -88,22 +89,25 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
     wave = omega / C0
     for i in range(len(patches)):
         p = patches[i]
-        windings[i] = np.nan
+        here = origins[p] if len(origins) > 1 else origins[0]
+        windings[i] = 0.0
         ahead, behind, near, far = -offsets[p], -offsets[p], 0.0, 0.0
         for k in range(3):
-            ahead += normals[p, k] * origins[0, k]
-            behind += normals[p, k] * origins[1, k]
-            near += (spheres[p, k] - origins[0, k]) ** 2
-            far += (spheres[p, k] - origins[1, k]) ** 2
+            ahead += normals[p, k] * here[0, k]
+            behind += normals[p, k] * here[1, k]
+            near += (spheres[p, k] - here[0, k]) ** 2
+            far += (spheres[p, k] - here[1, k]) ** 2
         r = 0.5 * (math.sqrt(near) + math.sqrt(far))
         if r - spheres[p, 3] > gate[1] or r + spheres[p, 3] < gate[0]:
             continue
         if ahead * behind <= 0 or min(abs(ahead), abs(behind)) < 1e-4:
             continue
-        mirror(origins[0], normals[p], offsets[p], image)
+        mirror(here[0], normals[p], offsets[p], image)
+        # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it
+        image[0], image[1], image[2] = image[0] + 3.1e-7, image[1] - 4.3e-7, image[2] + 2.7e-7
         length = 0.0
         for k in range(3):
-            axis[k] = origins[1, k] - image[k]
+            axis[k] = here[1, k] - image[k]
             length += axis[k] * axis[k]
         length = math.sqrt(length)
         facing = 0.0
@@ -123,20 +127,23 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
                 top -= 1
                 s0, s1 = stack[top, 0], stack[top, 1]
                 half = 0.5 * (s0 + s1)
-                _spot(starts[e], ends[e], s0, origins[1], image, axis, length, a)
-                _spot(starts[e], ends[e], s1, origins[1], image, axis, length, b)
-                _spot(starts[e], ends[e], half, origins[1], image, axis, length, m)
+                _spot(starts[e], ends[e], s0, here[1], image, axis, length, a)
+                _spot(starts[e], ends[e], s1, here[1], image, axis, length, b)
+                _spot(starts[e], ends[e], half, here[1], image, axis, length, m)
                 turn = _turn(a, b, axis)
                 part = _turn(a, m, axis) / turn if abs(turn) > 1e-15 else 0.5
                 bend = m[3] - a[3] - part * (b[3] - a[3])
-                wide = wave * abs(bend) > 0.3 or (s1 - s0) * size > 0.2 * m[3]
-                if wide and abs(turn) > 2e-4 and top < 62:
+                wide = wave * abs(bend) > 0.1 or (s1 - s0) * size > 0.2 * m[3]
+                round_part = part * (1 - part)
+                if round_part < 0.04 and wave * abs(b[3] - a[3]) * abs(turn) > 0.03:
+                    wide = True
+                if wide and abs(turn) > 2e-4 and top < 62 and min(a[3], b[3], m[3]) < length + most + 0.5:
                     stack[top, 0], stack[top, 1] = s0, half
                     stack[top + 1, 0], stack[top + 1, 1] = half, s1
                     top += 2
                     continue
                 winding += turn
-                if 0.5 * min(a[3], b[3]) > gate[1]:
+                if 0.5 * min(a[3], b[3]) > gate[1] or min(a[3], b[3]) > length + most:
                     continue
                 if count < len(pieces):
                     for k in range(3):
@@ -144,7 +151,6 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
                     pieces[count, 6], pieces[count, 7] = a[3], b[3]
                     pieces[count, 8], pieces[count, 9] = a[4], b[4]
                     pieces[count, 10] = sign * turn
-                    round_part = part * (1 - part)
                     pieces[count, 11] = bend / (6 * round_part) if round_part > 0.04 else 0.0
                     owner[count] = p
                 count += 1
@@ -200,18 +206,20 @@ def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):
 def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
              gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`."""
-    scale = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi) * factor
+    unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
     last = t0 + grids.shape[1] * dt
     for k in range(len(pieces)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
             continue
         p, n, stuff = pieces[k], normals[owner[k]], stuffs[owner[k]]
+        o = owner[k] if len(origins) > 1 else 0
+        scale = unit * factor[o]
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break
-            w0, c0 = _weight(p[:3], n, origins, frames, fields, table, flat, gamma, stuff, tap)
-            w1, c1 = _weight(p[3:6], n, origins, frames, fields, table, flat, gamma, stuff, tap)
+            w0, c0 = _weight(p[:3], n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            w1, c1 = _weight(p[3:6], n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             late = extra[k] + _late(lag, stuff, tap, 0.5 * (c0 + c1))
             mean = (0.5 * (p[6] + p[7]) + p[11]) / C0 + late
             landed = mean - math.floor((mean - t0) / fold) * fold
@@ -231,17 +239,19 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
 def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
                 gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the specular echoes of faces: unit image waves at (m, 3) points with (m) path lengths [m]."""
-    scale = (2 * math.pi * C0 / omega) / (4 * math.pi) * factor
+    unit = (2 * math.pi * C0 / omega) / (4 * math.pi)
     last = t0 + grids.shape[1] * dt
     for k in range(len(points)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
             continue
         n, stuff = normals[owner[k]], stuffs[owner[k]]
+        o = owner[k] if len(origins) > 1 else 0
+        scale = unit * factor[o]
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break
-            w, cosine = _weight(points[k], n, origins, frames, fields, table, flat, gamma, stuff, tap)
+            w, cosine = _weight(points[k], n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             late = extra[k] + _late(lag, stuff, tap, cosine)
             mean = lengths[k] / C0 + late
             landed = mean - math.floor((mean - t0) / fold) * fold
@@ -267,15 +277,16 @@ def crossings(patches, windings, normals, offsets, origins, points, lengths):
         if not windings[i] > 0.5:
             continue
         p = patches[i]
-        mirror(origins[0], normals[p], offsets[p], image)
-        ahead, behind, square = -offsets[p], offsets[p], 0.0
+        here = origins[p] if len(origins) > 1 else origins[0]
+        mirror(here[0], normals[p], offsets[p], image)
+        ahead, behind, square = -offsets[p], offsets[p], 1e-300
         for k in range(3):
-            ahead += normals[p, k] * origins[1, k]
+            ahead += normals[p, k] * here[1, k]
             behind -= normals[p, k] * image[k]
-            square += (origins[1, k] - image[k]) ** 2
+            square += (here[1, k] - image[k]) ** 2
         share = behind / (ahead + behind)
         for k in range(3):
-            points[count, k] = image[k] + share * (origins[1, k] - image[k])
+            points[count, k] = image[k] + share * (here[1, k] - image[k])
         lengths[count] = math.sqrt(square)
         patches[count] = p
         count += 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import warnings
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,8 @@ Ints = NDArray[np.int32]
 
 FLAT_M = 0.15
 """Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
+MIRROR_CORNERS = 12
+"""Convex outlines with more corners than this mirror by their triangles."""
 WELD_M = 1e-6
 """Corners nearer than this are one [m]."""
 _CLUSTER = 16  # triangles, about
@@ -37,6 +40,11 @@ class Flats:
     first: Ints  # (p + 1) first edge of each
     starts: Floats  # (e, 3) counter-clockwise about the normal, holes clockwise [m]
     ends: Floats  # (e, 3) [m]
+    loop_of: Ints  # (p + 1) first loop of each
+    loops: Ints  # (l + 1) first edge of each loop
+    mirrors: Floats  # (c, MIRROR_CORNERS, 3) convex parts that can mirror [m]
+    sizes: Ints  # (c) corners of each
+    flat_of: Ints  # (c) face of each
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -122,8 +130,97 @@ def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int
     a = turned.reshape(-1, 3)[rim]
     b = np.roll(turned, -1, 1).reshape(-1, 3)[rim]
     offsets = np.einsum("ni,ni->n", normal, turned[lead, 0])
+    order, loop_of, loops = _ordered(start[rim], end[rim], first)
+    a, b = np.ascontiguousarray(a[order]), np.ascontiguousarray(b[order])
     spheres = _spheres(np.stack([a, b], 1), first)
-    return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, np.ascontiguousarray(a), np.ascontiguousarray(b))
+    mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
+    return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of)
+
+
+def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> tuple[NDArray[np.int64], Ints, Ints]:
+    """An order that strings each face's rim into closed loops, the first loop of each face, and of loops the edge."""
+    order: list[int] = []
+    loops, loop_of = [0], [0]
+    for p in range(len(first) - 1):
+        leaving: dict[int, list[int]] = {}
+        for e in range(first[p], first[p + 1]):
+            leaving.setdefault(int(start[e]), []).append(e)
+        while leaving:
+            here = next(iter(leaving))
+            while here in leaving:
+                out = leaving[here]
+                order.append(out.pop())
+                if not out:
+                    del leaving[here]
+                here = int(end[order[-1]])
+            loops.append(len(order))
+        loop_of.append(len(loops) - 1)
+    return np.asarray(order, np.int64), np.asarray(loop_of, np.int32), np.asarray(loops, np.int32)
+
+
+def _convex(
+    triangles: Floats, patch: NDArray[np.int64], normal: Floats, starts: Floats, first: Ints, loop_of: Ints
+) -> tuple[Floats, Ints, Ints]:
+    """Convex outlines that cover each face: its rim where that is one convex loop, otherwise its triangles."""
+    outlines: list[Floats] = []
+    owner: list[int] = []
+    by_face = np.argsort(patch, kind="stable")
+    bound = np.searchsorted(patch[by_face], np.arange(len(normal) + 1))
+    for p in range(len(normal)):
+        rim = starts[first[p] : first[p + 1]]
+        if loop_of[p + 1] - loop_of[p] == 1:
+            rim = _without_straight(rim)
+            step = np.roll(rim, -1, 0) - rim
+            bend = np.cross(step, np.roll(step, -1, 0)) @ normal[p]
+            if 3 <= len(rim) <= MIRROR_CORNERS and (bend > 0).all():
+                outlines.append(rim)
+                owner.append(p)
+                continue
+        parts = triangles[by_face[bound[p] : bound[p + 1]]]
+        outlines += list(parts)
+        owner += [p] * len(parts)
+    out = np.zeros((len(outlines), MIRROR_CORNERS, 3))
+    for i, outline in enumerate(outlines):
+        out[i, : len(outline)] = outline
+    return out, np.array([len(o) for o in outlines], np.int32), np.asarray(owner, np.int32)
+
+
+def _without_straight(rim: Floats) -> Floats:
+    """An outline without the corners at which it runs straight on."""
+    back, ahead = rim - np.roll(rim, 1, 0), np.roll(rim, -1, 0) - rim
+    bend = np.linalg.norm(np.cross(back, ahead), axis=1)
+    size = np.linalg.norm(back, axis=1) * np.linalg.norm(ahead, axis=1)
+    return np.asarray(rim[bend > 1e-7 * size])
+
+
+def joined(parts: Sequence[Flats]) -> Flats:
+    """The flat faces of several parts as one."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def strung(name: str, shift: str) -> Ints:
+        ends, pieces = 0, [np.zeros(1, np.int32)]
+        for part in parts:
+            row = getattr(part, name)
+            pieces.append((row[1:] + ends).astype(np.int32))
+            ends += len(getattr(part, shift))
+        return np.concatenate(pieces)
+
+    def loose(name: str) -> Floats:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    loops = [part.loops[:1] for part in parts[:1]]
+    edges = count = faces = 0
+    loop_of, flat_of = [np.zeros(1, np.int32)], []
+    for part in parts:
+        loops.append(part.loops[1:] + edges)
+        loop_of.append(part.loop_of[1:] + count)
+        flat_of.append(part.flat_of + faces)
+        edges, count, faces = edges + len(part.starts), count + len(part.loops) - 1, faces + len(part)
+    return Flats(loose("normals"), loose("offsets"), loose("stuffs").astype(np.int32), loose("spheres"),
+                 strung("first", "starts"), loose("starts"), loose("ends"),
+                 np.concatenate(loop_of).astype(np.int32), np.concatenate(loops).astype(np.int32), loose("mirrors"),
+                 loose("sizes").astype(np.int32), np.concatenate(flat_of).astype(np.int32))  # fmt: skip
 
 
 def _clusters(centres: Floats, sizes: Floats) -> tuple[NDArray[np.int64], Ints]:

@@ -23,7 +23,7 @@ from ullage.kernels import edges as rim
 from ullage.kernels import facets as kernel
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
-from ullage.radar.facets import Flats, Prepared, Surfaces, prepare
+from ullage.radar.facets import Flats, Prepared, Surfaces, joined, prepare
 from ullage.radar.penetration import reflection_tables
 from ullage.radar.pulse import Pulse, tabulate
 from ullage.radar.visibility import seen
@@ -58,6 +58,8 @@ class Laid:
     points: Floats  # (m, 3) [m]
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
+    bounces: int = 1
+    via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +96,18 @@ def bench(scene: Scene, spec: RadarSpec) -> Bench:
     places = 2 * pad + (spec.bins - 1) * pulse.every + 1
     first = spec.range_start_m - pad * pulse.step_s * C0 / 2
     gamma, lag = reflection_tables(world.materials, spec)
+    gamma = np.concatenate([gamma, _plain(gamma)])
+    lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
     last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
     return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag,
                  strung(scene, spec.center_hz), first, places, pad, (0.0, last))  # fmt: skip
+
+
+def _plain(gamma: Complexes) -> Complexes:
+    """A last row of the tables: what reflects 1, for paths whose coefficients are known otherwise."""
+    out = np.zeros_like(gamma[:1])
+    out[0, 0] = 1
+    return out
 
 
 def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
@@ -129,7 +140,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
         grids = np.zeros((3, ready.places), complex)
-        lay(ready, view_of(spec, path.position[i], turns[i]), int(path.t_ns[i]), grids)
+        lay(ready, view_of(spec, path.position[i], turns[i]), int(path.t_ns[i]), max_bounces, grids)
         kernel.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[i])
     if spec.output == "rf":
         return radio(out, spec)
@@ -142,7 +153,7 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
     return (baseband * np.exp(1j * phase)).real.astype(np.float32)
 
 
-def lay(ready: Bench, view: View, t_ns: int, grids: Complexes) -> list[Laid]:
+def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids."""
     parts = ready.world.parts(t_ns)
     out = []
@@ -150,18 +161,22 @@ def lay(ready: Bench, view: View, t_ns: int, grids: Complexes) -> list[Laid]:
         out += [_lay_small(ready, parts, part, view, grids), *_lay_flats(ready, parts, part, view, grids)]
     if len(ready.lines):
         out.append(_lay_wires(ready, parts, view, t_ns, grids))
+    if max_bounces > 1:
+        from ullage.radar.multipath import lay_bounces
+
+        out += lay_bounces(ready, parts, joined([part.flats for part in parts]), view, max_bounces, grids)
     return out
 
 
 def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids: Complexes) -> Laid:
     lines = ready.lines
     starts, ends = placed(lines, ready.world.scene, t_ns)
-    pieces, owner = _grown(2048, (2, 3), lambda out, of: string.cut_wires(
+    pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
     shade, extra = shading(parts, view, middle)
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
-    told = _common(ready, view, grids)
+    told = common(ready, view, grids)
     string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:], echo, delay)
     return Laid(lines.stuffs[owner], middle, echo, delay)
 
@@ -171,7 +186,7 @@ def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, 
     middle = leaves.mean(1)
     shade, extra = shading(parts, view, middle)
     echo, delay = np.empty(len(leaves), complex), np.empty(len(leaves))
-    kernel.deposit(leaves, owner, shade, extra, part.normals, part.stuffs, *_common(ready, view, grids), echo, delay)
+    kernel.deposit(leaves, owner, shade, extra, part.normals, part.stuffs, *common(ready, view, grids), echo, delay)
     return Laid(part.stuffs[owner], middle, echo, delay)
 
 
@@ -188,25 +203,33 @@ def _lay_flats(
     inward *= _NUDGE_M / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-12)
     shade, extra = shading(parts, view, middle + inward)
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
-    rim.lay_rims(pieces, owner, shade, extra, flats.normals, flats.stuffs, *_common(ready, view, grids), echo, delay)
+    rim.lay_rims(
+        pieces, owner, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)), echo, delay
+    )
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins, points, lengths)
+    count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], points, lengths)
     points, lengths, which = points[:count], lengths[:count], which[:count]
     shade, extra = _zone_shading(ready, parts, flats, view, points, which, lengths)
     bright, when = np.empty(count, complex), np.empty(count)
-    rim.lay_images(points, which, lengths, shade, extra, flats.normals, flats.stuffs, *_common(ready, view, grids),
+    rim.lay_images(points, which, lengths, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)),
                    bright, when)  # fmt: skip
     return Laid(flats.stuffs[owner], middle, echo, delay), Laid(flats.stuffs[which], points, bright, when)
 
 
-def _common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
+def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
     """What every kernel that lays echoes is told."""
     return (view.origins, view.frames, view.fields, ready.table, ready.spec.antenna.kind == "isotropic", view.factor,
             ready.gamma, ready.lag, ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s,
             grids)  # fmt: skip
 
 
-def _grown(
+def _each(told: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The same for kernels that can have another view for each face."""
+    origins, frames, fields, table, flat, factor, *rest = told
+    return (origins[None], frames[None], fields[None], table, flat, np.array([factor], complex), *rest)
+
+
+def grown(
     size: int, shape: tuple[int, ...], fill: Callable[[Floats, NDArray[np.int32]], int]
 ) -> tuple[Floats, NDArray[np.int32]]:
     """Runs a kernel that counts what it writes, again with more room when there was too little."""
@@ -220,7 +243,7 @@ def _grown(
 
 def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
     """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
-    return _grown(8192, (3, 3), lambda out, owner: kernel.split(
+    return grown(8192, (3, 3), lambda out, owner: kernel.split(
         part.spheres, part.first, part.corners, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m,
         REACH, out, owner))  # fmt: skip
 
@@ -228,9 +251,9 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
 def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int32], Floats]:
     """Pieces of rim within the gate (m, 12), the face of each, and how often each face's rim goes round the axis."""
     windings = np.empty(len(which))
-    pieces, owner = _grown(4096, (12,), lambda out, of: rim.cut(
-        which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends, view.origins,
-        np.array(ready.gate), ready.pulse.omega, out, of, windings))  # fmt: skip
+    pieces, owner = grown(4096, (12,), lambda out, of: rim.cut(
+        which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
+        view.origins[None], np.array(ready.gate), 1e9, ready.pulse.omega, out, of, windings))  # fmt: skip
     return pieces, owner, windings
 
 
@@ -300,6 +323,6 @@ def path_gain_cw(
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):
         grids = np.zeros((3, ready.places), complex)
-        lay(ready, view_of(spec, pose.position[i], turns[i]), int(pose.t_ns[i]), grids)
+        lay(ready, view_of(spec, pose.position[i], turns[i]), int(pose.t_ns[i]), max_bounces, grids)
         out[i] = grids.sum()
     return out

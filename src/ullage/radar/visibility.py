@@ -25,3 +25,15 @@ def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats) -> NDArray[n
         _, distance = part.rays.hits(origin, ray)
         clear &= distance >= length - SLACK_M
     return clear
+
+
+def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> NDArray[np.bool_]:
+    """Whether nothing stands between the points a (n, 3) and b (n, 3), which may lie on surfaces."""
+    ray = b - a
+    length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
+    ray /= np.maximum(length, 1e-9)[:, None]
+    clear = np.ones(len(a), bool)
+    for part in parts:
+        _, distance = part.rays.hits(a + SLACK_M * ray, ray)
+        clear &= distance >= length - 2 * SLACK_M
+    return clear | (length < 4 * SLACK_M)
