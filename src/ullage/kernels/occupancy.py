@@ -109,6 +109,50 @@ def fit_bearings(
 
 
 @njit(cache=True, fastmath=True)
+def focus_echoes(
+    samples: np.ndarray,
+    along: np.ndarray,
+    start: float,
+    step: float,
+    wavenumber: float,
+    echoes: np.ndarray,
+    sharp: np.ndarray,
+) -> None:
+    """Coherence of each echo over the window, at the cosine near the fitted one that focuses it best.
+
+    `samples` (m, b) complex; rows of `sharp` take the coherence |sum|^2 / (m sum of |.|^2), that cosine and its sigma.
+    """
+    frames, bins = samples.shape
+    low, high = along.min(), along.max()
+    pace = math.pi / (8.0 * wavenumber * max(high - low, 0.02))
+    for p in range(len(echoes)):
+        reach, cosine = echoes[p, 0], echoes[p, 2]
+        power = 0.0
+        tries = min(int(3.0 * echoes[p, 3] / pace) + 2, 40)
+        best, best_cosine = -1.0, cosine
+        for t in range(-tries, tries + 1):
+            trial = cosine + t * pace
+            real, imag, power = 0.0, 0.0, 0.0
+            for j in range(frames):
+                bow = 0.5 * along[j] * along[j] * (1.0 - trial * trial) / reach
+                r = reach - along[j] * trial + 0.5 * bow
+                b = int((r - start) / step + 0.5)
+                if b < 0 or b >= bins:
+                    continue
+                value = samples[j, b]
+                phase = 2.0 * wavenumber * (r - reach)
+                c, s = math.cos(phase), math.sin(phase)
+                real += value.real * c - value.imag * s
+                imag += value.real * s + value.imag * c
+                power += value.real * value.real + value.imag * value.imag
+            got = (real * real + imag * imag) / (frames * power + 1e-300)
+            if got > best:
+                best, best_cosine = got, trial
+        sharp[p, 0], sharp[p, 1] = best, best_cosine
+        sharp[p, 2] = pace
+
+
+@njit(cache=True, fastmath=True)
 def _nearest(
     want: float, height: float, count: int, ranges: np.ndarray, heights: np.ndarray, gate: float
 ) -> tuple[float, float]:
@@ -235,14 +279,14 @@ def update_cells(
     arcs: np.ndarray,
     free_nats: np.ndarray,
     prior: float,
-    false_echo: float,
     found: np.ndarray,
     chance: np.ndarray,
     box: np.ndarray,
 ) -> int:
     """One look: mark silence, gather the cells of each arc, then share each echo among its cells.
 
-    Rows of `arcs`: range, sigma, track direction (3), cosine, its sigma, chance of detection, 1 with a bearing.
+    Rows of `arcs`: range, sigma, track direction (3), cosine, its sigma, chance of detection, 1 with a bearing, chance
+    that nothing on the arc made the echo.
     Returns the number of candidate cells, capped by the room in `found`.
     """
     up, left = reach.shape
@@ -322,7 +366,7 @@ def update_cells(
                                 found[candidates, 3] = _side(-dx, -dy, -dz, flat)
                                 chance[candidates] = arcs[k, 7] * math.exp(-0.5 * (miss * miss + turn * turn))
                                 candidates += 1
-    _share(arcs, found, chance, candidates, hits, silent, facing, free_nats, prior, false_echo)
+    _share(arcs, found, chance, candidates, hits, silent, facing, free_nats, prior)
     return candidates
 
 
@@ -392,10 +436,9 @@ def _share(
     facing: np.ndarray,
     free_nats: np.ndarray,
     prior: float,
-    false_echo: float,
 ) -> None:
     """At least one cell of each arc made its echo: the gain of a cell falls with what explains the echo already."""
-    none = np.full(len(arcs), math.log(1.0 - false_echo))
+    none = np.log(1.0 - arcs[:, 9])
     held = np.empty(candidates)
     for i in range(candidates):
         slot, cell = found[i, 0], found[i, 1]
@@ -497,6 +540,8 @@ def render_cells(
     prior: float,
     enough: int,
     vague: int,
+    heard: float,
+    many: float,
     solid: float,
     out: np.ndarray,
 ) -> None:
@@ -514,8 +559,9 @@ def render_cells(
                     continue
                 cell = _cell(ix, iy, iz, edge, size[2])
                 echoes, looks = hits[slot, cell], _bits(silent[slot, cell])
-                weigh = 1.0 if echoes < 40 else 0.3
-                odds = prior + echoes / SCALE - weigh * free_nats[looks]
+                odds = prior + echoes / SCALE - free_nats[looks]
+                if echoes >= vague:
+                    odds = heard + echoes / SCALE - many * max(looks - enough, 0)
                 if odds >= solid:
                     out[iz, iy, ix] = min(int(100.0 / (1.0 + math.exp(-odds)) + 0.5), 99)
                 elif looks >= enough and echoes < vague:

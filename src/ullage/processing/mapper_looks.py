@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames
 from ullage.geometry import quat_matrix
-from ullage.kernels.occupancy import find_peaks, fit_bearings
+from ullage.kernels.occupancy import find_peaks, fit_bearings, focus_echoes
 from ullage.processing.inverse_sensor import blank_m, echo_level
 
 Floats = NDArray[np.float64]
@@ -23,6 +23,8 @@ JUMP_M = 0.5
 MOST_WAITING = 96
 MOST_SPOTS = 200_000
 SMOOTH = 0.25
+GATE_M, LEAST_SIGMA_M = 0.03, 0.004
+LEAST_SMOOTHED, ROUGH_M = 8, 1e-3
 
 
 @dataclass(slots=True, eq=False)
@@ -36,6 +38,7 @@ class Heard:
     ranges: Floats  # (MOST_PEAKS)
     heights: Floats  # (MOST_PEAKS)
     quiet: NDArray[np.bool_]  # (b)
+    samples: NDArray[np.complex64] | None  # (b) where there is a phase
     look: bool = False
 
 
@@ -46,6 +49,11 @@ class Look:
     heard: Heard
     track: Floats  # (3) unit vector along the way, zero when there was none
     echoes: Floats  # (k, 6)
+    sharp: Floats  # (k, 3) coherence, cosine where it is best, its sigma; zero without phase
+
+    def only(self, keep: NDArray[np.bool_]) -> Look:
+        """The same look with some of its echoes."""
+        return Look(self.heard, self.track, self.echoes[keep], self.sharp[keep])
 
 
 class Listener:
@@ -55,7 +63,8 @@ class Listener:
     heading where no look was taken before: standing still, or coming back, adds nothing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, start_m: float, bin_m: float, wavelength_m: float) -> None:
+        self._start, self._bin, self._wavenumber = start_m, bin_m, 2 * np.pi / wavelength_m
         self._held: list[Heard] = []
         self._next = 0
         self._smooth: Floats | None = None
@@ -126,25 +135,37 @@ class Listener:
         return out
 
     def _look(self, index: int) -> Look:
-        heard = self._held[index]
-        window = self._window(index)
-        offsets = np.array([self._held[j].position - heard.position for j in window])
+        heard, window = self._held[index], self._window(index)
+        offsets = self._offsets(index, window)
         span = np.linalg.norm(offsets, axis=1)
         track = offsets[int(np.argmax(span))] / max(span.max(), 1e-9)
         along = offsets @ track
         straight = np.linalg.norm(offsets - along[:, None] * track, axis=1) < BEND_M
         window, along = [j for j, ok in zip(window, straight, strict=True) if ok], along[straight]
-        echoes = np.zeros((MOST_PEAKS, 6))
+        echoes, count = np.zeros((MOST_PEAKS, 6)), heard.count
+        sharp = np.zeros((count, 3))
         if np.ptp(along) < LEAST_BASE_M:
-            track = np.zeros(3)
-            echoes[: heard.count, 0] = heard.ranges[: heard.count]
-            echoes[: heard.count, 5] = heard.heights[: heard.count]
-            return Look(heard, track, echoes[: heard.count])
+            echoes[:count, 0], echoes[:count, 5] = heard.ranges[:count], heard.heights[:count]
+            return Look(heard, np.zeros(3), echoes[:count], sharp)
         counts = np.array([self._held[j].count for j in window])
         ranges = np.stack([self._held[j].ranges for j in window])
         heights = np.stack([self._held[j].heights for j in window])
-        found = fit_bearings(window.index(index), along, counts, ranges, heights, 0.03, 0.004, echoes)
-        return Look(heard, track, echoes[:found])
+        fit_bearings(window.index(index), along, counts, ranges, heights, GATE_M, LEAST_SIGMA_M, echoes)
+        rows = [r for r in (self._held[j].samples for j in window) if r is not None]
+        if rows:
+            focus_echoes(np.stack(rows), along, self._start, self._bin, self._wavenumber, echoes[:count], sharp)
+        return Look(heard, track, echoes[:count], sharp)
+
+    def _offsets(self, index: int, window: list[int]) -> Floats:
+        """Positions (m, 3) about the look's own [m], made smooth in time: a body's path is, a tracker's noise is not."""
+        offsets = np.array([self._held[j].position for j in window]) - self._held[index].position
+        if len(window) < LEAST_SMOOTHED:
+            return offsets
+        t = np.array([self._held[j].t_ns for j in window], float)
+        t = (t - self._held[index].t_ns) / max(np.ptp(t), 1.0)
+        basis = np.vander(t, 4, increasing=True)
+        fitted = basis @ np.linalg.lstsq(basis, offsets, rcond=None)[0]
+        return offsets if np.sqrt(np.mean((fitted - offsets) ** 2)) < ROUGH_M else fitted
 
     def _window(self, index: int) -> list[int]:
         """Indices of at most 21 held frames within the window's reach on both sides."""
@@ -168,7 +189,10 @@ def _heard(frames: Frames) -> list[Heard]:
     find_peaks(amplitude, echo_level(frames), first, float(frames.range_m[0]), step, counts, ranges, heights, quiet)
     path = frames.believed
     axes = quat_matrix(path.quat_xyzw)
+    phased = frames.samples if np.iscomplexobj(frames.samples) else [None] * n
     return [
-        Heard(int(frames.t_ns[i]), path.position[i], axes[i], int(counts[i]), ranges[i], heights[i], quiet[i])
+        Heard(
+            int(frames.t_ns[i]), path.position[i], axes[i], int(counts[i]), ranges[i], heights[i], quiet[i], phased[i]
+        )
         for i in range(n)
     ]
