@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
+
 from ullage.world.sdf_parse import NAMESPACE
 from ullage.world.shapes import Shape
 from ullage.world.shipped import Model
@@ -70,6 +72,7 @@ def _model(model: Model, world: str, files: dict[str, str]) -> str:
         mesh = f"meshes/{_mesh_name(world, model, solid)}.obj"
         if isinstance(solid, Part):
             files[mesh] = _obj(solid.shape)
+            files[_shaded(mesh)] = _obj_with_normals(solid.shape)
         lines += _link(solid.name if several else "link", solid, mesh)
     return "\n".join([*lines, "    </model>\n"])
 
@@ -80,8 +83,15 @@ def _mesh_name(world: str, model: Model, solid: Solid) -> str:
     return f"{family}/{model.name}" if len(model.solids) == 1 else f"{family}/{model.name}_{solid.name}"
 
 
+def _shaded(mesh: str) -> str:
+    """The file for Gazebo's eyes: it lights an OBJ only by normals in it, and those would part shared vertices here."""
+    folder, name = mesh.rsplit("/", 1)
+    return f"{folder}/shaded/{name}"
+
+
 def _link(name: str, solid: Solid, mesh: str) -> list[str]:
     pose, geometry = _geometry(solid, mesh)
+    _, shaded = _geometry(solid, _shaded(mesh))
     thick = getattr(solid, "thickness_m", None)
     extra = "" if thick is None else f' thickness_m="{_number(thick)}"'
     color = DIFFUSE[solid.material]
@@ -94,7 +104,7 @@ def _link(name: str, solid: Solid, mesh: str) -> list[str]:
         f"          <ullage:material{extra}>{solid.material}</ullage:material>",
         "        </collision>",
         '        <visual name="visual">',
-        f"          {geometry}",
+        f"          {shaded}",
         f"          <material><ambient>{color}</ambient><diffuse>{color}</diffuse>"
         "<double_sided>true</double_sided></material>",
         "        </visual>",
@@ -126,3 +136,16 @@ def _obj(mesh: Shape) -> str:
     points = [f"v {_numbers(point)}" for point in vertices.tolist()]
     triangles = [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     return "\n".join([*points, *triangles, ""])
+
+
+def _obj_with_normals(mesh: Shape) -> str:
+    vertices, faces = mesh
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = np.round(normal / np.linalg.norm(normal, axis=1, keepdims=True), 3) + 0.0
+    kinds, which = np.unique(normal, axis=0, return_inverse=True)
+    points = [f"v {_numbers(point)}" for point in vertices.tolist()]
+    normals = [f"vn {_numbers(kind)}" for kind in kinds.tolist()]
+    rows = zip((faces + 1).tolist(), (which.reshape(-1) + 1).tolist(), strict=True)
+    triangles = [f"f {a}//{n} {b}//{n} {c}//{n}" for (a, b, c), n in rows]
+    return "\n".join([*points, *normals, *triangles, ""])
