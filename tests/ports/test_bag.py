@@ -18,6 +18,10 @@ import pytest
 from conftest import assert_same, some_frames, tumbling
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.exceptions import EndOfFile
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 
 import ullage as ul
 from ullage.data import Calibration, joined
@@ -173,6 +177,27 @@ def test_last_map_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(omap.percent, want)
 
 
+def test_maps_as_ros_has_them(tmp_path: Path) -> None:
+    """-1 is the only unknown ROS knows; a grid from elsewhere comes back as a map."""
+    grid = ul.Grid((-1.0, -2.0, 0.5), 0.1, (6, 5))
+    percent = np.random.default_rng(2).integers(-2, 101, grid.shape).astype(np.int8)
+    data = conversions.grid_note(ul.OccupancyMap(grid, percent), 5_000_000_007)
+    note = ros.from_bytes(ros.GRID, data)
+    np.testing.assert_array_equal(note.data, np.maximum(percent, -1).ravel())
+    assert (note.info.width, note.info.height, note.header.stamp.nanosec) == (5, 6, 7)
+    path = tmp_path / "other.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(ros.GRID, "ros2msg", ros.schema_text(ros.GRID).encode())
+        writer.add_message(writer.register_channel("/map", "cdr", schema), 0, data, 0)
+        writer.finish()
+    got = ul.open(path).map()
+    assert got is not None
+    assert got.grid == grid
+    np.testing.assert_array_equal(got.percent, np.maximum(percent, -1))
+
+
 WRITER = """
     import sys, time, numpy as np
     sys.path.insert(0, {here!r})
@@ -211,10 +236,6 @@ def test_killed_recording_is_readable_to_the_last_second(tmp_path: Path) -> None
     assert isinstance(got, ul.Frames)
     assert len(got) >= handed - 25  # a second is 25 frames
     np.testing.assert_array_equal(got.samples, some_frames(4000).samples[: len(got)])
-    from mcap.exceptions import EndOfFile
-    from mcap.records import Message
-    from mcap.stream_reader import StreamReader
-
     index = -1
     with open(path, "rb") as file:
         records = iter(StreamReader(file).records)
@@ -270,6 +291,8 @@ def test_full_disk_is_one_line_and_keeps_what_was_written(tmp_path: Path) -> Non
     with pytest.warns(ul.UllageWarning, match="never finished"):
         got = ul.open(path).frames()
     assert len(got) >= 250
+    with open(path, "rb") as file, pytest.raises(EndOfFile):  # and ends with a whole record
+        list(StreamReader(file).records)
     np.testing.assert_array_equal(got.samples, frames.samples[: len(got)])
 
 
@@ -372,8 +395,6 @@ def test_times_that_ros_cannot_say_are_refused(tmp_path: Path, frames: ul.Frames
 
 
 def test_frames_without_settings_are_read_as_assumed(tmp_path: Path, frames: ul.Frames) -> None:
-    from mcap.writer import Writer
-
     path = tmp_path / "a.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)

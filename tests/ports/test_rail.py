@@ -187,13 +187,21 @@ def test_units_of_length(tmp_path: Path) -> None:
     np.testing.assert_allclose(track.position, np.tile([1.5, -1.5, 1.5], (5, 1)))
 
 
-def test_attitude_turns_with_the_axes(tmp_path: Path) -> None:
-    """A quarter turn about Motive's up is a quarter turn about ENU's: from east to north."""
-    half = np.sqrt(0.5)
-    text = motive(np.arange(3) / 100, np.zeros((3, 3))).replace(",0,0,0,1,", f",0,{half},0,{half},")
+@pytest.mark.parametrize(
+    ("axis", "forward", "left"),
+    [(0, (1, 0, 0), (0, 0, 1)), (1, (0, 1, 0), (-1, 0, 0)), (2, (0, 0, 1), (0, 1, 0))],
+)
+def test_attitude_turns_with_the_axes(
+    tmp_path: Path, axis: int, forward: tuple[int, ...], left: tuple[int, ...]
+) -> None:
+    """A quarter turn about Motive's X, Y (up), Z is one about ENU's east, up, south."""
+    quat = np.zeros(4)
+    quat[[axis, 3]] = np.sqrt(0.5)
+    text = motive(np.arange(3) / 100, np.zeros((3, 3))).replace(",0,0,0,1,", f",{','.join(map(str, quat))},")
     (tmp_path / "m.csv").write_text(text)
-    forward = read_tracks(tmp_path / "m.csv")["Radar"].world_from_body[0, :3, 0]
-    np.testing.assert_allclose(forward, [0, 1, 0], atol=1e-9)
+    pose = read_tracks(tmp_path / "m.csv")["Radar"].world_from_body[0]
+    np.testing.assert_allclose(pose[:3, 0], forward, atol=1e-9)
+    np.testing.assert_allclose(pose[:3, 1], left, atol=1e-9)
 
 
 def test_unseen_moments_are_left_out(tmp_path: Path) -> None:
