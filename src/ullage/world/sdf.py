@@ -24,7 +24,7 @@ from ullage.world.sdf_actor import read_motion
 from ullage.world.sdf_build import SceneBuilder
 from ullage.world.sdf_frames import ScopeFrames
 from ullage.world.sdf_geometry import GeometryReader, Rod
-from ullage.world.sdf_material import read_material
+from ullage.world.sdf_material import nearest_tag, read_material
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Resolver
 from ullage.world.sdf_tree import Link, Scope, TreeReader
@@ -46,7 +46,7 @@ def load_sdf(path: Path, *, geometry: Geometry = "collision", search_path: Seque
 def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
     """The scene of a world that was read."""
     walk = SceneWalk(GeometryReader(resolver), geometry)
-    walk.add_scope(ScopeFrames(world), "", [world.node])
+    walk.add_scope(ScopeFrames(world), "", nearest_tag(world.node))
     if walk.unseen and geometry == "collision":
         names = ", ".join(walk.unseen[:5]) + ", ..." * (len(walk.unseen) > 5)
         world.node.place.warn(f"only visuals, so not seen: {names} (geometry='visual' reads them)")
@@ -62,31 +62,31 @@ class SceneWalk:
     builder: SceneBuilder = field(default_factory=SceneBuilder)
     unseen: list[str] = field(default_factory=list)
 
-    def add_scope(self, frames: ScopeFrames, outer: str, around: list[Node]) -> None:
-        """Add the shapes of a scope and of the models in it, whose names begin with `outer`."""
+    def add_scope(self, frames: ScopeFrames, outer: str, tag: Node | None) -> None:
+        """Add the shapes of a scope and of the models in it; names begin with `outer`, `tag` is the material around."""
         scope = frames.scope
         here = frames.world_from_scope()
         several = scope.merged or len(list(_links(scope))) > 1
         for link in scope.links:
-            self._add_link(frames, here, link, f"{outer}::{link.name}" if several else outer, around)
+            self._add_link(frames, here, link, f"{outer}::{link.name}" if several else outer, tag)
         for inner in frames.inner.values():
             model = inner.scope
             name = outer if model.merged else f"{outer}::{model.name}" if outer else model.name
-            nodes = [model.node, *([model.included_by] if model.included_by else []), *around]
-            self.add_scope(inner, name, nodes)
+            self.add_scope(inner, name, nearest_tag(model.node, model.included_by) or tag)
         for actor in scope.actors:
-            self._add_actor(frames, actor, around)
+            self._add_actor(frames, actor, tag)
 
     def _add_link(
-        self, frames: ScopeFrames, here: Floats, link: Link, name: str, around: list[Node],
+        self, frames: ScopeFrames, here: Floats, link: Link, name: str, tag: Node | None,
         *, motion: Trajectory | None = None,
     ) -> None:  # fmt: skip
+        tag = nearest_tag(link.node) or tag
         groups: dict[Material, list[tuple[Node, Mesh | Rod, Floats]]] = {}
         for node in link.node.children(self.geometry):
             shape = self.reader.read(node)
             if shape is not None:
                 pose = here @ frames.scope_from_pose(read_pose(node), link.name, at=node.place)
-                groups.setdefault(read_material(node, [link.node, *around]), []).append((node, shape, pose))
+                groups.setdefault(read_material(node, tag), []).append((node, shape, pose))
         if not groups and link.node.child("visual") is not None and link.node.child("collision") is None:
             self.unseen.append(name)
         for stuff, parts in groups.items():
@@ -98,7 +98,7 @@ class SceneWalk:
                 except InputError as error:
                     node.place.refuse(error.what, allowed=error.allowed)
 
-    def _add_actor(self, around_frames: ScopeFrames, actor: Scope, around: list[Node]) -> None:
+    def _add_actor(self, around_frames: ScopeFrames, actor: Scope, tag: Node | None) -> None:
         if actor.node.child("skin") is not None:
             actor.node.place.warn(f"the skin of actor {actor.name!r} is passed by; only shapes in its links are read")
         motion = read_motion(actor.node)
@@ -109,7 +109,7 @@ class SceneWalk:
             here = around_frames.world_from_scope() @ around_frames.scope_from_pose(actor.pose, "", at=place)
         for link in actor.links:
             name = actor.name if len(actor.links) == 1 else f"{actor.name}::{link.name}"
-            self._add_link(frames, here, link, name, [actor.node, *around], motion=motion)
+            self._add_link(frames, here, link, name, nearest_tag(actor.node) or tag, motion=motion)
 
 
 def _links(scope: Scope) -> Iterator[Link]:

@@ -7,8 +7,6 @@ reflection coefficient of the thesis' model and nothing else; without it, the ma
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from ullage.errors import InputError
 from ullage.world.materials import Material, material
 from ullage.world.sdf_parse import NAMESPACE, Node
@@ -17,13 +15,13 @@ DEFAULT_MATERIAL = "steel"
 _ATTRIBUTES = ("thickness_m", "roughness_m")
 
 
-def read_material(shape: Node, around: Sequence[Node]) -> Material:
-    """The material of a collision or visual, given the elements around it, nearest first.
+def read_material(shape: Node, inherited: Node | None) -> Material:
+    """The material of a collision or visual, given the tag that holds around it.
 
     Raises:
         InputError: the material is unknown or a value of it is out of bounds.
     """
-    tag = next((found for node in (shape, *around) if (found := _tag(node)) is not None), None)
+    tag = nearest_tag(shape) or inherited
     stuff = material(DEFAULT_MATERIAL) if tag is None else _tagged(tag)
     retro = shape.child("laser_retro")
     if retro is None:
@@ -34,12 +32,14 @@ def read_material(shape: Node, around: Sequence[Node]) -> Material:
     return stuff.but(reflection=value)
 
 
-def _tag(node: Node) -> Node | None:
-    for child in node.element:
-        if child.tag in (f"{{{NAMESPACE}}}material", "ullage:material"):
-            return Node(child, node.file)
-        if child.prefix == "ullage" and child.tag.endswith("}material"):
-            return Node(child, node.file)
+def nearest_tag(*nodes: Node | None) -> Node | None:
+    """The first `<ullage:material>` that one of these elements, nearest first, holds itself."""
+    for node in (one for one in nodes if one is not None):
+        for child in node.element:
+            if child.tag in (f"{{{NAMESPACE}}}material", "ullage:material"):
+                return Node(child, node.file)
+            if child.prefix == "ullage" and child.tag.endswith("}material"):
+                return Node(child, node.file)
     return None
 
 
