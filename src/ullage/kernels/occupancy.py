@@ -570,3 +570,25 @@ def render_cells(
                     out[iz, iy, ix] = -2
                 else:
                     out[iz, iy, ix] = -1
+
+
+@njit(cache=True, fastmath=True)
+def in_view(solid: np.ndarray, cells: np.ndarray, eyes: np.ndarray, skip: float, out: np.ndarray) -> None:
+    """Whether each cell (c, 3: z, y, x) can be seen from one of the eyes (e, 3), both in cells, past `solid` ones."""
+    nz, ny, nx = solid.shape
+    for c in range(len(cells)):
+        for e in range(len(eyes)):
+            dz, dy, dx = eyes[e, 0] - cells[c, 0], eyes[e, 1] - cells[c, 1], eyes[e, 2] - cells[c, 2]
+            length = math.sqrt(dz * dz + dy * dy + dx * dx)
+            clear, way = True, skip
+            while way < length:
+                part = way / length
+                z = math.floor(cells[c, 0] + part * dz + 0.5)
+                y, x = math.floor(cells[c, 1] + part * dy + 0.5), math.floor(cells[c, 2] + part * dx + 0.5)
+                if 0 <= z < nz and 0 <= y < ny and 0 <= x < nx and solid[z, y, x]:
+                    clear = False
+                    break
+                way += 0.7
+            if clear:
+                out[c] = True
+                break

@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
-from ullage.kernels.occupancy import cast_reach, mark_flown, render_cells, update_cells
+from ullage.kernels.occupancy import cast_reach, in_view, mark_flown, render_cells, update_cells
 from ullage.processing.blocks import Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.mapper_door import ChangedRegion, in_order, plane_of
@@ -33,6 +33,7 @@ SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN = 0.15, 0.01
 SHADE_DEG = 25.0
+EYES, HIDE_M = 64, 0.25
 
 
 class UllageMapper:
@@ -197,21 +198,25 @@ class UllageMapper:
         return OccupancyMap(self.grid, percent, "ullage")
 
     def _forget_cut_off(self, percent: NDArray[np.int8]) -> None:
-        """Free cells that only lead to the flight through a gap of two cells or less become unknown."""
+        """Free cells that only a gap of two cells joins to the flight become unknown; walls hidden by walls, ambiguous."""
         free = (percent >= 0) & (percent < 50)
-        barrier = (percent >= 50) | (percent == AMBIGUOUS)
+        solid = percent >= 50
         ball = generate_binary_structure(free.ndim, free.ndim)
-        open_, count = label(free & ~binary_dilation(barrier, ball))
-        if not count:
+        open_, count = label(free & ~binary_dilation(solid | (percent == AMBIGUOUS), ball))
+        if not count or not self._flown:
             return
-        cells, inside = (
-            self.grid.index(np.array(list(self._flown)) * self.grid.step_m)
-            if self._flown
-            else (np.zeros((0, free.ndim), int), [])
-        )
+        flown = np.array(list(self._flown), float) * self.grid.step_m
+        cells, inside = self.grid.index(flown)
         names = np.unique(open_[tuple(cells[inside].T)])
-        joined = np.isin(open_, names[names > 0])
-        percent[free & ~binary_dilation(joined, ball, iterations=2)] = UNKNOWN
+        joined = binary_dilation(np.isin(open_, names[names > 0]), ball, iterations=2)
+        percent[free & ~joined] = UNKNOWN
+        suspects = np.argwhere(solid & ~binary_dilation(joined, ball, iterations=2))
+        if len(suspects):
+            eyes = cells[np.linspace(0, len(cells) - 1, min(EYES, len(cells))).astype(int)]
+            seen = np.zeros(len(suspects), bool)
+            deep = [np.pad(v.astype(float), ((0, 0), (3 - free.ndim, 0))) for v in (suspects, eyes)]
+            in_view(solid.reshape((-1, *solid.shape[-2:])), *deep, HIDE_M / self.grid.step_m, seen)
+            percent[tuple(suspects[~seen].T)] = AMBIGUOUS
 
     def changed(self) -> tuple[slice, ...] | None:
         """Index of the smallest box of cells touched since the last call; None: nothing was."""
