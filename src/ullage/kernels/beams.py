@@ -13,7 +13,7 @@ MOST = 96  # corners of a clipped outline
 
 
 @njit(cache=True, nogil=True)
-def _clip(points, count, plane, out):
+def _clip(points, count, plane, out):  # type: ignore[no-untyped-def]
     """Keeps the part of a closed outline where plane . (x, 1) >= 0 (Sutherland-Hodgman); gives the corner count."""
     kept = 0
     if count == 0:
@@ -35,7 +35,7 @@ def _clip(points, count, plane, out):
 
 
 @njit(cache=True, nogil=True)
-def _walls(apex, outline, count, normal, offset, planes):
+def _walls(apex, outline, count, normal, offset, planes):  # type: ignore[no-untyped-def]
     """Planes of the beam from an image through a convex outline, on the side where it comes out; gives their count."""
     cx, cy, cz = 0.0, 0.0, 0.0
     for i in range(count):
@@ -63,7 +63,7 @@ def _walls(apex, outline, count, normal, offset, planes):
 
 
 @njit(cache=True, nogil=True)
-def _reached(sphere, planes, made, apex, receiver, gate):
+def _reached(sphere, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
     """Whether a face's sphere meets the beam and can echo within the gate."""
     for i in range(made):
         gap = planes[i, 0] * sphere[0] + planes[i, 1] * sphere[1] + planes[i, 2] * sphere[2] + planes[i, 3]
@@ -77,7 +77,7 @@ def _reached(sphere, planes, made, apex, receiver, gate):
 
 
 @njit(cache=True, nogil=True)
-def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, at):
+def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, at):  # type: ignore[no-untyped-def]
     """Writes the clipped outline of a face as edges (m, 2, 3) from `at` on; gives where it ends."""
     for loop in range(loop_of[target], loop_of[target + 1]):
         count = loops[loop + 1] - loops[loop]
@@ -177,5 +177,5 @@ def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offs
 
 
 @njit(cache=True, nogil=True)
-def _gap(point, normal, offset):
+def _gap(point, normal, offset):  # type: ignore[no-untyped-def]
     return abs(normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)

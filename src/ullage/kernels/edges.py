@@ -20,7 +20,7 @@ C0 = 299_792_458.0
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def mirror(point, normal, offset, out):
+def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
     """The mirror image of a point in the plane normal . x = offset."""
     gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
     for k in range(3):
@@ -28,7 +28,7 @@ def mirror(point, normal, offset, out):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _spot(p, q, share, source, image, axis, length, out):
+def _spot(p, q, share, source, image, axis, length, out):  # type: ignore[no-untyped-def]
     """Point at `share` of the edge p-q: its place, path length, weight K / (r s) and offset from the axis."""
     along, r2, s2 = 0.0, 0.0, 0.0
     for k in range(3):
@@ -49,7 +49,7 @@ def _spot(p, q, share, source, image, axis, length, out):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _turn(u, v, axis):
+def _turn(u, v, axis):  # type: ignore[no-untyped-def]
     """Angle from u to v around the axis."""
     cross = (
         axis[0] * (u[6] * v[7] - u[7] * v[6])
@@ -60,7 +60,7 @@ def _turn(u, v, axis):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, pieces, owner, windings):
+def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, pieces, owner, windings):  # type: ignore[no-untyped-def]
     """Cuts the rims of faces within the gate until each piece's delay is nearly linear in phi.
 
     Args:
@@ -133,7 +133,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
                 turn = _turn(a, b, axis)
                 part = _turn(a, m, axis) / turn if abs(turn) > 1e-15 else 0.5
                 bend = m[3] - a[3] - part * (b[3] - a[3])
-                wide = wave * abs(bend) > 0.1 or (s1 - s0) * size > 0.2 * m[3]
+                wide = wave * abs(bend) > (0.1 if abs(turn) > 0.1 else 0.3) or (s1 - s0) * size > 0.2 * m[3]
                 round_part = part * (1 - part)
                 if round_part < 0.04 and wave * abs(b[3] - a[3]) * abs(turn) > 0.03:
                     wide = True
@@ -159,22 +159,31 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _weight(p, normal, origins, frames, fields, table, flat, gamma, stuff, tap):
+def _weight(p, at, mono, normal, origins, frames, fields, table, flat, gamma, stuff, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point of a face."""
-    g, cosine, share = 1.0, 0.0, 0.5
-    for s in range(2):
-        dx, dy, dz = p[0] - origins[s, 0], p[1] - origins[s, 1], p[2] - origins[s, 2]
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
-        ux, uy, uz = dx / r, dy / r, dz / r
-        cosine += 0.5 * abs(ux * normal[0] + uy * normal[1] + uz * normal[2])
-        g *= toward(table, flat, frames[s], ux, uy, uz)
-        if s == 0:
-            share = _te_share(fields[0], ux, uy, uz, normal)
+    dx, dy, dz = p[at] - origins[0, 0], p[at + 1] - origins[0, 1], p[at + 2] - origins[0, 2]
+    r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
+    ux, uy, uz = dx * r, dy * r, dz * r
+    cosine = abs(ux * normal[0] + uy * normal[1] + uz * normal[2])
+    share = _te_share(fields[0], ux, uy, uz, normal)
+    g = toward(table, flat, frames[0], ux, uy, uz)
+    if mono:
+        return g * g * _reflection(gamma, stuff, tap, cosine, share), cosine
+    dx, dy, dz = p[at] - origins[1, 0], p[at + 1] - origins[1, 1], p[at + 2] - origins[1, 2]
+    r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
+    ux, uy, uz = dx * r, dy * r, dz * r
+    cosine = 0.5 * (cosine + abs(ux * normal[0] + uy * normal[1] + uz * normal[2]))
+    g *= toward(table, flat, frames[1], ux, uy, uz)
     return g * _reflection(gamma, stuff, tap, cosine, share), cosine
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):
+def _same(origins):  # type: ignore[no-untyped-def]
+    return origins[0, 0] == origins[1, 0] and origins[0, 1] == origins[1, 1] and origins[0, 2] == origins[1, 2]
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):  # type: ignore[no-untyped-def]
     """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
 
     Phases are those of the mean line; the true phase leads it by bow (4 s (1 - s) - 2 / 3) at share s, to first order.
@@ -215,11 +224,12 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
         p, n, stuff = pieces[k], normals[owner[k]], stuffs[owner[k]]
         o = owner[k] if len(origins) > 1 else 0
         scale = unit * factor[o]
+        mono = _same(origins[o])
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break
-            w0, c0 = _weight(p[:3], n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
-            w1, c1 = _weight(p[3:6], n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            w0, c0 = _weight(p, 0, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            w1, c1 = _weight(p, 3, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             late = extra[k] + _late(lag, stuff, tap, 0.5 * (c0 + c1))
             mean = (0.5 * (p[6] + p[7]) + p[11]) / C0 + late
             landed = mean - math.floor((mean - t0) / fold) * fold
@@ -248,10 +258,11 @@ def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, f
         n, stuff = normals[owner[k]], stuffs[owner[k]]
         o = owner[k] if len(origins) > 1 else 0
         scale = unit * factor[o]
+        mono = _same(origins[o])
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break
-            w, cosine = _weight(points[k], n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            w, cosine = _weight(points[k], 0, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             late = extra[k] + _late(lag, stuff, tap, cosine)
             mean = lengths[k] / C0 + late
             landed = mean - math.floor((mean - t0) / fold) * fold
@@ -265,7 +276,7 @@ def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, f
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def crossings(patches, windings, normals, offsets, origins, points, lengths):
+def crossings(patches, windings, normals, offsets, origins, points, lengths):  # type: ignore[no-untyped-def]
     """Where the lines from image to receiver cross the faces that hold them: points (k, 3) and lengths (k) [m].
 
     Returns:
@@ -294,7 +305,7 @@ def crossings(patches, windings, normals, offsets, origins, points, lengths):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def inside(points, owner, normals, first, starts, ends, out):
+def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
     """Whether each point (m, 3) lies within the rim of its face (m)."""
     for i in range(len(points)):
         p = owner[i]

@@ -16,7 +16,7 @@ C0 = 299_792_458.0
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def split(spheres, first, corners, origins, gate, kappa_lambda, reach, leaves, owner):
+def split(spheres, first, corners, origins, gate, kappa_lambda, reach, leaves, owner):  # type: ignore[no-untyped-def]
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
     Args:
@@ -59,14 +59,14 @@ def split(spheres, first, corners, origins, gate, kappa_lambda, reach, leaves, o
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _mean_range(x, y, z, origins):
+def _mean_range(x, y, z, origins):  # type: ignore[no-untyped-def]
     a = math.sqrt((x - origins[0, 0]) ** 2 + (y - origins[0, 1]) ** 2 + (z - origins[0, 2]) ** 2)
     b = math.sqrt((x - origins[1, 0]) ** 2 + (y - origins[1, 1]) ** 2 + (z - origins[1, 2]) ** 2)
     return 0.5 * (a + b)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _longest(t, origins, gate, kappa_lambda, reach):
+def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-def]
     """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
     cx, cy, cz = (
         (t[0, 0] + t[1, 0] + t[2, 0]) / 3,
@@ -95,7 +95,7 @@ def _longest(t, origins, gate, kappa_lambda, reach):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _halve(stack, top, edge):
+def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
     a, b, c = edge, (edge + 1) % 3, (edge + 2) % 3
     for k in range(3):
         pa, pb, pc = stack[top, a, k], stack[top, b, k], stack[top, c, k]
@@ -105,7 +105,7 @@ def _halve(stack, top, edge):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lookup(table, x, y, z):
+def lookup(table, x, y, z):  # type: ignore[no-untyped-def]
     """One-way amplitude gain towards (x, y, z), in the sensor's frame, from a (6, m, m) cube of directions."""
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
@@ -125,7 +125,7 @@ def lookup(table, x, y, z):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _lay(grid, place, value):
+def _lay(grid, place, value):  # type: ignore[no-untyped-def]
     """Adds an impulse at a fractional grid place, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
     if i < 1 or i + 2 >= len(grid):
@@ -139,7 +139,7 @@ def _lay(grid, place, value):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lay_triangle(grids, w, x, places, scale):
+def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Echo of one triangle: unit area, complex amplitude `w` and phase `x` [rad] at its corners, both linear between.
 
     Args:
@@ -174,7 +174,7 @@ def lay_triangle(grids, w, x, places, scale):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _bulk(grids, w, x, places, scale):
+def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Corners nearly at one delay: the moment series to sixth order."""
     middle = (x[0] + x[1] + x[2]) / 3
     y0, y1, y2 = x[0] - middle, x[1] - middle, x[2] - middle
@@ -190,7 +190,7 @@ def _bulk(grids, w, x, places, scale):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _strip(grids, w, x, places, scale, a, b, c):
+def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     """Corners b and c nearly at one delay, a far from it: strips parallel to bc, integrated exactly along the rest."""
     z = 0.5 * (x[b] + x[c]) - x[a]
     eta = 0.5 * (x[c] - x[b])
@@ -217,7 +217,7 @@ def _strip(grids, w, x, places, scale, a, b, c):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _reflection(gamma, stuff, tap, cosine, across):
+def _reflection(gamma, stuff, tap, cosine, across):  # type: ignore[no-untyped-def]
     """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
     n = gamma.shape[3] - 1
     u = min(cosine, 0.9999999) * n
@@ -229,7 +229,7 @@ def _reflection(gamma, stuff, tap, cosine, across):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _late(lag, stuff, tap, cosine):
+def _late(lag, stuff, tap, cosine):  # type: ignore[no-untyped-def]
     """Delay of an inner echo from the table over cos(incidence) [s]."""
     n = lag.shape[2] - 1
     u = min(cosine, 0.9999999) * n
@@ -238,7 +238,7 @@ def _late(lag, stuff, tap, cosine):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _te_share(e, ux, uy, uz, n):
+def _te_share(e, ux, uy, uz, n):  # type: ignore[no-untyped-def]
     """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
     sx, sy, sz = uy * n[2] - uz * n[1], uz * n[0] - ux * n[2], ux * n[1] - uy * n[0]
     eu = e[0] * ux + e[1] * uy + e[2] * uz
@@ -250,7 +250,7 @@ def _te_share(e, ux, uy, uz, n):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def toward(table, flat, f, ux, uy, uz):
+def toward(table, flat, f, ux, uy, uz):  # type: ignore[no-untyped-def]
     """One-way amplitude gain along u in the world, for a sensor_from_world rotation f."""
     if flat:
         return table[0, 0, 0]
@@ -263,7 +263,7 @@ def toward(table, flat, f, ux, uy, uz):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _corners(p, n, origins, frames, fields, table, flat, base, cosine, tau):
+def _corners(p, n, origins, frames, fields, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
     """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
     mono = origins[0, 0] == origins[1, 0] and origins[0, 1] == origins[1, 1] and origins[0, 2] == origins[1, 2]
     bulge, share = 0.0, 0.5
@@ -354,7 +354,7 @@ def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, field
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def convolve(grids, taps, every, shift, out):
+def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
     """Bins from delay grids: out[m] = sum over kinds and places of taps * grid, `every` places per bin.
 
     Args:

@@ -14,7 +14,7 @@ C0 = 299_792_458.0
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):
+def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):  # type: ignore[no-untyped-def]
     """Halves each wire (w, 3)-(w, 3) within the gate until each piece's delay is nearly linear; gives the count."""
     count = 0
     stack = np.empty((64, 2))
@@ -56,7 +56,7 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _element(p, axis, radius, series, origins, frames, fields, table, flat, out):
+def _element(p, axis, radius, series, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
     share = 0.0
