@@ -96,7 +96,7 @@ def run(
     tasks = _tasks(do)
     warm_up()
     with progress_bar("flying", total=1.0) as tell:
-        job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell)
+        job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=_say)
     sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
     if job.scene is not None:
         for taker in sinks:
@@ -126,6 +126,12 @@ def warm_up() -> None:
     if not compiled():
         with console.status("compiling kernels (once after installation, under half a minute)"):
             compile_kernels()
+
+
+def _say(text: str) -> None:
+    from ullage.view.progress import console
+
+    console.print(text, highlight=False)
 
 
 def _tell(report: Report) -> None:

@@ -174,7 +174,7 @@ class Trajectory:
 
 
 def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, count: int | None = None) -> Times:
-    """Times [ns] at an even rate from t0_ns, `count` of them or up to and with t1_ns; rounded singly, so they never drift.
+    """Times [ns] at an even rate from t0_ns, `count` of them or up to and with t1_ns; rounded singly, so no drift.
 
     Raises:
         InputError: the rate is not above zero.
@@ -189,7 +189,8 @@ def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, coun
 def _slope(t_ns: Times, position: Floats) -> Floats:
     if len(t_ns) == 1:
         return np.zeros_like(position)
-    return np.asarray(np.gradient(position, (t_ns - t_ns[0]) * 1e-9, axis=0, edge_order=min(len(t_ns) - 1, 2)))
+    order: Literal[1, 2] = 2 if len(t_ns) > 2 else 1
+    return np.asarray(np.gradient(position, (t_ns - t_ns[0]) * 1e-9, axis=0, edge_order=order))
 
 
 def _spin(t_ns: Times, quat: Floats) -> Floats:
@@ -313,12 +314,13 @@ def joined(parts: Sequence[Frames]) -> Frames:
         first,
         samples=np.concatenate([p.samples for p in parts]),
         t_ns=np.concatenate([p.t_ns for p in parts]),
-        poses=_strung([p.poses for p in parts]),
-        truth=_strung([p.truth for p in parts]),
+        poses=strung([p.poses for p in parts]),
+        truth=strung([p.truth for p in parts]),
     )
 
 
-def _strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:
+def strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:
+    """Pieces of a path, in order of time, as one; None where a piece is not known."""
     known = [p for p in paths if p is not None]
     if len(known) < len(paths):
         return None

@@ -10,17 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ullage.config import Scenario, Task, scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
 from ullage.experiments.simulated import Simulated
-from ullage.experiments.watch import Looks, RangeTime
+from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
 from ullage.world.scene import Scene
 
+Floats = NDArray[np.float64]
 Say = Callable[[str], None]
 
 
@@ -33,10 +35,12 @@ class Run:
     source: Source
     scene: Scene | None = None
     flown: Trajectory | None = None
+    marks: Floats | None = None  # surveyed places of reflectors (m, 3) [m], for the pictures only
     tasks: tuple[Task, ...] = ("detect", "image", "map")
     detect: DetectStage = field(default_factory=DetectStage)
     range_time: RangeTime = field(default_factory=RangeTime)
     looks: Looks = field(default_factory=Looks)
+    rest: Rest = field(default_factory=Rest)
     timing: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -58,7 +62,7 @@ class Report:
 def of_scenario(folder: Path, simulated: Simulated) -> Run:
     """A run of a simulated scenario."""
     scenario = simulated.scenario
-    return Run(folder, scenario, simulated, simulated.scene, simulated.flown, scenario.do)
+    return Run(folder, scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
 
 
 def execute(
@@ -99,7 +103,7 @@ def execute(
 
 def _stages(job: Run) -> list[Stage]:
     plan = job.scenario
-    out: list[Stage] = [job.range_time, job.looks]
+    out: list[Stage] = [job.range_time, job.looks, job.rest]
     if "detect" in job.tasks:
         job.detect = DetectStage(plan.detect.method, plan.detect.threshold)
         out.append(job.detect)
@@ -161,6 +165,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
 
 def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
     from ullage.view import figures
+    from ullage.view.rest_figure import rest_figure
 
     folder, out = job.folder / "figures", []
     frames = job.looks.frames()
@@ -174,11 +179,16 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
     if frames:
         index = min(map(len, frames.values())) // 2
         out.append(_snapshot(folder / "snapshot.png", list(frames.values()), index, job))
+    if job.scene is None and (still := job.rest.frames()):
+        out.append(rest_figure(folder / "rest.png", still, title=job.title))
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
             out.append(figures.map_figure(folder / "map.png", item, title=job.title, walls=walls, flown=job.flown))
         elif isinstance(item, Image):
-            out.append(figures.image_figure(folder / "image.png", item, title=job.title, walls=walls, flown=job.flown))
+            place = folder / "image.png"
+            out.append(
+                figures.image_figure(place, item, title=job.title, walls=walls, flown=job.flown, marks=job.marks)
+            )
     return tuple(out)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ullage.config import Task, make_scenario
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario, scenario_names
 from ullage.experiments.folder import make_folder
@@ -23,6 +23,7 @@ def make_run(
     out: Path | None = None,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
+    say: Callable[[str], None] = print,
 ) -> Run:
     """Get a run ready: read the scenario and fly it, or open the recording.
 
@@ -33,6 +34,7 @@ def make_run(
         out: where run folders are made; None: ./runs.
         force: run again where the folder exists.
         progress: told the share of the preparation done.
+        say: told what was found on the way.
 
     Raises:
         InputError: the target cannot be used.
@@ -45,7 +47,7 @@ def make_run(
         folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
         return of_scenario(folder, prepare(scenario, progress=progress))
     if path.exists() or ":" in target:
-        return _of_recording(target, tasks, options, out, force)
+        return _of_recording(target, tasks, options, out, force, say)
     raise InputError(
         f"no scenario, recording or port {target!r}",
         allowed="a scenario ("
@@ -55,29 +57,57 @@ def make_run(
 
 
 def _of_recording(
-    target: str, tasks: tuple[Task, ...] | None, options: Sequence[str], out: Path | None, force: bool
+    target: str,
+    tasks: tuple[Task, ...] | None,
+    options: Sequence[str],
+    out: Path | None,
+    force: bool,
+    say: Callable[[str], None],
 ) -> Run:
+    from ullage.pipeline import Held
+    from ullage.ports import RailSource
     from ullage.ports import open as open_source
 
-    source = open_source(target)
+    source: Any = open_source(target)
     first = next(iter(source.stream()), None)
     if not first:
         raise InputError("no frames", where=target)
-    poses = {name: part.poses for name, part in first.items()}
-    placed = all(p is not None for p in poses.values())
+    marks = source.reflectors() if isinstance(source, RailSource) else None
+    if any(part.track is not None for part in first.values()):
+        source = Held(_on_one_clock(source, say))
+        first = next(source.stream())
+    placed = all(part.poses is not None for part in first.values())
     if tasks is None:
-        tasks = ("detect", "image", "map") if placed else ("detect",)
+        phase = all(part.unit != "thesis" for part in first.values())
+        tasks = ("detect", "image", "map") if placed and phase else ("detect", "map") if placed else ("detect",)
     name = Path(target.rstrip("/").replace(":", "_")).stem or "recording"
     tree: dict[str, Any] = {"name": "".join(c if c.isalnum() or c in "_.-" else "-" for c in name)[:60], "do": tasks}
     tree["title"] = f"Recording {Path(target).name}"
     scenario = make_scenario(tree, options=options)
     folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
-    return Run(folder, scenario, source, flown=_track(source) if placed else None, tasks=scenario.do)
+    flown = _track(source) if placed else None
+    return Run(folder, scenario, source, flown=flown, marks=marks, tasks=scenario.do)
+
+
+def _on_one_clock(source: Any, say: Callable[[str], None]) -> dict[str, Frames]:
+    """The frames with the radar's clock and zero range found against the track, and what was found said."""
+    from ullage.data import sensors_of
+    from ullage.processing.calibrate import calibrate
+
+    say("finding clock and range offsets by focus")
+    parts = [calibrate(part) for part in sensors_of(source.frames())]
+    for part in parts:
+        if (found := part.calibration) is not None:
+            say(
+                f"{part.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
+                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f})"
+            )
+    return {part.sensor: part for part in parts}
 
 
 def _track(source: Any) -> Trajectory | None:
     """The poses of the first sensor, all of them."""
-    from ullage.data import sensors_of
-
-    frames: Frames = sensors_of(source.frames())[0]
-    return frames.poses
+    first = next(iter(source.stream()))
+    name = next(iter(first))
+    paths = [chunk[name].poses for chunk in source.stream() if name in chunk]
+    return strung(paths)

@@ -92,3 +92,28 @@ class Looks:
     def frames(self) -> dict[str, Frames]:
         """What was kept, by sensor."""
         return {name: joined(parts) for name, parts in self._kept.items() if parts}
+
+
+@dataclass(slots=True)
+class Rest:
+    """Noise and standing echoes of every sensor, from its quietest stretch: what a radar at rest tells of itself."""
+
+    _best: dict[str, tuple[float, Frames]] = field(default_factory=dict)
+
+    def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
+        """Keeps this piece if it changes less than the quietest so far."""
+        for name, part in chunk.items():
+            if len(part) < 16 or part.unit == "thesis":
+                continue
+            change = float(np.mean(np.abs(np.diff(part.samples, axis=0)) ** 2))
+            if name not in self._best or change < self._best[name][0]:
+                self._best[name] = change, part
+        return ()
+
+    def finish(self) -> Iterable[Any]:
+        """Nothing flows on."""
+        return ()
+
+    def frames(self) -> dict[str, Frames]:
+        """The quietest piece of each sensor."""
+        return {name: part for name, (_, part) in self._best.items()}

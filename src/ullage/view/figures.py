@@ -79,8 +79,10 @@ def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
     axes.set_ylim(max(y[low[0]] - pad, bottom), min(y[high[0]] + pad, top))
 
 
-def draw_plan(axes: Axes, *, walls: Floats | None = None, path: Trajectory | None = None) -> None:
-    """True walls in red and the flown path in blue, on axes in metres of equal scale."""
+def draw_plan(
+    axes: Axes, *, walls: Floats | None = None, path: Trajectory | None = None, marks: Floats | None = None
+) -> None:
+    """True walls and marks (m, 2 or 3) in red and the flown path in blue, on axes in metres of equal scale."""
     from matplotlib.collections import LineCollection
 
     if walls is not None and len(walls):
@@ -88,6 +90,10 @@ def draw_plan(axes: Axes, *, walls: Floats | None = None, path: Trajectory | Non
     if path is not None:
         axes.plot(path.position[:, 0], path.position[:, 1], color="#2e86ab", linewidth=0.9, label="flown")
         axes.plot(*path.position[0, :2], "o", color="#2e86ab", markersize=4)
+    if marks is not None and len(marks):
+        axes.scatter(
+            marks[:, 0], marks[:, 1], s=160, facecolors="none", edgecolors=TRUTH_COLOR, label="surveyed reflector"
+        )
     axes.set(xlabel="x east [m]", ylabel="y north [m]", aspect="equal")
 
 
@@ -112,6 +118,7 @@ def image_figure(
     title: str,
     walls: Floats | None = None,
     flown: Trajectory | None = None,
+    marks: Floats | None = None,
     span_db: float = 40,
 ) -> Path:
     """A SAR image in dB below its peak, as a picture file; a volume is shown as its brightest value over height."""
@@ -123,7 +130,7 @@ def image_figure(
         level = 20 * np.log10(np.maximum(flat / peak, 1e-10))
         mesh = axes.imshow(level, extent=image.grid.extent_m, origin="lower", cmap="inferno", vmin=-span_db, vmax=0)
         left, right, bottom, top = image.grid.extent_m
-        draw_plan(axes, walls=walls, path=flown)
+        draw_plan(axes, walls=walls, path=flown, marks=marks)
         axes.set(xlim=(left, right), ylim=(bottom, top))
         figure.colorbar(mesh, ax=axes, label="amplitude below the brightest cell [dB]", shrink=0.8)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)

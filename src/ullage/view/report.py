@@ -16,6 +16,7 @@ CAPTIONS = {
     "map": "Occupancy map over the true walls (red) and the flown path (blue).",
     "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
     "range_time": "Amplitude of every range bin over time, one panel a radar.",
+    "rest": "Mean profile, noise and its correlation while the radar stood still.",
     "snapshot": "One profile of each radar in the middle of the run.",
 }
 
