@@ -171,6 +171,14 @@ def test_a_moving_object_is_met_where_it_is_at_each_rays_time():
     assert still.visible((0, 0, 0), [[3.5, 0, 0]])[0]
 
 
+def test_the_nearer_of_still_and_moving_things_is_met():
+    moving = sliding(ul.scenes.plate(width_m=1, height_m=1, distance_m=2.5))  # 2.5 m at first, 3.5 m after a second
+    caster = Raycaster(Scene.union([ul.scenes.plate(width_m=9, height_m=9, distance_m=3.0), moving]))
+    face, distance = caster.hits((0, 0, 0), np.tile([1.0, 0, 0], (2, 1)), t_ns=[0, 1_000_000_000])
+    assert distance == pytest.approx([2.5, 3.0])
+    assert list(caster.owner[face]) == [1, 0]
+
+
 def test_threads_share_one_caster():
     caster, rays = Raycaster(soup(7), wires=True), directions(8, 20_000)
     alone = caster.hits((0, 0, 0), rays)[1]

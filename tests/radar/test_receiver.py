@@ -185,6 +185,15 @@ def test_the_direct_path_is_the_same_wave_at_rf():
     assert got == pytest.approx(abs(seen[:10]), abs=0.25 * float(abs(seen).max()))  # the filter widens it once more
 
 
+def test_phase_noise_turns_the_carrier_at_rf_too():
+    spec = RF.but(noise=QUIET.but(phase_rad=0.02))
+    t = (np.arange(RF.bins) - 700) / RF.sampling_hz
+    pulse = 1e-4 * np.exp(-0.5 * (t / RF.pulse_sigma_s) ** 2) * np.cos(2 * np.pi * RF.center_hz * t)
+    out = receive(np.tile(pulse, (800, 1)), spec, seed=6) @ np.exp(-2j * np.pi * RF.center_hz * t)
+    assert np.angle(out).std() == pytest.approx(0.02, rel=0.08)
+    assert abs(out).std() < 1e-3 * abs(out).mean()
+
+
 # --- folding ---------------------------------------------------------------------------------------------------------
 
 

@@ -5,11 +5,13 @@ Every frame depends on its own pose, time and number alone, so a track cut anywh
 
 from __future__ import annotations
 
+import math
+import os
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 
@@ -25,6 +27,30 @@ Fidelity = Literal["physical", "thesis"]
 Progress = Callable[[int, int], None]
 
 
+@overload
+def simulate(
+    scene: Scene,
+    path: Trajectory,
+    radar: RadarSpec,
+    *,
+    fidelity: Fidelity = ...,
+    max_bounces: int = ...,
+    seed: int = ...,
+    believed: Trajectory | None = ...,
+    progress: Progress | None = ...,
+) -> Frames: ...
+@overload
+def simulate(
+    scene: Scene,
+    path: Trajectory,
+    radar: Rig,
+    *,
+    fidelity: Fidelity = ...,
+    max_bounces: int = ...,
+    seed: int = ...,
+    believed: Trajectory | None = ...,
+    progress: Progress | None = ...,
+) -> dict[str, Frames]: ...
 def simulate(
     scene: Scene,
     path: Trajectory,
@@ -35,7 +61,7 @@ def simulate(
     seed: int = 0,
     believed: Trajectory | None = None,
     progress: Progress | None = None,
-) -> Any:
+) -> Frames | dict[str, Frames]:
     """What the radar receives along a track, one frame per sample of it.
 
     Args:
@@ -95,44 +121,33 @@ def simulate_stream(
         InputError: an argument cannot be used.
     """
     sensors = _checked(scene, path, radar, fidelity, max_bounces, seed, believed, chunk, first_frame)
-    return _stream(scene, path, sensors, fidelity, max_bounces, seed, believed, chunk, progress, first_frame)
+    work = _Work(scene, path, fidelity, max_bounces, seed, believed, first_frame)
+    return _stream(work, sensors, chunk, progress)
 
 
 def _stream(
-    scene: Scene,
-    path: Trajectory,
-    sensors: dict[str, RadarSpec],
-    fidelity: Fidelity,
-    max_bounces: int,
-    seed: int,
-    believed: Trajectory | None,
-    chunk: int,
-    progress: Progress | None,
-    first_frame: int,
+    work: _Work, sensors: dict[str, RadarSpec], chunk: int, progress: Progress | None
 ) -> Iterator[dict[str, Frames]]:
-    work = _Work(scene, path, fidelity, max_bounces, seed, believed, first_frame)
-    total = len(path) * len(sensors)
-    with ThreadPoolExecutor(max_workers=_WORKERS) as pool:
-        waiting: deque[dict[str, Future[Frames]]] = deque()
-        pieces = iter(range(0, len(path), chunk))
-        done = 0
-        while True:
-            while len(waiting) * len(sensors) < 2 * _WORKERS or not waiting:
-                start = next(pieces, None)
-                if start is None:
-                    break
-                cut = slice(start, min(start + chunk, len(path)))
-                waiting.append({name: pool.submit(work.frames, name, spec, cut) for name, spec in sensors.items()})
-            if not waiting:
-                return
-            ready = {name: job.result() for name, job in waiting.popleft().items()}
-            done += sum(len(frames) for frames in ready.values())
-            if progress is not None:
-                progress(done, total)
-            yield ready
-
-
-_WORKERS = 2
+    """Pieces in order, while the next ones are under way on every core."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    ahead = max(2, math.ceil(2 * cores / len(sensors)))
+    total, done = len(work.path) * len(sensors), 0
+    waiting: deque[dict[str, Future[Frames]]] = deque()
+    pool = ThreadPoolExecutor(max_workers=cores)
+    try:
+        for start in range(0, len(work.path), chunk):
+            cut = slice(start, min(start + chunk, len(work.path)))
+            waiting.append({name: pool.submit(work.frames, name, spec, cut) for name, spec in sensors.items()})
+            if len(waiting) < ahead and cut.stop < len(work.path):
+                continue
+            while len(waiting) >= ahead or (waiting and cut.stop == len(work.path)):
+                ready = {name: job.result() for name, job in waiting.popleft().items()}
+                done += sum(len(frames) for frames in ready.values())
+                if progress is not None:
+                    progress(done, total)
+                yield ready
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 class _Work:

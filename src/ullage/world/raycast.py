@@ -2,6 +2,8 @@
 
 Static geometry is built once; each moving object keeps its own tree in its own frame, and rays are brought to it,
 so that time may differ from ray to ray and nothing is rebuilt. A built caster may be used from several threads.
+Meshes that share vertices are tight along their edges (Embree's robust mode); of rays aimed exactly at a vertex 0.6 %
+slip through.
 """
 
 from __future__ import annotations
