@@ -1,0 +1,111 @@
+"""The table of materials: documented, sourced, within range, and physically sane."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.geometry import C0
+from ullage.radar.penetration import coherent, fresnel, reflection_tables, slab
+from ullage.world.materials import MATERIALS, Material, material
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def documented():
+    lines = (DOCS / "materials.md").read_text().splitlines()
+    rows = [[c.strip() for c in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    return {row[0]: row for row in rows[2:]}
+
+
+def test_docs_hold_the_code():
+    table = documented()
+    assert set(table) == set(MATERIALS)
+    for name, stuff in MATERIALS.items():
+        row = table[name]
+        assert row[10] == stuff.source
+        assert stuff.source
+        assert float(row[9]) == stuff.reflection
+        assert row[7] == ("thick" if stuff.thickness_m is None else f"{stuff.thickness_m:g}")
+        if not stuff.conductor and stuff.model == "itu":
+            assert [float(c) for c in row[2:6]] == [stuff.a, stuff.b, stuff.c, stuff.d]
+        if row[8]:
+            real, imag = re.fullmatch(r"([\d.]+) - ([\d.]+)j", row[8]).groups()
+            eps = stuff.permittivity(7.29e9)
+            assert (eps.real, -eps.imag) == pytest.approx((float(real), float(imag)), abs=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "ghz", "eps"),
+    [
+        ("concrete", 1.0, 5.24 - 0.8304j),  # P.2040-3: 0.0462 S/m at 1 GHz
+        ("water", 10.0, 61.5 - 31.5j),  # well-known value at 20 C, within a few per cent
+        ("skin", 10.0, 31.29 - 14.41j),
+        ("muscle", 10.0, 42.8 - 19.1j),
+    ],
+)
+def test_published_permittivities(name, ghz, eps):
+    ours = material(name).permittivity(ghz * 1e9)
+    assert abs(ours - eps) < 0.05 * abs(eps)
+
+
+def test_out_of_range_is_refused():
+    with pytest.raises(ul.InputError, match=r"floorboard has no data at 7.29 GHz \(allowed: 50 to 100 GHz\)"):
+        reflection_tables([material("floorboard")], ul.RadarSpec.preset("x4m05"))
+    with pytest.raises(ul.InputError, match="perfect conductor"):
+        material("pec").permittivity(7e9)
+    with pytest.raises(ul.InputError, match="no material 'unobtainium'"):
+        material("unobtainium")
+
+
+def transfer(eps, thickness, frequency, cosine, tm):
+    """R and T of a slab by the transfer matrix of tangential fields, a formula of its own."""
+    k = 2 * np.pi * frequency / C0
+    kz = k * np.sqrt(eps - (1 - cosine**2) + 0j)
+    z0, z1 = (cosine, kz / k / eps) if tm else (1 / cosine, k / kz)
+    c, s = np.cos(kz * thickness), 1j * np.sin(kz * thickness)
+    a, b, g, d = c, s * z1, s / z1, c
+    bottom = a + b / z0 + g * z0 + d
+    return (a + b / z0 - g * z0 - d) / bottom, 2 / bottom * np.exp(1j * k * thickness * cosine)
+
+
+@pytest.mark.parametrize("cosine", [1.0, 0.8, 0.5, 0.2])
+@pytest.mark.parametrize(("name", "thickness"), [("wood", 0.02), ("glass", 0.006), ("plasterboard", 0.0125)])
+def test_slab_against_transfer_matrix(name, thickness, cosine):
+    eps = material(name).permittivity(7.29e9)
+    te, tm, through_te, through_tm = slab(eps, thickness, 7.29e9, cosine)
+    for ours, want in ((te, transfer(eps, thickness, 7.29e9, cosine, False)[0]),
+                       (tm, transfer(eps, thickness, 7.29e9, cosine, True)[0]),
+                       (through_te, transfer(eps, thickness, 7.29e9, cosine, False)[1]),
+                       (through_tm, transfer(eps, thickness, 7.29e9, cosine, True)[1])):  # fmt: skip
+        assert abs(ours - want) < 1e-6
+
+
+def test_brewster_and_normal_incidence():
+    te, tm = fresnel(4.0 + 0j, [1.0, 1 / np.sqrt(5)])
+    assert te[0] == pytest.approx(tm[0])
+    assert te[0] == pytest.approx(-1 / 3)
+    assert abs(tm[1]) < 1e-12
+
+
+def test_lossless_slab_keeps_energy():
+    te, tm, through_te, through_tm = slab(3.0 + 0j, 0.013, 7.29e9, np.linspace(0.05, 1, 40))
+    assert abs(te) ** 2 + abs(through_te) ** 2 == pytest.approx(np.ones(40))
+    assert abs(tm) ** 2 + abs(through_tm) ** 2 == pytest.approx(np.ones(40))
+
+
+def test_coherent_loss_is_the_mean_phase():
+    heights = np.random.default_rng(1).standard_normal(200_000) * 0.004
+    k = 2 * np.pi / 0.0411
+    for cosine in (1.0, 0.6):
+        mean = abs(np.mean(np.exp(2j * k * heights * cosine)))
+        assert coherent(k * 0.004, cosine) == pytest.approx(mean, abs=5e-3)
+
+
+def test_thick_slab_echoes_apart():
+    thick = Material(name="x", a=4.0, thickness_m=0.3, valid_ghz=(1, 20))
+    gamma, lag = reflection_tables([thick], ul.RadarSpec.preset("x4m05"))
+    assert lag[0, 1, -1] == pytest.approx(2 * 0.3 * 2 / C0)
+    assert abs(gamma[0, 1, 0, -1]) == pytest.approx((1 - 1 / 9) / 3)
