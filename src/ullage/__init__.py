@@ -32,6 +32,7 @@ _HOMES = {
     "load_scene": "world.load",
     "Waypoints": "flight.missions",
     "fly": "flight.vehicle",
+    "fly_log": "flight.vehicle",
     "navigate": "flight.navigation",
     "simulate": "radar.simulate",
     "explain": "radar.explain",
