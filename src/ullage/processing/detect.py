@@ -1,63 +1,130 @@
-"""Which echoes are objects."""
+"""Which echoes are objects: the thesis' first peak, all peaks, CFAR, and CLEAN."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
-from ullage.processing.baseband import checked, envelope, is_amplitude, noise_sigma
+from ullage.geometry import C0
+from ullage.processing.baseband import checked, envelope, is_amplitude, noise_sigma, to_baseband
+from ullage.processing.cfar import cfar_threshold
 
 Floats = NDArray[np.float64]
-Method = Literal["first_peak", "peaks"]
+Ints = NDArray[np.int64]
+Method = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"]
 
 THESIS_THRESHOLD = 0.038
-_SIGMAS = 5.0
-_FLOOR = 10 ** (-50 / 20)
+"""The thesis' threshold on its own amplitudes [Billdal2018, 5.3.3]."""
+DIRECT_PATH_M = 0.45
+"""Leakage and the device's own ringing lie nearer than this [m] [X4Recordings]."""
+_SIGMAS, _DYNAMIC_RANGE = 5.0, 10 ** (-50 / 20)
 
 
-@overload
-def detect(frames: Frames, *, method: Method = ..., threshold: float | None = ...) -> Detections: ...
 @overload
 def detect(
-    frames: Mapping[str, Frames], *, method: Method = ..., threshold: float | None = ...
+    frames: Frames,
+    *,
+    method: Method = ...,
+    threshold: float | None = ...,
+    min_range_m: float | None = ...,
+    pfa: float = ...,
+    guard: int = ...,
+    train: int = ...,
+    correlation: ArrayLike | None = ...,
+    max_echoes: int = ...,
+) -> Detections: ...
+@overload
+def detect(
+    frames: Mapping[str, Frames],
+    *,
+    method: Method = ...,
+    threshold: float | None = ...,
+    min_range_m: float | None = ...,
+    pfa: float = ...,
+    guard: int = ...,
+    train: int = ...,
+    correlation: ArrayLike | None = ...,
+    max_echoes: int = ...,
 ) -> dict[str, Detections]: ...
 
 
 def detect(
-    frames: Frames | Mapping[str, Frames], *, method: Method = "first_peak", threshold: float | None = None
+    frames: Frames | Mapping[str, Frames],
+    *,
+    method: Method = "first_peak",
+    threshold: float | None = None,
+    min_range_m: float | None = None,
+    pfa: float = 1e-4,
+    guard: int = 3,
+    train: int = 16,
+    correlation: ArrayLike | None = None,
+    max_echoes: int = 16,
 ) -> Detections | dict[str, Detections]:
-    """Echoes judged to be objects, in each frame.
+    """Echoes judged to be objects, in each frame, with ranges finer than a bin (parabola through three bins).
+
+    Args:
+        frames: one sensor's frames, or several by name.
+        method: "first_peak" takes the first local maximum over the threshold, as the thesis does; "peaks" all of
+            them; "cfar" and "os-cfar" all that exceed a threshold found from the bins around; "clean" takes the
+            strongest echo, subtracts the pulse it would have made, and looks again.
+        threshold: amplitude in the frames' unit. None: 0.038 for the thesis' amplitudes; else the larger of
+            5 times the noise of a bin and 50 dB under the strongest echo of these frames. Not used by CFAR.
+        min_range_m: nothing nearer is an object [m]; None: 0.45 m, which the direct path fills, where the sensor
+            has one, else 0.
+        pfa: false alarm probability of each bin (CFAR).
+        guard: cells left out on either side (CFAR).
+        train: cells used on either side (CFAR).
+        correlation: noise correlation between bins at lags 0, 1, ... (CFAR); None: what the receiver's filter gives.
+        max_echoes: at most so many a frame (CLEAN).
 
     Raises:
-        InputError: unknown method, a threshold that is not above zero, or a sample that is not finite.
+        InputError: unknown method, a number out of bounds, or a sample that is not finite.
     """
     if isinstance(frames, Mapping):
-        return {name: detect(part, method=method, threshold=threshold) for name, part in frames.items()}
-    checked(frames)
-    sigma = noise_sigma(frames)
-    values = np.asarray(envelope(frames), np.float64)
-    level = default_threshold(frames, sigma, values) if threshold is None else float(threshold)
-    if not level > 0:
+        kept: dict[str, Any] = {
+            "method": method, "threshold": threshold, "min_range_m": min_range_m, "pfa": pfa, "guard": guard,
+            "train": train, "correlation": correlation, "max_echoes": max_echoes,
+        }  # fmt: skip
+        return {name: detect(part, **kept) for name, part in frames.items()}
+    if method not in get_args(Method):
+        raise InputError(f"no method {method!r}", where="detect", allowed=", ".join(get_args(Method)))
+    if threshold is not None and not threshold > 0:
         raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
-    if method not in ("first_peak", "peaks"):
-        raise InputError(f"no method {method!r}", where="detect", allowed="first_peak, peaks")
-    frame, bin_ = np.nonzero(peaks(values) & (values > level))
+    sigma = noise_sigma(checked(frames))
+    values = np.asarray(envelope(frames), np.float64)
+    far = frames.range_m >= (_blind_m(frames) if min_range_m is None else min_range_m)
+    level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
+    if method == "clean":
+        return _cleaned(frames, far, level, sigma, max_echoes)
+    over: NDArray[np.bool_]
+    if method in ("cfar", "os-cfar"):
+        settings: dict[str, Any] = {"pfa": pfa, "guard": guard, "train": train, "correlation": correlation}
+        over = values > cfar_threshold(frames, ordered=method == "os-cfar", **settings)
+    else:
+        over = values > level
+    frame, bin_ = np.nonzero(peaks(values) & over & far)
     if method == "first_peak":
         frame, first = np.unique(frame, return_index=True)
         bin_ = bin_[first]
     return _at_peaks(frames, values, frame, bin_, sigma)
 
 
+def _blind_m(frames: Frames) -> float:
+    noise = frames.spec.noise
+    leaks = noise is not None and noise.leakage and not is_amplitude(frames)
+    return DIRECT_PATH_M if leaks else 0.0
+
+
 def default_threshold(frames: Frames, sigma: float, values: Floats) -> float:
     """0.038 for the thesis' amplitudes; else 5 times the noise, or 50 dB under the strongest echo if that is more."""
     if is_amplitude(frames):
         return THESIS_THRESHOLD
-    return max(_SIGMAS * sigma, _FLOOR * float(values.max()), 1e-30)
+    return max(_SIGMAS * sigma, _DYNAMIC_RANGE * float(values.max(initial=0.0)), 1e-30)
 
 
 def peaks(values: Floats) -> NDArray[np.bool_]:
@@ -67,22 +134,88 @@ def peaks(values: Floats) -> NDArray[np.bool_]:
     return out
 
 
-def _at_peaks(
-    frames: Frames, values: Floats, frame: NDArray[np.int64], bin_: NDArray[np.int64], sigma: float
-) -> Detections:
-    a, b, c = (values[frame, bin_ + k] for k in (-1, 0, 1))
+def _vertex(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+    """Place [bins from the middle] and height of the parabola through three values."""
     bend = a - 2 * b + c
     shift = np.where(bend < 0, 0.5 * (a - c) / np.where(bend < 0, bend, 1.0), 0.0)
-    amplitude = b - 0.25 * (a - c) * shift
-    with np.errstate(divide="ignore"):
-        snr = 20 * np.log10(amplitude / sigma) if sigma > 0 else np.full(len(frame), np.nan)
-    step = float(np.diff(frames.range_m).mean())
-    return Detections(
-        frame.astype(np.int64),
-        frames.t_ns[frame],
-        frames.range_m[bin_] + shift * step,
-        amplitude,
-        snr,
-        np.full((len(frame), 3), np.nan),
-        frames.sensor,
+    return shift, b - 0.25 * (a - c) * shift
+
+
+def _at_peaks(frames: Frames, values: Floats, frame: Ints, bin_: Ints, sigma: float) -> Detections:
+    shift, amplitude = _vertex(*(values[frame, bin_ + k] for k in (-1, 0, 1)))
+    return _detections(frames, frame, frames.range_m[bin_] + shift * _bin_m(frames), amplitude, sigma)
+
+
+def _bin_m(frames: Frames) -> float:
+    return float(np.diff(frames.range_m).mean())
+
+
+def _detections(frames: Frames, frame: Ints, range_m: Floats, amplitude: Floats, sigma: float) -> Detections:
+    snr = 20 * np.log10(amplitude / sigma) if sigma > 0 else np.full(len(frame), np.nan)
+    nowhere = np.full((len(frame), 3), np.nan)
+    return Detections(frame.astype(np.int64), frames.t_ns[frame], range_m, amplitude, snr, nowhere, frames.sensor)
+
+
+def _cleaned(frames: Frames, far: NDArray[np.bool_], level: float, sigma: float, most: int) -> Detections:
+    """CLEAN [Hogbom1974] with the Gaussian pulse as point response, all frames at once."""
+    if most < 1:
+        raise InputError(f"max_echoes is {most}", where="detect", allowed=">= 1")
+    rest = (np.asarray(frames.samples, np.float64) if is_amplitude(frames) else to_baseband(frames)).astype(
+        np.complex128
     )
+    width = frames.spec.pulse_sigma_s * C0 / 2
+    rows, found = np.arange(len(frames)), []
+    step, active = _bin_m(frames), np.ones(len(frames), bool)
+    for _ in range(most):
+        size = np.abs(rest) * far
+        top = np.clip(size.argmax(1), 1, size.shape[1] - 2)
+        shift, height = _vertex(*(size[rows, top + k] for k in (-1, 0, 1)))
+        place = frames.range_m[top] + np.clip(shift, -0.5, 0.5) * step
+        active = active & (size[rows, top] > level)
+        if not active.any():
+            break
+        pulse = np.exp(-((frames.range_m[None, :] - place[:, None]) ** 2) / (2 * width**2))
+        near = pulse > 0.5
+        echo = (rest * pulse * near).sum(1) / np.maximum((pulse**2 * near).sum(1), 1e-12)
+        rest = rest - np.where(active, echo, 0)[:, None] * pulse
+        found.append((rows[active], place[active], np.abs(echo[active])))
+    if not found:
+        return _detections(frames, rows[:0], np.zeros(0), np.zeros(0), sigma)
+    frame, place, height = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.lexsort((place, frame))
+    return _detections(frames, frame[order], place[order], height[order], sigma)
+
+
+def roc(
+    frames_with: Frames,
+    frames_without: Frames,
+    range_m: float,
+    *,
+    gate_m: float = 0.15,
+    thresholds: ArrayLike | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """How often an object at a known range is found, against how often a bin without one alarms.
+
+    Args:
+        frames_with: frames of a scene with the object.
+        frames_without: frames of the same scene without it.
+        range_m: the object's range [m].
+        gate_m: a peak this near to it counts [m].
+        thresholds: amplitudes to try; None: 200 from the least to the greatest that occur.
+
+    Returns:
+        Thresholds (k), probability of detection (k) and false alarms a bin (k), rising thresholds.
+
+    Raises:
+        InputError: no bins within the gate.
+    """
+    gate = np.abs(frames_with.range_m - range_m) <= gate_m
+    if not gate.any():
+        raise InputError(f"no bins within {gate_m} m of {range_m} m", where="roc")
+    far = frames_without.range_m >= _blind_m(frames_without)
+    hit = np.where(gate, np.asarray(envelope(frames_with), np.float64), 0.0).max(1)
+    false = np.sort(np.asarray(envelope(frames_without), np.float64)[:, far].ravel())
+    low, high = max(float(false[0]), 1e-12), float(max(hit.max(), false[-1]))
+    levels = np.geomspace(low, high * 1.01, 200) if thresholds is None else np.sort(np.asarray(thresholds, float))
+    found = 1 - np.searchsorted(np.sort(hit), levels, "right") / len(hit)
+    return levels, found, 1 - np.searchsorted(false, levels, "right") / len(false)
