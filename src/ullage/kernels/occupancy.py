@@ -561,7 +561,7 @@ def render_cells(
                 echoes, looks = hits[slot, cell], _bits(silent[slot, cell])
                 odds = prior + echoes / SCALE - free_nats[looks]
                 if echoes >= vague:
-                    odds = heard + echoes / SCALE - many * max(looks - enough, 0)
+                    odds = heard + echoes / SCALE - many * (max(looks - enough, 0) + max(looks - 8, 0))
                 if odds >= solid:
                     out[iz, iy, ix] = min(int(100.0 / (1.0 + math.exp(-odds)) + 0.5), 99)
                 elif looks >= enough and echoes < vague:

@@ -38,7 +38,7 @@ class EchoJudge:
 
     def weigh(self, look: Look) -> tuple[Floats, Floats, Floats]:
         """Cosine to the track, its sigma, and the chance that the bearing is true, for each echo of a look."""
-        share, sigma = look.echoes[:, 4], look.echoes[:, 3]
+        share, sigma = look.echoes[:, 4], np.hypot(look.echoes[:, 3], look.wobble)
         coherence = look.sharp[:, 0]
         if coherence.any():
             self._recent.extend(coherence[(share >= STEADY) & (sigma < 0.03)].tolist())
@@ -48,4 +48,4 @@ class EchoJudge:
             return look.echoes[:, 2], sigma, by_range
         by_phase = np.interp(coherence, [0.2, 0.5, 0.6, 1.0], [0.15, 0.5, 0.85, 0.93])
         by_phase = by_phase * np.interp(share, [0.4, 0.95], [0.65, 1.0])
-        return look.sharp[:, 1], look.sharp[:, 2], by_phase
+        return look.sharp[:, 1], np.hypot(look.sharp[:, 2], look.wobble), by_phase

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ MOST_WAITING = 96
 MOST_SPOTS = 200_000
 SMOOTH = 0.25
 GATE_M, LEAST_SIGMA_M = 0.03, 0.004
-LEAST_SMOOTHED, ROUGH_M = 8, 1e-3
+LEAST_SMOOTHED, ROUGH_M, SMOOTH_M = 8, 1e-3, 0.3
 
 
 @dataclass(slots=True, eq=False)
@@ -50,10 +50,11 @@ class Look:
     track: Floats  # (3) unit vector along the way, zero when there was none
     echoes: Floats  # (k, 6)
     sharp: Floats  # (k, 3) coherence, cosine where it is best, its sigma; zero without phase
+    wobble: float = 0.0  # doubt in the track's direction [rad]
 
     def only(self, keep: NDArray[np.bool_]) -> Look:
         """The same look with some of its echoes."""
-        return Look(self.heard, self.track, self.echoes[keep], self.sharp[keep])
+        return Look(self.heard, self.track, self.echoes[keep], self.sharp[keep], self.wobble)
 
 
 class Listener:
@@ -136,17 +137,19 @@ class Listener:
 
     def _look(self, index: int) -> Look:
         heard, window = self._held[index], self._window(index)
-        offsets = self._offsets(index, window)
+        offsets, shift, wobble = self._offsets(index, window)
+        heard = replace(heard, position=heard.position + shift)
         span = np.linalg.norm(offsets, axis=1)
         track = offsets[int(np.argmax(span))] / max(span.max(), 1e-9)
         along = offsets @ track
-        straight = np.linalg.norm(offsets - along[:, None] * track, axis=1) < BEND_M
+        straight = np.linalg.norm(offsets - along[:, None] * track, axis=1) < BEND_M + wobble * WINDOW_M
+        straight[window.index(index)] = True
         window, along = [j for j, ok in zip(window, straight, strict=True) if ok], along[straight]
         echoes, count = np.zeros((MOST_PEAKS, 6)), heard.count
         sharp = np.zeros((count, 3))
         if np.ptp(along) < LEAST_BASE_M:
             echoes[:count, 0], echoes[:count, 5] = heard.ranges[:count], heard.heights[:count]
-            return Look(heard, np.zeros(3), echoes[:count], sharp)
+            return Look(heard, np.zeros(3), echoes[:count], sharp, wobble)
         counts = np.array([self._held[j].count for j in window])
         ranges = np.stack([self._held[j].ranges for j in window])
         heights = np.stack([self._held[j].heights for j in window])
@@ -154,29 +157,49 @@ class Listener:
         rows = [r for r in (self._held[j].samples for j in window) if r is not None]
         if rows:
             focus_echoes(np.stack(rows), along, self._start, self._bin, self._wavenumber, echoes[:count], sharp)
-        return Look(heard, track, echoes[:count], sharp)
+        return Look(heard, track, echoes[:count], sharp, wobble)
 
-    def _offsets(self, index: int, window: list[int]) -> Floats:
-        """Positions (m, 3) about the look's own [m], made smooth in time: a body's path is, a tracker's noise is not."""
-        offsets = np.array([self._held[j].position for j in window]) - self._held[index].position
-        if len(window) < LEAST_SMOOTHED:
-            return offsets
-        t = np.array([self._held[j].t_ns for j in window], float)
-        t = (t - self._held[index].t_ns) / max(np.ptp(t), 1.0)
-        basis = np.vander(t, 4, increasing=True)
-        fitted = basis @ np.linalg.lstsq(basis, offsets, rcond=None)[0]
-        return offsets if np.sqrt(np.mean((fitted - offsets) ** 2)) < ROUGH_M else fitted
+    def _offsets(self, index: int, window: list[int]) -> tuple[Floats, Floats, float]:
+        """Positions (m, 3) about the look's own, how far that was moved, and the doubt left in the track's direction.
 
-    def _window(self, index: int) -> list[int]:
-        """Indices of at most 21 held frames within the window's reach on both sides."""
+        A body's path is smooth, a tracker's noise is not: where the positions scatter by over a millimetre about a low
+        polynomial of time, the polynomial is believed. It has the lowest order that fits nearly as well as a cubic.
+        """
+        here = self._held[index]
+        wide = self._window(index, reach_m=SMOOTH_M)
+        raw = np.array([self._held[j].position for j in wide]) - here.position
+        pick = np.searchsorted(wide, window)
+        if len(wide) < LEAST_SMOOTHED:
+            return raw[pick], np.zeros(3), 0.0
+        t = np.array([self._held[j].t_ns - here.t_ns for j in wide], float)
+        t /= max(float(abs(t).max()), 1.0)
+        found, rough, order = smoothest(t, raw)
+        if rough < ROUGH_M:
+            return raw[pick], np.zeros(3), 0.0
+        shift = found[wide.index(index)]
+        span = max(float(np.ptp(np.linalg.norm(found - shift, axis=1))), STEP_M)
+        return found[pick] - shift, shift, order * 1.7 * rough / (np.sqrt(len(t)) * span)
+
+    def _window(self, index: int, *, reach_m: float = WINDOW_M) -> list[int]:
+        """Indices of some 21 held frames within reach on both sides, fewer where there are fewer."""
         here = self._held[index].position
         first = last = index
-        while first > 0 and np.linalg.norm(self._held[first - 1].position - here) <= WINDOW_M:
+        while first > 0 and np.linalg.norm(self._held[first - 1].position - here) <= reach_m:
             first -= 1
-        while last + 1 < len(self._held) and np.linalg.norm(self._held[last + 1].position - here) <= WINDOW_M:
+        while last + 1 < len(self._held) and np.linalg.norm(self._held[last + 1].position - here) <= reach_m:
             last += 1
-        stride = max(1, -(-(last - first) // 20))
+        stride = max(1, -(-(last - first) // round(100 * reach_m)))
         return sorted({*range(first, last + 1, stride), index})
+
+
+def smoothest(t: Floats, values: Floats) -> tuple[Floats, float, int]:
+    """Values (n, 3) of the lowest polynomial in t that fits within 15 % as well as a cubic; its scatter and order."""
+    fits = []
+    for order in (1, 2, 3):
+        basis = np.vander(t, order + 1, increasing=True)
+        fitted = basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
+        fits.append((fitted, float(np.sqrt(np.sum((fitted - values) ** 2) / (3 * (len(t) - order - 1)))), order))
+    return next(fit for fit in fits if fit[1] <= 1.15 * fits[-1][1])
 
 
 def _heard(frames: Frames) -> list[Heard]:
