@@ -49,9 +49,8 @@ def main() -> None:
         for profile in (True, False):
             cost = record(frames, path, profile=profile)
             size = path.stat().st_size / 1e6
-            print(
-                f"record, profile={profile}: {1e3 * cost / count:.3f} ms a frame, {SECONDS / cost:.0f} x real time, {size:.1f} MB"
-            )
+            speed = f"{1e3 * cost / count:.3f} ms a frame, {SECONDS / cost:.0f} x real time"
+            print(f"record, profile={profile}: {speed}, {size:.1f} MB")
         for what in ("stream", "frames"):
             start = time.process_time()
             source = ul.open(path)
