@@ -16,7 +16,7 @@ app = typer.Typer(
     name="ullage",
     help="Simulate what ultra-wideband radars on a drone receive in tanks, holds and halls; turn echoes into maps.",
     no_args_is_help=True,
-    rich_markup_mode="rich",
+    rich_markup_mode=None,  # plain help comes twice as fast
     pretty_exceptions_enable=False,
 )
 
