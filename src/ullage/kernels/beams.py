@@ -103,7 +103,7 @@ def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, a
 
 
 @njit(cache=True, nogil=True)
-def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,
+def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
           targets, apexes, chains, ends_on, first, edges):  # fmt: skip
     """Every beam of `order` bounces: over one or two mirrors, then on the face it ends on.
 

@@ -212,7 +212,7 @@ def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):  # type: i
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
+def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
              gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`."""
     unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
@@ -246,7 +246,7 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
+def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
                 gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the specular echoes of faces: unit image waves at (m, 3) points with (m) path lengths [m]."""
     unit = (2 * math.pi * C0 / omega) / (4 * math.pi)

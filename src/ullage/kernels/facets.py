@@ -297,7 +297,7 @@ def _corners(p, n, origins, frames, fields, table, flat, base, cosine, tau):  # 
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,
+def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
             gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echo of every piece on the delay grids.
 

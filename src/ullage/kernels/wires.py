@@ -86,7 +86,7 @@ def _element(p, axis, radius, series, origins, frames, fields, table, flat, out)
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, fields, table, flat, factor,
+def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
               omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of wire (m, 2, 3) on the delay grids.
 

@@ -61,6 +61,7 @@ class Surfaces:
     first: Ints  # (k + 1)
     flats: Flats
     rays: Raycaster
+    ray_stuffs: Ints  # object of each face that rays can hit
 
 
 def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> Surfaces:
@@ -80,7 +81,7 @@ def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> S
     small = small[order]
     mine = np.ascontiguousarray(corners[small])
     return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
-                    flats, rays)  # fmt: skip
+                    flats, rays, scene.face_object[index].copy())  # fmt: skip
 
 
 def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:

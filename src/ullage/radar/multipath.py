@@ -119,7 +119,7 @@ def _lay(
     points, lengths, which = points[:count], lengths[:count], which[:count]
     lit = _stand_ins(beams, pieces, owner, points, which)
     path = legs(flats, view, beams, lit)
-    factor = coefficients(ready, flats, view, beams, path) * clear(parts, path)
+    factor = coefficients(ready, flats, view, beams, path) * clear(parts, path) * _both_ways(flats, beams, order)
     images = _turned(flats, beams, np.concatenate([view.frames[0].T, view.fields[0][:, None]], 1))
     frames = np.stack([np.swapaxes(images[:, :, :3], 1, 2), np.broadcast_to(view.frames[1], (len(beams), 3, 3))], 1)
     fields = np.stack([images[:, :, 3], np.broadcast_to(view.fields[1], (len(beams), 3))], 1)
@@ -134,6 +134,17 @@ def _lay(
     middle = (pieces[:, :3] + pieces[:, 3:6]) / 2
     return [_told(flats, beams, owner, middle, echo, delay, order),
             _told(flats, beams, which, points, bright, when, order)]  # fmt: skip
+
+
+def _both_ways(flats: Flats, beams: Beams, order: int) -> Floats:
+    """How often each beam counts: a small face is no mirror, so its double bounces count twice from the large one.
+
+    Mirror first or last is the same wave by reciprocity; physical optics belongs on the smaller face.
+    """
+    if order > 2:
+        return np.ones(len(beams))
+    mirror, end = flats.spheres[beams.chains[:, 0], 3], flats.spheres[beams.ends_on, 3]
+    return np.where(mirror > 1.2 * end, 2.0, np.where(end > 1.2 * mirror, 0.0, 1.0))
 
 
 def _told(

@@ -7,6 +7,7 @@ sense, so that at normal incidence TE and TM agree, and a perfect conductor refl
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -115,3 +116,38 @@ def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[C
     if not rows:
         return np.zeros((1, TAPS, 2, COSINES), complex), np.zeros((1, TAPS, COSINES))
     return np.stack([r[0] for r in rows]), np.stack([r[1] for r in rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curtains:
+    """What lets waves through, by object and cos(incidence): two-way factors at the carrier and delays."""
+
+    factor: Complexes  # (o, COSINES) two-way amplitude, the carrier's turn over `delay_s` taken out; 0: opaque
+    delay_s: Floats  # (o, COSINES) two-way delay over that of the air replaced [s]
+
+    @property
+    def thin(self) -> NDArray[np.bool_]:
+        """Which objects let anything through (o)."""
+        return np.asarray(abs(self.factor).max(1) > 0)
+
+
+def curtains(materials: Sequence[Material], spec: RadarSpec) -> Curtains:
+    """Two-way transmission of every object's slab; what costs more than 50 dB there and back is opaque.
+
+    Raises:
+        InputError: the carrier lies outside a material's data.
+    """
+    rows = [_curtain(m, spec.center_hz) for m in materials] or [(np.zeros(COSINES, complex), np.zeros(COSINES))]
+    return Curtains(np.stack([r[0] for r in rows]), np.stack([r[1] for r in rows]))
+
+
+@lru_cache(maxsize=512)
+def _curtain(material: Material, center_hz: float) -> tuple[Complexes, Floats]:
+    c = np.linspace(0, 1, COSINES)
+    if material.conductor or material.thickness_m is None:
+        return np.zeros(COSINES, complex), np.zeros(COSINES)
+    eps = material.permittivity(center_hz)
+    _, _, te, tm = slab(eps, material.thickness_m, center_hz, c)
+    late = 2 * material.thickness_m * (np.sqrt(eps - (1 - c * c) + 0j).real - c) / C0
+    factor = ((te + tm) / 2) ** 2 * np.exp(2j * np.pi * center_hz * late)
+    return (factor if abs(factor).max() > _FAINT else np.zeros(COSINES, complex)), late

@@ -24,7 +24,7 @@ from ullage.kernels import facets as kernel
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
 from ullage.radar.facets import Flats, Prepared, Surfaces, joined, prepare
-from ullage.radar.penetration import reflection_tables
+from ullage.radar.penetration import Curtains, curtains, reflection_tables
 from ullage.radar.pulse import Pulse, tabulate
 from ullage.radar.visibility import seen
 from ullage.radar.wires import Lines, placed, strung
@@ -73,10 +73,12 @@ class Bench:
     gamma: Complexes
     lag: Floats
     lines: Lines
+    sheets: Curtains
     first_m: float  # range of the first grid place [m]
     places: int
     shift: int  # grid place of bin 0
     gate: tuple[float, float]  # ranges whose echoes can reach the frame [m]
+    seed: int = 0  # of the fine structure of rough surfaces
 
     @property
     def fold_s(self) -> float:
@@ -84,7 +86,7 @@ class Bench:
         return 1 / self.spec.prf_hz
 
 
-def bench(scene: Scene, spec: RadarSpec) -> Bench:
+def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0) -> Bench:
     """Pulse, tables and gates of one radar in one scene.
 
     Raises:
@@ -99,8 +101,8 @@ def bench(scene: Scene, spec: RadarSpec) -> Bench:
     gamma = np.concatenate([gamma, _plain(gamma)])
     lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
     last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
-    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag,
-                 strung(scene, spec.center_hz), first, places, pad, (0.0, last))  # fmt: skip
+    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, strung(scene, spec.center_hz),
+                 curtains(world.materials, spec), first, places, pad, (0.0, last), seed)  # fmt: skip
 
 
 def _plain(gamma: Complexes) -> Complexes:
@@ -135,7 +137,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     """
     if max_bounces not in (1, 2, 3):
         raise InputError(f"max_bounces is {max_bounces}", where="echoes", allowed="1, 2 or 3")
-    ready = bench(scene, spec)
+    ready = bench(scene, spec, seed=seed)
     turns = quat_matrix(path.quat_xyzw)
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
@@ -150,7 +152,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
 def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
     """The real signal at the antenna (n, b) from its complex envelope."""
     phase = 2 * np.pi * spec.center_hz * 2 * spec.range_m / C0
-    return (baseband * np.exp(1j * phase)).real.astype(np.float32)
+    return np.asarray((baseband * np.exp(1j * phase)).real, np.float32)
 
 
 def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes) -> list[Laid]:
@@ -174,7 +176,7 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
-    shade, extra = shading(parts, view, middle)
+    shade, extra = shading(ready, parts, view, middle)
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     told = common(ready, view, grids)
     string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:], echo, delay)
@@ -184,7 +186,7 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
     leaves, owner = triangles(ready, part, view)
     middle = leaves.mean(1)
-    shade, extra = shading(parts, view, middle)
+    shade, extra = shading(ready, parts, view, middle)
     echo, delay = np.empty(len(leaves), complex), np.empty(len(leaves))
     kernel.deposit(leaves, owner, shade, extra, part.normals, part.stuffs, *common(ready, view, grids), echo, delay)
     return Laid(part.stuffs[owner], middle, echo, delay)
@@ -201,7 +203,7 @@ def _lay_flats(
     middle = (pieces[:, :3] + pieces[:, 3:6]) / 2
     inward = np.cross(flats.normals[owner], pieces[:, 3:6] - pieces[:, :3])
     inward *= _NUDGE_M / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-12)
-    shade, extra = shading(parts, view, middle + inward)
+    shade, extra = shading(ready, parts, view, middle + inward)
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     rim.lay_rims(
         pieces, owner, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)), echo, delay
@@ -211,8 +213,8 @@ def _lay_flats(
     points, lengths, which = points[:count], lengths[:count], which[:count]
     shade, extra = _zone_shading(ready, parts, flats, view, points, which, lengths)
     bright, when = np.empty(count, complex), np.empty(count)
-    rim.lay_images(points, which, lengths, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)),
-                   bright, when)  # fmt: skip
+    told = _each(common(ready, view, grids))
+    rim.lay_images(points, which, lengths, shade, extra, flats.normals, flats.stuffs, *told, bright, when)
     return Laid(flats.stuffs[owner], middle, echo, delay), Laid(flats.stuffs[which], points, bright, when)
 
 
@@ -257,12 +259,13 @@ def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tu
     return pieces, owner, windings
 
 
-def shading(parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
-    """Two-way factor (m) of what stands before each point, 1 in the open and 0 behind something, and its delay [s]."""
-    clear = seen(parts, view.origins[0], points)
-    if not np.array_equal(view.origins[0], view.origins[1]):
-        clear &= seen(parts, view.origins[1], points)
-    return clear.astype(complex), np.zeros(len(points))
+def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
+    """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
+    factor, late = seen(parts, view.origins[0], points, ready.sheets)
+    if np.array_equal(view.origins[0], view.origins[1]):
+        return factor, late
+    other, later = seen(parts, view.origins[1], points, ready.sheets)
+    return np.sqrt(factor) * np.sqrt(other), (late + later) / 2
 
 
 def _zone_shading(
@@ -284,11 +287,11 @@ def _zone_shading(
     radius = np.sqrt(ready.spec.wavelength_m * lengths / 4)[:, None, None]
     spread = _ZONE[None, :, :1] * u[:, None] + _ZONE[None, :, 1:] * v[:, None]
     spots = (points[:, None] + radius * spread).reshape(-1, 3)
-    held = np.empty(len(spots), np.bool_)
-    rim.inside(spots, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, held)
-    held = held.reshape(len(points), -1)
+    within = np.empty(len(spots), np.bool_)
+    rim.inside(spots, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
+    held = within.reshape(len(points), -1)
     held[:, 0] = True
-    shade, extra = (a.reshape(held.shape) for a in shading(parts, view, spots))
+    shade, extra = (a.reshape(held.shape) for a in shading(ready, parts, view, spots))
     share = held.sum(1)
     return (shade * held).sum(1) / share, (extra * held).sum(1) / share
 

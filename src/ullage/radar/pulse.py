@@ -36,7 +36,7 @@ class Pulse:
     @property
     def half(self) -> int:
         """Grid steps from the middle of the pulse to its cut tail."""
-        return (self.taps.shape[1] - 1) // 2
+        return int(self.taps.shape[1] - 1) // 2
 
     @property
     def half_m(self) -> float:
