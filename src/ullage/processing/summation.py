@@ -47,3 +47,54 @@ def _at(profiles: NDArray[np.float32], range_m: Floats, wanted: Floats) -> Float
     i = np.minimum(u.astype(np.int64), len(range_m) - 2)
     f = u - i
     return np.asarray((1 - f) * profiles[:, i] + f * profiles[:, i + 1])
+
+
+def apex(image: Image, *, look_deg: float | None = None) -> Floats:
+    """The flat top of the brightest hyperbola (3) [m], which the thesis takes as the object's place.
+
+    The ridge is followed from the brightest cell to either side while it stays above a quarter of its brightness, and
+    a hyperbola r^2 = r0^2 + k (s - s0)^2 is fitted across the look direction; its vertex is the answer.
+
+    Args:
+        image: an image by summation.
+        look_deg: direction of the boresight from +x towards +y [deg], a multiple of 90; None: the one that fits best.
+    """
+    turns = range(4) if look_deg is None else [round(look_deg / 90) % 4]
+    fits = [_fit(image, turn) for turn in turns]
+    return min(fits, key=lambda fit: fit[0])[1]
+
+
+def _fit(image: Image, turn: int) -> tuple[float, Floats]:
+    """Misfit and vertex for a look along +x turned by `turn` quarter circles."""
+    amplitude = np.asarray(image.amplitude if image.grid.dims == 2 else image.amplitude.max(0), np.float64)
+    view = np.rot90(amplitude, turn)  # rows run across the look, columns along it
+    row, col = np.unravel_index(int(np.argmax(view)), view.shape)
+    rows, cols = [int(row)], [int(col)]
+    for way in (1, -1):
+        k, c = int(row), int(col)
+        while 0 <= k + way < view.shape[0]:
+            k += way
+            low = max(c - 2, 0)
+            c = low + int(np.argmax(view[k, low : c + 3]))
+            if view[k, c] < 0.25 * view[row, col]:
+                break
+            rows.append(k)
+            cols.append(c)
+    across, along = np.array(rows, float), np.array(cols, float)
+    bend = np.polyfit(across, along, 2) if len(rows) >= 5 else np.array([0.0, 0.0, col])
+    if not bend[0] > 1e-9:  # opens the wrong way, or is flat: the brightest cell is the best there is
+        place, misfit = (float(row), float(col)), np.inf
+    else:
+        top = float(np.clip(-bend[1] / (2 * bend[0]), min(rows), max(rows)))
+        place = (top, float(np.polyval(bend, top)))
+        misfit = float(np.abs(np.polyval(bend, across) - along).mean() / len(rows))
+    return misfit, _place(image, turn, place)
+
+
+def _place(image: Image, turn: int, at: tuple[float, float]) -> Floats:
+    """World point of a row and column of the turned view."""
+    ny, nx = image.grid.shape[-2:]
+    row, col = at
+    row, col = [(row, col), (col, nx - 1 - row), (ny - 1 - row, nx - 1 - col), (ny - 1 - col, row)][turn]
+    x0, y0 = float(image.grid.x_m[0]), float(image.grid.y_m[0])
+    return np.array([x0 + col * image.grid.step_m, y0 + row * image.grid.step_m, float(image.grid.z_m.mean())])

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+from ideal_points import frames_of_points
+
+import ullage as ul
+from ullage.processing.metrics_image import image_quality
+from ullage.processing.summation import apex
+
+SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
+
+
+@pytest.mark.parametrize(("yaw", "start", "end", "target"), [
+    (0, (0, -1.5, 0), (0, 1.5, 0), (2.5, 0.2, 0)),
+    (90, (-1.5, 0, 0), (1.5, 0, 0), (0.3, 2.4, 0)),
+    (180, (0, -1.5, 0), (0, 1.5, 0), (-2.5, -0.2, 0)),
+    (-90, (-1.5, 0, 0), (1.5, 0, 0), (-0.3, -2.4, 0)),
+])  # fmt: skip
+def test_the_hyperbolas_top_is_the_object(yaw, start, end, target):
+    path = ul.Trajectory.line(start, end, 0.5, 17, yaw_deg=yaw)
+    frames = frames_of_points([target], path, spec=SPEC, gain=lambda p, q: 1 / (1 + np.linalg.norm(
+        np.asarray(q, float)[None] - p.position[:, None], axis=2) ** 4))  # fmt: skip
+    image = ul.focus(frames, ul.Grid((-4, -4, 0), 0.05, (160, 160)), method="summation")
+    assert apex(image) == pytest.approx(np.array(target), abs=0.1)
+    assert apex(image, look_deg=yaw) == pytest.approx(np.array(target), abs=0.1)
+
+
+def test_summation_adds_amplitude_straight_ahead():
+    path = ul.Trajectory.stationary(n=4)
+    frames = frames_of_points([(2.0, 1.0, 0)], path, spec=SPEC)
+    image = ul.focus(frames, ul.Grid((0, -1.025, 0), 0.05, (41, 80)), method="summation")
+    rows = image.values.sum(1)
+    assert rows[20] == pytest.approx(rows.sum(), rel=1e-6)  # all on the line y = 0, though the object is at y = 1
+    assert image.peak_m[0] == pytest.approx(np.hypot(2, 1), abs=0.05)
+    twice = ul.focus({"a": frames, "b": frames}, image.grid, method="summation")
+    assert twice.values == pytest.approx(2 * image.values)
+
+
+def test_windows_trade_width_for_side_lobes():
+    path = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.17, 17)
+    frames = frames_of_points([(3.0, 0, 0)], path, spec=SPEC)
+    grid = ul.Grid((2.995, -0.5, 0), 0.005, (200, 1))
+    scores = {w: image_quality(ul.focus(frames, grid, window=w)) for w in ("none", "taylor", "hann")}
+    assert scores["none"]["pslr_y"].value == pytest.approx(-13.3, abs=0.7)
+    assert scores["taylor"]["pslr_y"].value < -30
+    assert scores["hann"]["pslr_y"].value < -28
+    assert scores["none"]["width_y_3db"].value < scores["taylor"]["width_y_3db"].value
+    with pytest.raises(ul.InputError, match="no window 'box'"):
+        ul.focus(frames, grid, window="box")
+
+
+def test_quality_of_a_known_shape():
+    grid = ul.Grid((0, 0, 0), 0.01, (101, 201))
+    y, x = np.meshgrid(grid.y_m, grid.x_m, indexing="ij")
+    shape = np.exp(-((x - 1.003) ** 2) / (2 * 0.05**2) - ((y - 0.5) ** 2) / (2 * 0.03**2))
+    score = image_quality(ul.Image(grid, shape.astype(np.float32)), target_m=(1.0, 0.5, 0))
+    assert score["width_x_3db"].value == pytest.approx(2 * 0.05 * np.sqrt(np.log(10**0.3)), rel=0.02)
+    assert score["width_y_6db"].value == pytest.approx(2 * 0.03 * np.sqrt(np.log(10**0.6)), rel=0.02)
+    assert score["error"].value == pytest.approx(np.hypot(0.003, 0.005), abs=0.003)
+    with pytest.raises(ul.InputError, match="no cell within"):
+        image_quality(ul.Image(grid, shape.astype(np.float32)), target_m=(9, 9, 0))
+
+
+def test_sensors_add_in_power_or_in_phase():
+    path = ul.Trajectory.line((0, -0.25, 0), (0, 0.25, 0), 0.17, 17)
+    frames = frames_of_points([(2.0, 0, 0)], path, spec=SPEC)
+    grid = ul.Grid((1.9, -0.1, 0), 0.02, (10, 10))
+    one, power = ul.focus(frames, grid), ul.focus([frames, frames], grid)
+    phase = ul.focus([frames, frames], grid, combine="coherent")
+    assert power.values == pytest.approx(np.sqrt(2) * one.amplitude, rel=1e-5)
+    assert phase.values == pytest.approx(one.values, rel=1e-4)
