@@ -240,3 +240,26 @@ def reflection_at(ready: Bench, stuffs: NDArray[np.int32], cosine: Floats) -> tu
     k = np.arange(len(stuffs))
     both = rows[k, :, i] * (1 - u)[:, None] + rows[k, :, i + 1] * u[:, None]
     return both[:, 0], both[:, 1]
+
+
+def image_lengths(ready: Bench, view: View, order: int) -> Floats:
+    """Path lengths there and back [m] of every mirror path of one order between flat faces, shadows aside."""
+    flats = ready.world.still.flats
+    gate = np.array(ready.gate)
+    if order == 1:
+        on = np.arange(len(flats), dtype=np.int64)
+        first, starts, ends = flats.first, flats.starts, flats.ends
+        origins = view.origins[None]
+    else:
+        beams = trace(flats, view, order, ready.gate[1], *_chosen(flats, view, ready.gate[1]))
+        on, first = beams.ends_on, beams.first
+        starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
+        origins = np.stack([beams.images, np.broadcast_to(view.origins[1], beams.images.shape)], 1)
+    normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
+    which, windings = np.arange(len(on), dtype=np.int64), np.empty(len(on))
+    grown(8192, (12,), lambda out, of: rim.cut(
+        which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega, out, of,
+        windings))  # fmt: skip
+    points, lengths = np.empty((len(on), 3)), np.empty(len(on))
+    count = rim.crossings(which, windings, normals, offsets, origins, points, lengths)
+    return np.sort(lengths[:count])
