@@ -86,6 +86,8 @@ MATERIALS: dict[str, Material] = {
                  source="rigid PVC, 3 GHz value taken as flat, tan d 0.0055 [VonHippel1954]"),
         Material(name="polyethylene", a=2.25, c=4.5e-5, d=1.0, valid_ghz=(1, 25), thickness_m=0.003, reflection=0.2,
                  source="10 GHz value taken as flat, tan d 0.00036 [VonHippel1954]"),
+        Material(name="rubber", a=6.0, c=0.033, d=1.0, valid_ghz=(1, 20), reflection=0.2,
+                 source="carbon-filled rubber, typical value without a single source; tan d 0.1"),
         Material(name="water", model="water", valid_ghz=(0.1, 1000), reflection=0.8,
                  source="pure water at 20 C, double Debye of ITU-R P.527-6 [ITU-R-P527]"),
         Material(name="skin", model="skin", valid_ghz=(0.01, 100), reflection=0.7,
