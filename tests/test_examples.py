@@ -1,0 +1,41 @@
+"""Every example runs and finds its physical statement true."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT.parent / "shared" / "data"
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+NEEDS = {
+    "real_rail": [DATA / "pulson440" / "rail_a"],
+    "receiver_beside_recording": [DATA / "x4" / "xethru_datafloat_20190614_141837.dat"],
+}
+WRITES = {"receiver_beside_recording": ["receiver.png"]}
+
+
+@pytest.mark.filterwarnings("ignore::ullage.UllageWarning")
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_example(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    needed = NEEDS.get(path.stem, [])
+    if missing := [str(p) for p in needed if not p.exists()]:
+        pytest.skip(f"recordings are not part of the package: no {missing[0]}")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path), *map(str, needed), *WRITES.get(path.stem, [])])
+    try:
+        runpy.run_path(str(path), run_name="__main__")
+    except SystemExit as end:
+        pytest.fail(f"{path.name}: {end.code}")
+    for name in WRITES.get(path.stem, []):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_an_example_is_short_and_checks_itself(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count("\n") <= 55
+    assert "SystemExit(" in text or path.stem == "receiver_beside_recording"
