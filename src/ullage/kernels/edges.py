@@ -137,12 +137,17 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
                 round_part = part * (1 - part)
                 if round_part < 0.04 and wave * abs(b[3] - a[3]) * abs(turn) > 0.03:
                     wide = True
+                if 0.5 * (m[3] - (s1 - s0) * size) > gate[1]:
+                    winding += turn
+                    continue
                 if wide and abs(turn) > 2e-4 and top < 62 and min(a[3], b[3], m[3]) < length + most + 0.5:
                     stack[top, 0], stack[top, 1] = s0, half
                     stack[top + 1, 0], stack[top + 1, 1] = half, s1
                     top += 2
                     continue
                 winding += turn
+                if abs(turn) < 1e-5:
+                    continue
                 if 0.5 * min(a[3], b[3]) > gate[1] or min(a[3], b[3]) > length + most:
                     continue
                 if count < len(pieces):

@@ -253,7 +253,7 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
 def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int32], Floats]:
     """Pieces of rim within the gate (m, 12), the face of each, and how often each face's rim goes round the axis."""
     windings = np.empty(len(which))
-    pieces, owner = grown(4096, (12,), lambda out, of: rim.cut(
+    pieces, owner = grown(4096 + 4 * len(flats.starts), (12,), lambda out, of: rim.cut(
         which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
         view.origins[None], np.array(ready.gate), 1e9, ready.pulse.omega, out, of, windings))  # fmt: skip
     return pieces, owner, windings
