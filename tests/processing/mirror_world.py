@@ -1,4 +1,4 @@
-"""A quick stand-in for the radar: flat sheets answer where their mirror point lies, upright edges answer as thin lines."""
+"""A quick stand-in for the radar: sheets answer where their mirror point lies, upright edges answer as thin lines."""
 
 import numpy as np
 
@@ -7,11 +7,6 @@ from ullage.data import Frames
 from ullage.geometry import quat_matrix
 
 SPEC = ul.RadarSpec.preset("x4m05")
-
-
-def sheets(corners, material=0.4):
-    """Wall panels from (w, 2, 2) plan segments, upright and endless; and their upright edges."""
-    return np.asarray(corners, float), material
 
 
 def box_plan(x0, x1, y0, y1):

@@ -1,8 +1,8 @@
-"""The full-profile mapper's loops: peaks of profiles, bearings of peaks, and the update of cells in blocks.
+"""The full-profile mapper's update of cells in blocks.
 
-Cells live in blocks of `edge` cells a side; `slots` holds for each block its place in the pools, EMPTY, or CLEAR for one
-that is free throughout. A cell has `hits`, log-odds gained from echoes in tenths; `silent`, one bit for each of 16
-directions from which it was looked at without an echo; and `facing`, the direction of its last echo.
+Blocks have `edge` cells a side; `slots` holds for each its place in the pools, EMPTY, or CLEAR for one that is free
+throughout. A cell has `hits`, log-odds gained from echoes in tenths; `silent`, one bit for each of 16 directions from
+which it was looked at without an echo; and `facing`, the direction of its last echo.
 """
 
 from __future__ import annotations
@@ -17,155 +17,6 @@ SCALE = 10.0
 MOST_HITS = 120
 FULL = 0xFFFF
 NOWHERE = 255
-
-
-@njit(cache=True, fastmath=True)
-def find_peaks(
-    amplitude: np.ndarray,
-    level: np.ndarray,
-    first: int,
-    start: float,
-    step: float,
-    counts: np.ndarray,
-    ranges: np.ndarray,
-    heights: np.ndarray,
-    quiet: np.ndarray,
-) -> None:
-    """Local maxima over `level` (n) of each row (n, b), at most `ranges.shape[1]` of them, and the bins under it."""
-    rows, bins = amplitude.shape
-    for i in range(rows):
-        found = 0
-        for b in range(bins):
-            value = amplitude[i, b]
-            quiet[i, b] = value < level[i] and b >= first
-            if b < max(first, 1) or b > bins - 2 or value < level[i]:
-                continue
-            left, right = amplitude[i, b - 1], amplitude[i, b + 1]
-            if value > left and value >= right and found < ranges.shape[1]:
-                bend = left - 2 * value + right
-                shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
-                ranges[i, found] = start + (b + shift) * step
-                heights[i, found] = value - 0.25 * (left - right) * shift
-                found += 1
-        counts[i] = found
-
-
-@njit(cache=True, fastmath=True)
-def fit_bearings(
-    centre: int,
-    along: np.ndarray,
-    counts: np.ndarray,
-    ranges: np.ndarray,
-    heights: np.ndarray,
-    gate: float,
-    least_sigma: float,
-    out: np.ndarray,
-) -> int:
-    """Range, slope and their scatter of every peak of the window's centre frame.
-
-    `along` (m) is each frame's way along the track from the centre. Rows of `out`: range, its sigma, cosine between
-    track and target, its sigma, share of frames that hold the peak, height.
-    """
-    frames = len(along)
-    for p in range(counts[centre]):
-        reach, height = ranges[centre, p], heights[centre, p]
-        best, best_score = 0.0, -1.0
-        for k in range(-20, 21):
-            cosine = 0.05 * k
-            score = 0.0
-            for j in range(frames):
-                want = reach - along[j] * cosine + 0.25 * along[j] * along[j] / reach
-                score += _nearest(want, height, counts[j], ranges[j], heights[j], gate)[1]
-            if score > best_score:
-                best, best_score = cosine, score
-        offset, slope, scatter, spread, used = reach, best, gate, 0.0, 0.0
-        for _ in range(3):
-            n, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for j in range(frames):
-                bow = 0.25 * along[j] * along[j] / reach
-                got, weight = _nearest(offset - along[j] * slope + bow, height, counts[j], ranges[j], heights[j], gate)
-                if weight < 0.1:
-                    continue
-                y = got - bow
-                n += 1.0
-                sx += along[j]
-                sy += y
-                sxx += along[j] * along[j]
-                sxy += along[j] * y
-                syy += y * y
-            used = n / frames
-            spread = sxx - sx * sx / n if n > 0 else 0.0
-            if n < 4 or spread < 1e-4:
-                break
-            slope = -(sxy - sx * sy / n) / spread
-            offset = (sy + slope * sx) / n
-            rest = syy - sy * sy / n - slope * slope * spread
-            scatter = math.sqrt(max(rest, 0.0) / (n - 2.0))
-        scatter = max(scatter, least_sigma)
-        out[p, 0], out[p, 1] = offset, scatter / math.sqrt(max(used * frames, 1.0))
-        out[p, 2], out[p, 3] = slope, scatter / math.sqrt(max(spread, 1e-6))
-        out[p, 4], out[p, 5] = used, height
-    return counts[centre]
-
-
-@njit(cache=True, fastmath=True)
-def focus_echoes(
-    samples: np.ndarray,
-    along: np.ndarray,
-    start: float,
-    step: float,
-    wavenumber: float,
-    echoes: np.ndarray,
-    sharp: np.ndarray,
-) -> None:
-    """Coherence of each echo over the window, at the cosine near the fitted one that focuses it best.
-
-    `samples` (m, b) complex; rows of `sharp` take the coherence |sum|^2 / (m sum of |.|^2), that cosine and its sigma.
-    """
-    frames, bins = samples.shape
-    low, high = along.min(), along.max()
-    pace = math.pi / (8.0 * wavenumber * max(high - low, 0.02))
-    for p in range(len(echoes)):
-        reach, cosine = echoes[p, 0], echoes[p, 2]
-        power = 0.0
-        tries = min(int(3.0 * echoes[p, 3] / pace) + 2, 40)
-        best, best_cosine = -1.0, cosine
-        for t in range(-tries, tries + 1):
-            trial = cosine + t * pace
-            real, imag, power = 0.0, 0.0, 0.0
-            for j in range(frames):
-                bow = 0.5 * along[j] * along[j] * (1.0 - trial * trial) / reach
-                r = reach - along[j] * trial + 0.5 * bow
-                b = int((r - start) / step + 0.5)
-                if b < 0 or b >= bins:
-                    continue
-                value = samples[j, b]
-                phase = 2.0 * wavenumber * (r - reach)
-                c, s = math.cos(phase), math.sin(phase)
-                real += value.real * c - value.imag * s
-                imag += value.real * s + value.imag * c
-                power += value.real * value.real + value.imag * value.imag
-            got = (real * real + imag * imag) / (frames * power + 1e-300)
-            if got > best:
-                best, best_cosine = got, trial
-        sharp[p, 0], sharp[p, 1] = best, best_cosine
-        sharp[p, 2] = pace
-
-
-@njit(cache=True, fastmath=True)
-def _nearest(
-    want: float, height: float, count: int, ranges: np.ndarray, heights: np.ndarray, gate: float
-) -> tuple[float, float]:
-    best, weight = want, 0.0
-    for k in range(count):
-        miss = (ranges[k] - want) / gate
-        value = math.exp(-0.5 * miss * miss)
-        ratio = heights[k] / height
-        if ratio > 3.2 or ratio < 0.31:
-            value *= 0.3
-        if value > weight:
-            best, weight = ranges[k], value
-    return best, weight
 
 
 @njit(cache=True, fastmath=True)
@@ -212,22 +63,24 @@ def cast_reach(
                 if slot == EMPTY:
                     fog += haze
                     continue
-                cell = _cell(ix, iy, iz, edge, size[2])
+                cell = cell_index(ix, iy, iz, edge, size[2])
                 if hits[slot, cell] >= wall:
                     break
-                if _bits(silent[slot, cell]) < 3:
+                if bit_count(silent[slot, cell]) < 3:
                     fog += haze
             reach[e, a] = r
 
 
 @njit(cache=True)
-def _cell(ix: int, iy: int, iz: int, edge: int, tall: int) -> int:
+def cell_index(ix: int, iy: int, iz: int, edge: int, tall: int) -> int:
+    """Place of a cell in its block."""
     flat = (iy % edge) * edge + ix % edge
     return flat if tall == 1 else (iz % edge) * edge * edge + flat
 
 
 @njit(cache=True)
-def _bits(mask: int) -> int:
+def bit_count(mask: int) -> int:
+    """Number of bits set."""
     count = 0
     while mask:
         mask &= mask - 1
@@ -254,7 +107,7 @@ def _side(dx: float, dy: float, dz: float, flat: bool) -> int:
 
 
 @njit(cache=True, fastmath=True)
-def update_cells(
+def update_cells(  # noqa: PLR0912, PLR0915 - one loop over cells, flat for speed
     slots: np.ndarray,
     free_slots: np.ndarray,
     free_count: np.ndarray,
@@ -340,7 +193,7 @@ def update_cells(
                             b = int((r - start) / bin_m + 0.5)
                             if b < 0 or b >= len(quiet):
                                 continue
-                            cell = _cell(ix, iy, iz, edge, size[2])
+                            cell = cell_index(ix, iy, iz, edge, size[2])
                             if quiet[b]:
                                 if fore < cos_free * r or slot == CLEAR:
                                     continue
@@ -359,7 +212,7 @@ def update_cells(
                                 turn = (cosine - arcs[k, 5]) / arcs[k, 6]
                                 if turn > 3.0 or turn < -3.0 or candidates >= len(found):
                                     continue
-                                if slot == EMPTY or slot == CLEAR:
+                                if slot < 0:
                                     slot = _take(slots, free_slots, free_count, hits, silent, facing, bz, by, bx)
                                 found[candidates, 0], found[candidates, 1] = slot, cell
                                 found[candidates, 2] = k
@@ -372,7 +225,7 @@ def update_cells(
 
 @njit(cache=True)
 def _near_arc(middle: float, radius: float, arcs: np.ndarray) -> bool:
-    for k in range(len(arcs)):
+    for k in range(len(arcs)):  # noqa: SIM110 - numba wants the loop
         if arcs[k, 8] > 0 and abs(middle - arcs[k, 0]) < radius + 2.5 * arcs[k, 1]:
             return True
     return False
@@ -418,8 +271,8 @@ def _bounds(
         lean = math.acos(min(max(axes[d, 0], -1.0), 1.0))
         top = far * math.cos(max(lean - half, 0.0))
         bottom = far * math.cos(min(lean + half, math.pi))
-        a = int(math.floor((position[d] + min(bottom, 0.0) - origin[d]) / step))
-        b = int(math.floor((position[d] + max(top, 0.0) - origin[d]) / step))
+        a = math.floor((position[d] + min(bottom, 0.0) - origin[d]) / step)
+        b = math.floor((position[d] + max(top, 0.0) - origin[d]) / step)
         low[d], high[d] = min(max(a, 0), size[d] - 1), min(max(b, 0), size[d] - 1)
     if size[2] == 1:
         low[2], high[2] = 0, 0
@@ -442,7 +295,7 @@ def _share(
     held = np.empty(candidates)
     for i in range(candidates):
         slot, cell = found[i, 0], found[i, 1]
-        odds = prior + hits[slot, cell] / SCALE - free_nats[_bits(silent[slot, cell])]
+        odds = prior + hits[slot, cell] / SCALE - free_nats[bit_count(silent[slot, cell])]
         held[i] = 1.0 / (1.0 + math.exp(-odds))
         none[found[i, 2]] += math.log(1.0 - chance[i] * held[i])
     for i in range(candidates):
@@ -477,7 +330,7 @@ def collapse_clear(
                     continue
                 clear = True
                 for cell in range(hits.shape[1]):
-                    if hits[slot, cell] > 0 or _bits(silent[slot, cell]) < enough:
+                    if hits[slot, cell] > 0 or bit_count(silent[slot, cell]) < enough:
                         clear = False
                         break
                 if clear:
@@ -507,7 +360,7 @@ def mark_flown(
     reach = int(radius / step) + 1
     centre = np.empty(3, np.int64)
     for d in range(3):
-        centre[d] = int(math.floor((position[d] - origin[d]) / step))
+        centre[d] = math.floor((position[d] - origin[d]) / step)
     tall = 0 if size[2] == 1 else reach
     for iz in range(max(centre[2] - tall, 0) if tall else 0, min(centre[2] + tall + 1, size[2]) if tall else 1):
         for iy in range(max(centre[1] - reach, 0), min(centre[1] + reach + 1, size[1])):
@@ -523,72 +376,6 @@ def mark_flown(
                 slot = slots[bz, by, bx]
                 if slot == EMPTY:
                     slot = _take(slots, free_slots, free_count, hits, silent, facing, bz, by, bx)
-                cell = _cell(ix, iy, iz, edge, size[2])
+                cell = cell_index(ix, iy, iz, edge, size[2])
                 silent[slot, cell] = FULL
                 hits[slot, cell] = 0
-
-
-@njit(cache=True, fastmath=True)
-def render_cells(
-    slots: np.ndarray,
-    hits: np.ndarray,
-    silent: np.ndarray,
-    edge: int,
-    size: np.ndarray,
-    box: np.ndarray,
-    free_nats: np.ndarray,
-    prior: float,
-    enough: int,
-    vague: int,
-    heard: float,
-    many: float,
-    solid: float,
-    out: np.ndarray,
-) -> None:
-    """Percent of each cell of the box into `out` (z, y, x): chance, UNKNOWN -1 or AMBIGUOUS -2."""
-    sure_free = int(100.0 / (1.0 + math.exp(-prior + free_nats[16])) + 0.5)
-    for iz in range(box[2, 0], box[2, 1]):
-        for iy in range(box[1, 0], box[1, 1]):
-            for ix in range(box[0, 0], box[0, 1]):
-                slot = slots[iz // edge, iy // edge, ix // edge]
-                if slot == EMPTY:
-                    out[iz, iy, ix] = -1
-                    continue
-                if slot == CLEAR:
-                    out[iz, iy, ix] = sure_free
-                    continue
-                cell = _cell(ix, iy, iz, edge, size[2])
-                echoes, looks = hits[slot, cell], _bits(silent[slot, cell])
-                odds = prior + echoes / SCALE - free_nats[looks]
-                if echoes >= vague:
-                    odds = heard + echoes / SCALE - many * (max(looks - enough, 0) + max(looks - 8, 0))
-                if odds >= solid:
-                    out[iz, iy, ix] = min(int(100.0 / (1.0 + math.exp(-odds)) + 0.5), 99)
-                elif looks >= enough and echoes < vague:
-                    out[iz, iy, ix] = int(100.0 / (1.0 + math.exp(-odds)) + 0.5)
-                elif echoes > 0:
-                    out[iz, iy, ix] = -2
-                else:
-                    out[iz, iy, ix] = -1
-
-
-@njit(cache=True, fastmath=True)
-def in_view(solid: np.ndarray, cells: np.ndarray, eyes: np.ndarray, skip: float, out: np.ndarray) -> None:
-    """Whether each cell (c, 3: z, y, x) can be seen from one of the eyes (e, 3), both in cells, past `solid` ones."""
-    nz, ny, nx = solid.shape
-    for c in range(len(cells)):
-        for e in range(len(eyes)):
-            dz, dy, dx = eyes[e, 0] - cells[c, 0], eyes[e, 1] - cells[c, 1], eyes[e, 2] - cells[c, 2]
-            length = math.sqrt(dz * dz + dy * dy + dx * dx)
-            clear, way = True, skip
-            while way < length:
-                part = way / length
-                z = math.floor(cells[c, 0] + part * dz + 0.5)
-                y, x = math.floor(cells[c, 1] + part * dy + 0.5), math.floor(cells[c, 2] + part * dx + 0.5)
-                if 0 <= z < nz and 0 <= y < ny and 0 <= x < nx and solid[z, y, x]:
-                    clear = False
-                    break
-                way += 0.7
-            if clear:
-                out[c] = True
-                break

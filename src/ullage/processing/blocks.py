@@ -1,4 +1,4 @@
-"""Cells of a map in sparse blocks: nothing is kept for unknown blocks, one number for a block that is free throughout."""
+"""Cells of a map in sparse blocks: nothing is kept for unknown ones, one number for one that is free throughout."""
 
 from __future__ import annotations
 

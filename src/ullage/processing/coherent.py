@@ -1,4 +1,4 @@
-"""How far an echo's bearing can be trusted: by its phase along the track while the poses allow it, else by its range alone."""
+"""How far an echo's bearing can be trusted: by phase along the track while the poses allow it, else by range alone."""
 
 from __future__ import annotations
 

@@ -8,7 +8,8 @@ from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
-from ullage.kernels.occupancy import cast_reach, in_view, mark_flown, render_cells, update_cells
+from ullage.kernels.occupancy import cast_reach, mark_flown, update_cells
+from ullage.kernels.occupancy_show import in_view, render_cells
 from ullage.processing.blocks import Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.mapper_door import ChangedRegion, in_order, plane_of
@@ -23,17 +24,17 @@ DETECTION = 0.9
 FREE_NATS = np.array([0, 0.3, 0.7, 1.2, 2.0, 2.7] + [3.5] * 11)
 ENOUGH_SIDES = 4
 VAGUE_TENTHS = 10
-HEARD_ODDS, SIDE_NATS = -0.9, 0.8
+HEARD_ODDS, SIDE_NATS = -0.7, 0.8
 SOLID_ODDS = float(np.log(0.65 / 0.35))
 WALL_TENTHS = 20
-HAZE_PER_M = 0.2
+HAZE_PER_M = 0.12
 HIT_BEAM, FREE_BEAM = np.cos(np.radians(50.0)), np.cos(np.radians(40.0))
 TANGENT = 1.3
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN = 0.15, 0.01
 SHADE_DEG = 25.0
-EYES, HIDE_M = 64, 0.25
+EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 
 
 class UllageMapper:
@@ -41,9 +42,10 @@ class UllageMapper:
 
     Args:
         grid: holds the flight; a plane without a height takes that of the first frames.
+        phase: whether phase may be used; it is left aside anyway while echoes do not keep it along the track.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, *, phase: bool = True) -> None:
         self.grid = grid
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
@@ -54,7 +56,7 @@ class UllageMapper:
         self._reach = np.zeros(SECTORS[grid.dims])
         self._levels = LevelFinder() if grid.dims == 2 else None
         self._lobes = LobeComparison()
-        self._judge = EchoJudge()
+        self._judge = EchoJudge(phase=phase)
         self._waiting: list[tuple[int, str, Look]] = []
         self._looks = 0
         self._flown: dict[tuple[int, ...], None] = {}
@@ -106,10 +108,8 @@ class UllageMapper:
         start, bin_m, far = self._axis[name]
         blocks, heard, step = self.blocks, look.heard, self.grid.step_m
         arcs = self._arcs(look)
-        edge_m = blocks.edge * step
-        blocks.reserve(
-            int(np.prod([2 * far / edge_m + 2] * 2 + ([2 * far / edge_m + 2] if self.grid.dims == 3 else [])))
-        )
+        n = far / (blocks.edge * step)  # most blocks a cone of 100 deg can meet, its rim counted twice over
+        blocks.reserve(int(1.2 * n**2 + 8 * n + 40 if self.grid.dims == 2 else 1.2 * n**3 + 10 * n**2 + 8 * n + 60))
         pools = (blocks.slots, blocks.free_slots, blocks.free_count, blocks.hits, blocks.silent, blocks.facing)
         mark_flown(*pools, blocks.origin, step, blocks.edge, blocks.size, heard.position, max(FLOWN_M, step))
         self._flown[tuple(np.rint(heard.position / step).astype(int).tolist())] = None
@@ -149,8 +149,8 @@ class UllageMapper:
     def _shade(self, axes: Floats, arcs: Floats) -> None:
         """Nothing is learned behind an echo whose bearing is known, even before the map holds it.
 
-        An echo comes off a surface that lies square to the way there, so on a plane the shade follows that line to 25 deg
-        on both sides.
+        An echo comes off a surface that lies square to the way there, so on a plane the shade follows that line to
+        25 deg on both sides.
         """
         rays = self._rays(axes)
         slack = 2 * self.grid.step_m
@@ -198,17 +198,18 @@ class UllageMapper:
         return OccupancyMap(self.grid, percent, "ullage")
 
     def _forget_cut_off(self, percent: NDArray[np.int8]) -> None:
-        """Free cells that only a gap of two cells joins to the flight become unknown; walls hidden by walls, ambiguous."""
+        """Free cells that only a narrow gap joins to the flight become unknown; walls hidden by walls, ambiguous."""
         free = (percent >= 0) & (percent < 50)
         solid = percent >= 50
         ball = generate_binary_structure(free.ndim, free.ndim)
-        open_, count = label(free & ~binary_dilation(solid | (percent == AMBIGUOUS), ball))
+        wide = max(1, round(GAP_M / 2 / self.grid.step_m))
+        open_, count = label(free & ~binary_dilation(solid | (percent == AMBIGUOUS), ball, iterations=wide))
         if not count or not self._flown:
             return
         flown = np.array(list(self._flown), float) * self.grid.step_m
         cells, inside = self.grid.index(flown)
         names = np.unique(open_[tuple(cells[inside].T)])
-        joined = binary_dilation(np.isin(open_, names[names > 0]), ball, iterations=2)
+        joined = binary_dilation(np.isin(open_, names[names > 0]), ball, iterations=wide + 1)
         percent[free & ~joined] = UNKNOWN
         suspects = np.argwhere(solid & ~binary_dilation(joined, ball, iterations=2))
         if len(suspects):

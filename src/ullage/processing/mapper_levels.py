@@ -22,8 +22,8 @@ class LevelFinder:
     """Finds sheets straight above or below by their persistence: no wall keeps its range on every heading.
 
     Each echo whose bearing allows a vertical way votes for a floor at z - R and a ceiling at z + R. A height that over
-    half of the looks vote for is a level; its echoes are then left out of a map that is a plane. Walls at the same range
-    in the beam are louder than a level at the beam's rim and stay.
+    half of the looks vote for is a level; its echoes are then left out of a map that is a plane. Walls at the same
+    range in the beam are louder than a level at the beam's rim and stay.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Which of several sensors on one body an echo belongs to: the one whose main lobe it came through is much the louder."""
+"""Which of several sensors on one body an echo belongs to: that whose main lobe it came through is much the louder."""
 
 from __future__ import annotations
 

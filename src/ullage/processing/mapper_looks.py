@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames
 from ullage.geometry import quat_matrix
-from ullage.kernels.occupancy import find_peaks, fit_bearings, focus_echoes
+from ullage.kernels.occupancy_listen import find_peaks, fit_bearings, focus_echoes
 from ullage.processing.inverse_sensor import blank_m, echo_level
 
 Floats = NDArray[np.float64]
@@ -23,6 +23,7 @@ JUMP_M = 0.5
 MOST_WAITING = 96
 MOST_SPOTS = 200_000
 SMOOTH = 0.25
+STILL_M, STILL_RAD = 0.004, np.radians(1.0)
 GATE_M, LEAST_SIGMA_M = 0.03, 0.004
 LEAST_SMOOTHED, ROUGH_M, SMOOTH_M = 8, 1e-3, 0.3
 
@@ -69,6 +70,7 @@ class Listener:
         self._held: list[Heard] = []
         self._next = 0
         self._smooth: Floats | None = None
+        self._rest = np.zeros(3)
         self._last: tuple[Floats, Floats] | None = None
         self._spots: dict[tuple[int, ...], None] = {}
 
@@ -78,9 +80,12 @@ class Listener:
         for heard in _heard(frames):
             if self._held and np.linalg.norm(heard.position - self._held[-1].position) > JUMP_M:
                 out += self.flush()
-            if self._held and self._still(heard) and not self._held[-1].look:
+            before = heard.position if self._smooth is None else self._smooth
+            self._smooth = before + SMOOTH * (heard.position - before)
+            if self._held and self._still(heard, self._smooth):
                 continue
-            heard.look = self._counts(heard)
+            self._rest = self._smooth
+            heard.look = self._counts(heard, self._smooth)
             self._held.append(heard)
             out += self._ready(patient=True)
         return out
@@ -91,24 +96,22 @@ class Listener:
         self._held, self._next, self._smooth, self._last = [], 0, None, None
         return out
 
-    def _still(self, heard: Heard) -> bool:
+    def _still(self, heard: Heard, smooth: Floats) -> bool:
         last = self._held[-1]
         return bool(
-            np.linalg.norm(heard.position - last.position) < 1e-3 and heard.axes[:, 0] @ last.axes[:, 0] > 1 - 1e-5
+            np.linalg.norm(smooth - self._rest) < STILL_M and heard.axes[:, 0] @ last.axes[:, 0] > np.cos(STILL_RAD)
         )
 
-    def _counts(self, heard: Heard) -> bool:
-        known = self._smooth is not None
-        self._smooth = self._smooth + SMOOTH * (heard.position - self._smooth) if known else heard.position.copy()
+    def _counts(self, heard: Heard, smooth: Floats) -> bool:
         if self._last is not None:
-            moved = np.linalg.norm(self._smooth - self._last[0]) >= STEP_M
+            moved = np.linalg.norm(smooth - self._last[0]) >= STEP_M
             if not moved and heard.axes[:, 0] @ self._last[1] > np.cos(TURN_RAD):
                 return False
         heading = np.rint(heard.axes[:, 0] / TURN_RAD).astype(int)
-        spot = (*np.floor(self._smooth / STEP_M).astype(int).tolist(), *heading.tolist())
+        spot = (*np.floor(smooth / STEP_M).astype(int).tolist(), *heading.tolist())
         if spot in self._spots:
             return False
-        self._last = self._smooth.copy(), heard.axes[:, 0].copy()
+        self._last = smooth.copy(), heard.axes[:, 0].copy()
         self._spots[spot] = None
         if len(self._spots) > MOST_SPOTS:
             del self._spots[next(iter(self._spots))]
@@ -166,7 +169,7 @@ class Listener:
         polynomial of time, the polynomial is believed. It has the lowest order that fits nearly as well as a cubic.
         """
         here = self._held[index]
-        wide = self._window(index, reach_m=SMOOTH_M)
+        wide = sorted({*self._window(index, reach_m=SMOOTH_M), *window})
         raw = np.array([self._held[j].position for j in wide]) - here.position
         pick = np.searchsorted(wide, window)
         if len(wide) < LEAST_SMOOTHED:

@@ -1,0 +1,128 @@
+"""Every mapping method on the same simulated flights, five seeds, as a Markdown table: mean and 95 % interval.
+
+python benchmarks/mapping_table.py [--seeds 5] [--figure map.png]
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.geometry import rpy_quat
+
+SIZE = (8.0, 6.0, 3.0)
+COLUMNS = {
+    "f1": "F1",
+    "precision": "precision",
+    "recall": "recall",
+    "accuracy_median": "error median [m]",
+    "accuracy_p90": "error p90 [m]",
+    "surface_declared_free": "surface free",
+    "known_behind": "known behind",
+    "false_occupied_per_100m2": "false /100 m²",
+    "corridor_falsely_blocked": "corridor blocked",
+    "log_likelihood": "log-lik. [nat]",
+    "free_found": "free found",
+}
+
+
+def route(seed: int, *, rate: float = 25.0) -> Trajectory:
+    corners = np.array([(-2.6, -1.4), (1.2, -1.5), (1.3, 1.4), (-2.5, 1.5), (-2.6, -1.2)])
+    corners = corners + np.random.default_rng(seed).uniform(-0.25, 0.25, corners.shape)
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    s = np.arange(0, way[-1], 0.5 / rate)
+    xy = np.stack([np.interp(s, way, corners[:, k]) for k in (0, 1)], axis=1)
+    kernel = np.hanning(25) / np.hanning(25).sum()
+    xy = np.stack([np.convolve(np.pad(c, 12, mode="edge"), kernel, "valid") for c in xy.T], axis=1)
+    dx, dy = np.gradient(xy, axis=0).T
+    quat = rpy_quat(0.02 * np.sin(s), 0.03 * np.cos(s), np.unwrap(np.arctan2(dy, dx)))
+    height = 0.05 * np.sin(1.3 * s)
+    return Trajectory(np.rint(np.arange(len(s)) * 1e9 / rate).astype(np.int64), np.column_stack([xy, height]), quat)
+
+
+def believed(frames: dict[str, Frames], offset: np.ndarray) -> dict[str, Frames]:
+    return {
+        name: replace(f, poses=Trajectory(f.t_ns, f.believed.position + offset, f.believed.quat_xyzw))
+        for name, f in frames.items()
+    }
+
+
+def drift(n: int, size_m: float, rng: np.random.Generator) -> np.ndarray:
+    phase, rate = rng.uniform(0, 6.28, 3), rng.uniform(0.7, 1.6, 3)
+    out = size_m * np.sin(np.linspace(0, 6.28, n)[:, None] * rate + phase) * [1, 1, 0.3]
+    return out - out[0]
+
+
+def cases(seed: int, scene, grid):
+    path = route(seed)
+    rng = np.random.default_rng(seed + 100)
+    frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)
+    rays = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), fidelity="thesis", seed=seed)
+    n = len(path)
+    bare = {name: replace(f, samples=f.amplitude) for name, f in frames.items()}
+    yield "elfes (thesis), physical frames", frames, {"method": "elfes"}
+    yield "elfes (thesis), the thesis' frames", rays, {"method": "elfes"}
+    yield "ullage, the thesis' frames", rays, {}
+    yield "ullage, amplitude only", bare, {}
+    yield "ullage, exact poses", frames, {}
+    for noise in (0.003, 0.01):
+        noisy = believed(frames, rng.normal(0, noise, (n, 3)))
+        yield f"ullage, {1e3 * noise:.0f} mm white pose error", noisy, {}
+    yield "ullage, 20 cm smooth drift", believed(frames, drift(n, 0.2, rng)), {}
+
+
+def draw(omap, scene, frames, path: str) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from ullage.world.section import section
+
+    percent = omap.percent.astype(float)
+    shade = np.full((*percent.shape, 3), 0.7)
+    shade[percent >= 0] = 1 - percent[percent >= 0][:, None] / 100
+    shade[omap.ambiguous] = (1, 0.75, 0.3)
+    figure, axes = plt.subplots(figsize=(8, 6))
+    axes.imshow(shade, origin="lower", extent=omap.grid.extent_m)
+    for line in section(scene, 0.0):
+        axes.plot(*line.T, "r-", lw=1)
+    axes.plot(*next(iter(frames.values())).believed.position[:, :2].T, "b-", lw=0.7)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    figure.savefig(path, dpi=80)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--figure")
+    options = parser.parse_args()
+    plate = {"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6}
+    scene = ul.scenes.room(SIZE, plate=plate)
+    grid = ul.Grid.covering(scene.bounds, 0.1, margin_m=1.0)
+    scores: dict[str, list[dict[str, float]]] = {}
+    for seed in range(options.seeds):
+        for name, frames, how in cases(seed, scene, grid):
+            omap = ul.map_occupancy(frames, grid, **how)
+            got = ul.metrics.map_quality(omap, scene, frames)
+            scores.setdefault(name, []).append({k: got[k].value for k in COLUMNS})
+            if options.figure and seed == 0 and name.endswith("exact poses"):
+                draw(omap, scene, frames, options.figure)
+    print("| method |", " | ".join(COLUMNS.values()), "|")
+    print("|---|" + "---|" * len(COLUMNS))
+    for name, rows in scores.items():
+        cells = []
+        for key in COLUMNS:
+            values = np.array([row[key] for row in rows])
+            spread = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+            cells.append(f"{values.mean():.3f} ± {spread:.3f}")
+        print(f"| {name} |", " | ".join(cells), "|")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+import warnings
+from dataclasses import replace
+
+import mirror_world as world
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.grids import AMBIGUOUS
+from ullage.processing.blocks import Blocks
+from ullage.processing.mapper import UllageMapper
+from ullage.processing.occupancy import Mapper
+from ullage.world.scene import Scene
+
+HALL = ul.scenes.room((8.0, 6.0, 40.0))
+PLAN = world.box_plan(-4, 4, -3, 3)
+GRID = ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.1, z_m=0.0)
+
+
+def loop(*, rate=25.0):
+    corners = np.array([(-2.3, -1.2), (2.3, -1.3), (2.4, 1.3), (-2.4, 1.2), (-2.3, -1.2)])
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    s = np.arange(0, way[-1], 0.5 / rate)
+    xy = np.stack([np.interp(s, way, corners[:, k]) for k in (0, 1)], axis=1)
+    kernel = np.hanning(21) / np.hanning(21).sum()
+    xy = np.stack([np.convolve(np.pad(c, 10, mode="edge"), kernel, "valid") for c in xy.T], axis=1)
+    heading = np.unwrap(np.arctan2(*np.gradient(xy, axis=0).T[::-1]))
+    quat = np.column_stack([np.zeros((len(s), 2)), np.sin(heading / 2), np.cos(heading / 2)])
+    return Trajectory(np.rint(np.arange(len(s)) * 1e9 / rate).astype(np.int64), np.column_stack([xy, 0 * s]), quat)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return world.rig(loop(), PLAN, seed=1)
+
+
+@pytest.fixture(scope="module")
+def hall_map(flight):
+    return ul.map_occupancy(flight, GRID)
+
+
+def score(omap, flight, scene=HALL):
+    return {name: metric.value for name, metric in ul.metrics.map_quality(omap, scene, flight).items()}
+
+
+def moved(frames, poses):
+    return replace(frames, poses=poses)
+
+
+def test_a_hall_is_mapped_far_better_than_by_the_baseline(flight, hall_map):
+    assert hall_map.method == "ullage"
+    ours, base = score(hall_map, flight), score(ul.map_occupancy(flight, GRID, method="elfes"), flight)
+    assert ours["f1"] >= 0.85
+    assert ours["f1"] > base["f1"] + 0.1
+    assert ours["accuracy_median"] <= 0.06
+    assert ours["accuracy_p90"] <= 0.155, "the second row of cells from a wall on a border, sampled every 2.5 cm"
+    assert ours["surface_declared_free"] <= 0.01
+    assert ours["known_behind"] <= 0.005
+    assert ours["free_found"] >= 0.6
+
+
+def test_range_alone_carries_the_map_where_there_is_no_phase(flight):
+    bare = {name: replace(f, samples=f.amplitude) for name, f in flight.items()}
+    got = score(ul.map_occupancy(bare, GRID), flight)
+    assert got["f1"] >= 0.78
+    assert got["accuracy_median"] <= 0.08
+    assert got["accuracy_p90"] <= 0.22
+
+
+@pytest.mark.parametrize(("noise_m", "least"), [(0.003, 0.85), (0.01, 0.72)])
+def test_noisy_poses_cost_little(flight, noise_m, least):
+    rng = np.random.default_rng(3)
+    shift = rng.normal(0, noise_m, (len(flight["front"]), 3))
+    noisy = {
+        n: moved(f, Trajectory(f.t_ns, f.believed.position + shift, f.believed.quat_xyzw)) for n, f in flight.items()
+    }
+    assert score(ul.map_occupancy(noisy, GRID), flight)["f1"] >= least
+
+
+def test_hovering_adds_nothing(flight, hall_map):
+    mapper = Mapper(GRID)
+    mapper.update(flight)
+    extra, rng, still = 400, np.random.default_rng(5), {}
+    jitter = rng.normal(0, 0.002, (extra, 3))
+    for name, f in flight.items():
+        last, shape = f.believed[-1:], (extra, f.samples.shape[1])
+        t_ns = f.t_ns[-1] + (np.arange(extra) + 1) * 40_000_000
+        poses = Trajectory(t_ns, last.position + jitter, np.tile(last.quat_xyzw, (extra, 1)))
+        noise = 5e-6 * (rng.normal(size=shape) + 1j * rng.normal(size=shape))
+        still[name] = Frames(f.samples[-1:] + noise, f.range_m, t_ns, f.spec, poses=poses, sensor=name)
+    mapper.update(still)
+    mapper.finish()
+    before, after = score(hall_map, flight), score(mapper.map(), flight)
+    assert abs(after["f1"] - before["f1"]) < 0.005
+    assert after["false_occupied"] <= before["false_occupied"]
+    assert after["surface_declared_free"] <= before["surface_declared_free"] + 0.002
+
+
+def test_copies_of_a_frame_give_the_map_of_one(flight):
+    front = flight["front"][:1]
+    copies = 50
+    t_ns = front.t_ns[0] + np.arange(copies) * 40_000_000
+    place = front.believed
+    poses = Trajectory(t_ns, np.tile(place.position, (copies, 1)), np.tile(place.quat_xyzw, (copies, 1)))
+    many = replace(front, samples=np.tile(front.samples, (copies, 1)), t_ns=t_ns, poses=poses, truth=None)
+    one, all_ = (ul.map_occupancy(f, GRID).percent for f in (front, many))
+    np.testing.assert_array_equal(one, all_)
+    assert (one == AMBIGUOUS).sum() > 20, "one look's arc is ambiguous"
+    assert not (one >= 50).any(), "never a wall"
+
+
+def test_pieces_give_the_map_of_the_whole_and_every_change_is_announced(flight, hall_map):
+    mapper, before = Mapper(GRID), None
+    for start in range(0, len(flight["front"]), 150):
+        mapper.update({name: f[start : start + 150] for name, f in flight.items()})
+        box, now = mapper.changed(), mapper.map().percent
+        if before is not None and box is not None:
+            differs = now != before
+            differs[box] = False
+            assert differs.sum() <= 0.002 * now.size
+        before = now
+    mapper.finish()
+    np.testing.assert_array_equal(mapper.map().percent, hall_map.percent)
+
+
+def test_floor_and_ceiling_leave_no_ring_around_the_flight(flight):
+    loud = world.rig(loop(), PLAN, seed=1, heights=(-1.2, 1.4))
+    got = score(ul.map_occupancy(loud, GRID), flight)
+    assert got["f1"] >= 0.85
+    assert got["false_occupied_per_100m2"] < 100
+
+
+def test_a_thin_pole_is_in_the_map():
+    pole = Scene.of_wires((0.4, 0.2, -20.0), (0.4, 0.2, 20.0), 0.01, name="pole")
+    frames = world.rig(loop(), PLAN, seed=2, poles=[(0.4, 0.2, 0.5)])
+    got = score(ul.map_occupancy(frames, GRID), frames, Scene.union([HALL, pole]))
+    assert got["found:pole"] == 1.0
+
+
+def test_sensors_may_differ_in_range_axis_and_rate(flight):
+    slow = flight["left"][slice(None, None, 2)]
+    short = replace(flight["right"], samples=flight["right"].samples[:, :120], range_m=flight["right"].range_m[:120])
+    mixed = {"front": flight["front"], "left": slow, "right": short}
+    assert score(ul.map_occupancy(mixed, GRID), flight)["precision"] > 0.8
+
+
+def test_a_gap_and_a_jump_are_never_joined(flight):
+    holed = {n: f[np.r_[0:200, 330 : len(f)]] for n, f in flight.items()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert score(ul.map_occupancy(holed, GRID), flight)["precision"] > 0.8
+    front = flight["front"]
+    leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 300, [0.0, 0.9, 0.0], 0.0)
+    with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 301"):
+        ul.map_occupancy(moved(front, Trajectory(front.t_ns, leap, front.believed.quat_xyzw)), GRID)
+
+
+def test_a_grid_too_large_says_how_large_before_it_is_made():
+    with pytest.raises(ul.InputError, match=r"cells; its table of blocks alone takes \d+\.\d GB"):
+        UllageMapper(ul.Grid((0, 0, 0), 0.01, (100_000, 100_000, 100_000)))
+
+
+def test_memory_follows_what_is_known(flight):
+    mapper = UllageMapper(ul.Grid.covering([[-25, -25, -1], [25, 25, 1]], 0.05, z_m=0.0))
+    assert mapper.blocks.nbytes < 20_000
+    part = {n: f[:60] for n, f in flight.items()}
+    mapper.update(part)
+    mapper.finish()
+    assert mapper.blocks.nbytes < 0.5 * 4 * mapper.grid.size, "half of the same state kept densely"
+
+
+def test_blocks_collapse_and_come_back():
+    from ullage.kernels.occupancy import CLEAR
+
+    blocks = Blocks(ul.Grid((0, 0, 0), 0.1, (32, 32)))
+    blocks.reserve(4)
+    from ullage.kernels.occupancy import mark_flown
+
+    pools = (blocks.slots, blocks.free_slots, blocks.free_count, blocks.hits, blocks.silent, blocks.facing)
+    mark_flown(*pools, blocks.origin, 0.1, 16, blocks.size, np.array([0.8, 0.8, 0.0]), 1.3)
+    assert blocks.collapse(6) == 1
+    assert blocks.slots[0, 0, 0] == CLEAR
+    assert int(blocks.free_count[0]) >= 1
+
+
+def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
+    grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
+    omap = ul.map_occupancy({n: f[:300] for n, f in flight.items()}, grid)
+    assert omap.percent.shape == grid.shape
+    middle = omap.percent[len(grid.z_m) // 2]
+    assert (middle[2] >= -2).all()
+    assert omap.ambiguous.sum() > omap.occupied.sum()
+    assert omap.free.sum() > 1000
