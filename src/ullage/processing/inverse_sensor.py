@@ -32,7 +32,7 @@ def echo_level(frames: Frames) -> NDArray[np.float32]:
     if frames.unit == "thesis":
         return np.full(len(frames), frames.spec.thesis.threshold, np.float32)
     strongest = frames.amplitude[:, frames.range_m >= blank_m(frames)].max(axis=1)
-    return np.maximum(FALSE_ALARM_SIGMAS * noise_sigma(frames), DYNAMIC * strongest).astype(np.float32)
+    return np.asarray(np.maximum(FALSE_ALARM_SIGMAS * noise_sigma(frames), DYNAMIC * strongest), np.float32)
 
 
 def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Floats, NDArray[np.bool_]]:

@@ -55,14 +55,14 @@ class LevelFinder:
 
     def levels(self) -> list[tuple[int, float]]:
         """Heights [m] with -1 for a floor, 1 for a ceiling."""
-        out = []
+        out: list[tuple[int, float]] = []
         for sign, votes in self._votes.items():
             strong = votes >= PERSISTENT * max(self._looks, 1)
             for k in np.flatnonzero(strong):
                 if votes[k] == votes[max(k - 3, 0) : k + 4].max() and self._base is not None:
                     height = self._base + k * BIN_M - REACH_M
                     if not any(s == sign and abs(h - height) < 3 * BIN_M for s, h in out):
-                        out.append((sign, height))
+                        out.append((sign, float(height)))
         return out
 
     def without_levels(self, look: Look) -> Look:
