@@ -122,7 +122,10 @@ def _height(job: Run) -> float:
 
 
 def _bounds(job: Run) -> np.ndarray:
-    """The world's box, or what the flight could see of an unknown one."""
+    """The box of world and flight, or what the flight could see of an unknown world."""
+    if job.scene is not None and job.flown is not None:
+        boxes = [job.scene.bounds, np.stack([job.flown.position.min(0), job.flown.position.max(0)])]
+        return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
     if job.scene is not None:
         return job.scene.bounds
     if job.flown is None:

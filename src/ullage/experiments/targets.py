@@ -46,6 +46,8 @@ def make_run(
             scenario = scenario.but(do=tasks)
         folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
         return of_scenario(folder, prepare(scenario, progress=progress))
+    if path.exists():
+        target = str(path.resolve())  # `latest` will point elsewhere before it is read
     if path.exists() or ":" in target:
         return _of_recording(target, tasks, options, out, force, say)
     raise InputError(

@@ -1,0 +1,51 @@
+"""What a newcomer does first: a flight beside an open world, and the last run taken up again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ullage.config import make_scenario
+from ullage.errors import InputError
+from ullage.experiments.folder import find_folder
+from ullage.experiments.runner import execute, of_scenario
+from ullage.experiments.simulated import prepare
+from ullage.experiments.targets import make_run
+from ullage.ports import sink
+
+WALL = """<sdf version="1.9"><world name="w"><model name="wall"><static>true</static><pose>4 0 1 0 0 0</pose>
+<link name="l"><collision name="c"><geometry><box><size>0.1 4 2</size></box></geometry></collision></link></model>
+</world></sdf>"""
+
+
+def test_the_map_holds_a_flight_that_stays_outside_the_world(tmp_path: Path) -> None:
+    (tmp_path / "wall.sdf").write_text(WALL)
+    tree = {
+        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": ["map"], "map": {"method": "elfes"},
+        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, 1], [0, 1, 1]]},
+        "sensing": {"fidelity": "thesis", "rig": "single", "rate_hz": 5},
+    }  # fmt: skip
+    folder = tmp_path / "run"
+    folder.mkdir()
+    report = execute(of_scenario(folder, prepare(make_scenario(tree))), say=lambda _: None)
+    left, right, _, _ = report.outcome.results[0].grid.extent_m
+    assert left <= 0
+    assert right >= 4.05
+
+
+def test_the_last_run_can_be_taken_up_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import ullage as ul
+
+    monkeypatch.chdir(tmp_path)
+    first = tmp_path / "runs" / "flight-00000000"
+    first.mkdir(parents=True)
+    (tmp_path / "runs" / "latest").symlink_to(first.name)
+    path = ul.Trajectory.line((0, 0, 0), (0, 1, 0), rate_hz=5)
+    with sink(first / "frames.mcap") as taker:
+        taker.write(ul.simulate(ul.scenes.plate(1, 1, 3), path, ul.RadarSpec.preset("x4m05")))
+    with pytest.raises(InputError, match="no run 'latest'"):
+        find_folder("latest")
+    job = make_run("runs/latest", tasks=("detect",), say=lambda _: None)
+    assert execute(job, say=lambda _: None).outcome.frames == len(path)
+    assert find_folder("runs/latest") == job.folder.resolve()
