@@ -8,11 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
-from scipy.spatial.transform import Rotation, Slerp
 
 from ullage.errors import InputError
-from ullage.geometry import matrix_quat, quat_matrix, rpy_quat
+from ullage.geometry import matrix_quat, quat_matrix, rotations, rpy_quat
 from ullage.specs import RadarSpec
 
 Floats = NDArray[np.float64]
@@ -110,9 +108,12 @@ class Trajectory:
             )
         if want.min() < self.t_ns[0] or want.max() > self.t_ns[-1]:
             raise InputError("time outside the trajectory", where="at", allowed=f"{self.t_ns[0]} .. {self.t_ns[-1]} ns")
+        from scipy.interpolate import CubicHermiteSpline
+        from scipy.spatial.transform import Slerp
+
         known, asked = (self.t_ns - self.t_ns[0]) * 1e-9, (want - self.t_ns[0]) * 1e-9
         spline = CubicHermiteSpline(known, self.position, velocity)
-        quat = Slerp(known, Rotation.from_quat(self.quat_xyzw))(asked).as_quat()
+        quat = Slerp(known, rotations().from_quat(self.quat_xyzw))(asked).as_quat()
         turn = np.stack([np.interp(asked, known, spin[:, k]) for k in range(3)], axis=1)
         return Trajectory(want, spline(asked), quat, spline(asked, 1), turn)
 
@@ -196,7 +197,7 @@ def _slope(t_ns: Times, position: Floats) -> Floats:
 def _spin(t_ns: Times, quat: Floats) -> Floats:
     if len(t_ns) == 1:
         return np.zeros((1, 3))
-    rot = Rotation.from_quat(quat)
+    rot = rotations().from_quat(quat)
     step = (rot[:-1].inv() * rot[1:]).as_rotvec() / (np.diff(t_ns)[:, None] * 1e-9)
     return np.vstack([step[:1], (step[:-1] + step[1:]) / 2, step[-1:]])
 

@@ -6,14 +6,25 @@ Quaternions are xyzw, scalar last, as in ROS and scipy.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Floats = NDArray[np.float64]
 
 C0 = 299_792_458.0
 """Speed of light in vacuum [m/s]."""
+
+
+def rotations() -> type[Rotation]:
+    """Rotation of scipy, loaded when first used: it brings half of scipy along."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
 
 
 def wavelength_m(frequency_hz: float) -> float:
@@ -24,32 +35,32 @@ def wavelength_m(frequency_hz: float) -> float:
 def rpy_quat(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Floats:
     """Quaternion xyzw (..., 4) of fixed-axis roll, pitch, yaw [rad] (URDF and SDF order)."""
     angles = np.stack(np.broadcast_arrays(roll_rad, pitch_rad, yaw_rad), axis=-1).astype(float)
-    flat = Rotation.from_euler("xyz", angles.reshape(-1, 3)).as_quat()
+    flat = rotations().from_euler("xyz", angles.reshape(-1, 3)).as_quat()
     return np.asarray(flat).reshape((*angles.shape[:-1], 4))
 
 
 def quat_rpy(quat_xyzw: ArrayLike) -> Floats:
     """Roll, pitch, yaw [rad] (..., 3) of quaternions xyzw (..., 4)."""
     quat = np.asarray(quat_xyzw, float)
-    return np.asarray(Rotation.from_quat(quat.reshape(-1, 4)).as_euler("xyz")).reshape((*quat.shape[:-1], 3))
+    return np.asarray(rotations().from_quat(quat.reshape(-1, 4)).as_euler("xyz")).reshape((*quat.shape[:-1], 3))
 
 
 def quat_matrix(quat_xyzw: ArrayLike) -> Floats:
     """Rotation matrices (..., 3, 3) of quaternions xyzw (..., 4)."""
     quat = np.asarray(quat_xyzw, float)
-    return np.asarray(Rotation.from_quat(quat.reshape(-1, 4)).as_matrix()).reshape((*quat.shape[:-1], 3, 3))
+    return np.asarray(rotations().from_quat(quat.reshape(-1, 4)).as_matrix()).reshape((*quat.shape[:-1], 3, 3))
 
 
 def matrix_quat(matrix: ArrayLike) -> Floats:
     """Quaternions xyzw (..., 4) of rotation matrices (..., 3, 3)."""
     rot = np.asarray(matrix, float)
-    return np.asarray(Rotation.from_matrix(rot.reshape(-1, 3, 3)).as_quat()).reshape((*rot.shape[:-2], 4))
+    return np.asarray(rotations().from_matrix(rot.reshape(-1, 3, 3)).as_quat()).reshape((*rot.shape[:-2], 4))
 
 
 def transform(position_m: ArrayLike = (0, 0, 0), rpy_rad: ArrayLike = (0, 0, 0)) -> Floats:
     """The (4, 4) transform with this translation [m] and fixed-axis roll, pitch, yaw [rad]."""
     out = np.eye(4)
-    out[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy_rad, float)).as_matrix()
+    out[:3, :3] = rotations().from_euler("xyz", np.asarray(rpy_rad, float)).as_matrix()
     out[:3, 3] = position_m
     return out
 

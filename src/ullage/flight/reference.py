@@ -100,7 +100,7 @@ def _schedule(way: Waypoints, points: Floats, goals: Floats, settle_s: float, ra
         turn = abs(goals[i] - goals[i - 1]) / rate if i else 0.0
         if i:
             leg = float(np.linalg.norm(points[i] - points[i - 1])) / way.speed_m_s
-            now += max(leg, 1e-9 if along else turn)
+            now += max(leg, 1e-9 if along else max(turn, 1e-9))  # two points may be one
         times.append(now)
         last = i == len(points) - 1
         if (i or len(points) == 1) and way.hold_s > 0:
