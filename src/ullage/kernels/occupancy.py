@@ -107,7 +107,7 @@ def _side(dx: float, dy: float, dz: float, flat: bool) -> int:
 
 
 @njit(cache=True, fastmath=True)
-def update_cells(  # noqa: PLR0912, PLR0915 - one loop over cells, flat for speed
+def update_cells(
     slots: np.ndarray,
     free_slots: np.ndarray,
     free_count: np.ndarray,
@@ -250,7 +250,7 @@ def _take(
     silent[slot, :] = FULL if slots[bz, by, bx] == CLEAR else 0
     facing[slot, :] = NOWHERE
     slots[bz, by, bx] = slot
-    return slot
+    return int(slot)
 
 
 @njit(cache=True, fastmath=True)

@@ -94,7 +94,7 @@ def fit_bearings(
         out[p, 0], out[p, 1] = offset, scatter / math.sqrt(max(used * frames, 1.0))
         out[p, 2], out[p, 3] = slope, scatter / math.sqrt(max(spread, 1e-6))
         out[p, 4], out[p, 5] = used, height
-    return counts[centre]
+    return int(counts[centre])
 
 
 @njit(cache=True, fastmath=True)

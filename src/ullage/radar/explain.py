@@ -35,7 +35,8 @@ class Contribution:
         path = " > ".join((*self.via, self.object))
         x, y, z = self.point
         many = "s" if self.bounces > 1 else " "
-        return (f"{self.path_gain_db:7.1f} dB  {self.range_m:7.3f} m  {self.bounces} bounce{many}  {path}  at ({x:.2f}, {y:.2f}, {z:.2f})")  # fmt: skip
+        strength = f"{self.path_gain_db:7.1f} dB  {self.range_m:7.3f} m  {self.bounces} bounce{many}"
+        return f"{strength}  {path}  at ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def explain(
