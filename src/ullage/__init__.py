@@ -41,7 +41,7 @@ _HOMES = {
     "calibrate": "processing.calibrate",
     "map_occupancy": "processing.occupancy",
     "open": "ports",
-    "sink": "ports",
+    "sink": "pipeline",
     "run": "pipeline",
 }
 _MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics"}

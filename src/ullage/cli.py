@@ -90,7 +90,7 @@ def run(
     """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
     from ullage.experiments.runner import execute
     from ullage.experiments.targets import make_run
-    from ullage.ports import sink as open_sink
+    from ullage.pipeline import sink as open_sink
     from ullage.view.progress import progress_bar
 
     tasks = _tasks(do)
@@ -228,6 +228,26 @@ def config(
         typer.echo(json.dumps(scenario_schema(), indent=2))
     else:
         typer.echo(scenario_text(find_scenario(scenario, options=option or [])), nl=False)
+
+
+@app.command()
+def validate(
+    out: Annotated[Path, typer.Option("--out", help="Folder for the page and its pictures.", metavar="DIR")] = Path(
+        "validation"
+    ),
+) -> None:
+    """Hold the physical radar against theory and published values; exit 1 when a bound is broken."""
+    from ullage.experiments.validate import validate as hold_against
+    from ullage.view.progress import console
+
+    with console.status("computing every oracle (about half a minute)"):
+        rows = hold_against(out)
+    for row in rows:
+        mark = "ok  " if row.passed else "[red]OUT[/] "
+        console.print(f"{mark} {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}", highlight=False)
+    console.print(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}", highlight=False)
+    if not all(row.passed for row in rows):
+        raise typer.Exit(1)
 
 
 @app.command()

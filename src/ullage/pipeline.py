@@ -7,14 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, sensors_of
+from ullage.errors import InputError
 from ullage.grids import Grid, Image, OccupancyMap
+
+if TYPE_CHECKING:
+    from ullage.ports.protocol import Sink as PortSink
 
 Chunk = dict[str, Frames]
 
@@ -71,6 +76,30 @@ class _Count:
     @property
     def duration_s(self) -> float:
         return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
+
+
+def sink(target: str | Path, **options: Any) -> PortSink:
+    """Somewhere for what flows to go: a viewer, a recording or a map file, by the kind of name.
+
+    Args:
+        target: `viewer:` for a window, `viewer:FILE.rrd` to look at it later, `viewer:rerun+http://HOST:9876/proxy` for
+            a viewer that runs elsewhere; a `.mcap` recording, a folder for one, a `.zarr` store, or a map file:
+            `.yaml` or `.pgm` (map_server), `.bt` or `.ot` (OctoMap), `.ply`.
+        **options: of that kind: files of a viewer, recordings and stores take overwrite, map_server takes mode.
+
+    Raises:
+        InputError: it is of no known kind, or cannot be written or shown.
+    """
+    from ullage import ports
+
+    kind, colon, place = str(target).partition(":")
+    if kind != "viewer" or not colon:
+        return ports.sink(target, **options)
+    from ullage.view.viewer import ViewerSink
+
+    if unknown := set(options) - {"overwrite"}:
+        raise InputError(f"no option {min(unknown)!r}", where=target, allowed="overwrite")
+    return ViewerSink(place, **options)
 
 
 def run(
