@@ -1,0 +1,100 @@
+"""Writes the docs pages that follow from the code: python -m ullage.view.reference. Tests hold the pages to it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ullage.config import Scenario, scenario_text
+from ullage.specs import RadarSpec
+
+SCENARIOS = """# Scenarios
+
+A scenario is one YAML file: world, flight, radars, what to make of the echoes, and what must come out. `ullage list`
+names those that come with ullage, `ullage config NAME` prints one in full, `ullage run NAME` or `ullage run FILE.yaml`
+runs it.
+Written by `python -m ullage.view.reference`.
+
+- What a file leaves out has the default below. `name` is the file's own name unless it says otherwise.
+- `-o a.b=value` changes one field; values are YAML, e.g. `-o flight.waypoints='[[0, 0, 1], [2, 0, 1]]'`.
+- A field that does not exist, or a value out of bounds, is refused with its name.
+- `ullage config --schema` prints the JSON schema, with which editors complete and check such files.
+
+Choices that the comments do not list: `world.geometry` collision or visual; `sensing.fidelity` physical or thesis;
+`do` any of detect, image, map; `detect.method` first_peak, peaks, cfar, os-cfar or clean; `map.method` ullage or elfes;
+`map.dims` 2 or 3; `image.method` backprojection or summation.
+
+## All fields
+
+```yaml
+{scenario}```
+
+## Bounds
+
+```yaml
+expect:
+  f1: {{min: 0.6}}
+  surface_declared_free: {{max: 0.02}}
+```
+
+Any metric in the run's `metrics.json` can be bounded. `ullage measure` tells each, and exits 1 when one
+is broken or unknown.
+
+## Fields of a radar
+
+For `sensing.changes`, and for `ul.RadarSpec.preset("x4m05", ...)` in Python. Other presets: {presets}.
+
+```yaml
+{radar}```
+"""
+
+
+def scenario_page() -> str:
+    """The page on scenario files, as Markdown."""
+    others = ", ".join(name for name in RadarSpec.presets if name != "x4m05")
+    return SCENARIOS.format(
+        scenario=scenario_text(Scenario(name="mine")), radar=scenario_text(RadarSpec()), presets=others
+    )
+
+
+def references_page(bibtex: str) -> str:
+    """The page of references, as Markdown, from BibTeX text."""
+    lines = ["# References", "", "From `docs/references.bib`; written by `python -m ullage.view.reference`.", ""]
+    for key, body in sorted(re.findall(r"@\w+\{([^,\s]+),(.*?)\n\}", bibtex, re.S), key=lambda e: e[0].lower()):
+        lines.append(f"- **[{key}]** {_told(body)}")
+    return "\n".join(lines) + "\n"
+
+
+def _told(body: str) -> str:
+    fields = {
+        name: _plain(value)
+        for name, value in re.findall(r"(\w+)\s*=\s*\{((?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*)\}", body)
+    }
+    who = (fields.get("author") or fields.get("editor") or fields.get("organization") or "").replace(" and ", "; ")
+    where = [
+        fields[k] for k in ("journal", "booktitle", "publisher", "school", "institution", "howpublished") if k in fields
+    ]
+    volume = [f"{k} {fields[k]}" for k in ("volume", "number", "pages", "edition") if k in fields]
+    link = [f"doi:{fields['doi']}"] if "doi" in fields else [f"arXiv:{fields['eprint']}"] if "eprint" in fields else []
+    parts = [who, fields.get("title", ""), *where, *volume, fields.get("year", ""), *link]
+    return ". ".join(part.rstrip(".") for part in parts if part) + "."
+
+
+def _plain(text: str) -> str:
+    text = re.sub(r"\\url\{([^}]*)\}", r"\1", text)
+    for mark, letter in {'\\"a': "ä", '\\"o': "ö", '\\"u': "ü", "\\'e": "é", "\\_": "_", "\\&": "&", "--": "-"}.items():
+        text = text.replace(mark, letter)
+    return re.sub(r"\s+", " ", re.sub(r"[{}]", "", text)).strip()
+
+
+def write_pages(docs: Path = Path("docs")) -> list[Path]:
+    """Write both pages into the folder of the docs."""
+    pages = {"scenarios.md": scenario_page(), "references.md": references_page((docs / "references.bib").read_text())}
+    for name, text in pages.items():
+        (docs / name).write_text(text, encoding="utf-8")
+    return [docs / name for name in pages]
+
+
+if __name__ == "__main__":
+    for written in write_pages():
+        print(written)

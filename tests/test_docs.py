@@ -1,0 +1,54 @@
+"""The docs keep step with the code: fields, references, navigation."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from ullage.config import Scenario
+from ullage.specs import RadarSpec
+from ullage.view.reference import references_page, scenario_page
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+def names_of(model: type[BaseModel]) -> set[str]:
+    out = set(model.model_fields)
+    for info in model.model_fields.values():
+        kinds = [info.annotation, *getattr(info.annotation, "__args__", ())]
+        for kind in kinds:
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                out |= names_of(kind)
+    return out
+
+
+@pytest.mark.parametrize("model", [Scenario, RadarSpec], ids=lambda m: m.__name__)
+def test_every_field_stands_on_the_page_of_scenarios(model: type[BaseModel]) -> None:
+    page = (DOCS / "scenarios.md").read_text(encoding="utf-8")
+    missing = {name for name in names_of(model) if not re.search(rf"\b{name}: ", page)}
+    assert missing == set()
+
+
+def test_written_pages_are_what_the_code_writes() -> None:
+    told = "run: python -m ullage.view.reference"
+    assert (DOCS / "scenarios.md").read_text(encoding="utf-8") == scenario_page(), told
+    bibtex = (DOCS / "references.bib").read_text(encoding="utf-8")
+    assert (DOCS / "references.md").read_text(encoding="utf-8") == references_page(bibtex), told
+    assert references_page(bibtex).count("\n- **[") == len(re.findall(r"^@\w+\{", bibtex, re.M))
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    listed = set(re.findall(r"[\w-]+\.md", yaml.safe_dump(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"])))
+    assert listed == {path.name for path in DOCS.glob("*.md")}
+
+
+def test_the_first_python_block_is_at_most_twelve_lines() -> None:
+    block = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert block is not None
+    assert block[1].count("\n") <= 12
+    compile(block[1], "README.md", "exec")
