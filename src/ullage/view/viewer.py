@@ -1,0 +1,392 @@
+"""A viewer as a sink: what flows is shown live, or kept as a file for later, through rerun."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Detections, Frames, Recording, Trajectory, sensors_of
+from ullage.errors import InputError, need
+from ullage.grids import Grid, Image, OccupancyMap
+from ullage.view import viewer_plots as plots
+from ullage.view import viewer_scene as things
+from ullage.view.viewer_scene import TIMELINE, arcs, body_of, entity, log_poses, rgba, time_column
+from ullage.world.scene import Scene
+
+Times = NDArray[np.int64]
+
+RATE_HZ = 30.0  # at most so many frames a second and radar
+PROFILE_HZ = 5.0  # of the bars of a profile
+PICTURE_HZ = 2.0  # of the rolling pictures
+MAP_S = 1.0  # between two maps
+PATH_S = 0.2  # between two points of the flown path
+MAX_BOXES = 50_000  # of a volume's cells; more of them become points
+IMAGE_DB = 30.0  # a radar image goes from its peak so far down
+USAGE = "viewer:, viewer:FILE.rrd, or viewer:rerun+http://HOST:9876/proxy of a running viewer"
+
+
+class ViewerSink:
+    """Shows worlds, flight, echoes, detections, maps and images, live or in a file.
+
+    Args:
+        target: nothing for a new viewer's window, a `.rrd` file to write, or the address of a running viewer.
+        overwrite: replace a file that is there already.
+
+    Raises:
+        MissingExtra: rerun is not installed.
+        InputError: there is no display, no such viewer, or the file cannot be written.
+    """
+
+    def __init__(self, target: str | Path = "", *, overwrite: bool = False) -> None:
+        self._rr = need("rerun", extra="view")
+        self.target = str(target)
+        self.live = not self.target or "://" in self.target
+        self._rec = self._rr.RecordingStream("ullage")
+        for quiet in (self._rec.set_log_time_enabled, self._rec.set_log_tick_enabled):
+            quiet(False)  # one time line: that of the frames
+        self._open(overwrite)
+        self._closed = False
+        self._sensors: dict[str, _Shown] = {}
+        self._bounds: NDArray[np.float64] | None = None
+        self._laid_out: tuple[Any, ...] = ()
+        self._now_ns = 0
+        self._height_m = 0.0
+        self._top_db = -np.inf
+        self._body_last: tuple[int, NDArray[np.float64]] | None = None
+        self._map_given: tuple[float, float] = (-np.inf, -np.inf)  # recording's and wall clock [s]
+        self._map_waiting: OccupancyMap | None = None
+        self._rec.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def _open(self, overwrite: bool) -> None:
+        if not self.target:
+            _spawn(self._rr, self._rec)
+        elif self.live:
+            try:
+                self._rec.connect_grpc(self.target)
+            except (RuntimeError, ValueError) as error:
+                raise InputError(f"no viewer: {error}", where=self.target, allowed=USAGE) from None
+        else:
+            _save(self._rec, Path(self.target), overwrite)
+
+    def write(self, item: Any) -> None:
+        """Show one item; what has no picture is passed over.
+
+        Raises:
+            InputError: the sink is closed.
+        """
+        if self._closed:
+            raise InputError("closed already", where=f"viewer:{self.target}")
+        if isinstance(item, Frames | Mapping | list | tuple):
+            self._frames(item)
+        elif isinstance(item, Detections):
+            self._detections(item)
+        elif isinstance(item, OccupancyMap):
+            self._map(item)
+        elif isinstance(item, Image):
+            self._image(item)
+        elif isinstance(item, Scene):
+            things.log_scene(self._rec, item)
+            self._bounds = item.bounds
+            self._lay_out()
+        elif isinstance(item, Trajectory):
+            strip = self._rr.LineStrips3D([item.position], colors=rgba("#8d99ae", 120), radii=_points(self._rr, 0.7))
+            self._rec.log("world/trajectory", strip, static=True)
+
+    def close(self) -> None:
+        """Show what was held back, and end the file or leave the viewer standing."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._map_waiting is not None:
+            self._show_map(self._map_waiting)
+        for shown in self._sensors.values():
+            self._picture(shown)
+        try:
+            self._rec.flush(timeout_sec=10.0)
+        except Exception as error:  # rerun raises kinds of its own when a viewer was closed
+            raise InputError(f"not everything was shown: {error}", where=f"viewer:{self.target}") from None
+        finally:
+            self._rec.disconnect()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _frames(self, chunk: Recording) -> None:
+        parts = sensors_of(chunk)
+        for index, part in enumerate(parts):
+            if part.sensor not in self._sensors:
+                self._begin(part)
+            self._now_ns = max(self._now_ns, int(part.t_ns[-1]))
+            if index == 0:
+                self._body(part)
+            self._profiles(self._sensors[part.sensor], part)
+        self._lay_out()
+
+    def _begin(self, part: Frames) -> None:
+        shown = _Shown(part, things.sensor_color(len(self._sensors)))
+        self._sensors[part.sensor] = shown
+        rr, name, color = self._rr, shown.name, rgba(shown.color)
+        plots.log_axes(self._rec, f"profiles/{name}/range_time", shown.picture)
+        for path in ("nearest", "strongest"):
+            self._rec.log(f"{path}/{name}", rr.SeriesLines(colors=color, names=name, widths=1.5), static=True)
+        if part.poses is not None:
+            things.log_drone(self._rec)
+            things.log_beam(self._rec, f"world/radars/{name}", part.spec, shown.color)
+            arc = rr.LineStrips3D.from_fields(colors=color, radii=_points(rr, 1.5))
+            self._rec.log(f"world/echoes/{name}/arcs", arc, static=True)
+            trail = rr.Points3D.from_fields(colors=rgba(shown.color, 200), radii=_points(rr, 1.6))
+            self._rec.log(f"world/echoes/{name}/trail", trail, static=True)
+
+    def _body(self, part: Frames) -> None:
+        """The drone and the path it has flown, as the first radar's poses have it."""
+        body = body_of(part)
+        if body is None:
+            return
+        self._height_m = float(np.median(body.position[:, 2]))
+        log_poses(self._rec, "world/drone", body[spread(body.t_ns, RATE_HZ)])
+        path = body[spread(body.t_ns, 1 / PATH_S)]
+        spots, times = path.position, path.t_ns
+        if self._body_last is not None:
+            spots = np.vstack([self._body_last[1], spots])
+            times = np.concatenate([[self._body_last[0]], times])
+        self._body_last = int(times[-1]), spots[-1]
+        if len(spots) > 1:
+            strips = np.stack([spots[:-1], spots[1:]], axis=1).astype(np.float32)
+            columns = self._rr.LineStrips3D.columns(strips=strips)
+            self._rec.send_columns("world/flown", indexes=[time_column(times[1:])], columns=columns)
+        style = self._rr.LineStrips3D.from_fields(colors=rgba(things.PATH), radii=_points(self._rr, 1.8))
+        self._rec.log("world/flown", style, static=True)
+
+    def _profiles(self, shown: _Shown, part: Frames) -> None:
+        level = (20 * np.log10(np.maximum(part.amplitude, 1e-12))).astype(np.float32)
+        self._top_db = max(self._top_db, 5 * float(np.ceil(level.max() / 5)))
+        shown.picture.add(part.t_ns, level)
+        keep = spread(part.t_ns, RATE_HZ)
+        if self.live:
+            keep = keep[-shown.allowed(len(keep)) :]
+        shown.chunk = part[keep]
+        column, name = time_column(part.t_ns[keep]), shown.name
+        if part.poses is not None:
+            log_poses(self._rec, f"world/radars/{name}", part.poses[keep])
+            self._set_time(int(part.t_ns[0]))
+            for path in ("arcs", "trail"):
+                self._rec.log(f"world/echoes/{name}/{path}", self._rr.Clear(recursive=False))
+        peaks = self._rr.Scalars.columns(scalars=level[keep].max(axis=1).astype(float))
+        self._rec.send_columns(f"strongest/{name}", indexes=[column], columns=peaks)
+        for row in keep[spread(part.t_ns[keep], PROFILE_HZ)]:
+            self._set_time(int(part.t_ns[row]))
+            values = np.maximum(level[row] - self._floor_db(), 0).astype(np.float16)
+            bars = self._rr.BarChart(values, abscissa=part.range_m.astype(np.float32), color=rgba(shown.color))
+            self._rec.log(f"profiles/{name}/now", bars)
+        self._picture_when_due(shown)
+
+    def _picture_when_due(self, shown: _Shown) -> None:
+        if self._now_ns - shown.pictured_ns >= 1e9 / PICTURE_HZ:
+            self._picture(shown)
+
+    def _picture(self, shown: _Shown) -> None:
+        shown.pictured_ns = self._now_ns
+        self._set_time(self._now_ns)
+        file = self._rr.EncodedImage(contents=shown.picture.png(self._top_db), media_type="image/png")
+        self._rec.log(f"profiles/{shown.name}/range_time", file)
+
+    def _floor_db(self) -> float:
+        return self._top_db - plots.SPAN_DB
+
+    def _detections(self, hits: Detections) -> None:
+        shown = self._sensors.get(hits.sensor)
+        if shown is None:
+            return
+        kept = np.flatnonzero(np.isin(hits.t_ns, shown.chunk.t_ns))
+        if not len(kept):
+            return
+        times, count = np.unique(hits.t_ns[kept], return_counts=True)
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])
+        order = kept[np.argsort(hits.t_ns[kept], kind="stable")]
+        nearest = np.minimum.reduceat(hits.range_m[order], first)
+        scalars = self._rr.Scalars.columns(scalars=nearest)
+        self._rec.send_columns(f"nearest/{shown.name}", indexes=[time_column(times)], columns=scalars)
+        if shown.chunk.poses is not None:
+            self._arcs(shown, hits, order)
+
+    def _arcs(self, shown: _Shown, hits: Detections, order: NDArray[np.int64]) -> None:
+        """Echoes as arcs over the beam, on which each may lie; points where the bearing is known, or ahead."""
+        chunk, rr, path = shown.chunk, self._rr, f"world/echoes/{shown.name}"
+        row = np.searchsorted(chunk.t_ns, hits.t_ns[order])
+        opening_deg = things.beam_deg(chunk.spec)[0]
+        strips, ahead = arcs(chunk.believed.world_from_body[row], hits.range_m[order], opening_deg)
+        known = np.asarray(np.isfinite(hits.point[order]).all(axis=1))
+        spots = np.where(known[:, None], hits.point[order], ahead).astype(np.float32)
+        count = np.bincount(row, minlength=len(chunk))
+        index = [time_column(chunk.t_ns)]
+        flat = rr.LineStrips3D.columns(strips=strips.astype(np.float32))
+        self._rec.send_columns(f"{path}/arcs", indexes=index, columns=flat.partition(lengths=count))
+        points = rr.Points3D.columns(positions=spots)
+        self._rec.send_columns(f"{path}/trail", indexes=index, columns=points.partition(lengths=count))
+
+    def _map(self, omap: OccupancyMap) -> None:
+        now, wall = self._now_ns * 1e-9, time.monotonic()
+        soon = now - self._map_given[0] < MAP_S or (self.live and wall - self._map_given[1] < MAP_S / 2)
+        self._map_waiting = omap if soon else None
+        if not soon:
+            self._map_given = now, wall
+            self._show_map(omap)
+
+    def _show_map(self, omap: OccupancyMap) -> None:
+        self._set_time(self._now_ns)
+        if omap.grid.dims == 2:
+            self._plane("world/map", omap.grid, map_colors(omap), lift_m=0.0)
+            return
+        rr, cells = self._rr, np.argwhere(omap.occupied)
+        centers = _centers(omap.grid, cells)
+        gray = (235 - 2 * omap.percent[omap.occupied].astype(int)).astype(np.uint8)
+        colors = np.stack([gray, gray, np.full_like(gray, 80)], axis=1)
+        half = omap.grid.step_m / 2
+        if len(cells) <= MAX_BOXES:
+            shape = rr.Boxes3D(centers=centers, half_sizes=[[half] * 3], colors=colors, fill_mode="solid")
+        else:
+            shape = rr.Points3D(centers, colors=colors, radii=half)
+        self._rec.log("world/map", shape)
+
+    def _image(self, image: Image) -> None:
+        self._set_time(self._now_ns)
+        level = 20 * np.log10(np.maximum(image.amplitude, 1e-30) / max(float(image.amplitude.max()), 1e-30))
+        share = np.clip(1 + level / IMAGE_DB, 0, 1)
+        if image.grid.dims == 2:
+            self._plane("world/image", image.grid, image_colors(share), lift_m=0.02)
+            return
+        cells = np.argwhere(share > 0.5)
+        colors = image_colors(share[share > 0.5])
+        points = self._rr.Points3D(_centers(image.grid, cells), colors=colors, radii=image.grid.step_m / 2)
+        self._rec.log("world/image", points)
+
+    def _plane(self, path: str, grid: Grid, colors: NDArray[np.uint8], *, lift_m: float) -> None:
+        """A picture (ny, nx, 4) of RGBA, of which only the part with something on it is sent."""
+        some = np.argwhere(colors[..., 3] > 0)
+        if not len(some):
+            return
+        (j, i), (top, right) = some.min(axis=0), some.max(axis=0) + 1
+        part = np.ascontiguousarray(colors[j:top, i:right][::-1])  # the first row is the highest y
+        form = self._rr.components.ImageFormat(
+            width=right - i, height=top - j, color_model="RGBA", channel_datatype="U8"
+        )
+        x, y, z = grid.at_height(self._height_m).origin_m
+        corner = [x + i * grid.step_m, y + j * grid.step_m, z + lift_m]
+        plane = self._rr.GridMap(data=part.tobytes(), format=form, cell_size=grid.step_m, translation=corner)
+        self._rec.log(path, plane)
+
+    def _set_time(self, t_ns: int) -> None:
+        if things.is_date(t_ns):
+            self._rec.set_time(TIMELINE, timestamp=np.datetime64(t_ns, "ns"))
+        else:
+            self._rec.set_time(TIMELINE, duration=np.timedelta64(t_ns, "ns"))
+
+    def _lay_out(self) -> None:
+        """Arrange the windows anew when there is more to show."""
+        parts = [shown.chunk for shown in self._sensors.values()]
+        placed = self._bounds is not None or any(part.poses is not None for part in parts)
+        state = (tuple(self._sensors), placed, self._bounds is None)
+        if not parts or state == self._laid_out:
+            return
+        self._laid_out = state
+        names = [shown.name for shown in self._sensors.values()]
+        blueprint = plots.layout(
+            names,
+            bounds=self._bounds,
+            label=plots.unit_label(parts[0].unit),
+            placed=placed,
+            trails=["world/flown", *(f"world/echoes/{name}/trail" for name in names)],
+            profile_floor=f"{self._floor_db():g}",
+        )
+        self._rec.send_blueprint(blueprint, make_active=True, make_default=True)
+
+
+class _Shown:
+    """What is known of one radar: its newest frames, its rolling picture, how fast it was shown."""
+
+    def __init__(self, part: Frames, color: str) -> None:
+        self.name, self.color = entity(part.sensor), color
+        self.chunk = part
+        self.picture = plots.RangeTime(part.range_m)
+        self.pictured_ns = -(2**62)
+        self._wall_s, self._credit = time.monotonic(), RATE_HZ
+
+    def allowed(self, wanted: int) -> int:
+        """How many of the frames at hand may be shown now, to keep to the bound by the wall's clock; at least one."""
+        wall = time.monotonic()
+        self._credit = min(RATE_HZ, self._credit + RATE_HZ * (wall - self._wall_s))
+        self._wall_s = wall
+        given = max(1, min(wanted, int(self._credit)))
+        self._credit -= given
+        return given
+
+
+def spread(t_ns: Times, rate_hz: float) -> NDArray[np.int64]:
+    """Rows of rising times, thinned to at most this rate [Hz]; the last one is always among them."""
+    slot = np.ceil((t_ns - t_ns[-1]) * rate_hz * 1e-9 - 1e-6)
+    return np.flatnonzero(np.append(slot[1:] != slot[:-1], True))
+
+
+def map_colors(omap: OccupancyMap) -> NDArray[np.uint8]:
+    """A plane's map as RGBA (ny, nx, 4): free white, occupied black, ambiguous amber, unknown clear."""
+    out = np.zeros((*omap.percent.shape, 4), np.uint8)
+    known = omap.percent >= 0
+    gray = 245 - 2.35 * omap.percent[known]
+    out[known] = np.stack([gray, gray, gray, 140 + 1.15 * omap.percent[known]], axis=1).astype(np.uint8)
+    out[omap.ambiguous] = rgba("#f2c14e")
+    return out
+
+
+def image_colors(share: NDArray[Any]) -> NDArray[np.uint8]:
+    """Levels 0 to 1 as RGBA (..., 4), clear where there is nothing."""
+    from matplotlib import colormaps
+
+    out = (colormaps["inferno"](share) * 255).astype(np.uint8)
+    out[..., 3] = np.where(share > 0, 60 + 180 * share, 0).astype(np.uint8)
+    return np.asarray(out)
+
+
+def _centers(grid: Grid, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+    axes = (grid.x_m[cells[:, 2]], grid.y_m[cells[:, 1]], grid.z_m[cells[:, 0]])
+    return np.stack(axes, axis=1).astype(np.float32)
+
+
+def _points(rr: Any, size: float) -> Any:
+    return rr.Radius.ui_points(size)
+
+
+def _spawn(rr: Any, rec: Any) -> None:
+    """Open a viewer's window and send there."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("no display to open a viewer on", where="viewer:", allowed=USAGE)
+    beside = Path(sys.executable).with_name("rerun")
+    program = str(beside) if beside.exists() else shutil.which("rerun")
+    try:
+        rr.spawn(recording=rec, executable_path=program)
+    except Exception as error:  # rerun raises kinds of its own
+        raise InputError(f"the viewer does not start: {error}", where="viewer:", allowed=USAGE) from None
+
+
+def _save(rec: Any, path: Path, overwrite: bool) -> None:
+    if path.suffix.lower() != ".rrd":
+        raise InputError("not something a viewer shows", where=f"viewer:{path}", allowed=USAGE)
+    if path.exists() and not overwrite:
+        raise InputError("exists already", where=path, allowed="a new name, or overwrite=True")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("wb").close()
+        rec.save(path)
+    except (OSError, RuntimeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"cannot write: {reason}", where=path) from None

@@ -1,0 +1,176 @@
+"""The things of a viewed world: a scene as coloured meshes seen from outside in, the drone, the beams of its radars."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Trajectory
+from ullage.errors import need
+from ullage.specs import RadarSpec
+from ullage.view.world_picture import CLEAR, COLORS
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+
+SENSOR_COLORS = ("#4cc9f0", "#f9c74f", "#f3722c", "#90be6d", "#c77dff", "#f28482")
+"""One for each radar, in turn."""
+SHELL_SPAN = 0.6  # a hull part is at least this long, as a share of the world's own length in one axis
+SHELL_AREA = 2e-4  # and its triangles are on average at least this large, as a share of the surface of the world's box
+GREY = "#b4b4b4"
+PATH = "#ff2e63"
+"""Colour of the drone and of where it has flown."""
+
+
+def rgba(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
+    """A hex colour as bytes."""
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16), alpha
+
+
+def sensor_color(index: int) -> str:
+    """Colour of the n-th radar, as hex."""
+    return SENSOR_COLORS[index % len(SENSOR_COLORS)]
+
+
+def entity(*names: str) -> str:
+    """A path of the viewer's from names in which any sign may stand."""
+    return "/".join(re.sub(r"[^\w.-]", "_", name) or "_" for name in names)
+
+
+def log_scene(rec: Any, scene: Scene) -> None:
+    """Draw every object, walls of the hull only from within, so that one looks into holds and rooms from outside."""
+    hull = _hull(scene)
+    for index, thing in enumerate(scene.objects):
+        mine = scene.face_object == index
+        wires = scene.wires.object_id == index
+        path = f"world/scene/{entity(thing.name)}"
+        color = COLORS.get(thing.material.name, GREY)
+        if mine.any():
+            corners = scene.vertices[scene.faces[mine]]
+            alpha = 90 if thing.material.name in CLEAR else 255
+            center = scene.bounds.mean(axis=0) if hull[index] and thing.motion is None else None
+            rec.log(path, _mesh(corners, rgba(color, alpha), center=center), static=True)
+        if wires.any():
+            rec.log(f"{path}/wires", _wires(scene, wires), static=True)
+        if thing.motion is not None:
+            log_poses(rec, path, thing.motion)
+
+
+def _hull(scene: Scene) -> NDArray[np.bool_]:
+    """Which objects are walls, floors and decks around everything else: long, and of large triangles."""
+    size = np.ptp(scene.bounds, axis=0)
+    surface = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
+    corners = scene.corners()
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    out = np.zeros(len(scene.objects), bool)
+    for index in range(len(out)):
+        mine = scene.face_object == index
+        if mine.any():
+            span = np.ptp(corners[mine].reshape(-1, 3), axis=0) / np.maximum(size, 1e-9)
+            out[index] = span.max() >= SHELL_SPAN and area[mine].mean() >= SHELL_AREA * surface
+    return out
+
+
+def _mesh(corners: Floats, color: tuple[int, int, int, int], *, center: Floats | None) -> Any:
+    """Triangles (f, 3, 3) with flat shading; with a centre, turned towards it and seen from that side alone."""
+    rr = need("rerun", extra="view")
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    side = "DoubleSided"
+    if center is not None:
+        away = np.einsum("fk,fk->f", normal, center - corners.mean(axis=1)) < 0
+        corners = np.where(away[:, None, None], corners[:, ::-1], corners)
+        normal = np.where(away[:, None], -normal, normal)
+        side = "Front"
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3).astype(np.float32),
+        vertex_normals=np.repeat(normal, 3, axis=0).astype(np.float32),
+        albedo_factor=color,
+        face_rendering=side,
+    )
+
+
+def _wires(scene: Scene, mine: NDArray[np.bool_]) -> Any:
+    rr = need("rerun", extra="view")
+    strips = np.stack([scene.wires.start[mine], scene.wires.end[mine]], axis=1).astype(np.float32)
+    return rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.8), colors=rgba("#f1faee"))
+
+
+def log_poses(rec: Any, path: str, poses: Trajectory) -> None:
+    """Where something was and how it was turned, over time."""
+    rr = need("rerun", extra="view")
+    columns = rr.Transform3D.columns(
+        translation=poses.position.astype(np.float32), quaternion=poses.quat_xyzw.astype(np.float32)
+    )
+    rec.send_columns(path, indexes=[time_column(poses.t_ns)], columns=columns)
+
+
+def time_column(t_ns: NDArray[np.int64]) -> Any:
+    """Times on the viewer's one time line: seconds of the run, or dates where the clock is one of dates."""
+    rr = need("rerun", extra="view")
+    if is_date(int(t_ns[0])):
+        return rr.TimeColumn(TIMELINE, timestamp=t_ns.astype("datetime64[ns]"))
+    return rr.TimeColumn(TIMELINE, duration=t_ns.astype("timedelta64[ns]"))
+
+
+TIMELINE = "time"
+
+
+def is_date(t_ns: int) -> bool:
+    """Whether a time counts from 1970, as recordings' clocks do, and not from the start of the run."""
+    return t_ns > 10**17  # 1973
+
+
+def log_drone(rec: Any) -> None:
+    """Arms and rotors of a small quadrotor, in the body's frame."""
+    rr = need("rerun", extra="view")
+    turn = np.linspace(0, 2 * np.pi, 25)
+    rim = 0.13 * np.stack([np.cos(turn), np.sin(turn), np.zeros(25)], axis=1)
+    hubs = 0.25 * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) / np.sqrt(2)
+    strips = [np.stack([hubs[0], hubs[2]]), np.stack([hubs[1], hubs[3]]), *(hub + rim for hub in hubs)]
+    rec.log("world/drone", rr.LineStrips3D(strips, colors=rgba(PATH), radii=rr.Radius.ui_points(1.5)), static=True)
+
+
+def log_beam(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
+    """The radar's -3 dB beam as a faint frustum, in the sensor's frame."""
+    rr = need("rerun", extra="view")
+    reach = float(min(spec.range_m[-1], 2.5))
+    wide, tall = np.tan(np.radians([*beam_deg(spec)]) / 2)
+    rim = reach * np.array([[1, wide, tall], [1, -wide, tall], [1, -wide, -tall], [1, wide, -tall], [1, wide, tall]])
+    rim *= reach / np.linalg.norm(rim, axis=1, keepdims=True)
+    strips = [rim, *(np.stack([np.zeros(3), corner]) for corner in rim[:4])]
+    lines = rr.LineStrips3D(strips, colors=rgba(color, 110), radii=rr.Radius.ui_points(0.8))
+    rec.log(f"{path}/beam", lines, static=True)
+    fan = np.concatenate([np.zeros((1, 3)), rim[:4]])
+    faces = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]]
+    rec.log(
+        f"{path}/beam/sides",
+        rr.Mesh3D(vertex_positions=fan, triangle_indices=faces, albedo_factor=rgba(color, 22)),
+        static=True,
+    )
+
+
+def beam_deg(spec: RadarSpec) -> tuple[float, float]:
+    """Openings of the beam at -3 dB, azimuth and elevation [deg]; what is wider than 120 is drawn as 120."""
+    wide = {"x4a02": 65.0, "isotropic": 120.0}.get(spec.antenna.kind)
+    pair = (spec.antenna.azimuth_deg, spec.antenna.elevation_deg) if wide is None else (wide, wide)
+    return min(pair[0], 120.0), min(pair[1], 120.0)
+
+
+def body_of(frames: Frames) -> Trajectory | None:
+    """The path of the body that carries the radar, where it is known."""
+    from ullage.geometry import invert
+
+    return None if frames.poses is None else frames.poses.mounted(invert(frames.spec.mount.body_from_sensor()))
+
+
+def arcs(world_from_sensor: Floats, range_m: Floats, opening_deg: float) -> tuple[Floats, Floats]:
+    """Where echoes may have come from, for poses (d, 4, 4): arcs (d, 17, 3) over the beam, points ahead (d, 3)."""
+    turn = np.radians(np.linspace(-opening_deg / 2, opening_deg / 2, 17))
+    local = np.stack([np.cos(turn), np.sin(turn), np.zeros(17)], axis=1)
+    seen = np.einsum("dij,kj->dki", world_from_sensor[:, :3, :3], local) * range_m[:, None, None]
+    out = seen + world_from_sensor[:, None, :3, 3]
+    return out, out[:, 8]
