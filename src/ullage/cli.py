@@ -94,7 +94,7 @@ def run(
     from ullage.view.progress import progress_bar
 
     tasks = _tasks(do)
-    warm_up()
+    warm_up(source, option or [])
     with progress_bar("flying", total=1.0) as tell:
         job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=_say)
     sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
@@ -118,14 +118,20 @@ def _tasks(text: str | None) -> Any:
     return words
 
 
-def warm_up() -> None:
-    """Compile the kernels if this is the first time, and say so."""
-    from ullage.experiments.warmup import compile_kernels, compiled
+def warm_up(source: str, options: list[str]) -> None:
+    """Compile the kernels that a scenario needs if this is their first time, and say so."""
+    from ullage.experiments.catalog import find_scenario, scenario_names
+    from ullage.experiments.warmup import compile_kernels, compiled, parts_of
     from ullage.view.progress import console
 
-    if not compiled():
-        with console.status("compiling kernels (once after installation, under half a minute)"):
-            compile_kernels()
+    if source not in scenario_names() and not source.endswith((".yaml", ".yml")):
+        return
+    parts = parts_of(find_scenario(source, options=options))
+    if compiled(parts):
+        return
+    console.print(f"compiling kernels for {', '.join(parts)} (once after installation)")
+    with console.status("compiling"):
+        compile_kernels(parts)
 
 
 def _say(text: str) -> None:
