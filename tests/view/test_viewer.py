@@ -19,7 +19,7 @@ from ullage.pipeline import DetectStage, Held, ImageStage, MapStage
 rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'ullage[view]'")
 
 from ullage.view import viewer_plots, viewer_scene  # noqa: E402
-from ullage.view.viewer import ViewerSink, map_colors, spread  # noqa: E402
+from ullage.view.viewer import ViewerSink, spread  # noqa: E402
 
 ROOM = {"size_m": (6, 4, 3), "plate": {"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0}}
 
@@ -115,7 +115,7 @@ def test_the_map_lies_where_its_grid_lies(recorded: tuple[Path, Any]) -> None:
 
 def test_colors_tell_the_four_kinds_of_cells_apart() -> None:
     grid = ul.Grid((0, 0, 0), 1.0, (1, 4))
-    colors = map_colors(ul.OccupancyMap(grid, np.array([[0, 100, -1, -2]], np.int8)))[0]
+    colors = viewer_plots.map_colors(ul.OccupancyMap(grid, np.array([[0, 100, -1, -2]], np.int8)))[0]
     assert colors[0, :3].min() > 200
     assert colors[1, :3].max() < 30
     assert colors[2, 3] == 0
@@ -188,6 +188,7 @@ def test_what_cannot_be_shown_or_written_is_one_line(tmp_path: Path, monkeypatch
         f"viewer:{tmp_path / 'file' / 'a.rrd'}": "cannot write",
         f"viewer:{tmp_path / 'a.mp4'}": r"not something a viewer shows.*FILE\.rrd",
     }
+    cases["viewer:rerun+http://127.0.0.1:1/proxy"] = "no viewer answers"
     if sys.platform.startswith("linux"):
         cases["viewer:"] = r"no display to open a viewer on.*viewer:FILE\.rrd"
     for target, words in cases.items():

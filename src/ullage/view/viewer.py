@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import sys
 import time
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Detections, Frames, Recording, Trajectory, sensors_of
-from ullage.errors import InputError, need
+from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.view import viewer_plots as plots
 from ullage.view import viewer_scene as things
@@ -69,10 +72,7 @@ class ViewerSink:
         if not self.target:
             _spawn(self._rr, self._rec)
         elif self.live:
-            try:
-                self._rec.connect_grpc(self.target)
-            except (RuntimeError, ValueError) as error:
-                raise InputError(f"no viewer: {error}", where=self.target, allowed=USAGE) from None
+            _connect(self._rec, self.target)
         else:
             _save(self._rec, Path(self.target), overwrite)
 
@@ -111,8 +111,8 @@ class ViewerSink:
             self._picture(shown)
         try:
             self._rec.flush(timeout_sec=10.0)
-        except Exception as error:  # rerun raises kinds of its own when a viewer was closed
-            raise InputError(f"not everything was shown: {error}", where=f"viewer:{self.target}") from None
+        except Exception as error:  # rerun raises kinds of its own; a window closed early must not end a run
+            warnings.warn(f"viewer:{self.target}: not everything was shown: {error}", UllageWarning, stacklevel=2)
         finally:
             self._rec.disconnect()
 
@@ -246,7 +246,7 @@ class ViewerSink:
     def _show_map(self, omap: OccupancyMap) -> None:
         self._set_time(self._now_ns)
         if omap.grid.dims == 2:
-            self._plane("world/map", omap.grid, map_colors(omap), lift_m=0.0)
+            self._plane("world/map", omap.grid, plots.map_colors(omap), lift_m=0.0)
             return
         rr, cells = self._rr, np.argwhere(omap.occupied)
         centers = _centers(omap.grid, cells)
@@ -264,10 +264,10 @@ class ViewerSink:
         level = 20 * np.log10(np.maximum(image.amplitude, 1e-30) / max(float(image.amplitude.max()), 1e-30))
         share = np.clip(1 + level / IMAGE_DB, 0, 1)
         if image.grid.dims == 2:
-            self._plane("world/image", image.grid, image_colors(share), lift_m=0.02)
+            self._plane("world/image", image.grid, plots.image_colors(share), lift_m=0.02)
             return
         cells = np.argwhere(share > 0.5)
-        colors = image_colors(share[share > 0.5])
+        colors = plots.image_colors(share[share > 0.5])
         points = self._rr.Points3D(_centers(image.grid, cells), colors=colors, radii=image.grid.step_m / 2)
         self._rec.log("world/image", points)
 
@@ -338,25 +338,6 @@ def spread(t_ns: Times, rate_hz: float) -> NDArray[np.int64]:
     return np.flatnonzero(np.append(slot[1:] != slot[:-1], True))
 
 
-def map_colors(omap: OccupancyMap) -> NDArray[np.uint8]:
-    """A plane's map as RGBA (ny, nx, 4): free white, occupied black, ambiguous amber, unknown clear."""
-    out = np.zeros((*omap.percent.shape, 4), np.uint8)
-    known = omap.percent >= 0
-    gray = 245 - 2.35 * omap.percent[known]
-    out[known] = np.stack([gray, gray, gray, 140 + 1.15 * omap.percent[known]], axis=1).astype(np.uint8)
-    out[omap.ambiguous] = rgba("#f2c14e")
-    return out
-
-
-def image_colors(share: NDArray[Any]) -> NDArray[np.uint8]:
-    """Levels 0 to 1 as RGBA (..., 4), clear where there is nothing."""
-    from matplotlib import colormaps
-
-    out = (colormaps["inferno"](share) * 255).astype(np.uint8)
-    out[..., 3] = np.where(share > 0, 60 + 180 * share, 0).astype(np.uint8)
-    return np.asarray(out)
-
-
 def _centers(grid: Grid, cells: NDArray[np.int64]) -> NDArray[np.float32]:
     axes = (grid.x_m[cells[:, 2]], grid.y_m[cells[:, 1]], grid.z_m[cells[:, 0]])
     return np.stack(axes, axis=1).astype(np.float32)
@@ -376,6 +357,16 @@ def _spawn(rr: Any, rec: Any) -> None:
         rr.spawn(recording=rec, executable_path=program)
     except Exception as error:  # rerun raises kinds of its own
         raise InputError(f"the viewer does not start: {error}", where="viewer:", allowed=USAGE) from None
+
+
+def _connect(rec: Any, address: str) -> None:
+    """Send to a viewer that runs already; that it answers is tried first, for rerun itself would wait for it."""
+    place = urlsplit(address)
+    try:
+        socket.create_connection((place.hostname or "", place.port or 9876), timeout=3.0).close()
+        rec.connect_grpc(address)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"no viewer answers: {error}", where=f"viewer:{address}", allowed=USAGE) from None
 
 
 def _save(rec: Any, path: Path, overwrite: bool) -> None:
