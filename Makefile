@@ -19,7 +19,7 @@ demo: $(VENV)/.run
 	$(BIN)/ullage run cargo-hold --force
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
