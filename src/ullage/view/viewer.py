@@ -174,7 +174,8 @@ class ViewerSink:
         shown.picture.add(part.t_ns, level)
         keep = spread(part.t_ns, RATE_HZ)
         if self.live:
-            keep = keep[-shown.allowed(len(keep)) :]
+            given = shown.allowed(len(keep))
+            keep = keep[(np.arange(1, given + 1) * len(keep)) // given - 1]  # evenly, with the newest
         shown.chunk = part[keep]
         column, name = time_column(part.t_ns[keep]), shown.name
         if part.poses is not None:

@@ -93,7 +93,8 @@ def log_axes(rec: Any, path: str, picture: RangeTime) -> None:
     lines = [[[0, v], [COLUMNS, v]] for v in y] + [[[u, 0], [u, picture.rows]] for u in x]
     grid = rr.LineStrips2D(lines, colors=rgba("#5c677d"), radii=rr.Radius.ui_points(0.4), draw_order=10)
     rec.log(f"{path}/grid", grid, static=True)
-    spots = [[-14, v] for v in y] + [[u, picture.rows + 12] for u in [*x, COLUMNS]]
+    # the viewer writes below a spot: 13 down, at the size of the layout
+    spots = [[-14, v - 13] for v in y] + [[u, picture.rows + 12] for u in [*x, COLUMNS]]
     names = [f"{m:g} m" for m in metres] + [f"{s:g} s" for s in seconds] + ["now"]
     marks = rr.Points2D(spots, labels=names, show_labels=True, colors=rgba("#aab4c3"), radii=0.01, draw_order=11)
     rec.log(f"{path}/ticks", marks, static=True)
