@@ -158,12 +158,22 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
             Metric("real_time_factor", outcome.duration_s / max(job.timing["loop_wall_s"], 1e-9)),
         )
     }
+    if len(job.looks.frames()) == 1:
+        out |= {m.name: m for item in outcome.results if isinstance(item, Image) for m in _place(item)}
     maps = [item for item in outcome.results if isinstance(item, OccupancyMap)]
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality
 
         out |= map_quality(maps[-1], job.scene, job.looks.frames())
     return out
+
+
+def _place(image: Image) -> list[Metric]:
+    """Where one radar's image holds its brightest thing: the hyperbola's apex of a summation, else the peak."""
+    from ullage.processing.summation import apex
+
+    name, point = ("apex", apex(image)) if image.method == "summation" else ("peak", image.peak_m)
+    return [Metric(f"{name}_{axis}", float(value), "m") for axis, value in zip("xy", point, strict=False)]
 
 
 def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
