@@ -132,8 +132,8 @@ def test_places_in_or_near_solids_are_refused(points, start, words):
 
 def test_places_just_clear_are_accepted():
     scene = _block((2, 0, 0), (1, 1, 1))
-    ul.fly([(1.5 - HECTOR.radius_m - 0.01, 0, 0)], scene=scene)
-    ul.fly([(2.0, 0, 0.5 + HECTOR.half_height_m + 0.01)], scene=scene)
+    for clear in ((1.5 - HECTOR.radius_m - 0.01, 0, 0), (2.0, 0, 0.5 + HECTOR.half_height_m + 0.01)):
+        assert np.allclose(ul.fly([clear], scene=scene).position[0], clear, atol=0.05)
 
 
 def test_a_waypoint_on_a_wire_is_refused():
