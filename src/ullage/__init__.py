@@ -35,6 +35,7 @@ _HOMES = {
     "fly_log": "flight.vehicle",
     "navigate": "flight.navigation",
     "simulate": "radar.simulate",
+    "LiveRadars": "radar.live",
     "explain": "radar.explain",
     "detect": "processing.detect",
     "focus": "processing.sar",

@@ -95,13 +95,13 @@ def run(
 
     tasks = _tasks(do)
     warm_up(source, option or [])
-    with progress_bar("flying", total=1.0) as tell:
+    with progress_bar("getting ready", total=1.0) as tell:
         job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=_say)
     sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
     if job.scene is not None:
         for taker in sinks:
             taker.write(job.scene)
-    total = job.flown.duration_s if job.flown is not None else None
+    total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
         report = execute(job, sinks=sinks, progress=tell, say=tell.say)
     _tell(report)

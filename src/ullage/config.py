@@ -85,6 +85,9 @@ class MapSpec(Spec):
     step_m: float = Field(0.1, gt=0, le=10)
     dims: Literal[2, 3] = 2
     margin_m: float = Field(1.0, ge=0, le=100, description="room around the world")
+    reach_m: float = Field(
+        6.0, gt=0, le=1000, description="room around the flight, or a live port's first pose, where no world is known"
+    )
 
 
 class ImageSpec(Spec):

@@ -14,8 +14,8 @@ from ullage.ports import Sink, Source
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("none.mcap", "no such file or folder.*mcap"), ("ros2:/radar", "live ros2 input is not part of this version"),
-        ("x4:/dev/ttyACM0", "live x4 input"), ("imc:localhost", "live imc input"), ("gazebo:", "live gazebo input"),
+        ("none.mcap", "no such file or folder.*mcap.*live: ros2:"), ("x4:/dev/ttyACM0", "live x4 is not part of this"),
+        ("x4:a?b", "cannot read the options 'b'"), ("x4:a?b=1&b=2", "option 'b' comes twice"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_opened_is_one_line(name: str, words: str) -> None:

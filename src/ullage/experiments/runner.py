@@ -36,6 +36,7 @@ class Run:
     scene: Scene | None = None
     flown: Trajectory | None = None
     marks: Floats | None = None  # surveyed places of reflectors (m, 3) [m], for the pictures only
+    live: bool = False  # `flown` is then the first pose, and the rest is learned on the way
     tasks: tuple[Task, ...] = ("detect", "image", "map")
     detect: DetectStage = field(default_factory=DetectStage)
     range_time: RangeTime = field(default_factory=RangeTime)
@@ -87,6 +88,8 @@ def execute(
         if not job.range_time.pictures():  # nothing was received, so nothing is lost
             shutil.rmtree(job.folder, ignore_errors=True)
         raise
+    if job.live:
+        job.flown = _seen_path(job.looks) or job.flown
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
     _write_maps(job.folder, outcome)
     say("drawing figures")
@@ -116,6 +119,11 @@ def _stages(job: Run) -> list[Stage]:
     return out
 
 
+def _seen_path(looks: Looks) -> Trajectory | None:
+    """The way of the first sensor that knew where it was."""
+    return next((frames.poses for frames in looks.frames().values() if frames.poses is not None), None)
+
+
 def _height(job: Run) -> float:
     """The height of plans and planes: that at which the drone spent half its time above."""
     return 0.0 if job.flown is None else float(np.median(job.flown.position[:, 2]))
@@ -130,7 +138,7 @@ def _bounds(job: Run) -> np.ndarray:
         return job.scene.bounds
     if job.flown is None:
         raise InputError("no poses, so nothing can be imaged or mapped", where="--do", allowed="detect")
-    reach = 6.0
+    reach = job.scenario.map.reach_m
     return np.stack([job.flown.position.min(0) - reach, job.flown.position.max(0) + reach])
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ullage.experiments.catalog import find_scenario, scenario_names
 from ullage.experiments.folder import make_folder
 from ullage.experiments.runner import Run, of_scenario
 from ullage.experiments.simulated import prepare
+from ullage.ports.live import LISTED, Address
 
 
 def make_run(
@@ -40,6 +42,9 @@ def make_run(
         InputError: the target cannot be used.
     """
     path = Path(target)
+    address = Address.of(target)
+    if address and address.known and not path.exists():
+        return _of_live(address, tasks, options, out, say)
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
         scenario = find_scenario(target, options=options)
         if tasks is not None:
@@ -54,7 +59,7 @@ def make_run(
         f"no scenario, recording or port {target!r}",
         allowed="a scenario ("
         + ", ".join(scenario_names())
-        + "), a scenario.yaml, a recording, or a port like x4:/dev/ttyACM0",
+        + f"), a scenario.yaml, a recording, or a live port: {LISTED}",
     )
 
 
@@ -89,6 +94,50 @@ def _of_recording(
     folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
     flown = _track(source) if placed else None
     return Run(folder, scenario, source, flown=flown, marks=marks, tasks=scenario.do)
+
+
+class _Begun:
+    """A live source whose first piece has come: it is given first, then the rest."""
+
+    def __init__(self, source: Any) -> None:
+        self._source, self._rest = source, source.stream()
+        self.first: dict[str, Frames] = next(self._rest, {})
+
+    def stream(self) -> Iterator[dict[str, Frames]]:
+        """Every piece, once."""
+        try:
+            yield self.first
+            yield from self._rest
+        finally:
+            self._source.close()
+
+
+def _of_live(
+    address: Address,
+    tasks: tuple[Task, ...] | None,
+    options: Sequence[str],
+    out: Path | None,
+    say: Callable[[str], None],
+) -> Run:
+    """Listen until the first frames come: they say what radars there are and where the map should lie."""
+    source: Any = address.source()
+    try:
+        say(f"waiting for the first frames from {address.scheme}:{address.place} (Ctrl-C ends)")
+        begun = _Begun(source)
+        if not begun.first:
+            raise InputError("no frames came", where=f"{address.scheme}:{address.place}")
+        flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
+        usual: tuple[Task, ...] = ("detect",) if flown is None else ("detect", "map")
+        now = datetime.now(UTC)
+        tree: dict[str, Any] = {"name": f"{address.scheme}-{now:%Y%m%d-%H%M%S}", "do": tasks or usual}
+        tree["title"] = f"Live from {address.scheme}:{address.place}"
+        scenario = make_scenario(tree, options=options)
+        folder = make_folder(scenario.name, scenario.digest, root=out)
+    except BaseException:
+        source.close()
+        raise
+    scene = getattr(source, "scene", None)
+    return Run(folder, scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
 
 
 def _on_one_clock(source: Any, say: Callable[[str], None]) -> dict[str, Frames]:

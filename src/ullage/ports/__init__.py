@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import re
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -16,15 +15,15 @@ import numpy as np
 from ullage.data import Floats, Frames, Times, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
+from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.specs import MountSpec
 
 __all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 
 Made = TypeVar("Made")
-SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+]+):")
 SOURCES = ".mcap, .zarr, an X4 .dat, or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
-SINKS = ".mcap, a folder, .zarr, or a map: .yaml, .bt, .ot, .ply"
+SINKS = f".mcap, a folder, .zarr, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 MAPS = {
     ".yaml": ("maps", "write_map_server", "read_map_server"),
     ".pgm": ("maps", "write_map_server", "read_map_server"),
@@ -35,10 +34,11 @@ MAPS = {
 
 
 def open(target: str | Path, **options: Any) -> Source:
-    """A recording, whatever its kind.
+    """A recording, whatever its kind, or a live port.
 
     Args:
-        target: a `.mcap` file, a run's or rosbag2 folder, an X4 `.dat`, or a folder with radar.out and mocap.csv.
+        target: a `.mcap` file, a run's or rosbag2 folder, an X4 `.dat`, a folder with radar.out and mocap.csv, or a
+            live port as `scheme:place?key=value`.
         **options: of that kind: X4 takes fps and range_start_m; a PulsON folder takes mount (a MountSpec).
 
     Raises:
@@ -46,10 +46,9 @@ def open(target: str | Path, **options: Any) -> Source:
     """
     path = Path(target)
     if not path.exists():
-        live = SCHEME.match(str(target))
-        if live:
-            raise InputError(f"live {live[1]} input is not part of this version", where=target, allowed=SOURCES)
-        raise InputError("no such file or folder", where=target, allowed=SOURCES)
+        if address := Address.of(target, **options):
+            return address.source()
+        raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
     if path.suffix.lower() == ".zarr":
         from ullage.ports.store import ZarrSource
 
@@ -72,7 +71,7 @@ def sink(target: str | Path, **options: Any) -> Sink:
 
     Args:
         target: a `.mcap` recording, a folder for one, a `.zarr` store, or a map file: `.yaml` or `.pgm` (map_server),
-            `.bt` or `.ot` (OctoMap), `.ply`.
+            `.bt` or `.ot` (OctoMap), `.ply`; or a live port as `scheme:place?key=value`.
         **options: of that kind: recordings and stores take overwrite, map_server takes mode.
 
     Raises:
@@ -80,7 +79,10 @@ def sink(target: str | Path, **options: Any) -> Sink:
     """
     path = Path(target)
     kind = path.suffix.lower()
-    if SCHEME.match(str(target)):
+    address = Address.of(target, **options)
+    if address and address.known:
+        return address.sink()
+    if address:
         raise InputError("not something to write to", where=target, allowed=SINKS)
     if kind in MAPS:
         return MapSink(path, **options)

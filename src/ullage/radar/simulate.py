@@ -120,27 +120,36 @@ def simulate_stream(
     Raises:
         InputError: an argument cannot be used.
     """
-    sensors = _checked(scene, path, radar, fidelity, max_bounces, seed, believed, chunk, first_frame)
-    work = _Work(scene, path, fidelity, max_bounces, seed, believed, first_frame)
-    return _stream(work, sensors, chunk, progress)
+    _check_track(path, believed, chunk, first_frame)
+    work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
+    return _stream(work, path, believed, chunk, progress, first_frame)
 
 
 def _stream(
-    work: _Work, sensors: dict[str, RadarSpec], chunk: int, progress: Progress | None
+    work: Receiving,
+    path: Trajectory,
+    believed: Trajectory | None,
+    chunk: int,
+    progress: Progress | None,
+    first_frame: int,
 ) -> Iterator[dict[str, Frames]]:
     """Pieces in order, while the next ones are under way on every core."""
+
+    def piece(name: str, start: int) -> Frames:
+        cut = slice(start, min(start + chunk, len(path)))
+        known = None if believed is None else believed[cut]
+        return work.frames(name, work.sensors[name], path[cut], believed=known, first_frame=first_frame + start)
+
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    ahead = max(2, math.ceil(2 * cores / len(sensors)))
-    total, done = len(work.path) * len(sensors), 0
+    ahead = max(2, math.ceil(2 * cores / len(work.sensors)))
+    total, done = len(path) * len(work.sensors), 0
     waiting: deque[dict[str, Future[Frames]]] = deque()
     pool = ThreadPoolExecutor(max_workers=cores)
     try:
-        for start in range(0, len(work.path), chunk):
-            cut = slice(start, min(start + chunk, len(work.path)))
-            waiting.append({name: pool.submit(work.frames, name, spec, cut) for name, spec in sensors.items()})
-            if len(waiting) < ahead and cut.stop < len(work.path):
-                continue
-            while len(waiting) >= ahead or (waiting and cut.stop == len(work.path)):
+        for start in range(0, len(path), chunk):
+            last = start + chunk >= len(path)
+            waiting.append({name: pool.submit(piece, name, start) for name in work.sensors})
+            while len(waiting) >= ahead or (waiting and last):
                 ready = {name: job.result() for name, job in waiting.popleft().items()}
                 done += sum(len(frames) for frames in ready.values())
                 if progress is not None:
@@ -150,36 +159,51 @@ def _stream(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-class _Work:
-    """One job: the frames of one sensor over one cut of the track."""
+class Receiving:
+    """What the radars of one body receive in one world: made once, then asked for piece after piece of the track.
+
+    Args:
+        scene: the world.
+        radar: one radar (called "radar"), or several on one body.
+        fidelity: "physical" or "thesis".
+        max_bounces: 1 to 3.
+        seed: of the noise.
+
+    Raises:
+        InputError: an argument cannot be used.
+    """
 
     def __init__(
-        self,
-        scene: Scene,
-        path: Trajectory,
-        fidelity: Fidelity,
-        max_bounces: int,
-        seed: int,
-        believed: Trajectory | None,
-        first_frame: int,
+        self, scene: Scene, radar: RadarSpec | Rig, *, fidelity: Fidelity, max_bounces: int, seed: int
     ) -> None:
-        self.scene, self.path, self.fidelity, self.max_bounces = scene, path, fidelity, max_bounces
-        self.seed, self.believed, self.first_frame = seed, believed, first_frame
+        _check(scene, radar, fidelity, max_bounces, seed)
+        self.sensors = dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
+        self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
         self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None
 
-    def frames(self, name: str, spec: RadarSpec, cut: slice) -> Frames:
+    def frames(
+        self, name: str, spec: RadarSpec, body: Trajectory, *, believed: Trajectory | None = None, first_frame: int = 0
+    ) -> Frames:
+        """Frames of one radar along a piece of the body's track.
+
+        Args:
+            name: of the radar.
+            spec: of the radar.
+            body: true poses, one a frame.
+            believed: poses as navigation has them, at the same times.
+            first_frame: number of the first frame, which keys its noise.
+        """
         mount = spec.mount.body_from_sensor()
-        truth = self.path[cut].mounted(mount)
-        poses = truth if self.believed is None else self.believed[cut].mounted(mount)
-        clean = self.echoes(truth, spec)
+        truth = body.mounted(mount)
+        poses = truth if believed is None else believed.mounted(mount)
         finish = receive_thesis if self.fidelity == "thesis" else receive
-        samples = finish(clean, spec, seed=sensor_seed(self.seed, name), first_frame=self.first_frame + cut.start)
+        samples = finish(self._echoes(truth, spec), spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
         return Frames(
             samples, spec.range_m, truth.t_ns, spec, poses, truth, name,
             "thesis" if self.fidelity == "thesis" else "path_gain",
         )  # fmt: skip
 
-    def echoes(self, truth: Trajectory, spec: RadarSpec) -> Any:
+    def _echoes(self, truth: Trajectory, spec: RadarSpec) -> Any:
         if self.fidelity == "thesis":
             return echoes_thesis(self.scene, truth, spec, caster=self.caster)
         from ullage.radar.physical import echoes
@@ -193,34 +217,29 @@ def sensor_seed(seed: int, name: str) -> int:
     return int(mixed.generate_state(1, np.uint64)[0])
 
 
-def _checked(
-    scene: Scene,
-    path: Trajectory,
-    radar: RadarSpec | Rig,
-    fidelity: str,
-    max_bounces: int,
-    seed: int,
-    believed: Trajectory | None,
-    chunk: int,
-    first_frame: int,
-) -> dict[str, RadarSpec]:
-    for name, value, kind in (("scene", scene, Scene), ("path", path, Trajectory), ("radar", radar, RadarSpec | Rig)):
-        if not isinstance(value, kind):
-            allowed = "RadarSpec or Rig" if name == "radar" else kind.__name__  # type: ignore[union-attr]
-            raise InputError(f"{name} is a {type(value).__name__}", where="simulate", allowed=f"a {allowed}")
+def _check(scene: Scene, radar: RadarSpec | Rig, fidelity: str, max_bounces: int, seed: int) -> None:
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene is a {type(scene).__name__}", where="simulate", allowed="a Scene")
+    if not isinstance(radar, RadarSpec | Rig):
+        raise InputError(f"radar is a {type(radar).__name__}", where="simulate", allowed="a RadarSpec or Rig")
     if fidelity not in get_args(Fidelity):
         raise InputError(f"no fidelity {fidelity!r}", where="simulate", allowed=", ".join(get_args(Fidelity)))
-    for name, number, low, high in (
-        ("max_bounces", max_bounces, 1, 3),
-        ("seed", seed, 0, 2**63 - 1),
-        ("chunk", chunk, 1, 2**31),
-        ("first_frame", first_frame, 0, 2**62),
-    ):
-        if not isinstance(number, int | np.integer) or isinstance(number, bool) or not low <= number <= high:
-            raise InputError(f"{name} is {number!r}", where="simulate", allowed=f"a whole number {low} to {high}")
+    _check_whole("max_bounces", max_bounces, 1, 3)
+    _check_whole("seed", seed, 0, 2**63 - 1)
+
+
+def _check_track(path: Trajectory, believed: Trajectory | None, chunk: int, first_frame: int) -> None:
+    if not isinstance(path, Trajectory):
+        raise InputError(f"path is a {type(path).__name__}", where="simulate", allowed="a Trajectory")
+    _check_whole("chunk", chunk, 1, 2**31)
+    _check_whole("first_frame", first_frame, 0, 2**62)
     if believed is not None:
         if not isinstance(believed, Trajectory):
             raise InputError(f"believed is a {type(believed).__name__}", where="simulate", allowed="a Trajectory")
         if not np.array_equal(believed.t_ns, path.t_ns):
             raise InputError("believed is not at the times of path", where="simulate", allowed="believed.at(path.t_ns)")
-    return dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
+
+
+def _check_whole(name: str, number: int, low: int, high: int) -> None:
+    if not isinstance(number, int | np.integer) or isinstance(number, bool) or not low <= number <= high:
+        raise InputError(f"{name} is {number!r}", where="simulate", allowed=f"a whole number {low} to {high}")

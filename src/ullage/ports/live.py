@@ -1,0 +1,105 @@
+"""Live doors: `scheme:address?key=value` names a port, where it reaches, and how it is set."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Protocol, Self, runtime_checkable
+from urllib.parse import parse_qsl
+
+from ullage.data import Frames
+from ullage.errors import InputError
+from ullage.ports.protocol import Sink, Source
+from ullage.world.scene import Scene
+
+SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+-]+):")
+LIVE = {
+    "ros2": "ullage.ports.ros2",
+    "gazebo": "ullage.ports.gazebo",
+    "gazebo-classic": "ullage.ports.gazebo_classic",
+    "imc": "ullage.ports.imc",
+}
+"""Scheme to the module with `open_source(address, options)` and `open_sink(address, options)`."""
+LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
+
+
+@runtime_checkable
+class LiveSource(Protocol):
+    """A peer that goes on measuring: it can be listened to once, and not be asked what was before."""
+
+    scene: Scene | None  # the world, where the port knows it
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars known so far."""
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Frames with poses as they arrive, until the peer ends, the asked duration is over, or Ctrl-C."""
+
+    def close(self) -> None:
+        """Let go of sockets and nodes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a live port reaches."""
+
+    scheme: str
+    place: str
+    options: dict[str, Any]
+
+    @classmethod
+    def of(cls, target: object, **options: Any) -> Self | None:
+        """The parts of `scheme:place?key=value&key=value`; None where it is not of that form.
+
+        Args:
+            target: what the user wrote.
+            **options: laid over those of the target.
+
+        Raises:
+            InputError: an option is not key=value, or comes twice.
+        """
+        text = str(target)
+        found = SCHEME.match(text)
+        if not found:
+            return None
+        place, _, query = text[found.end() :].partition("?")
+        try:
+            pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        except ValueError:
+            raise InputError(f"cannot read the options {query!r}", where=text, allowed="key=value&key=value") from None
+        keys = [key for key, _ in pairs]
+        if twice := next((key for key in keys if keys.count(key) > 1), None):
+            raise InputError(f"option {twice!r} comes twice", where=text)
+        return cls(found[1].lower(), place, dict(pairs) | options)
+
+    @property
+    def known(self) -> bool:
+        """Whether there is such a port."""
+        return self.scheme in LIVE
+
+    def port(self) -> ModuleType:
+        """The port's module.
+
+        Raises:
+            InputError: it is not part of this version.
+        """
+        if not self.known or importlib.util.find_spec(LIVE[self.scheme]) is None:
+            raise InputError(
+                f"live {self.scheme} is not part of this version", where=f"{self.scheme}:{self.place}", allowed=LISTED
+            )
+        return importlib.import_module(LIVE[self.scheme])
+
+    def source(self) -> Source:
+        """Open it to listen."""
+        source: Source = self.port().open_source(self.place, self.options)
+        return source
+
+    def sink(self) -> Sink:
+        """Open it to speak."""
+        sink: Sink = self.port().open_sink(self.place, self.options)
+        return sink

@@ -1,0 +1,127 @@
+"""Radars on something that moves as we watch: poses come in as they come, frames come out as they fall due."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.data import Floats, Frames, Times, Trajectory
+from ullage.errors import InputError
+from ullage.geometry import rotations
+from ullage.radar.simulate import Fidelity, Receiving
+from ullage.specs import RadarSpec, Rig
+from ullage.world.scene import Scene
+
+
+class LiveRadars:
+    """Simulates radars along poses that arrive one by one or in bunches.
+
+    Frame k of a radar is due at k / fps after the first pose, by the poses' own clock; its pose lies between the two
+    that came before and after it. So the frames do not depend on how the poses were bunched.
+
+    Args:
+        scene: the world.
+        radar: one radar (called "radar"), or several on one body.
+        fidelity: "physical" or "thesis".
+        max_bounces: 1 to 3.
+        seed: of the noise.
+        rate_hz: frames a second of every radar; None: each radar's own fps.
+
+    Raises:
+        InputError: an argument cannot be used.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        radar: RadarSpec | Rig,
+        *,
+        fidelity: Fidelity = "physical",
+        max_bounces: int = 1,
+        seed: int = 0,
+        rate_hz: float | None = None,
+    ) -> None:
+        if rate_hz is not None and not 0 < rate_hz <= 10_000:
+            raise InputError(f"rate_hz is {rate_hz}", where="LiveRadars", allowed="above 0, at most 10000")
+        self._work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
+        self.sensors = self._work.sensors
+        self._rate_hz = {name: rate_hz or spec.fps for name, spec in self.sensors.items()}
+        self._pool = ThreadPoolExecutor(os.cpu_count() or 1)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, as after a clock that jumped: the next pose is the first."""
+        self._first_ns: int | None = None
+        self._last: tuple[Times, Floats, Floats] | None = None
+        self._given = dict.fromkeys(self.sensors, 0)
+
+    def advance(self, t_ns: ArrayLike, position: ArrayLike, quat_xyzw: ArrayLike) -> dict[str, Frames]:
+        """Take the body's next poses and give the frames that have fallen due, none of a radar where none has.
+
+        Args:
+            t_ns: time or times (n), later than every one before [ns].
+            position: of the body (3) or (n, 3), world ENU [m].
+            quat_xyzw: world_from_body (4) or (n, 4).
+
+        Raises:
+            InputError: the clock does not rise; `reset` first.
+        """
+        poses = self._with_last(
+            np.atleast_1d(np.asarray(t_ns, np.int64)),
+            np.atleast_2d(np.asarray(position, float)),
+            np.atleast_2d(np.asarray(quat_xyzw, float)),
+        )
+        jobs = {}
+        for name, spec in self.sensors.items():
+            first = self._given[name]
+            due = self._due(name, int(poses[0][-1]))
+            if len(due):
+                self._given[name] = first + len(due)
+                jobs[name] = self._pool.submit(self._work.frames, name, spec, _between(poses, due), first_frame=first)
+        return {name: job.result() for name, job in jobs.items()}
+
+    def close(self) -> None:
+        """Let go of the threads."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _with_last(self, t_ns: Times, position: Floats, quat: Floats) -> tuple[Times, Floats, Floats]:
+        poses = (t_ns, position, quat)
+        if self._last is not None:
+            before = self._last
+            poses = tuple(np.concatenate(pair) for pair in zip(before, poses, strict=True))  # type: ignore[assignment]
+        if np.any(np.diff(poses[0]) <= 0):
+            raise InputError("the clock of the poses does not rise", where="advance", allowed="reset() after a jump")
+        if self._first_ns is None:
+            self._first_ns = int(t_ns[0])
+        self._last = (poses[0][-1:], poses[1][-1:], poses[2][-1:])
+        return poses
+
+    def _due(self, name: str, now_ns: int) -> NDArray[np.int64]:
+        """Times of the frames not yet given that lie no later than the last pose."""
+        start = self._first_ns or 0
+        rate = self._rate_hz[name]
+        count = int((now_ns - start) * 1e-9 * rate) + 2  # one too many at most; cut by the clock below
+        number = np.arange(self._given[name], max(count, self._given[name]), dtype=np.int64)
+        times: NDArray[np.int64] = start + np.rint(number * (1e9 / rate)).astype(np.int64)
+        return np.asarray(times[times <= now_ns], np.int64)
+
+
+def _between(poses: tuple[Times, Floats, Floats], t_ns: NDArray[np.int64]) -> Trajectory:
+    """Poses at other times: straight lines in position, great arcs in attitude, whatever came before or after."""
+    known, position, quat = poses
+    if len(known) == 1:
+        still = np.zeros((len(t_ns), 3))
+        return Trajectory(t_ns, np.repeat(position, len(t_ns), 0), np.repeat(quat, len(t_ns), 0), still, still)
+    row = np.clip(np.searchsorted(known, t_ns, side="right") - 1, 0, len(known) - 2)
+    step_s = (known[row + 1] - known[row]) * 1e-9
+    share = ((t_ns - known[row]) * 1e-9 / step_s)[:, None]
+    turn = (rotations().from_quat(quat[row]).inv() * rotations().from_quat(quat[row + 1])).as_rotvec()
+    attitude: Any = rotations().from_quat(quat[row]) * rotations().from_rotvec(share * turn)
+    moved = position[row + 1] - position[row]
+    return Trajectory(
+        t_ns, position[row] + share * moved, attitude.as_quat(), moved / step_s[:, None], turn / step_s[:, None]
+    )
