@@ -47,3 +47,62 @@ def test_the_peak_of_an_image_is_where_it_is() -> None:
 def test_a_step_must_be_positive(step: float) -> None:
     with pytest.raises(ul.InputError, match="step_m"):
         ul.Grid.covering([[0, 0, 0], [1, 1, 1]], step)
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (37, 5), (1, 1), (8, 8, 8), (9, 17, 30)])
+def test_blocks_lay_out_the_cells_they_were_made_of(shape):
+    rng = np.random.default_rng(sum(shape))
+    cells = np.repeat(rng.integers(-2, 101, (shape[0], 1)).astype(np.int8), int(np.prod(shape[1:])), axis=1)
+    cells = cells.reshape(shape)
+    cells[rng.random(shape) < 0.02] = 7
+    omap = ul.OccupancyMap(ul.Grid((0, 0, 0), 0.1, shape), cells)
+    np.testing.assert_array_equal(omap.percent, cells)
+    assert omap.percent.dtype == np.int8
+
+
+def test_a_map_of_one_value_takes_next_to_nothing_and_goes_through_pickle():
+    import pickle
+
+    grid = ul.Grid((0, 0, 0), 0.05, (1000, 1000))
+    cells = np.full(grid.shape, -1, np.int8)
+    cells[200:400, 300:310] = 90
+    omap = ul.OccupancyMap(grid, cells, "ullage", 70, 20)
+    assert omap.nbytes < 40_000
+    twin = pickle.loads(pickle.dumps(omap))
+    np.testing.assert_array_equal(twin.percent, cells)
+    assert (twin.method, twin.occupied_from, twin.free_to) == ("ullage", 70, 20)
+
+
+def test_a_map_does_not_change():
+    omap = ul.OccupancyMap(ul.Grid((0, 0, 0), 0.1, (2, 2)), np.zeros((2, 2), np.int8))
+    with pytest.raises(AttributeError, match="does not change: method"):
+        omap.method = "else"
+    with pytest.raises(ValueError, match="read-only"):
+        omap.percent[0, 0] = 1
+
+
+@pytest.mark.parametrize("shape", [(40, 50), (20, 30, 17)])
+def test_patching_what_changed_gives_the_later_map(shape):
+    grid, rng = ul.Grid((0, 0, 0), 0.1, shape), np.random.default_rng(4)
+    before = np.full(shape, -1, np.int8)
+    before[:17] = 3
+    after = before.copy()
+    after[tuple(rng.integers(0, 15, 3) for _ in shape)] = 88
+    earlier, later = (ul.OccupancyMap(grid, cells) for cells in (before, after))
+    changes = later.changes(earlier)
+    patched = before.copy()
+    for corner, values in changes:
+        patched[tuple(slice(c, c + n) for c, n in zip(corner, values.shape, strict=True))] = values
+    np.testing.assert_array_equal(patched, after)
+    assert 0 < len(changes) < np.prod(later.tiles.place.shape)
+    corner, values = changes.rectangle()
+    box = tuple(slice(c, c + n) for c, n in zip(corner, values.shape, strict=True))
+    assert box == changes.box
+    outside = before != after
+    outside[box] = False
+    assert not outside.any()
+    assert not later.changes(later)
+    assert later.changes(later).rectangle() is None
+    assert len(later.changes(None)) >= len(changes)
+    with pytest.raises(ul.InputError, match="the earlier map has cells"):
+        later.changes(ul.OccupancyMap(ul.Grid((0, 0, 0), 0.1, (3,) * len(shape)), np.zeros((3,) * len(shape), np.int8)))

@@ -6,6 +6,8 @@ Arrays on a grid are indexed [y, x] for a plane and [z, y, x] for a volume, rows
 from __future__ import annotations
 
 import math
+import weakref
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -141,28 +143,162 @@ class Image:
 
 
 UNKNOWN, AMBIGUOUS = -1, -2
+EDGE = {2: 16, 3: 8}
+"""Cells along a block's edge, of a plane and of a volume."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Tiles:
+    """Int8 cells in sparse blocks: one number for a block that is the same throughout, cells only for the others."""
+
+    shape: tuple[int, ...]  # of the whole, in cells
+    place: NDArray[np.int32]  # (blocks along each axis) row of `cells`, or -1 for a block that is one number
+    value: NDArray[np.int8]  # (blocks along each axis) that number
+    cells: NDArray[np.int8]  # (k, edge, edge[, edge])
+
+    @classmethod
+    def of(cls, values: NDArray[np.int8], *, shape: tuple[int, ...] | None = None, corner: Sequence[int] = ()) -> Tiles:
+        """Blocks of an array, or of one that lies inside a larger, otherwise unknown whole.
+
+        Args:
+            values: (ny, nx) or (nz, ny, nx).
+            shape: of the whole; None: that of the values.
+            corner: of the values in the whole, multiples of the block's edge.
+        """
+        edge = EDGE[values.ndim]
+        whole = values.shape if shape is None else shape
+        table = tuple(-(-n // edge) for n in whole)
+        corner = tuple(corner) or (0,) * values.ndim
+        part = tuple(slice(c // edge, c // edge - (-n // edge)) for c, n in zip(corner, values.shape, strict=True))
+        blocks = _cut(values, edge)
+        flat = blocks.reshape(*blocks.shape[: values.ndim], edge**values.ndim)
+        mixed = flat.min(axis=-1) != flat.max(axis=-1)
+        place, value = np.full(table, -1, np.int32), np.full(table, UNKNOWN, np.int8)
+        value[part] = flat[..., 0]
+        place[part][mixed] = np.arange(int(mixed.sum()))
+        return cls(whole, place, value, np.ascontiguousarray(blocks[mixed]))
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, ...]) -> Tiles:
+        """Blocks of which nothing is known."""
+        edge, dims = EDGE[len(shape)], len(shape)
+        table = tuple(-(-n // edge) for n in shape)
+        return cls(
+            shape,
+            np.full(table, -1, np.int32),
+            np.full(table, UNKNOWN, np.int8),
+            np.zeros((0, *(edge,) * dims), np.int8),
+        )
+
+    def dense(self) -> NDArray[np.int8]:
+        """Every cell."""
+        edge, dims = EDGE[len(self.shape)], len(self.shape)
+        out = np.repeat(self.value[..., None], edge**dims, axis=-1).reshape(*self.place.shape, *(edge,) * dims)
+        out[self.place >= 0] = self.cells[self.place[self.place >= 0]]
+        order = [k for axis in range(dims) for k in (axis, dims + axis)]
+        whole = out.transpose(order).reshape([n * edge for n in self.place.shape])
+        return np.ascontiguousarray(whole[tuple(slice(n) for n in self.shape)])
+
+    def block(self, index: tuple[int, ...]) -> tuple[tuple[int, ...], NDArray[np.int8]]:
+        """One block's corner in cells and its cells, cut at the border of the whole."""
+        edge = EDGE[len(self.shape)]
+        corner = tuple(k * edge for k in index)
+        size = tuple(min(edge, n - c) for n, c in zip(self.shape, corner, strict=True))
+        row = int(self.place[index])
+        if row < 0:
+            return corner, np.full(size, self.value[index], np.int8)
+        return corner, self.cells[row][tuple(slice(n) for n in size)].copy()
+
+    def differing(self, other: Tiles) -> NDArray[np.int64]:
+        """Indices (k, dims) of the blocks in which the two differ, in order."""
+        plain = (self.place < 0) & (other.place < 0)
+        differ = np.where(plain, self.value != other.value, True)
+        rest = np.argwhere(~plain)
+        where = tuple(rest.T)
+        mine, theirs = self._filled(where), other._filled(where)
+        differ[where] = (mine != theirs).any(axis=1)
+        return np.argwhere(differ)
+
+    def _filled(self, where: tuple[NDArray[np.int64], ...]) -> NDArray[np.int8]:
+        dims, row = len(self.shape), self.place[where]
+        out = np.empty((len(row), EDGE[dims] ** dims), np.int8)
+        out[:] = self.value[where][:, None]
+        out[row >= 0] = self.cells[row[row >= 0]].reshape(-1, out.shape[1])
+        return out
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held [byte]."""
+        return self.place.nbytes + self.value.nbytes + self.cells.nbytes
+
+
+def _cut(values: NDArray[np.int8], edge: int) -> NDArray[np.int8]:
+    """The array as blocks (blocks along each axis, edge along each axis); the last of each axis repeats its border."""
+    over = [(0, -n % edge) for n in values.shape]
+    padded = np.pad(values, over, mode="edge") if any(b for _, b in over) else values
+    parts = [k for n in padded.shape for k in (n // edge, edge)]
+    return padded.reshape(parts).transpose([*range(0, len(parts), 2), *range(1, len(parts), 2)])
+
+
 class OccupancyMap:
     """What is known of each cell: 0..100 percent chance of being occupied, -1 unknown, -2 ambiguous.
 
-    Ambiguous means: an echo came from an arc that holds this cell, and nothing yet says from which cell of it.
+    Ambiguous means: an echo came from an arc that holds this cell, and nothing yet says from which cell of it. Cells
+    are kept in blocks; `percent` lays them out, for as long as somebody holds what it gave. It does not change.
+
+    Args:
+        grid: where the cells are.
+        percent: int8 of the grid's shape, or the same in blocks.
+        method: what made it.
+        occupied_from: percent at and above which a cell counts as occupied.
+        free_to: percent at and below which it counts as free.
+
+    Raises:
+        InputError: the cells are not int8 or not of the grid's shape.
     """
 
+    __slots__ = ("_view", "free_to", "grid", "method", "occupied_from", "tiles")
     grid: Grid
-    percent: NDArray[np.int8]  # grid.shape
-    method: str = ""
-    occupied_from: int = 65  # percent at and above which a cell counts as occupied
-    free_to: int = 35  # percent at and below which it counts as free
+    tiles: Tiles
+    method: str
+    occupied_from: int
+    free_to: int
+    _view: weakref.ref[NDArray[np.int8]] | None
 
-    def __post_init__(self) -> None:
-        if self.percent.shape != self.grid.shape or self.percent.dtype != np.int8:
-            raise InputError(
-                f"percent is {self.percent.dtype} {self.percent.shape}",
-                where="OccupancyMap",
-                allowed=f"int8 {self.grid.shape}",
-            )
+    def __init__(
+        self,
+        grid: Grid,
+        percent: NDArray[np.int8] | Tiles,
+        method: str = "",
+        occupied_from: int = 65,
+        free_to: int = 35,
+    ) -> None:
+        if percent.shape != grid.shape or (isinstance(percent, np.ndarray) and percent.dtype != np.int8):
+            kind = "blocks" if isinstance(percent, Tiles) else percent.dtype
+            raise InputError(f"percent is {kind} {percent.shape}", where="OccupancyMap", allowed=f"int8 {grid.shape}")
+        tiles = percent if isinstance(percent, Tiles) else Tiles.of(percent)
+        self.__setstate__((grid, tiles, method, occupied_from, free_to))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"an OccupancyMap does not change: {name}")
+
+    def __getstate__(self) -> tuple[Any, ...]:
+        return self.grid, self.tiles, self.method, self.occupied_from, self.free_to
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        names = ("grid", "tiles", "method", "occupied_from", "free_to", "_view")
+        for name, value in zip(names, (*state, None), strict=True):
+            object.__setattr__(self, name, value)
+
+    @property
+    def percent(self) -> NDArray[np.int8]:
+        """Every cell, grid.shape; not to be written to."""
+        held = None if self._view is None else self._view()
+        if held is None:
+            held = self.tiles.dense()
+            held.flags.writeable = False
+            object.__setattr__(self, "_view", weakref.ref(held))
+        return held
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
@@ -183,3 +319,56 @@ class OccupancyMap:
     def ambiguous(self) -> NDArray[np.bool_]:
         """Cells on an arc that one look alone left open."""
         return np.asarray(self.percent == AMBIGUOUS)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory its cells take [byte]."""
+        return self.tiles.nbytes
+
+    def changes(self, before: OccupancyMap | None) -> Changes:
+        """The blocks in which it differs from an earlier map of the same grid, or from nothing known.
+
+        Raises:
+            InputError: the two lie on different grids.
+        """
+        if before is None:
+            old = Tiles.unknown(self.grid.shape)
+        elif (before.grid.shape, before.grid.step_m) != (self.grid.shape, self.grid.step_m):
+            raise InputError(
+                f"the earlier map has cells {before.grid.shape}", where="changes", allowed=f"{self.grid.shape}"
+            )
+        else:
+            old = before.tiles
+        return Changes(self, self.tiles.differing(old))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """Blocks of a map that differ from an earlier one: iterate over it for (corner in cells, int8 values) of each.
+
+    Corners and values are in array order, [y, x] or [z, y, x]. It is false when nothing changed.
+    """
+
+    after: OccupancyMap
+    index: NDArray[np.int64]  # (k, dims) of the blocks
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __iter__(self) -> Iterator[tuple[tuple[int, ...], NDArray[np.int8]]]:
+        for row in self.index.tolist():
+            yield self.after.tiles.block(tuple(row))
+
+    @property
+    def box(self) -> tuple[slice, ...] | None:
+        """Index of the smallest box of the map's array that holds them; None: nothing changed."""
+        if not len(self.index):
+            return None
+        edge = EDGE[self.after.grid.dims]
+        low, high = self.index.min(axis=0) * edge, (self.index.max(axis=0) + 1) * edge
+        return tuple(slice(int(a), min(int(b), n)) for a, b, n in zip(low, high, self.after.grid.shape, strict=True))
+
+    def rectangle(self) -> tuple[tuple[int, ...], NDArray[np.int8]] | None:
+        """Corner and cells of that box, as `map_msgs/OccupancyGridUpdate` wants them; None: nothing changed."""
+        box = self.box
+        return None if box is None else (tuple(s.start for s in box), self.after.percent[box])

@@ -215,7 +215,10 @@ class MapStage:
 
     def finish(self) -> Iterable[OccupancyMap]:
         """The final map."""
-        return () if self._mapper is None else (self._mapper.map(),)
+        if self._mapper is None:
+            return ()
+        self._mapper.finish()
+        return (self._mapper.map(),)
 
 
 @dataclass(slots=True)

@@ -88,17 +88,14 @@ def test_pieces_give_the_map_of_the_whole_and_say_what_changed():
     frames = echoes(path, np.full(len(path), 3.0))
     whole = ul.map_occupancy(frames, GRID, method="elfes")
     mapper = Mapper(ul.Grid.covering([[-6, -4, -1], [6, 8, 1]], 0.1, z_m=0.0), method="elfes")
-    before = None
+    patched = np.full(GRID.shape, -1, np.int8)
     for piece in frames.chunks(7):
         mapper.update(piece)
-        box, now = mapper.changed(), mapper.map().percent
-        if before is not None:
-            differs = now != before
-            differs[box] = False
-            assert not differs.any(), "every changed cell lies in the box"
-        before = now
+        for (row, column), values in mapper.changed():
+            patched[row : row + len(values), column : column + values.shape[1]] = values
+        np.testing.assert_array_equal(patched, mapper.map().percent)
     np.testing.assert_array_equal(mapper.map().percent, whole.percent)
-    assert mapper.changed() is None
+    assert not mapper.changed()
 
 
 def test_roll_and_pitch_are_projected_to_the_plane():

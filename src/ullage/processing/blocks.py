@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError
-from ullage.grids import Grid
+from ullage.grids import EDGE, Grid
 from ullage.kernels.occupancy import CLEAR, EMPTY, NOWHERE, collapse_clear
 
-EDGE = {2: 16, 3: 8}
 MOST_BYTES = 2 * 1024**3
 GROWTH = 64
 

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
-from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.grids import UNKNOWN, Changes, Grid, OccupancyMap
 from ullage.kernels.elfes import insert_reading
 from ullage.processing.inverse_sensor import first_echo
-from ullage.processing.mapper_door import ChangedRegion, in_order, plane_of
+from ullage.processing.mapper_door import in_order, plane_of
 
 Floats = NDArray[np.float64]
 LOBE_DEG = 65.0
@@ -44,7 +44,8 @@ class ElfesMapper:
         self._spread = max(spread_m, grid.step_m)
         self._empty = np.zeros(grid.shape, np.float32)
         self._occupied = np.zeros(grid.shape, np.float32)
-        self._region = ChangedRegion()
+        self.traversed: tuple[slice, slice] | None = None  # square of cells that the last reading looked at
+        self._published: OccupancyMap | None = None
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -73,7 +74,7 @@ class ElfesMapper:
                 float(np.arctan2(ahead[i, 1], ahead[i, 0])), near, float(reach[i]) if found[i] else last,
                 self._spread, bool(found[i]), self._half, box,
             )  # fmt: skip
-            self._region.add(((int(box[0]), int(box[1])), (int(box[2]), int(box[3]))))
+            self.traversed = slice(int(box[0]), int(box[1])), slice(int(box[2]), int(box[3]))
 
     def map(self) -> OccupancyMap:
         """The map so far: 50 + 50 Occ where Occ >= Emp, else 50 - 50 Emp, unknown where neither is known."""
@@ -82,9 +83,12 @@ class ElfesMapper:
         percent[(self._occupied == 0) & (self._empty == 0)] = UNKNOWN
         return OccupancyMap(self.grid, percent, "elfes")
 
-    def changed(self) -> tuple[slice, ...] | None:
-        """Index of the smallest box of cells touched since the last call; None: nothing was."""
-        return self._region.take()
+    def changed(self) -> Changes:
+        """The blocks in which the map differs from that of the last call."""
+        now = self.map()
+        out = now.changes(self._published)
+        self._published = now
+        return out
 
     def finish(self) -> None:
         """Nothing is held back."""

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
-from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
+from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap
 from ullage.kernels.occupancy import cast_reach, mark_flown, update_cells
 from ullage.kernels.occupancy_show import in_view, render_cells
 from ullage.processing.blocks import Blocks
 from ullage.processing.coherent import EchoJudge
-from ullage.processing.mapper_door import ChangedRegion, in_order, plane_of
+from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look
@@ -50,7 +50,7 @@ class UllageMapper:
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
         self._axis: dict[str, tuple[float, float, float]] = {}
-        self._region = ChangedRegion()
+        self._published: OccupancyMap | None = None
         self._found = np.zeros((60_000, 4), np.int32)
         self._chance = np.zeros(60_000)
         self._reach = np.zeros(SECTORS[grid.dims])
@@ -124,7 +124,6 @@ class UllageMapper:
             TANGENT, self._reach, heard.quiet, start, bin_m, FLOWN_M, far, arcs, FREE_NATS, PRIOR,
             self._found, self._chance, box,
         )  # fmt: skip
-        self._region.add(tuple((int(a), int(b)) for a, b in box[::-1][3 - self.grid.dims :]))
         self._looks += 1
         if self._looks % 64 == 0:
             blocks.collapse(ENOUGH_SIDES + 2)
@@ -219,6 +218,9 @@ class UllageMapper:
             in_view(solid.reshape((-1, *solid.shape[-2:])), *deep, HIDE_M / self.grid.step_m, seen)
             percent[tuple(suspects[~seen].T)] = AMBIGUOUS
 
-    def changed(self) -> tuple[slice, ...] | None:
-        """Index of the smallest box of cells touched since the last call; None: nothing was."""
-        return self._region.take()
+    def changed(self) -> Changes:
+        """The blocks in which the map differs from that of the last call."""
+        now = self.map()
+        out = now.changes(self._published)
+        self._published = now
+        return out

@@ -71,24 +71,3 @@ def _refuse_outside(frames: Frames, grid: Grid) -> None:
 def plane_of(grid: Grid, parts: list[Frames]) -> Grid:
     """The grid at the sensors' mean height, where it has none."""
     return grid.at_height(float(np.mean(np.concatenate([p.believed.position[:, 2] for p in parts]))))
-
-
-class ChangedRegion:
-    """The smallest box of cells touched since it was last asked for."""
-
-    def __init__(self) -> None:
-        self._box: list[list[int]] | None = None
-
-    def add(self, box: tuple[tuple[int, int], ...]) -> None:
-        """Grow by a box given as (first, end) for each axis; an empty one changes nothing."""
-        if any(end <= first for first, end in box):
-            return
-        if self._box is None:
-            self._box = [list(axis) for axis in box]
-        else:
-            self._box = [[min(a, f), max(b, e)] for (a, b), (f, e) in zip(self._box, box, strict=True)]
-
-    def take(self) -> tuple[slice, ...] | None:
-        """The box, as an index of the map's array, and start anew."""
-        box, self._box = self._box, None
-        return None if box is None else tuple(slice(a, b) for a, b in box)

@@ -251,15 +251,15 @@ def map_cost(mapper: Any, frames: Recording) -> dict[str, Metric]:
 
 
 def map_size(omap: OccupancyMap) -> dict[str, Metric]:
-    """Memory of a dense map, and of the same compressed as its file would be [byte], per square metre too."""
+    """Memory of a map, and of the same compressed as its file would be [byte], per square metre too."""
     import zlib
 
     grid = omap.grid
     area = grid.shape[-1] * grid.shape[-2] * grid.step_m**2
     packed = len(zlib.compress(np.ascontiguousarray(omap.percent).tobytes(), 6))
     return {
-        "ram": Metric("ram", float(omap.percent.nbytes), "B"),
-        "ram_per_m2": Metric("ram_per_m2", omap.percent.nbytes / area, "B/m2"),
+        "ram": Metric("ram", float(omap.nbytes), "B"),
+        "ram_per_m2": Metric("ram_per_m2", omap.nbytes / area, "B/m2"),
         "file": Metric("file", float(packed), "B"),
         "file_per_m2": Metric("file_per_m2", packed / area, "B/m2"),
     }

@@ -6,7 +6,7 @@ from typing import Literal, Protocol
 
 from ullage.data import Recording
 from ullage.errors import InputError
-from ullage.grids import Grid, OccupancyMap
+from ullage.grids import Changes, Grid, OccupancyMap
 
 Method = Literal["ullage", "elfes"]
 
@@ -20,8 +20,8 @@ class StreamingMapper(Protocol):
     def map(self) -> OccupancyMap:
         """The map so far."""
 
-    def changed(self) -> tuple[slice, ...] | None:
-        """The box of cells touched since the last call."""
+    def changed(self) -> Changes:
+        """The blocks in which the map differs from that of the last call."""
 
     def finish(self) -> None:
         """Use what was held back for lack of a successor."""

@@ -135,7 +135,7 @@ def draw_square(path: Path) -> Path:
     grid = Grid.covering([(0, 0, 0), (6, 4, 0)], step_m=0.1)
     mapper = ElfesMapper(grid, threshold=0.5)
     mapper.update(_reading((1.0, 1.2), yaw_deg, reach))
-    box = mapper.changed()
+    box = mapper.traversed
     half = LOBE_DEG / 2
     with drawing(path, size_in=(6.4, 4.4)) as (_, axes):
         draw_map(axes, mapper.map())
