@@ -66,7 +66,7 @@ $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
 lock:
 	$(BIN)/uv pip compile pyproject.toml --group build --python-version 3.11 --generate-hashes --no-emit-index-url \
 	  --no-header --no-annotate -q -o requirements.lock
-	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra octomap --extra zarr -c requirements.lock --python-version 3.11 \
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra gazebo --extra octomap --extra zarr -c requirements.lock --python-version 3.11 \
 	  --generate-hashes --no-emit-index-url --no-header --no-annotate -q -o requirements-dev.lock
 
 clean:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import uuid
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import ullage as ul
+
+IGN_TOPIC = Path("/usr/libexec/ignition/transport11/ign-transport-topic")
+"""Debian's tool of Gazebo Transport."""
 
 
 def some_frames(n: int = 40, *, seed: int = 0, sensor: str = "front", real: bool = False, bins: int = 24) -> ul.Frames:
@@ -53,3 +61,33 @@ def assert_same(got: ul.Frames, want: ul.Frames) -> None:
 def frames() -> ul.Frames:
     """One sensor's."""
     return some_frames()
+
+
+@pytest.fixture
+def partition(monkeypatch):
+    """Of Gazebo Transport, for one test alone."""
+    pytest.importorskip("zmq")
+    pytest.importorskip("google.protobuf")
+    name = f"ullage-test-{uuid.uuid4().hex[:8]}"
+    for key in ("IGN", "GZ"):
+        monkeypatch.setenv(f"{key}_PARTITION", name)
+        monkeypatch.setenv(f"{key}_IP", "127.0.0.1")
+    return name
+
+
+@pytest.fixture
+def ign_topic(partition):
+    """Starts Debian's `ign topic` with arguments; what still runs at the end is ended."""
+    if not IGN_TOPIC.exists():
+        pytest.skip("ignition-transport-cli is not installed")
+    running = []
+
+    def start(*words):
+        running.append(subprocess.Popen([IGN_TOPIC, *words], stdout=subprocess.PIPE, text=True, env=os.environ))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+        process.stdout.close()

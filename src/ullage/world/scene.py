@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Trajectory
 from ullage.errors import InputError
+from ullage.specs import Rig
 from ullage.world.materials import Material, material
 
 Floats = NDArray[np.float64]
@@ -48,6 +49,7 @@ class Scene:
     objects: tuple[SceneObject, ...]
     wires: Wires = field(default_factory=Wires)
     name: str = "scene"
+    rigs: Mapping[str, Rig] = field(default_factory=dict)  # radars that a world file declares, by the model's name
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, np.float64).reshape(-1, 3)
@@ -98,6 +100,35 @@ class Scene:
             if thing.name == name:
                 return index
         raise InputError(f"no object {name!r}", where=self.name, allowed=", ".join(o.name for o in self.objects[:20]))
+
+    def rig(self, model: str = "") -> Rig:
+        """The radars that the world file declares on a model; on the only one that has some, if none is named.
+
+        Raises:
+            InputError: it declares none there.
+        """
+        if not model and len(self.rigs) == 1:
+            return next(iter(self.rigs.values()))
+        if model not in self.rigs:
+            what = f"no radars declared on {model!r}" if model else f"radars declared on {len(self.rigs)} models"
+            raise InputError(what, where=self.name, allowed=", ".join(self.rigs) or "<sensor type='custom'>")
+        return self.rigs[model]
+
+    def without(self, model: str) -> Scene:
+        """The scene less one model and what belongs to it, as the body that carries the radars."""
+        gone = np.array([o.name == model or o.name.startswith(f"{model}::") for o in self.objects], bool)
+        if not gone.any():
+            return self
+        number = (np.cumsum(~gone) - 1).astype(np.int32)
+        face, wire = ~gone[self.face_object], ~gone[self.wires.object_id]
+        wires = Wires(
+            self.wires.start[wire], self.wires.end[wire], self.wires.radius_m[wire],
+            number[self.wires.object_id[wire]],
+        )  # fmt: skip
+        kept = tuple(thing for thing, out in zip(self.objects, gone, strict=True) if not out)
+        return replace(
+            self, faces=self.faces[face], face_object=number[self.face_object[face]], objects=kept, wires=wires
+        )
 
     @classmethod
     def empty(cls, name: str = "empty") -> Scene:

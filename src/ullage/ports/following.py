@@ -1,0 +1,280 @@
+"""Radars on a model of somebody else's simulator: poses are followed as they come, frames come out by its clock."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, Self, TypeVar
+
+import numpy as np
+from pydantic import Field
+
+from ullage.data import Floats, Frames, Trajectory
+from ullage.errors import InputError, UllageWarning
+from ullage.radar.live import LiveRadars
+from ullage.specs import Rig, Spec
+from ullage.world.scene import Scene
+
+Say = Callable[[str], None]
+PATIENCE_S = 5.0
+"""Wall time between two complaints of the same kind, and before the first one that nothing comes."""
+BEHIND_S = 1.0
+"""How far the frames may lie behind the newest pose before that is said, by the simulator's clock."""
+
+LATE_NS = 100_000_000
+"""A pose that is older than the one before by less than this came late; by more, the clock jumped back."""
+
+
+class FollowOptions(Spec):
+    """What can be set about radars on a simulator's model."""
+
+    model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
+    world: str = Field("", description="library world or file that the simulator runs; none: asked of the simulator")
+    rig: str = Field("", description="rig preset, or SDF/URDF file of the model; none: as declared, or thesis-4")
+    fidelity: Literal["physical", "thesis"] = "physical"
+    max_bounces: int = Field(1, ge=1, le=3)
+    seed: int = Field(0, ge=0)
+    rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")
+    duration_s: float | None = Field(None, gt=0, description="ends after this much of the simulator's time")
+    publish: bool = Field(True, description="give frames back on the simulator's topics")
+    host: str = Field("127.0.0.1", description="address of the interface to use")
+
+
+Options = TypeVar("Options", bound=Spec)
+
+
+def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Options:
+    """The options of a port, checked.
+
+    Raises:
+        InputError: one is unknown, or has a value that cannot be.
+    """
+    known = kind.model_fields
+    for name in values:
+        if name not in known:
+            raise InputError(f"no option {name!r}", where=where, allowed=", ".join(known))
+    return kind(**values)
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """Where the model was seen."""
+
+    t_ns: int
+    position: tuple[float, float, float]
+    quat_xyzw: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something that a person should know: the server has gone, the model is not there."""
+
+    text: str
+
+
+class Feed(Protocol):
+    """Tells where the model is."""
+
+    def next(self, timeout_s: float) -> Sighting | Note | None:
+        """The next thing that came, None if nothing did for so long."""
+
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
+        """Hand frames back; their time less the offset is the simulator's."""
+
+    def close(self) -> None:
+        """Let go of the sockets."""
+
+
+def tell(text: str) -> None:
+    """How things are said unless somebody else listens."""
+    warnings.warn(text, UllageWarning, stacklevel=3)
+
+
+class FollowSource:
+    """Frames of radars on a simulator's model, simulated as its poses come.
+
+    Frames depend on the poses and their times alone. Where the simulator's clock jumps back, as on a reset, the radars
+    begin anew and the frames' own clock goes on, so that time rises in every recording.
+
+    Args:
+        feed: tells where the model is.
+        scene: the world without the model.
+        rig: the radars on the model.
+        options: how.
+        say: told what a person should know; None: it becomes a warning.
+    """
+
+    def __init__(self, feed: Feed, scene: Scene, rig: Rig, options: FollowOptions, *, say: Say | None = None) -> None:
+        self.scene: Scene | None = scene
+        self.rig = rig
+        self._feed, self._options, self._say = feed, options, say or tell
+        self._radars = LiveRadars(
+            scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
+            rate_hz=options.rate_hz,
+        )  # fmt: skip
+        self._fastest_hz = options.rate_hz or max(spec.fps for spec in rig.sensors.values())
+        self._waiting: list[Sighting] = []
+        self._newest_ns, self._offset_ns = 0, 0  # of the simulator's clock, and what is added to it
+        self._first_ns: int | None = None
+        self._done_ns = 0
+        self._told: dict[str, float] = {}
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        return tuple(self.rig.sensors)
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Frames as they fall due, at most about `chunk` of each radar at a time."""
+        try:
+            while not self._over():
+                poses = self._bunch(chunk)
+                if not poses:
+                    continue
+                found = self._radars.advance(
+                    [pose.t_ns + self._offset_ns for pose in poses],
+                    [pose.position for pose in poses],
+                    [pose.quat_xyzw for pose in poses],
+                )
+                self._done_ns = poses[-1].t_ns + self._offset_ns
+                self._complain_if_behind()
+                if found:
+                    if self._options.publish:
+                        self._feed.give(found, self._offset_ns)
+                    yield found
+        finally:
+            self.close()
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything until the peer ends or the asked duration is over.
+
+        Raises:
+            InputError: no end was asked for, or there is no such sensor.
+        """
+        if self._options.duration_s is None:
+            raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
+        from ullage.data import joined
+        from ullage.ports.protocol import one_or_all
+
+        parts: dict[str, list[Frames]] = {}
+        for piece in self.stream():
+            for name, part in piece.items():
+                parts.setdefault(name, []).append(part)
+        return one_or_all({name: joined(some) for name, some in parts.items()}, sensor)
+
+    def trajectory(self) -> Trajectory | None:
+        """None: the path is not over."""
+        return None
+
+    def map(self) -> None:
+        """None: simulators hold no maps."""
+        return None
+
+    def close(self) -> None:
+        """Let go of sockets and threads."""
+        self._feed.close()
+        self._radars.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _over(self) -> bool:
+        length = self._options.duration_s
+        return length is not None and self._first_ns is not None and self._done_ns - self._first_ns >= length * 1e9
+
+    def _bunch(self, chunk: int) -> list[Sighting]:
+        """Poses that wait, as many as give one chunk; empty: none came for a while."""
+        poses: list[Sighting] = []
+        length_ns = int(max(chunk - 1, 1) / self._fastest_hz * 1e9)
+        while not poses or poses[-1].t_ns - poses[0].t_ns < length_ns:
+            found = self._waiting.pop() if self._waiting else self._feed.next(0.0 if poses else 0.5)
+            if found is None:
+                break
+            if isinstance(found, Note):
+                self._tell(found.text)
+                continue
+            if found.t_ns < self._newest_ns and self._first_ns is not None:
+                if self._newest_ns - found.t_ns < LATE_NS:
+                    continue
+                if poses:  # what came before the jump first
+                    self._waiting.append(found)
+                    break
+                self._begin_anew(found)
+            if (poses and found.t_ns == poses[-1].t_ns) or self._done_ns == found.t_ns + self._offset_ns:
+                continue  # it stands still
+            if self._first_ns is None:
+                self._first_ns = found.t_ns
+            self._newest_ns = found.t_ns
+            poses.append(found)
+        return poses
+
+    def _begin_anew(self, found: Sighting) -> None:
+        self._say(f"time jumped back {(self._newest_ns - found.t_ns) * 1e-9:.3g} s: the radars begin anew")
+        self._radars.reset()
+        self._offset_ns = self._done_ns + round(1e9 / self._fastest_hz) - found.t_ns
+
+    def _complain_if_behind(self) -> None:
+        newest = getattr(self._feed, "newest_ns", 0)
+        behind_s = (newest + self._offset_ns - self._done_ns) * 1e-9
+        if newest and behind_s > BEHIND_S:
+            self._tell(
+                f"cannot keep up: {behind_s:.1f} s behind the simulator, which goes on; every frame is still made "
+                "(fidelity=thesis, fewer radars or a lower rate_hz cost less)",
+                kind="behind",
+            )
+
+    def _tell(self, text: str, *, kind: str = "") -> None:
+        """Say it, but the same no more often than every few seconds."""
+        now = time.monotonic()
+        if now - self._told.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
+            self._told[kind or text] = now
+            self._say(text)
+
+
+def world_of(name: str, *, where: str) -> Scene:
+    """The scene of a library world or a world file.
+
+    Raises:
+        InputError: there is neither.
+    """
+    from ullage.world.library import WORLDS
+    from ullage.world.load import load_scene
+
+    if name in WORLDS:
+        return WORLDS[name].scene()
+    if not Path(name).suffix:
+        raise InputError(f"no world {name!r}", where=where, allowed=f"a world file, or {', '.join(WORLDS)}")
+    return load_scene(name)
+
+
+def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
+    """The radars of a model: a preset, those that a file declares, those that the world declares, or thesis-4.
+
+    Raises:
+        InputError: there is no such preset or file, or the file declares none.
+    """
+    if not name:
+        return scene.rigs.get(model) or Rig.preset("thesis-4")
+    if name in Rig.presets:
+        return Rig.preset(name)
+    if not Path(name).suffix:
+        raise InputError(f"no rig {name!r}", where=where, allowed=f"{', '.join(Rig.presets)}, or an SDF or URDF file")
+    from ullage.world.load import load_scene
+
+    return load_scene(name).rig(model)
+
+
+def nearest(frames: Frames) -> Floats:
+    """Range of the first detection of each frame (n), infinite where there is none [m]."""
+    from ullage.processing.detect import detect
+
+    out = np.full(len(frames), np.inf)
+    found = detect(replace(frames, poses=None, truth=None))
+    np.minimum.at(out, found.frame, found.range_m)
+    return out

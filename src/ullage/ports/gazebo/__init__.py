@@ -1,0 +1,24 @@
+"""Gazebo (gz-sim, Fortress and later): follow a model in its world, simulate its radars, give back what they see."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ullage.ports.protocol import Sink, Source
+
+__all__ = ["open_sink", "open_source"]
+
+
+def open_source(address: str, options: dict[str, Any]) -> Source:
+    """Frames of radars on a model in a running Gazebo: `gazebo:WORLD?model=NAME&key=value`."""
+    from ullage.ports.gazebo.source import GazeboSource
+
+    return GazeboSource(address, options)
+
+
+def open_sink(address: str, options: dict[str, Any]) -> Sink:
+    """A place on Gazebo's topics for frames from anywhere: `gazebo:?model=NAME&key=value`."""
+    from ullage.ports.gazebo.sink import GazeboSink
+
+    return GazeboSink(address, options)

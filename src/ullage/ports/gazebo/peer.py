@@ -1,0 +1,322 @@
+"""A peer of Gazebo Transport: finds topics by multicast, takes and gives messages over ZeroMQ.
+
+A thread of its own owns every socket, so that the rest of us may compute for seconds and still be heard to live. What
+arrives waits in `events`, in order, until it is taken.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+from ullage.errors import InputError, need
+from ullage.ports.gazebo import wire
+from ullage.ports.gazebo.service import Requests
+
+HEARTBEAT_S, SILENCE_S = 1.0, 3.0
+"""How often a peer says that it lives, and after how long a silence it is held for gone."""
+MOST_WAITING = 200_000
+"""Messages that may wait to be taken; about an hour of poses at 50 Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message on a topic."""
+
+    topic: str
+    kind: str  # the type's full name, as ignition.msgs.Pose_V
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Came:
+    """A topic that somebody offers, told once for each publisher."""
+
+    topic: str
+    kind: str
+    process: str
+
+
+@dataclass(frozen=True, slots=True)
+class Gone:
+    """A process that left, or fell silent."""
+
+    process: str
+
+
+Event = Heard | Came | Gone
+
+
+class Peer:
+    """One process among those that speak Gazebo Transport.
+
+    Args:
+        host: address of the interface to use; the loopback keeps everything on this machine.
+        partition: those of another partition are not heard; None: this host's and user's, as Gazebo has it.
+
+    Raises:
+        MissingExtra: pyzmq or protobuf is not installed.
+        InputError: there is no such interface.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", partition: str | None = None) -> None:
+        zmq: Any = need("zmq", extra="gazebo")
+        wire.gz()
+        self.host = host
+        self.partition = wire.usual_partition() if partition is None else partition
+        self.uuid, self._node = wire.new_uuid(), wire.new_uuid()
+        self.events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self.dropped = 0  # messages that found no room, since nobody took them
+        self._zmq, self._context = zmq, zmq.Context()
+        self._alive: dict[str, float] = {}  # process to when it was last heard
+        self._offers: dict[tuple[str, str], Any] = {}  # (full topic, node) to publisher
+        self._wanted: set[str] = set()
+        self._mine: dict[str, str] = {}  # full topic to type
+        self._joined: dict[str, set[str]] = {}  # address to processes behind it
+        self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._wake, self._woken = socket.socketpair()
+        self._closing = threading.Event()
+        self._group: list[tuple[socket.socket, int]] = []
+        try:
+            self._open()
+        except BaseException:
+            self._close_sockets()
+            raise
+        self._thread = threading.Thread(target=self._loop, name="gazebo-transport", daemon=True)
+        self._thread.start()
+
+    def _open(self) -> None:
+        for port in (wire.MESSAGE_PORT, wire.SERVICE_PORT):
+            self._group.append((wire.discovery_socket(port, self.host), port))
+        self._give, self._take = self._context.socket(self._zmq.PUB), self._context.socket(self._zmq.SUB)
+        self._take.setsockopt(self._zmq.RCVHWM, 0)
+        self._give.setsockopt(self._zmq.LINGER, 200)
+        self._address = f"tcp://{self.host}:{self._give.bind_to_random_port(f'tcp://{self.host}')}"
+        self._requests = Requests(self._zmq, self._context, self.host, self._node)
+
+    def subscribe(self, topic: str) -> None:
+        """Take what anybody says on a topic from now on."""
+        full = wire.full_topic(topic, self.partition)
+        self._do(lambda: self._subscribe(full))
+
+    def advertise(self, topic: str, kind: str) -> None:
+        """Offer a topic of this type of message, as `gz.msgs.Double`."""
+        full = wire.full_topic(topic, self.partition)
+        self._do(lambda: self._advertise(full, kind))
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Say something on a topic that was advertised.
+
+        Raises:
+            InputError: it was not.
+        """
+        full, data = wire.full_topic(topic, self.partition), message.SerializeToString()
+        self._do(lambda: self._say(full, data))
+
+    def request(self, topic: str, *, kinds: tuple[str, str], data: bytes = b"", timeout_s: float = 3.0) -> bytes | None:
+        """Call a service and wait for its answer; None where none comes, or it refuses.
+
+        Args:
+            topic: of the service.
+            kinds: type of the request and of the answer.
+            data: the request.
+            timeout_s: how long to wait [s].
+        """
+        full = wire.full_topic(topic, self.partition)
+        answer: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._do(lambda: self._ask(full, kinds, data, answer))
+        try:
+            return answer.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+
+    def wait(self, timeout_s: float) -> Event | None:
+        """The next thing that happened, waiting no longer than this for it."""
+        try:
+            return self.events.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+
+    def close(self) -> None:
+        """Say goodbye and let go of every socket."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._do(lambda: None)
+        self._thread.join(timeout=5)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _do(self, job: Callable[[], None]) -> None:
+        """Have the thread that owns the sockets do something."""
+        self._jobs.put(job)
+        with contextlib.suppress(OSError):
+            self._wake.send(b".")
+
+    def _loop(self) -> None:
+        poller = self._zmq.Poller()
+        for thing in (self._take, self._requests.answers, self._woken, *(sock for sock, _ in self._group)):
+            poller.register(thing, self._zmq.POLLIN)
+        beat = time.monotonic()
+        try:
+            while not self._closing.is_set():
+                now = time.monotonic()
+                if now >= beat:
+                    beat = now + HEARTBEAT_S
+                    self._live()
+                poller.poll(max(1, int((beat - now) * 1000)))
+                self._serve()
+            self._tell(wire.BYE)
+        finally:
+            self._close_sockets()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._woken.recv(4096, socket.MSG_DONTWAIT)
+        while not self._jobs.empty():
+            self._jobs.get()()
+        for sock, port in self._group:
+            self._hear_group(sock, port)
+        self._hear_topics()
+        self._requests.hear()
+
+    def _live(self) -> None:
+        """Say that we live and what we offer; let go of those that fell silent."""
+        self._tell(wire.HEARTBEAT)
+        for full in self._mine:
+            self._tell(wire.ADVERTISE, pub=self._offer(full))
+        if self._requests.topics:
+            for full in self._requests.topics:
+                self._tell(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
+        now = time.monotonic()
+        for process in [p for p, heard in self._alive.items() if now - heard > SILENCE_S]:
+            self._lose(process)
+
+    def _tell(self, kind: int, *, port: int = wire.MESSAGE_PORT, **parts: Any) -> None:
+        said = wire.datagram(kind, self.uuid, **parts)
+        with contextlib.suppress(OSError):  # an interface that is down comes back, or the silence is told
+            next(sock for sock, at in self._group if at == port).sendto(said, (wire.GROUP, port))
+
+    def _hear_group(self, sock: socket.socket, port: int) -> None:
+        while True:
+            try:
+                said = wire.read_datagram(sock.recv(65536))
+            except BlockingIOError:
+                return
+            if said is not None and said.process_uuid != self.uuid:
+                self._take_in(said, port)
+
+    def _take_in(self, said: Any, port: int) -> None:
+        if said.type in (wire.BYE,) and port == wire.MESSAGE_PORT:
+            self._lose(said.process_uuid)
+            return
+        if port == wire.MESSAGE_PORT:
+            self._alive[said.process_uuid] = time.monotonic()
+        if said.type == wire.SUBSCRIBE and said.sub.topic in self._mine:
+            self._tell(wire.ADVERTISE, pub=self._offer(said.sub.topic))
+        elif said.type == wire.UNADVERTISE:
+            self._offers.pop((said.pub.topic, said.pub.node_uuid), None)
+        elif said.type == wire.ADVERTISE and said.pub.scope and self._reachable(said.pub.address):
+            if port == wire.SERVICE_PORT:
+                self._requests.found(said.pub)
+            else:
+                self._met(said.pub)
+
+    def _reachable(self, address: str) -> bool:
+        """On the loopback only what is on it too: nothing on the network can call us out."""
+        return not self.host.startswith("127.") or address.startswith("tcp://127.")
+
+    def _met(self, pub: Any) -> None:
+        key = (pub.topic, pub.node_uuid)
+        if key not in self._offers:
+            self._offers[key] = pub
+            if pub.topic.startswith(wire.full_topic("/x", self.partition)[:-1]):
+                self._put(Came(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
+        if pub.topic in self._wanted:
+            self._join(pub)
+
+    def _join(self, pub: Any) -> None:
+        """Connect, and let the publisher know, without which it sends nothing."""
+        behind = self._joined.setdefault(pub.address, set())
+        if not behind:
+            self._take.connect(pub.address)
+        behind.add(pub.process_uuid)
+        ours = wire.gz().Publisher()
+        ours.CopyFrom(pub)
+        ours.process_uuid, ours.node_uuid, ours.msg_pub.ctrl = self.uuid, self._node, pub.process_uuid
+        self._tell(wire.NEW_CONNECTION, pub=ours)
+
+    def _lose(self, process: str) -> None:
+        self._alive.pop(process, None)
+        known = [key for key, pub in self._offers.items() if pub.process_uuid == process]
+        for key in known:
+            del self._offers[key]
+        for address, behind in [(a, b) for a, b in self._joined.items() if process in b]:
+            behind.discard(process)
+            if not behind:
+                self._joined.pop(address)
+                with contextlib.suppress(self._zmq.ZMQError):
+                    self._take.disconnect(address)
+        if known:
+            self._put(Gone(process))
+
+    def _hear_topics(self) -> None:
+        while True:
+            try:
+                parts = self._take.recv_multipart(self._zmq.NOBLOCK)
+            except self._zmq.Again:
+                return
+            if len(parts) >= 4:  # a fifth holds statistics
+                self._put(Heard(wire.short_topic(parts[0].decode(errors="replace")), parts[3].decode(), parts[2]))
+
+    def _put(self, event: Event) -> None:
+        if isinstance(event, Heard) and self.events.qsize() >= MOST_WAITING:
+            self.dropped += 1
+        else:
+            self.events.put(event)
+
+    def _subscribe(self, full: str) -> None:
+        if full in self._wanted:
+            return
+        self._wanted.add(full)
+        self._take.setsockopt_string(self._zmq.SUBSCRIBE, full)
+        self._tell(wire.SUBSCRIBE, sub=wire.gz().Subscriber(topic=full))
+        for pub in [pub for (topic, _), pub in self._offers.items() if topic == full]:
+            self._join(pub)
+
+    def _advertise(self, full: str, kind: str) -> None:
+        self._mine[full] = kind
+        self._tell(wire.ADVERTISE, pub=self._offer(full))
+
+    def _offer(self, full: str) -> Any:
+        about = wire.gz().MessagePublisher(msg_type=self._mine[full], msgs_per_sec=2**64 - 1)
+        return wire.gz().Publisher(
+            topic=full, address=self._address, process_uuid=self.uuid, node_uuid=self._node, scope=wire.EVERYWHERE,
+            msg_pub=about,
+        )  # fmt: skip
+
+    def _say(self, full: str, data: bytes) -> None:
+        if full not in self._mine:
+            raise InputError(f"{wire.short_topic(full)} was not advertised", where="publish")
+        self._give.send_multipart([full.encode(), self._address.encode(), data, self._mine[full].encode()])
+
+    def _ask(self, full: str, kinds: tuple[str, str], data: bytes, answer: queue.SimpleQueue[bytes | None]) -> None:
+        self._requests.ask(full, kinds, data, answer)
+        self._tell(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
+
+    def _close_sockets(self) -> None:
+        for sock, _ in self._group:
+            sock.close()
+        self._wake.close()
+        self._woken.close()
+        self._context.destroy(linger=200)

@@ -1,0 +1,203 @@
+"""Radars on a model of a running Gazebo (gz-sim)."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+from pydantic import Field
+
+from ullage.data import Frames
+from ullage.errors import InputError
+from ullage.ports.following import (
+    PATIENCE_S,
+    FollowOptions,
+    FollowSource,
+    Note,
+    Say,
+    Sighting,
+    options_of,
+    rig_of,
+    tell,
+    world_of,
+)  # fmt: skip
+from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
+from ullage.ports.gazebo.topics import RadarTopics
+from ullage.ports.gazebo.wire import gz
+from ullage.world.scene import Scene
+
+POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")
+STATS = re.compile(r"/world/([^/]+)/stats")
+
+
+class GazeboOptions(FollowOptions):
+    """What can be set about `gazebo:`."""
+
+    topic: str = Field("", description="topic of the poses; none: /world/WORLD/dynamic_pose/info or pose/info")
+    partition: str | None = Field(None, description="none: GZ_PARTITION, or this host and user")
+
+
+class PoseFeed:
+    """Poses of one model from Gazebo's stream, and what becomes of the server."""
+
+    def __init__(self, peer: Peer, options: GazeboOptions, world: str) -> None:
+        self._peer, self._options, self.world = peer, options, world
+        self.package = "gz.msgs"
+        self.newest_ns = 0
+        self._servers: set[str] = set()  # processes that give poses
+        self._dynamic = False  # the model is in the stream of what moves
+        self._seen = False
+        self._missed_s: float | None = None
+        self._last_s = self._told_s = time.monotonic()
+        self._paused = False
+        self._topics: RadarTopics | None = None
+        if options.topic:
+            peer.subscribe(options.topic)
+
+    def next(self, timeout_s: float) -> Sighting | Note | None:
+        """The next pose of the model, or something to say."""
+        end = time.monotonic() + timeout_s
+        while True:
+            event = self._peer.wait(max(0.0, end - time.monotonic()))
+            if event is None:
+                return self._silence() if timeout_s else None
+            found = self._take(event)
+            if found is not None:
+                return found
+
+    def _take(self, event: Heard | Came | Gone) -> Sighting | Note | None:
+        if isinstance(event, Came):
+            return self._met(event)
+        if isinstance(event, Gone):
+            return self._lost(event)
+        if STATS.fullmatch(event.topic):
+            return self._status(event)
+        return self._pose(event)
+
+    def _met(self, event: Came) -> Note | None:
+        found = POSES.fullmatch(event.topic)
+        ours = event.topic == self._options.topic or (
+            found is not None and not self._options.topic and self.world in ("", found[1])
+        )
+        if not ours:
+            return None
+        if found is not None:
+            self.world = found[1]
+            self._peer.subscribe(f"/world/{found[1]}/stats")
+        self.package = event.kind.rpartition(".")[0] or self.package
+        fresh = not self._servers
+        self._servers.add(event.process)
+        self._peer.subscribe(event.topic)
+        return Note(f"Gazebo gives poses on {event.topic}") if fresh else None
+
+    def _lost(self, event: Gone) -> Note | None:
+        if event.process not in self._servers:
+            return None
+        self._servers.discard(event.process)
+        return None if self._servers else Note("Gazebo has gone; waiting for it to come back (Ctrl-C ends)")
+
+    def _status(self, event: Heard) -> Note | None:
+        stats = _read("WorldStatistics", event)
+        if stats is None or stats.paused == self._paused:
+            return None
+        self._paused = bool(stats.paused)
+        return Note("Gazebo is paused" if self._paused else "Gazebo goes on")
+
+    def _pose(self, event: Heard) -> Sighting | Note | None:
+        dynamic = event.topic.endswith("/dynamic_pose/info")
+        if self._dynamic and not dynamic:
+            return None
+        poses = _read("Pose_V", event)
+        if poses is None:
+            return Note(f"{event.topic} holds {event.kind} that cannot be read as poses")
+        self._last_s = time.monotonic()
+        own = next((pose for pose in poses.pose if pose.name == self._options.model), None)
+        if own is None:
+            return self._missing(poses, dynamic)
+        self._missed_s, self._seen, self._dynamic = None, True, self._dynamic or dynamic
+        stamp = poses.header.stamp
+        t_ns = stamp.sec * 10**9 + stamp.nsec
+        self.newest_ns = t_ns
+        at, turn = own.position, own.orientation
+        quat = (turn.x, turn.y, turn.z, turn.w)
+        return Sighting(t_ns, (at.x, at.y, at.z), quat if any(quat) else (0.0, 0.0, 0.0, 1.0))
+
+    def _missing(self, poses: Any, dynamic: bool) -> Note | None:
+        now = time.monotonic()
+        if dynamic and not self._dynamic:
+            return None  # what stands still is only in the other stream
+        self._missed_s = self._missed_s or now
+        if now - self._missed_s < 1.0:
+            return None
+        if self._seen:
+            return Note(f"the model {self._options.model!r} has gone from Gazebo; waiting for it to come back")
+        names = ", ".join(dict.fromkeys(pose.name for pose in poses.pose[:12]))
+        return Note(f"no model {self._options.model!r} in Gazebo's poses (there are {names})")
+
+    def _silence(self) -> Note | None:
+        now = time.monotonic()
+        if self._paused or now - max(self._last_s, self._told_s) < PATIENCE_S:
+            return None
+        self._told_s = now
+        what = self._options.topic or f"/world/{self.world or 'WORLD'}/pose/info"
+        host, partition = self._peer.host, self._peer.partition
+        return Note(f"no poses on {what} (listening on {host}, partition {partition}; start Gazebo with GZ_IP={host})")
+
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
+        """Publish frames."""
+        if self._topics is None:
+            self._topics = RadarTopics(self._peer, self._options.model, self.package)
+        for frames in chunk.values():
+            self._topics.write(frames, offset_ns)
+
+    def close(self) -> None:
+        """Say goodbye."""
+        self._peer.close()
+
+
+class GazeboSource(FollowSource):
+    """Frames of radars on a model of a running Gazebo: `gazebo:WORLD?model=NAME`.
+
+    Args:
+        address: Gazebo's name of the world; empty: the first world that gives poses.
+        options: as `GazeboOptions` lists them.
+        say: told what a person should know; None: it becomes a warning.
+
+    Raises:
+        InputError: an option cannot be used, or no world is known.
+        MissingExtra: pyzmq or protobuf is not installed.
+    """
+
+    def __init__(self, address: str, options: dict[str, Any], *, say: Say | None = None) -> None:
+        chosen = options_of(GazeboOptions, options, f"gazebo:{address}")
+        say = say or tell
+        where = f"gazebo:{address}"
+        if not chosen.world:
+            raise InputError("no world", where=where, allowed="world=NAME or world=FILE.sdf")
+        world = world_of(chosen.world, where=where)
+        model = chosen.model or only_model(world, where=where)
+        chosen = chosen.but(model=model)
+        rig = rig_of(chosen.rig, world, model, where=where)
+        feed = PoseFeed(Peer(chosen.host, chosen.partition), chosen, address)
+        super().__init__(feed, world.without(model), rig, chosen, say=say)
+
+
+def only_model(scene: Scene, *, where: str) -> str:
+    """The one model of a world that declares radars.
+
+    Raises:
+        InputError: none does, or several do.
+    """
+    if len(scene.rigs) == 1:
+        return next(iter(scene.rigs))
+    raise InputError("no model", where=where, allowed="model=NAME" + "".join(f", model={m}" for m in scene.rigs))
+
+
+def _read(kind: str, event: Heard) -> Any | None:
+    message = getattr(gz(), kind)()
+    try:
+        message.ParseFromString(event.data)
+    except Exception:  # protobuf raises kinds of its own, by implementation
+        return None
+    return message
