@@ -30,6 +30,7 @@ GRID = "nav_msgs/msg/OccupancyGrid"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"
+UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 
 DEFINITIONS = {
     FRAME: """\
@@ -77,17 +78,21 @@ int8 occupied_from     # percent at and above which a cell counts as occupied
 int8 free_to           # percent at and below which it counts as free
 int8[] percent         # 0..100 occupied, -1 unknown, -2 ambiguous; x runs fastest
 """,
+    # two of the public interfaces, for environments that lack their packages
+    TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n",
+    UPDATE: "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data\n",
 }
 
 
 @lru_cache(1)
 def typestore() -> Typestore:
-    """The types of ROS 2 Jazzy and ullage's own."""
+    """The types of ROS 2 Jazzy, ullage's own, and those that it speaks beside them."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
     for name, text in DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
+        if name not in store.types:
+            store.register(get_types_from_msg(text, name))
     return store
 
 

