@@ -27,7 +27,8 @@ import ullage as ul
 from ullage.data import Calibration, joined
 from ullage.ports import Sink, conversions
 from ullage.ports import messages as ros
-from ullage.ports.bag import McapSink, topic_name
+from ullage.ports.bag import McapSink
+from ullage.ports.messages import topic_name
 
 
 def record(path: Path, *items: object) -> Path:

@@ -5,7 +5,6 @@ What is written follows the data's clock: a chunk goes to the file at least ever
 
 from __future__ import annotations
 
-import re
 import signal
 import threading
 import time
@@ -23,6 +22,7 @@ from ullage.geometry import invert
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import messages as ros
+from ullage.ports.messages import topic_name
 from ullage.ports.protocol import Item, write_whole
 from ullage.world.scene import Scene
 
@@ -303,12 +303,6 @@ class McapSink:
 def noted(timed: Frames | Trajectory, channel: int, data: list[bytes]) -> Iterator[Note]:
     """Messages with their times and channel."""
     return ((t_ns, channel, note) for t_ns, note in zip(timed.t_ns.tolist(), data, strict=True))
-
-
-def topic_name(sensor: str) -> str:
-    """The sensor's name as ROS allows it in a topic."""
-    name = re.sub(r"[^A-Za-z0-9_]+", "_", sensor).strip("_") or "radar"
-    return name if not name[0].isdigit() else f"radar_{name}"
 
 
 @contextmanager

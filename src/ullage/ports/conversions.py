@@ -18,7 +18,7 @@ from ullage.ports import messages as ros
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
-WORLD, BODY = "world", "base_link"
+WORLD, BODY = "map", "base_link"  # as REP-105 has them
 MOST_TRIANGLES = 50_000
 PROFILE = (("x", "float32"), ("y", "float32"), ("z", "float32"), ("intensity", "float32"))
 HIT = (*PROFILE, ("range", "float32"), ("snr_db", "float32"))
@@ -143,10 +143,10 @@ def track_of(data: bytes) -> Trajectory:
     return path_of(np.array(note.time), np.array(note.state).reshape(-1, 13))
 
 
-def transform_notes(paths: dict[str, Trajectory]) -> list[bytes]:
-    """TFMessage at each time: the world's children, which share their times."""
+def transform_notes(paths: dict[str, Trajectory], *, parent: str = WORLD) -> list[bytes]:
+    """TFMessage at each time: the parent's children, which share their times."""
     first = next(iter(paths.values()))
-    layout = ros.transform_layout(WORLD.encode(), tuple(name.encode() for name in paths))
+    layout = ros.transform_layout(parent.encode(), tuple(name.encode() for name in paths))
     columns: dict[str, Any] = {"count": len(paths)}
     stamp = ros.stamps(first.t_ns)
     for i, path in enumerate(paths.values()):
@@ -155,11 +155,11 @@ def transform_notes(paths: dict[str, Trajectory]) -> list[bytes]:
     return layout.fill(len(first), **columns)
 
 
-def odometry_notes(path: Trajectory) -> list[bytes]:
+def odometry_notes(path: Trajectory, *, parent: str = WORLD) -> list[bytes]:
     """Odometry at each time; rates in the body's frame, as ROS has it."""
     velocity, spin = path.rates
     in_body = np.einsum("nij,ni->nj", quat_matrix(path.quat_xyzw), velocity)
-    return ros.odometry_layout(WORLD.encode(), BODY.encode()).fill(
+    return ros.odometry_layout(parent.encode(), BODY.encode()).fill(
         len(path),
         **ros.stamps(path.t_ns),
         pose=np.concatenate([path.position, path.quat_xyzw], axis=1),
@@ -283,24 +283,34 @@ def scene_note(scene: Scene, t_ns: int) -> bytes:
         red, green, blue = PAINT.get(thing.material.name, (0.6, 0.6, 0.6))
         colour = ros.make("std_msgs/msg/ColorRGBA", red, green, blue, 0.6)
         if len(triangles):
-            found.append(_marker(t_ns, thing.name, 11, index, triangles.reshape(-1, 3), 1.0, colour))
+            found.append(
+                marker(t_ns, thing.name, 11, index, _points(triangles.reshape(-1, 3)), (1.0, 1.0, 1.0), colour)
+            )
         if len(wires):
             width = 2 * float(scene.wires.radius_m[scene.wires.object_id == index].max())
-            found.append(_marker(t_ns, f"{thing.name} wires", 5, index, wires.reshape(-1, 3), width, colour))
+            places = _points(wires.reshape(-1, 3))
+            found.append(marker(t_ns, f"{thing.name} wires", 5, index, places, (width, 1.0, 1.0), colour))
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, found))
 
 
-def _marker(t_ns: int, name: str, kind: int, index: int, points: Floats, width: float, colour: Any) -> Any:
-    point = ros.typestore().types["geometry_msgs/msg/Point"]
-    scale = ros.make("geometry_msgs/msg/Vector3", width, 1.0, 1.0)
+def marker(
+    t_ns: int, name: str, kind: int, index: int, places: list[Any], size: tuple[float, float, float], colour: Any,
+    colours: Sequence[Any] = (),
+) -> Any:  # fmt: skip
+    """A Marker in the world: kind 11 triangles, 5 lines, 6 cubes; colours one for each place, or none."""
     lifetime = ros.make("builtin_interfaces/msg/Duration", 0, 0)
     picture = ros.make("sensor_msgs/msg/CompressedImage", ros.header(0, ""), "", np.zeros(0, np.uint8))
     mesh = ros.make("visualization_msgs/msg/MeshFile", "", np.zeros(0, np.uint8))
-    places = [point(x, y, z) for x, y, z in points.tolist()]
     return ros.make(
-        "visualization_msgs/msg/Marker", ros.header(t_ns, WORLD), name, index, kind, 0, _pose((0, 0, 0)), scale,
-        colour, lifetime, True, places, [], "", picture, [], "", "", mesh, False,
+        "visualization_msgs/msg/Marker", ros.header(t_ns, WORLD), name, index, kind, 0, _pose((0, 0, 0)),
+        ros.make("geometry_msgs/msg/Vector3", *size), colour, lifetime, True, places, list(colours), "", picture, [],
+        "", "", mesh, False,
     )  # fmt: skip
+
+
+def _points(corners: Floats) -> list[Any]:
+    point = ros.typestore().types["geometry_msgs/msg/Point"]
+    return [point(x, y, z) for x, y, z in corners.tolist()]
 
 
 def _pose(position: tuple[float, float, float]) -> Any:

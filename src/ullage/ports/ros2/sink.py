@@ -1,0 +1,174 @@
+"""What flows, as ROS 2 topics: `--to ros2:`."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from typing import Self
+
+from ullage.errors import InputError
+from ullage.ports.protocol import Item
+from ullage.ports.ros2 import encode
+from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.options import SinkOptions
+from ullage.ports.ros2.outgoing import Note, Outgoing
+
+AHEAD_S = 2.0
+"""How far the maker of frames may run ahead of what was published [s of stream]."""
+LATE_S = 1.0
+"""A maker that falls behind by more [s] is not made up for."""
+NOW_S = 86400.0
+"""Stamps nearer to the present than this [s] are a real clock's, which needs no /clock."""
+
+
+class Pace:
+    """When each stamp is due on this machine's clock.
+
+    Args:
+        rate: seconds of stream a second; 0: at once.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._anchor: tuple[int, float] | None = None  # a stamp, and when it was due
+
+    def due_s(self, t_ns: int, now_s: float) -> float:
+        """When a stamp is due [s, monotonic]; the pace starts anew after a jump back, and after falling far behind."""
+        if not self._rate:
+            return now_s
+        if self._anchor is not None:
+            due = self._anchor[1] + (t_ns - self._anchor[0]) * 1e-9 / self._rate
+            if t_ns >= self._anchor[0] and now_s - due <= LATE_S:
+                return due
+        self._anchor = (t_ns, now_s)
+        return now_s
+
+    def stamp_at(self, now_s: float) -> int | None:
+        """The stamp that is due now [ns]."""
+        if self._anchor is None:
+            return None
+        return self._anchor[0] + round((now_s - self._anchor[1]) * 1e9 * self._rate)
+
+
+class Ros2Sink:
+    """Publishes everything that flows, at the pace of its own clock, from a thread of its own.
+
+    Args:
+        namespace: of the topics.
+        options: how.
+
+    Raises:
+        InputError: the namespace is none.
+        MissingExtra: there is no rclpy.
+    """
+
+    def __init__(self, namespace: str, options: SinkOptions) -> None:
+        self._options = options
+        self._peer = Peer(namespace, options)
+        self._outgoing = Outgoing(map_full_s=options.map_full_s)
+        self._notes: queue.Queue[Note | None] = queue.Queue()
+        self._pace = Pace(options.pace)
+        self._clock: bool | None = {"on": True, "off": False}.get(options.clock)
+        self._clock_ns = -1
+        self._spoken_ns: int | None = None
+        self._spoken = threading.Condition()
+        self._error: BaseException | None = None
+        self._map_listeners, self._sent, self._late_s, self._told_s = 0, 0, 0.0, time.monotonic()
+        self._thread: threading.Thread | None = threading.Thread(target=self._speak, name="ullage ros2", daemon=True)
+        self._thread.start()
+
+    def write(self, item: Item) -> None:
+        """Take one item; waits while what was taken before is far from published.
+
+        Raises:
+            InputError: the sink is closed.
+        """
+        if self._thread is None:
+            raise InputError("the sink is closed", where="ros2:")
+        self._put(self._outgoing.notes(item))
+
+    def _put(self, notes: list[Note]) -> None:
+        for note in notes:
+            self._notes.put(note)
+        if notes:
+            with self._spoken:
+                self._spoken.wait_for(lambda: self._near(notes[-1].t_ns))
+        if self._error is not None:
+            raise self._error
+
+    def _near(self, t_ns: int) -> bool:
+        spoken = self._spoken_ns
+        return self._error is not None or (spoken is not None and t_ns - spoken <= AHEAD_S * 1e9)
+
+    def _speak(self) -> None:
+        try:
+            while (note := self._notes.get()) is not None:
+                self._wait(note.t_ns)
+                self._tick(note.t_ns)
+                self._sent += self._peer.send(note, reliable=self._options.reliable or None)
+                self._look_around(note.t_ns)
+                with self._spoken:
+                    self._spoken_ns = note.t_ns
+                    self._spoken.notify_all()
+        except BaseException as error:
+            with self._spoken:
+                self._error = error
+                self._spoken.notify_all()
+
+    def _wait(self, t_ns: int) -> None:
+        """Until the stamp is due; meanwhile the clock goes on."""
+        step = 1 / self._options.clock_hz
+        due = self._pace.due_s(t_ns, time.monotonic())
+        while (left := due - (now := time.monotonic())) > 0:
+            stamp = self._pace.stamp_at(now)
+            if stamp is not None and self._spoken_ns is not None and stamp < t_ns:
+                self._tick(stamp)
+            time.sleep(min(left, step))
+        self._late_s = max(self._late_s, -left)
+
+    def _tick(self, t_ns: int) -> None:
+        if self._clock is None:
+            self._clock = abs(time.time() - t_ns * 1e-9) > NOW_S
+        if self._clock and t_ns != self._clock_ns:
+            self._clock_ns = t_ns
+            self._peer.send(Note(t_ns, "/clock", encode.CLOCK, "stream", encode.clock_note(t_ns)))
+
+    def _look_around(self, t_ns: int) -> None:
+        """Once a second: who came, and how it goes."""
+        now = time.monotonic()
+        if now - self._told_s < 1.0:
+            return
+        listeners = self._peer.listeners("map")
+        self._outgoing.changes.wanted |= listeners > self._map_listeners
+        self._map_listeners = listeners
+        late, rate = self._late_s, self._sent / (now - self._told_s)
+        text = "publishing" if late < LATE_S else f"{late:.1f} s behind its pace"
+        values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
+        values += [("waiting messages", str(self._notes.qsize()))]
+        data = encode.diagnostics_note(t_ns, int(late >= LATE_S), f"{self._options.node}: sink", text, values)
+        self._peer.send(Note(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
+        self._sent, self._late_s, self._told_s = 0, 0.0, now
+
+    def close(self) -> None:
+        """Publish what waits, stay as long as asked for, and leave."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        try:
+            for note in self._outgoing.rest():
+                self._notes.put(note)
+            self._notes.put(None)
+            thread.join()
+            self._peer.settle(1.0)
+            time.sleep(self._options.linger_s)
+        finally:
+            self._peer.close()
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
