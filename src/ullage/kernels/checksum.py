@@ -19,7 +19,7 @@ HEAD, TAIL = 20, 2
 
 
 @njit(cache=True)
-def crc16(data: np.ndarray, start: int) -> int:
+def crc16(data: np.ndarray, start: int) -> np.int64:
     """CRC-16/ARC of bytes (polynomial 0x8005, reflected) that go on from `start`."""
     crc = np.int64(start)
     for byte in data:
@@ -47,7 +47,7 @@ def powers(out: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> int:
+def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> np.int64:
     """CRC of bytes start..end by the running ones: a CRC is linear, so the part before is shifted and taken off."""
     left, factor, shifted = np.int64(crcs[start]), np.int64(power[end - start]), np.int64(0)
     for bit in range(15, -1, -1):
@@ -60,7 +60,7 @@ def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> int:
 @njit(cache=True)
 def find(
     data: np.ndarray, crcs: np.ndarray, power: np.ndarray, start: int, minor: int, lost: bool
-) -> tuple[int, int, int]:
+) -> tuple[int, int, np.int64]:
     """The next packet from `start` on.
 
     Returns:
@@ -78,11 +78,15 @@ def find(
             continue
         if version != minor and (version < 0x30 or version > 0x7F):
             continue
-        size = HEAD + TAIL
+        size = np.int64(HEAD + TAIL)
         if at + 6 <= n:
             # sync written FE xx is big endian: its size has the high byte first
             big = data[at] == 0xFE
-            size += (np.int64(data[at + 4]) << 8 | np.int64(data[at + 5])) if big else (np.int64(data[at + 5]) << 8 | np.int64(data[at + 4]))
+            size += (
+                (np.int64(data[at + 4]) << 8 | np.int64(data[at + 5]))
+                if big
+                else (np.int64(data[at + 5]) << 8 | np.int64(data[at + 4]))
+            )
         if at + 6 > n or at + size > n:
             if version == minor and not waits:
                 waits, first = True, at
@@ -96,5 +100,5 @@ def find(
             return (WHOLE if version == minor else OTHER), at, size
         lost = True
     if waits:
-        return SHORT, first, 0
-    return NONE, max(n - 1, start), 0
+        return SHORT, first, np.int64(0)
+    return NONE, max(n - 1, start), np.int64(0)

@@ -1,10 +1,10 @@
-"""IMC packets: bytes to messages and back, in either byte order, and a parser that finds its feet after garbage."""
+"""IMC packets [MartinsEtAl2009]: bytes to messages and back, in either byte order, and a parser for what comes in."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -303,6 +303,6 @@ def decode_sound(data: bytes, table: Table) -> Packet:
     return Packet(_body(number, data[HEAD:-TAIL], big, table), t_s, src, src_ent, dst, dst_ent, number)
 
 
-def stamped(packet: Packet, **header: Any) -> Packet:
-    """The packet with another header."""
-    return replace(packet, **header)
+def compile_kernels() -> None:
+    """Compile what the parser needs, so that no packet waits for it."""
+    list(Parser().feed(encode(Packet(make("Heartbeat")))))

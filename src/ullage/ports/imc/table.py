@@ -1,8 +1,8 @@
 """The messages of IMC 5.4: numbers, names and fields, as a table of our own; a user's IMC.xml can take its place.
 
 One line is one message: its number, its name, and its fields in order. Kinds of field: signed, unsigned and floating
-numbers by width in bits (`u8 i16 f64`), `text` (UTF-8), `raw` (bytes), `message` (one, or none) and `messages` (a list),
-the last two with the kind of message that belongs there.
+numbers by width in bits (`u8 i16 f64`), `text` (UTF-8), `raw` (bytes), `message` (one, or none) and `messages` (a
+list), the last two with the kind of message that belongs there.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ f32 radius, f32 length, f64 bearing, u8 direction, text custom
 457 FollowPath: u16 timeout, f64 lat, f64 lon, f32 z, u8 z_units, f32 speed, u8 speed_units, \
 messages:PathPoint points, text custom
 458 PathPoint: f32 x, f32 y, f32 z
-461 StationKeeping: f64 lat, f64 lon, f32 z, u8 z_units, f32 radius, u16 duration, f32 speed, u8 speed_units, text custom
+461 StationKeeping: f64 lat, f64 lon, f32 z, u8 z_units, f32 radius, u16 duration, f32 speed, u8 speed_units, \
+text custom
 463 FollowTrajectory: u16 timeout, f64 lat, f64 lon, f32 z, u8 z_units, f32 speed, u8 speed_units, \
 messages:TrajectoryPoint points, text custom
 464 TrajectoryPoint: f32 x, f32 y, f32 z, f32 t
@@ -159,7 +160,9 @@ class Kind:
     id: int
     name: str
     fields: tuple[Field, ...]
-    runs: tuple[tuple[Field, ...], ...] = field(init=False, compare=False)  # numbers that lie side by side, or one other
+    runs: tuple[tuple[Field, ...], ...] = field(
+        init=False, compare=False
+    )  # numbers that lie side by side, or one other
     packers: tuple[tuple[struct.Struct, ...], ...] = field(init=False, compare=False)  # little endian, big endian
 
     def __post_init__(self) -> None:
@@ -208,7 +211,9 @@ class Table:
             InputError: the table has none.
         """
         if name not in self.by_name:
-            raise InputError(f"no IMC message {name!r}", where="message", allowed="see docs/dune.md, or give xml=IMC.xml")
+            raise InputError(
+                f"no IMC message {name!r}", where="message", allowed="see docs/dune.md, or give xml=IMC.xml"
+            )
         return self.by_name[name]
 
 
@@ -257,7 +262,8 @@ def from_xml(path: str | Path) -> Table:
 def _xml_kind(node: Any, path: str | Path) -> Kind:
     try:
         fields = tuple(
-            Field(str(f.get("abbrev")), _XML[f.get("type")], str(f.get("message-type", ""))) for f in node.findall("field")
+            Field(str(f.get("abbrev")), _XML[f.get("type")], str(f.get("message-type", "")))
+            for f in node.findall("field")
         )
         return Kind(int(node.get("id")), str(node.get("abbrev")), fields)
     except (KeyError, TypeError, ValueError):

@@ -1,0 +1,23 @@
+"""IMC, the protocol of the LSTS toolchain: DUNE on board, Neptus on the ground [PintoEtAl2013]."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ullage.ports.protocol import Sink, Source
+
+
+def open_source(address: str, options: dict[str, Any]) -> Source:
+    """Listen to a bus: `tcp://host:port`, `udp://host:port`, or nothing for whoever announces itself."""
+    from ullage.ports.imc.options import SourceOptions, options_of
+    from ullage.ports.imc.source import ImcSource
+
+    return ImcSource(address, options_of(SourceOptions, options))
+
+
+def open_sink(address: str, options: dict[str, Any]) -> Sink:
+    """Speak on a bus: the same places."""
+    from ullage.ports.imc.options import SinkOptions, options_of
+    from ullage.ports.imc.sink import ImcSink
+
+    return ImcSink(address, options_of(SinkOptions, options))

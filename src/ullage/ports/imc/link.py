@@ -1,0 +1,310 @@
+"""A live link: a thread that keeps the connection, says who we are, and holds no more than it should."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+import warnings
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from ullage.errors import UllageWarning
+from ullage.ports.imc.codec import NOBODY, Message, Packet, Parser, compile_kernels, encode, make
+from ullage.ports.imc.table import Table, own
+
+MOBILE_SENSOR, UAV = 7, 4
+NORMAL = 1
+REPORT, QUERY = 0, 1
+INBOX, OUTBOX_BYTES = 20_000, 8_000_000
+TICK_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Entity:
+    """A part of a system that others see by its label."""
+
+    id: int
+    label: str
+    component: str = ""
+
+
+@dataclass(slots=True)
+class Identity:
+    """Who we are on the wire."""
+
+    system_id: int
+    name: str
+    sys_type: int = MOBILE_SENSOR
+    entities: list[Entity] = field(default_factory=list)
+    uid: str = field(default_factory=lambda: uuid.uuid4().hex[:16])
+    lat_rad: float = 0.0
+    lon_rad: float = 0.0
+    height_m: float = 0.0
+
+    def announce(self, services: Sequence[str], table: Table) -> Message:
+        """The message by which others learn of us."""
+        known = [f"ullage://0.0.0.0/uid/{self.uid}", "imc+info://0.0.0.0/version/5.4.31", *services]
+        return make(
+            "Announce", table=table, sys_name=self.name, sys_type=self.sys_type, owner=NOBODY, lat=self.lat_rad,
+            lon=self.lon_rad, height=self.height_m, services=";".join(known),
+        )  # fmt: skip
+
+    def entity_list(self, table: Table) -> Message:
+        """Labels and numbers of our parts."""
+        text = ";".join(f"{e.label}={e.id}" for e in self.entities)
+        return make("EntityList", table=table, op=REPORT, list=text)
+
+
+class Outbox:
+    """Packets that wait to be sent; when they are too many the oldest go."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[bytes] = deque()
+        self._lock = threading.Lock()
+        self._size = self.dropped = 0
+
+    def put(self, data: bytes) -> None:
+        """Add one at the end."""
+        with self._lock:
+            self._waiting.append(data)
+            self._size += len(data)
+            while self._size > OUTBOX_BYTES:
+                self._size -= len(self._waiting.popleft())
+                self.dropped += 1
+
+    def take(self) -> bytes | None:
+        """The oldest one; None where none waits."""
+        with self._lock:
+            if not self._waiting:
+                return None
+            data = self._waiting.popleft()
+            self._size -= len(data)
+            return data
+
+    def clear(self) -> None:
+        """Forget them all."""
+        with self._lock:
+            self._waiting.clear()
+            self._size = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+
+class Wire(Protocol):
+    """Carries bytes to a peer or peers; every call returns at once or within the time given."""
+
+    @property
+    def services(self) -> Sequence[str]:
+        """What we offer others, as URIs."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody is there."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the peer has gone and will not be waited for."""
+
+    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
+        """Send what can be sent, and give what has come; wait for either at most so long."""
+
+    def greet(self, announce: bytes) -> None:
+        """Let whoever listens know of us."""
+
+    def wake(self) -> None:
+        """End a running `exchange` early."""
+
+    def close(self) -> None:
+        """Let go of the sockets."""
+
+
+class Link:
+    """Sends and receives messages in the background.
+
+    Args:
+        wire: carries the bytes.
+        me: who we are.
+        table: the messages.
+        say: told of what others should know: that we wait, that a peer has gone.
+    """
+
+    def __init__(
+        self, wire: Wire, me: Identity, *, table: Table | None = None, say: Callable[[str], None] | None = None
+    ):
+        self.wire, self.me, self.table = wire, me, table or own()
+        self._say = say or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
+        self.out = Outbox()
+        self._in: deque[Packet] = deque()
+        self.dropped_in = 0
+        self._lock = threading.Condition()
+        self._ending = False
+        self._told: set[str] = set()
+        self._error: BaseException | None = None
+        compile_kernels()
+        self._thread = threading.Thread(target=self._run, name="imc", daemon=True)
+        self._thread.start()
+
+    def send(
+        self, message: Message, *, entity: int = 255, t_s: float | None = None, dst: int = NOBODY, dst_ent: int = 255
+    ) -> None:
+        """Queue a message; the oldest are dropped where the peer does not take them.
+
+        Raises:
+            InputError: a value does not fit its field.
+        """
+        stamp = time.time() if t_s is None else t_s
+        data = encode(Packet(message, stamp, self.me.system_id, entity, dst, dst_ent), table=self.table)
+        self.out.put(data)
+        if self.out.dropped:
+            self._once("slow", "the peer reads too slowly; the oldest messages to it are dropped")
+        self.wire.wake()
+
+    def enter(self, entity: Entity) -> None:
+        """Make a part of us known."""
+        self.me.entities = [*self.me.entities, entity]
+        for data in (self._pack(self.me.entity_list(self.table)), self._info(entity), self._state(entity)):
+            self.out.put(data)
+
+    def receive(self, timeout_s: float = 0.25) -> list[Packet]:
+        """What has come since the last call; waits for something at most so long."""
+        with self._lock:
+            if not self._in and not self._ending:
+                self._lock.wait(timeout_s)
+            found = list(self._in)
+            self._in.clear()
+        if self._error is not None:
+            raise self._error
+        return found
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing more will come."""
+        return self.wire.finished or self._ending
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody is there."""
+        return self.wire.connected
+
+    def flush(self, timeout_s: float = 2.0) -> bool:
+        """Wait until everything queued has been handed to the network; false where it was not in time."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            if not len(self.out):
+                return True
+            time.sleep(0.01)
+        return False
+
+    def close(self) -> None:
+        """End the thread and let go of the sockets; what is queued is sent if the peer takes it soon."""
+        if self._ending:
+            return
+        if self.wire.connected:
+            self.flush(1.0)
+        self._ending = True
+        self.wire.wake()
+        self._thread.join(3.0)
+        self.wire.close()
+
+    def _once(self, key: str, text: str) -> None:
+        if key not in self._told:
+            self._told.add(key)
+            self._say(text)
+
+    def _run(self) -> None:
+        try:
+            self._loop()
+        except BaseException as error:  # the thread that uses the link is told
+            self._error = error
+        finally:
+            with self._lock:
+                self._ending = True
+                self._lock.notify_all()
+
+    def _loop(self) -> None:
+        next_beat = next_announce = 0.0
+        there = False
+        while not self._ending:
+            now = time.monotonic()
+            if self.wire.connected and not there:
+                next_beat = next_announce = 0.0
+            elif there and not self.wire.connected:
+                self._say("the peer has gone" + ("" if self.wire.finished else "; waiting for it to come back"))
+                self.out.clear()
+            there = self.wire.connected
+            if now >= next_announce:
+                next_announce = now + (10.0 if there else 1.0)
+                self._introduce()
+            if there and now >= next_beat:
+                next_beat = now + 1.0
+                self._beat()
+            self._take(self.wire.exchange(self.out, TICK_S))
+
+    def _take(self, packets: list[Packet]) -> None:
+        for packet in packets:
+            self._answer(packet)
+        with self._lock:
+            self._in.extend(packets)
+            while len(self._in) > INBOX:
+                self._in.popleft()
+                self.dropped_in += 1
+            if packets:
+                self._lock.notify_all()
+        if self.dropped_in:
+            self._once("full", "messages come faster than they are used; the oldest are dropped")
+
+    def _pack(self, message: Message, entity: int = 255) -> bytes:
+        return encode(Packet(message, time.time(), self.me.system_id, entity), table=self.table)
+
+    def _introduce(self) -> None:
+        hello = self._pack(self.me.announce(self.wire.services, self.table))
+        self.wire.greet(hello)
+        if not self.wire.connected:
+            return
+        for data in (hello, self._pack(self.me.entity_list(self.table)), *map(self._info, self.me.entities)):
+            self.out.put(data)
+
+    def _info(self, e: Entity) -> bytes:
+        info = make("EntityInfo", table=self.table, id=e.id, label=e.label, component=e.component)
+        return self._pack(info, e.id)
+
+    def _state(self, e: Entity) -> bytes:
+        return self._pack(make("EntityState", table=self.table, state=NORMAL, description="active"), e.id)
+
+    def _beat(self) -> None:
+        for data in (self._pack(make("Heartbeat", table=self.table)), *map(self._state, self.me.entities)):
+            self.out.put(data)
+
+    def _answer(self, packet: Packet) -> None:
+        """What any system is expected to answer."""
+        if packet.src == self.me.system_id:
+            if packet.name == "Announce" and self.me.uid not in packet["services"]:
+                other = f"{packet['sys_name']!r} also uses the address {packet.src:#06x}"
+                self._once("twin", f"{other}; give one of us another: system_id=")
+            return
+        if packet.dst not in (self.me.system_id, NOBODY):
+            return
+        answers: list[bytes] = []
+        if packet.name == "EntityList" and packet["op"] == QUERY:
+            answers = [self._pack(self.me.entity_list(self.table))]
+        elif packet.name == "QueryEntityInfo":
+            answers = [self._info(e) for e in self.me.entities if e.id == packet["id"]]
+        elif packet.name == "QueryEntityState":
+            answers = [self._state(e) for e in self.me.entities if packet.dst_ent in (e.id, 255)]
+        for data in answers:
+            self.out.put(data)
+
+
+def strangers(parser: Parser, where: str, say: Callable[[str], None], told: set[str]) -> None:
+    """Say once where a peer speaks another version, or no IMC at all."""
+    if parser.strange > 1 and parser.version and "version" not in told:
+        told.add("version")
+        major, minor = parser.version
+        say(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4")
+    elif parser.garbage > 4096 and "garbage" not in told:
+        told.add("garbage")
+        say(f"{where} sends bytes that are no IMC; they are passed over")

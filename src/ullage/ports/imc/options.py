@@ -1,0 +1,147 @@
+"""What can be set about an IMC port, by `imc:place?key=value`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import Field
+
+from ullage.errors import InputError
+from ullage.ports.imc.places import TRONDHEIM, Geodetic
+from ullage.ports.imc.table import Table, from_xml, own
+from ullage.specs import RadarSpec, Rig, Spec
+
+PLACE = re.compile(r"(?:(tcp|udp)://([^/:\s]+)(?::(\d+))?/?)?")
+PLACES = "tcp://HOST:PORT (7001), udp://HOST:PORT (6002), or nothing: whoever announces itself"
+PORTS = {"tcp": 7001, "udp": 6002}
+Group = TypeVar("Group", bound=Spec)
+
+
+class LinkOptions(Spec):
+    """Who we are on the wire, and how long we wait."""
+
+    system_id: int = Field(0x9001, ge=1, lt=0xFFF0, description="our address; 0x9000 on: sensors of others than LSTS")
+    name: str = Field("ullage", min_length=1, max_length=64, pattern=r"[^;=\n]+")
+    port: int = Field(6101, ge=0, le=65535, description="where we listen for UDP; the next free one is taken")
+    interface: str = Field("127.0.0.1", description="address of the interface for UDP and discovery")
+    silence_s: float = Field(
+        15.0, gt=0.1, le=3600, description="a peer that says nothing for so long is taken for dead"
+    )
+    reconnect: bool = True
+    xml: str = Field("", description="an IMC.xml, for messages that our table lacks")
+
+    def table(self) -> Table:
+        """The messages to speak."""
+        return from_xml(self.xml) if self.xml else own()
+
+
+class PlaceOptions(LinkOptions):
+    """Where on earth the world lies."""
+
+    origin: str = Field("", description="latitude, longitude [deg], height [m] of the world's origin")
+    labels: str = Field("", description="names of the radars as others see them: front=Nose,left=Port")
+
+    def place(self) -> Geodetic | None:
+        """The origin, where it is given.
+
+        Raises:
+            InputError: it is not two or three numbers within bounds.
+        """
+        if not self.origin:
+            return None
+        try:
+            numbers = [float(part) for part in self.origin.split(",")]
+            lat, lon, height = (*numbers, 0.0)[:3] if len(numbers) in (2, 3) else ()
+        except ValueError:
+            raise InputError(f"origin is {self.origin!r}", where="imc", allowed="LAT,LON or LAT,LON,HEIGHT") from None
+        if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
+            raise InputError(
+                f"origin is {self.origin!r}", where="imc", allowed="degrees, and metres over the ellipsoid"
+            )
+        return Geodetic.degrees(lat, lon, height)
+
+    def entity_labels(self) -> dict[str, str]:
+        """Label of each sensor that was given one."""
+        pairs = [part.partition("=") for part in self.labels.split(",") if part]
+        if bad := next((a for a, sign, b in pairs if not (a and sign and b)), None):
+            raise InputError(f"labels at {bad!r}", where="imc", allowed="sensor=Label,sensor=Label")
+        return {a.strip(): b.strip() for a, _, b in pairs}
+
+
+class SourceOptions(PlaceOptions):
+    """What to take from the bus."""
+
+    vehicle: str = Field(
+        "", description="name or number of the system to follow; none: the first that says where it is"
+    )
+    state: Literal["EstimatedState", "SimulatedState"] = "EstimatedState"
+    world: str = Field(
+        "", description="a library world or a file: radars are simulated; none: recorded frames are taken"
+    )
+    rig: str = "thesis-4"
+    fidelity: Literal["physical", "thesis"] = "physical"
+    max_bounces: int = Field(1, ge=1, le=3)
+    seed: int = 0
+    rate_hz: float | None = Field(None, gt=0, le=10_000)
+    duration_s: float | None = Field(None, gt=0)
+
+    def radars(self) -> RadarSpec | Rig:
+        """The radars to simulate."""
+        return Rig.preset(self.rig)
+
+
+class SinkOptions(PlaceOptions):
+    """What to give to the bus."""
+
+    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as it comes")
+    distance: Literal["first_peak", "off"] = "first_peak"
+    profile: bool = Field(True, description="SonarData")
+    exact: bool = Field(True, description="DevDataBinary with every bit of the frame")
+    truth: bool = Field(False, description="exact frames carry the true pose as well")
+    state: Literal["off", "EstimatedState", "SimulatedState"] = Field("off", description="the body's pose as well")
+
+    def home(self) -> Geodetic:
+        """The world's origin."""
+        return self.place() or TRONDHEIM
+
+
+def options_of(group: type[Group], options: dict[str, Any]) -> Group:
+    """The options, checked.
+
+    Raises:
+        InputError: one is unknown, or a value is out of bounds.
+    """
+    if unknown := sorted(options.keys() - group.model_fields.keys()):
+        raise InputError(f"no option {unknown[0]!r}", where="imc", allowed=", ".join(group.model_fields))
+    fixed = {key: int(value, 0) if key == "system_id" and _number(value) else value for key, value in options.items()}
+    return group(**fixed)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]+|\d+", value) is not None
+
+
+def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
+    """Kind, host and port of a place.
+
+    Raises:
+        InputError: it is none.
+    """
+    found = PLACE.fullmatch(place)
+    if not found or (found[3] and not 0 < int(found[3]) < 65536):
+        raise InputError(f"{place!r} is no place", where="imc", allowed=PLACES)
+    kind: Any = found[1] or ""
+    return kind, found[2] or "", int(found[3] or PORTS.get(kind, 0))
+
+
+def scene_path(world: str) -> Path:
+    """The file of a world by its library name or its path."""
+    from ullage.world.library import WORLDS
+
+    if world in WORLDS:
+        return Path(WORLDS[world].path)
+    if not Path(world).exists():
+        raise InputError(f"no world {world!r}", where="imc", allowed=", ".join(WORLDS) + ", or a file")
+    return Path(world)

@@ -1,0 +1,140 @@
+"""Places and attitudes: WGS-84, north-east-down and forward-right-down on the wire; ENU and FLU within.
+
+IMC gives a place as latitude, longitude and height of a reference and a north-east-down offset in the plane that
+touches the ellipsoid there. References differ between systems and change in flight, so offsets are carried over
+exactly, through earth-centred coordinates [WGS84].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Floats, Trajectory
+from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
+
+MAJOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
+ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
+FLIP = np.diag([1.0, -1.0, -1.0])  # forward-left-up to forward-right-down and back
+SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # east-north-up to north-east-down and back
+
+
+@dataclass(frozen=True, slots=True)
+class Geodetic:
+    """A point on or near the earth."""
+
+    lat_rad: float
+    lon_rad: float
+    height_m: float = 0.0  # over the ellipsoid
+
+    @classmethod
+    def degrees(cls, lat_deg: float, lon_deg: float, height_m: float = 0.0) -> Geodetic:
+        """From latitude and longitude in degrees."""
+        return cls(math.radians(lat_deg), math.radians(lon_deg), height_m)
+
+    @property
+    def earth_centred(self) -> Floats:
+        """Place (3) in the frame that turns with the earth [m]."""
+        sin = math.sin(self.lat_rad)
+        normal = MAJOR_M / math.sqrt(1 - ECCENTRICITY2 * sin * sin)
+        side = (normal + self.height_m) * math.cos(self.lat_rad)
+        up = (normal * (1 - ECCENTRICITY2) + self.height_m) * sin
+        return np.array([side * math.cos(self.lon_rad), side * math.sin(self.lon_rad), up])
+
+    @property
+    def earth_from_ned(self) -> Floats:
+        """Rotation (3, 3) from north, east, down here to the earth-centred frame."""
+        sin, cos = math.sin(self.lat_rad), math.cos(self.lat_rad)
+        sin_lon, cos_lon = math.sin(self.lon_rad), math.cos(self.lon_rad)
+        return np.array([
+            [-sin * cos_lon, -sin_lon, -cos * cos_lon],
+            [-sin * sin_lon, cos_lon, -cos * sin_lon],
+            [cos, 0.0, -sin],
+        ])  # fmt: skip
+
+    def moved(self, ned_m: Floats) -> Geodetic:
+        """The point that lies so far north, east and down of here [m]."""
+        x, y, z = self.earth_centred + self.earth_from_ned @ np.asarray(ned_m, float)
+        side = math.hypot(x, y)
+        lat, height = math.atan2(z, side * (1 - ECCENTRICITY2)), 0.0
+        for _ in range(6):  # contracts by a factor of 300 a round
+            sin = math.sin(lat)
+            normal = MAJOR_M / math.sqrt(1 - ECCENTRICITY2 * sin * sin)
+            height = side * math.cos(lat) + z * sin - MAJOR_M * math.sqrt(1 - ECCENTRICITY2 * sin * sin)
+            lat = math.atan2(z, side * (1 - ECCENTRICITY2 * normal / (normal + height)))
+        return Geodetic(lat, math.atan2(y, x), height)
+
+
+TRONDHEIM = Geodetic.degrees(63.4185, 10.4009)
+"""Where a world without a place on earth is put: the campus of the thesis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a vehicle is and how it moves: world ENU, body FLU."""
+
+    t_ns: int
+    position: Floats  # (3) [m]
+    quat_xyzw: Floats  # (4) world_from_body
+    velocity: Floats  # (3) world [m/s]
+    spin: Floats  # (3) body [rad/s]
+
+
+def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> Pose:
+    """The pose that an EstimatedState or SimulatedState tells, in the world whose origin lies there."""
+    here = Geodetic(state["lat"], state["lon"], state["height"])
+    offset = np.array([state["x"], state["y"], state["z"]], float)
+    if here == origin:
+        turn, place = np.eye(3), offset
+    else:
+        turn = origin.earth_from_ned.T @ here.earth_from_ned
+        place = origin.earth_from_ned.T @ (here.earth_centred - origin.earth_centred) + turn @ offset
+    ned_from_frd = quat_matrix(rpy_quat(state["phi"], state["theta"], state["psi"]))
+    if "vx" in state:
+        velocity = turn @ np.array([state["vx"], state["vy"], state["vz"]], float)
+    else:
+        velocity = turn @ ned_from_frd @ np.array([state["u"], state["v"], state["w"]], float)
+    return Pose(
+        t_ns,
+        SWAP @ place,
+        matrix_quat(SWAP @ turn @ ned_from_frd @ FLIP),
+        SWAP @ velocity,
+        FLIP @ np.array([state["p"], state["q"], state["r"]], float),
+    )
+
+
+def state_of(pose: Pose, origin: Geodetic) -> dict[str, float]:
+    """The fields of an EstimatedState for this pose; altitude is the height over the world's z = 0."""
+    ned_from_frd = SWAP @ quat_matrix(pose.quat_xyzw) @ FLIP
+    phi, theta, psi = (float(a) for a in quat_rpy(matrix_quat(ned_from_frd)))
+    x, y, z = (float(v) for v in SWAP @ pose.position)
+    vx, vy, vz = (float(v) for v in SWAP @ pose.velocity)
+    u, v, w = (float(k) for k in ned_from_frd.T @ (SWAP @ pose.velocity))
+    p, q, r = (float(k) for k in FLIP @ pose.spin)
+    return {
+        "lat": origin.lat_rad, "lon": origin.lon_rad, "height": origin.height_m, "x": x, "y": y, "z": z,
+        "phi": phi, "theta": theta, "psi": psi, "u": u, "v": v, "w": w, "vx": vx, "vy": vy, "vz": vz,
+        "p": p, "q": q, "r": r, "depth": -1.0, "alt": float(pose.position[2]),
+    }  # fmt: skip
+
+
+def poses_along(path: Trajectory) -> list[Pose]:
+    """Each sample of a trajectory by itself."""
+    velocity, spin = path.rates
+    columns = zip(path.t_ns, path.position, path.quat_xyzw, velocity, spin, strict=True)
+    return [Pose(int(t), *rest) for t, *rest in columns]
+
+
+def path_along(poses: list[Pose]) -> Trajectory:
+    """The trajectory of poses whose times rise."""
+    return Trajectory(
+        np.array([p.t_ns for p in poses]),
+        np.array([p.position for p in poses]),
+        np.array([p.quat_xyzw for p in poses]),
+        np.array([p.velocity for p in poses]),
+        np.array([p.spin for p in poses]),
+    )

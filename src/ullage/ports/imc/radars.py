@@ -1,0 +1,125 @@
+"""Frames as IMC messages, and back.
+
+What others can read is `SonarData` (the profile as an echo sounder's) and `Distance` (the nearest echo, with where the
+radar sits and how wide it looks). Both lose much, so `DevDataBinary` carries the same frame to the last bit: the name
+of a ROS 2 message, a zero, and that message in CDR, as recordings have it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Floats, Frames
+from ullage.geometry import matrix_quat, quat_rpy, transform
+from ullage.ports import conversions
+from ullage.ports import messages as ros
+from ullage.ports.imc.codec import MOST, Message, make
+from ullage.ports.imc.places import FLIP
+from ullage.specs import MountSpec, RadarSpec
+
+ECHO_SOUNDER = 1
+FREQUENCY_MOST = 2**32 - 1
+LEVELS = 2**16 - 1
+CARRIED = (ros.FRAME, ros.SETTINGS)
+
+
+def device_state(mount: MountSpec) -> Message:
+    """Where a sensor sits on the body, forward-right-down."""
+    body_from_sensor = mount.body_from_sensor()
+    x, y, z = FLIP @ body_from_sensor[:3, 3]
+    phi, theta, psi = quat_rpy(matrix_quat(FLIP @ body_from_sensor[:3, :3] @ FLIP))
+    return make("DeviceState", x=float(x), y=float(y), z=float(z), phi=float(phi), theta=float(theta), psi=float(psi))
+
+
+def mount_of(state: Mapping[str, Any]) -> MountSpec:
+    """The mount that a DeviceState tells."""
+    rot = FLIP @ transform((0, 0, 0), (state["phi"], state["theta"], state["psi"]))[:3, :3] @ FLIP
+    roll, pitch, yaw = (math.degrees(a) for a in quat_rpy(matrix_quat(rot)))
+    x, y, z = (float(v) for v in FLIP @ np.array([state["x"], state["y"], state["z"]], float))
+    return MountSpec(position_m=(x, y, z), roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw)
+
+
+def beam_config(spec: RadarSpec) -> Message:
+    """How wide a radar looks, between half-power directions of one way."""
+    wide = 180.0 if spec.antenna.kind == "isotropic" else min(spec.antenna.azimuth_deg, 180.0)
+    high = 180.0 if spec.antenna.kind == "isotropic" else min(spec.antenna.elevation_deg, 180.0)
+    return make("BeamConfig", beam_width=math.radians(wide), beam_height=math.radians(high))
+
+
+def distances(frames: Frames) -> list[Message]:
+    """Distance of the nearest echo of each frame; invalid where there is none."""
+    from ullage.processing.detect import detect
+
+    hits = detect(frames)
+    near = dict(zip(hits.frame[::-1].tolist(), hits.range_m[::-1].tolist(), strict=True))
+    where, beam = (device_state(frames.spec.mount),), (beam_config(frames.spec),)
+    return [
+        make("Distance", validity=int(k in near), location=where, beam_config=beam, value=near.get(k, 0.0))
+        for k in range(len(frames))
+    ]
+
+
+def profiles(frames: Frames) -> list[Message]:
+    """SonarData of each frame: amplitudes over whole metres, for that is how its range is told.
+
+    Point i of n lies at min_range + i (max_range - min_range) / n; beyond the frame's own bins there is nothing.
+    """
+    axis = frames.range_m
+    low, high = max(math.floor(axis[0]), 0), math.ceil(axis[-1])
+    step = (axis[-1] - axis[0]) / max(len(axis) - 1, 1) or 1.0
+    count = min(max(math.ceil((high - low) / step), 1), 30_000)
+    at = low + np.arange(count) * ((high - low) / count)
+    frequency = round(frames.spec.center_hz)
+    beam = (beam_config(frames.spec),)
+    out = []
+    for row in np.asarray(frames.amplitude, float):
+        values = np.interp(at, axis, row, left=0.0, right=0.0)
+        scale = float(np.float32(max(values.max(), 1e-30) / LEVELS))
+        data = np.clip(np.rint(values / scale), 0, LEVELS).astype("<u2").tobytes()
+        out.append(
+            make(
+                "SonarData", type=ECHO_SOUNDER, frequency=frequency if frequency <= FREQUENCY_MOST else 0,
+                min_range=low, max_range=high, bits_per_point=16, scale_factor=scale, beam_config=beam, data=data,
+            )
+        )  # fmt: skip
+    return out
+
+
+def profile_of(message: Mapping[str, Any]) -> tuple[Floats, Floats] | None:
+    """Ranges [m] and amplitudes of a SonarData; None where it is of a kind that has no plain profile."""
+    size = message["bits_per_point"] // 8
+    if message["type"] not in (0, 1, 3) or size not in (1, 2, 4) or message["bits_per_point"] % 8:
+        return None
+    data = message["data"]
+    count = len(data) // size
+    low, high = message["min_range"], message["max_range"]
+    if count < 8 or high <= low or len(data) % size:
+        return None
+    values = np.frombuffer(data, f"<u{size}").astype(float) * (message["scale_factor"] or 1.0)
+    return low + np.arange(count) * ((high - low) / count), values
+
+
+def exact(frames: Frames, start: int, *, truth: bool) -> list[Message]:
+    """DevDataBinary of each frame, numbered from `start`; none where a frame is too long for a packet."""
+    bare = frames if truth else replace(frames, truth=None)
+    notes = conversions.frame_notes(bare, start)
+    if not notes or len(notes[0]) + 64 > MOST:
+        return []
+    return [make("DevDataBinary", value=ros.FRAME.encode() + b"\0" + note) for note in notes]
+
+
+def settings(frames: Frames) -> Message:
+    """DevDataBinary of what holds for every frame: unit, range axis, radar."""
+    return make("DevDataBinary", value=ros.SETTINGS.encode() + b"\0" + conversions.settings_note(frames))
+
+
+def carried(value: bytes) -> tuple[str, bytes] | None:
+    """Name and bytes of the ROS 2 message that a DevDataBinary of ours carries."""
+    name, zero, rest = value[:64].partition(b"\0")
+    known = name.decode("ascii", "replace")
+    return (known, value[len(name) + 1 :]) if zero and known in CARRIED and rest else None

@@ -1,0 +1,170 @@
+"""The client of a server such as DUNE's Transports.TCP.Server."""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from ullage.ports.imc.codec import Packet, Parser
+from ullage.ports.imc.link import Outbox, strangers
+from ullage.ports.imc.table import Table
+
+AT_ONCE = 65536
+
+
+class Waker:
+    """Ends a wait on sockets from another thread."""
+
+    def __init__(self) -> None:
+        self.reading, self._writing = socket.socketpair()
+        self.reading.setblocking(False)
+        self._writing.setblocking(False)
+
+    def wake(self) -> None:
+        """End the wait."""
+        with suppress(OSError):  # full, so it will wake anyway; or closed
+            self._writing.send(b"!")
+
+    def drain(self) -> None:
+        """Forget what woke us."""
+        with suppress(OSError):
+            while self.reading.recv(4096):
+                pass
+
+    def close(self) -> None:
+        """Let go of both ends."""
+        self.reading.close()
+        self._writing.close()
+
+
+class TcpWire:
+    """Keeps a connection to one server, and tries again when it is lost.
+
+    Args:
+        host: of the server.
+        port: of the server.
+        table: the messages.
+        silence_s: a server that says nothing for so long is taken for dead [s].
+        reconnect: try again after the connection was lost.
+        say: told of what others should know.
+    """
+
+    services: Sequence[str] = ()
+
+    def __init__(
+        self, host: str, port: int, *, table: Table, silence_s: float, reconnect: bool, say: Callable[[str], None]
+    ) -> None:
+        self._place, self._table, self._silence, self._again, self._say = (host, port), table, silence_s, reconnect, say
+        self._where = f"tcp://{host}:{port}"
+        self._waker = Waker()
+        self._sock: socket.socket | None = None
+        self._was_there = False
+        self._next_try = self._heard = 0.0
+        self._wait_s = 0.25
+        self._rest = memoryview(b"")
+        self._parser = Parser(table)
+        self._told: set[str] = set()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the connection stands."""
+        return self._sock is not None
+
+    @property
+    def finished(self) -> bool:
+        """Whether it was lost and is not to be made again."""
+        return self._was_there and self._sock is None and not self._again
+
+    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
+        """Send what can be sent, and give what has come; wait for either at most so long."""
+        if self._sock is None and not self._connect(timeout_s):
+            return []
+        sock = self._sock
+        if sock is None:
+            return []
+        if not len(self._rest):
+            self._rest = memoryview(out.take() or b"")
+        wants = [sock] if len(self._rest) else []
+        ready, writable, _ = select.select([sock, self._waker.reading], wants, [], timeout_s)
+        if self._waker.reading in ready:
+            self._waker.drain()
+        if writable:
+            self._write(sock, out)
+        packets = self._read(sock) if sock in ready else []
+        if self._sock is not None and time.monotonic() - self._heard > self._silence:
+            self._say(f"{self._where} has said nothing for {self._silence:g} s; connecting anew")
+            self._drop()
+        return packets
+
+    def _connect(self, timeout_s: float) -> bool:
+        now = time.monotonic()
+        if self.finished or now < self._next_try:
+            select.select([self._waker.reading], [], [], timeout_s)
+            self._waker.drain()
+            return False
+        try:
+            sock = socket.create_connection(self._place, timeout=2.0)
+        except OSError as error:
+            if "waiting" not in self._told:
+                self._told.add("waiting")
+                self._say(f"waiting for {self._where} ({error.strerror or error})")
+            self._next_try, self._wait_s = now + self._wait_s, min(2 * self._wait_s, 2.0)
+            return False
+        if sock.getsockname() == sock.getpeername():  # a port of ours that met itself: nobody listens there
+            sock.close()
+            self._next_try = now + self._wait_s
+            return False
+        sock.setblocking(False)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._sock, self._was_there, self._wait_s, self._heard = sock, True, 0.25, time.monotonic()
+        self._told.discard("waiting")
+        self._parser = Parser(self._table)
+        return True
+
+    def _write(self, sock: socket.socket, out: Outbox) -> None:
+        try:
+            while len(self._rest):
+                self._rest = self._rest[sock.send(self._rest) :]
+                if not len(self._rest):
+                    self._rest = memoryview(out.take() or b"")
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._drop()
+
+    def _read(self, sock: socket.socket) -> list[Packet]:
+        try:
+            data = sock.recv(AT_ONCE)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self._drop()
+            return []
+        self._heard = time.monotonic()
+        packets = list(self._parser.feed(data))
+        strangers(self._parser, self._where, self._say, self._told)
+        return packets
+
+    def _drop(self) -> None:
+        if self._sock is not None:
+            self._sock.close()
+        self._sock, self._rest = None, memoryview(b"")
+        self._next_try = time.monotonic() + self._wait_s
+
+    def greet(self, announce: bytes) -> None:
+        """Nobody but the server hears us."""
+
+    def wake(self) -> None:
+        """End a running `exchange` early."""
+        self._waker.wake()
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        self._drop()
+        self._waker.close()

@@ -1,0 +1,254 @@
+"""Peers by UDP, which find each other by announcing themselves on known ports."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import select
+import socket
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from ullage.errors import InputError
+from ullage.ports.imc.codec import Malformed, Packet, Parser, decode
+from ullage.ports.imc.link import Identity, Outbox, strangers
+from ullage.ports.imc.table import Table
+from ullage.ports.imc.tcp import Waker
+
+GROUP = "224.0.75.69"
+ANNOUNCE_PORTS = range(30100, 30105)
+SERVICE = re.compile(r"imc\+udp://([\d.]+):(\d+)/?")
+MOST_PEERS = 64
+TRIES = 16
+Place = tuple[str, int]
+
+
+@dataclass(slots=True)
+class Peer:
+    """Another system."""
+
+    name: str
+    place: Place
+    uid: str = ""
+    heard: float = field(default_factory=time.monotonic)
+
+
+class UdpWire:
+    """Speaks to every peer that has announced itself, and to one place named beforehand.
+
+    Args:
+        place: a peer that is there without announcing itself.
+        table: the messages.
+        own: who we are; what we announced ourselves is passed over.
+        interface: address of the interface to use; on 127.0.0.1 nothing leaves this machine.
+        port: where we listen; the next free one is taken.
+        silence_s: a peer that says nothing for so long is taken for dead [s].
+        reconnect: wait for it to come back.
+        say: told of what others should know.
+
+    Raises:
+        InputError: no port is free, or the interface is not there.
+    """
+
+    def __init__(
+        self, place: Place | None, *, table: Table, own: Identity, interface: str, port: int, silence_s: float,
+        reconnect: bool, say: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self._table, self._me, self._interface, self._silence = table, own, interface, silence_s
+        self._again, self._say = reconnect, say
+        self._fixed = (_address(place[0]), place[1]) if place else None
+        self._local = ipaddress.ip_address(_address(interface)).is_loopback
+        self._waker = Waker()
+        self._sock = _bound(interface, range(port, port + TRIES) if port else range(1))
+        self._ears = _ears(interface)
+        self._peers: dict[int, Peer] = {}
+        self._told: set[str] = set()
+        self._there = False
+        self._parser = Parser(table)
+
+    @property
+    def services(self) -> Sequence[str]:
+        """Where we can be reached."""
+        return (f"imc+udp://{self._interface}:{self._sock.getsockname()[1]}/",)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a peer has been heard lately, or one is named beforehand."""
+        return bool(self._peers) or self._fixed is not None
+
+    @property
+    def finished(self) -> bool:
+        """Whether every peer has gone and none will be waited for."""
+        return self._there and not self._peers and not self._again
+
+    def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
+        """Send what can be sent, and give what has come; wait for the latter at most so long."""
+        self._write(out)
+        ready, _, _ = select.select([self._sock, *self._ears, self._waker.reading], [], [], timeout_s)
+        if self._waker.reading in ready:
+            self._waker.drain()
+        packets = [packet for sock in ready if sock is not self._waker.reading for packet in self._read(sock)]
+        self._bury()
+        return packets
+
+    def _write(self, out: Outbox) -> None:
+        places = {peer.place for peer in self._peers.values()} | ({self._fixed} if self._fixed else set())
+        if not places:
+            out.clear()
+            return
+        while (data := out.take()) is not None:
+            for place in places:
+                try:
+                    self._sock.sendto(data, place)
+                except OSError:  # nobody listens there now, or the packet is too long for a datagram
+                    continue
+
+    def _read(self, sock: socket.socket) -> list[Packet]:
+        found = []
+        for _ in range(256):  # so that a flood does not keep us from our other work
+            try:
+                data, (host, port) = sock.recvfrom(65535)
+            except BlockingIOError:
+                break
+            except OSError:  # what we sent earlier met a closed port
+                continue
+            if self._local and not ipaddress.ip_address(host).is_loopback:
+                continue
+            try:
+                packet = decode(data, table=self._table)
+            except Malformed:
+                list(self._parser.feed(data))
+                list(self._parser.finish())
+                strangers(self._parser, f"udp://{host}:{port}", self._say, self._told)
+                continue
+            if self._known(packet, host, port):
+                found.append(packet)
+        return found
+
+    def _known(self, packet: Packet, host: str, port: int) -> bool:
+        """Remember the peer; false for one that uses another's number."""
+        if packet.src == self._me.system_id:  # our own echo, or a twin, of whom the link complains
+            return packet.name == "Announce" and self._me.uid not in packet["services"]
+        peer = self._peers.get(packet.src)
+        if packet.name == "Announce":
+            return self._announced(packet, host, peer)
+        if peer is None:
+            if self._fixed is not None and (host, port) == self._fixed:
+                self._enter(packet.src, Peer(str(packet.src), (host, port)))
+                return True
+            return False  # as DUNE does: who has not announced itself is not listened to
+        if host != peer.place[0]:
+            self._twins(packet.src, peer.name, host)
+            return False
+        peer.heard = time.monotonic()
+        return True
+
+    def _announced(self, packet: Packet, host: str, peer: Peer | None) -> bool:
+        services = packet["services"]
+        places = [(a, int(p)) for a, p in SERVICE.findall(services) if 0 < int(p) < 65536]
+        uid = next((s for s in services.split(";") if "/uid/" in s), "")
+        lately = peer is not None and time.monotonic() - peer.heard < 3.0
+        if peer is not None and lately and uid and peer.uid and uid != peer.uid:
+            self._twins(packet.src, peer.name, packet["sys_name"])
+            return False
+        reachable = next((p for p in places if p[0] == host), None)
+        if reachable is None:
+            return peer is not None
+        if peer is None:
+            self._enter(packet.src, Peer(packet["sys_name"], reachable, uid))
+        else:
+            peer.place, peer.uid, peer.name, peer.heard = reachable, uid, packet["sys_name"], time.monotonic()
+        return True
+
+    def _enter(self, number: int, peer: Peer) -> None:
+        if len(self._peers) < MOST_PEERS:
+            self._peers[number] = peer
+            self._there = True
+
+    def _twins(self, number: int, one: str, other: str) -> None:
+        key = f"twins {number}"
+        if key not in self._told:
+            self._told.add(key)
+            self._say(f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to")
+
+    def _bury(self) -> None:
+        now = time.monotonic()
+        for number, peer in list(self._peers.items()):
+            if now - peer.heard > self._silence:
+                del self._peers[number]
+                self._say(f"{peer.name!r} has said nothing for {self._silence:g} s")
+
+    def greet(self, announce: bytes) -> None:
+        """Announce ourselves on this machine, and on the network where the interface is one."""
+        places = [("127.0.0.1", port) for port in ANNOUNCE_PORTS] if self._local else []
+        for place in (*places, *((GROUP, port) for port in ANNOUNCE_PORTS)):
+            try:
+                self._sock.sendto(announce, place)
+            except OSError:  # no route for multicast: others still hear us on this machine
+                continue
+
+    def wake(self) -> None:
+        """End a running `exchange` early."""
+        self._waker.wake()
+
+    def close(self) -> None:
+        """Let go of the sockets."""
+        self._sock.close()
+        for sock in self._ears:
+            sock.close()
+        self._waker.close()
+
+
+def _address(host: str) -> str:
+    try:
+        return socket.gethostbyname(host)
+    except OSError:
+        raise InputError(f"no such host {host!r}", where="imc") from None
+
+
+def _bound(interface: str, ports: range) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
+    last: OSError | None = None
+    for port in ports:
+        try:
+            sock.bind((interface, port))
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_address(interface)))
+        except OSError as error:
+            last = error
+            continue
+        return sock
+    sock.close()
+    raise InputError(
+        f"cannot listen on {interface}: {last}", where="imc", allowed="interface= and port= of this machine"
+    )
+
+
+def _ears(interface: str) -> list[socket.socket]:
+    """Where announcements arrive: one of the known ports on this address, and the same port of the group."""
+    for port in ANNOUNCE_PORTS:
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock.setblocking(False)
+        try:
+            sock.bind((interface, port))
+        except OSError:
+            sock.close()
+            continue
+        return [sock, *_group(interface, port)]
+    return []
+
+
+def _group(interface: str, port: int) -> list[socket.socket]:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    try:
+        sock.bind((GROUP, port))
+        member = socket.inet_aton(GROUP) + socket.inet_aton(_address(interface))
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+    except OSError:  # multicast is not to be had here; announcements sent to our own address still arrive
+        sock.close()
+        return []
+    return [sock]

@@ -1,0 +1,89 @@
+"""The live port against a peer in a process of its own."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imc_bus import LAT, LON
+
+import ullage as ul
+from ullage.ports.imc.codec import Packet, Parser
+
+BUS = Path(__file__).parent / "imc_bus.py"
+
+
+@contextmanager
+def bus(folder: Path, seconds: float) -> Iterator[tuple[str, Path]]:
+    """The place of a bus, and the file that will hold what it was sent."""
+    kept = folder / "kept.bin"
+    command = [sys.executable, str(BUS), "0", str(seconds), str(kept)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield f"tcp://127.0.0.1:{process.stdout.readline().strip()}", kept
+        process.wait(30)
+
+
+def heard(kept: Path) -> list[Packet]:
+    parser = Parser()
+    found = list(parser.feed(kept.read_bytes()))
+    assert parser.garbage == 0
+    return found
+
+
+def room_frames(rig: ul.Rig | None = None) -> dict[str, ul.Frames]:
+    path = ul.Trajectory.line((-1, 0, 0), (-0.5, 0, 0), 0.5, 25)
+    return ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, rig or ul.Rig.preset("thesis-4"), fidelity="thesis")
+
+
+def test_radars_are_simulated_along_the_vehicle(tmp_path: Path) -> None:
+    asked = "world=ntnu-room&fidelity=thesis&reconnect=false"
+    with bus(tmp_path, 2.0) as (place, kept), ul.open(f"imc:{place}?{asked}") as source:
+        frames = source.frames()
+        flown = source.trajectory()
+    assert set(frames) == {"front", "left", "back", "right"}
+    front = frames["front"]
+    assert len(front) >= 2.0 * 17 - 2
+    assert np.allclose(np.diff(front.t_ns), 1e9 / 17, atol=2)
+    # half a metre a second to the north, looking east: psi is clockwise from north, the radar sits 0.1 m ahead
+    assert np.allclose(front.poses.position[:, [0, 2]], [0.1, 2.0], atol=1e-6)
+    speed = (front.poses.position[-1, 1] - front.poses.position[0, 1]) / ((front.t_ns[-1] - front.t_ns[0]) * 1e-9)
+    assert speed == pytest.approx(0.5, abs=1e-3)
+    assert np.allclose(front.poses.world_from_body[:, :3, 0], [1, 0, 0], atol=1e-6)
+    assert flown is not None
+    assert np.allclose(flown.rates[0], [0, 0.5, 0], atol=1e-6)
+    names = Counter(packet.name for packet in heard(kept))
+    assert names["Announce"] >= 1
+    assert names["Heartbeat"] >= 2
+    assert names["EntityState"] >= 2
+
+
+def test_a_bus_is_given_what_the_radars_saw(tmp_path: Path) -> None:
+    frames = room_frames()
+    with bus(tmp_path, 3.0) as (place, kept), ul.sink(f"imc:{place}?labels=front=Nose&pace=4") as sink:
+        sink.write(frames)
+    found = heard(kept)
+    listed = [packet["list"] for packet in found if packet.name == "EntityList"]
+    assert listed[-1] == "ullage=1;Nose=10;left=11;back=12;right=13"
+    infos = {packet["id"]: packet["label"] for packet in found if packet.name == "EntityInfo"}
+    assert infos[10] == "Nose"
+    mine = [packet for packet in found if packet.src_ent == 10]
+    names = Counter(packet.name for packet in mine)
+    n = len(frames["front"])
+    assert (names["Distance"], names["SonarData"], names["DevDataBinary"]) == (n, n, n + 1)
+    near = [packet for packet in mine if packet.name == "Distance"]
+    assert {packet["validity"] for packet in near} == {1}
+    beam = near[0]["beam_config"][0]
+    assert math.degrees(beam["beam_width"]) == pytest.approx(65.0)
+    # the floor is 1.5 m below, first met at the edge of the opening
+    assert near[0]["value"] == pytest.approx(1.5 / math.sin(math.radians(32.5)), abs=0.1)
+    assert near[0]["location"][0]["x"] == pytest.approx(0.1)
+    announced = next(packet for packet in found if packet.name == "Announce")
+    assert (announced["lat"], announced["lon"]) == pytest.approx((LAT, LON))
