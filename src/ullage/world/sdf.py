@@ -8,7 +8,7 @@ Materials: see sdf_material. Poses are those of the file: joints stand as they w
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +27,7 @@ from ullage.world.sdf_geometry import GeometryReader, Rod
 from ullage.world.sdf_material import nearest_tag, read_material
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Resolver
+from ullage.world.sdf_sensors import rigs_of
 from ullage.world.sdf_tree import Link, Scope, TreeReader
 
 Floats = NDArray[np.float64]
@@ -46,11 +47,12 @@ def load_sdf(path: Path, *, geometry: Geometry = "collision", search_path: Seque
 def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
     """The scene of a world that was read."""
     walk = SceneWalk(GeometryReader(resolver), geometry)
-    walk.add_scope(ScopeFrames(world), "", nearest_tag(world.node))
+    frames = ScopeFrames(world)
+    walk.add_scope(frames, "", nearest_tag(world.node))
     if walk.unseen and geometry == "collision":
         names = ", ".join(walk.unseen[:5]) + ", ..." * (len(walk.unseen) > 5)
         world.node.place.warn(f"only visuals, so not seen: {names} (geometry='visual' reads them)")
-    return walk.builder.scene(world.name)
+    return replace(walk.builder.scene(world.name), rigs=rigs_of(frames))
 
 
 @dataclass(slots=True)

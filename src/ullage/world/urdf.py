@@ -1,7 +1,7 @@
 """URDF, with xacro: the robot is rewritten as an SDF model whose links stand where yourdfpy's kinematics puts them.
 
-So names, materials, wires and refusals are those of SDF. A `<laserRetro>` in `<gazebo reference="LINK">` and an
-`<ullage:material>` in a link, visual or collision count as in SDF.
+So names, materials, wires and refusals are those of SDF. A `<laserRetro>` or a radar's `<sensor>` in
+`<gazebo reference="LINK">`, and an `<ullage:material>` in a link, visual or collision count as in SDF.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def load_urdf(
     robot = Scope(root.attribute("name") or path.stem, root)
     for link in root.children("link"):
         made = _sdf_link(link, _retros(root))
+        made.element.extend(copy.deepcopy(sensor) for sensor in _sensors(root, link.name))
         robot.links.append(Link(link.name, Pose(poses[link.name]), made))
     world = Scope(robot.name, root, own_frame="world", models=[robot])
     return scene_of(world, resolver, geometry=geometry)
@@ -199,6 +200,13 @@ def _retros(root: Node) -> dict[str, str]:
         if retro:
             found[note.attribute("reference")] = retro
     return found
+
+
+def _sensors(root: Node, link: str) -> Iterator[Any]:
+    """The sensors that `<gazebo reference="LINK">` gives a link, and radars of ours."""
+    for note in root.children("gazebo"):
+        if note.attribute("reference") == link:
+            yield from (one for one in note.element if one.tag == "sensor" or _ours(one))
 
 
 def _expanded(path: Path, resolver: Resolver) -> Any:
