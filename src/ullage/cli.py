@@ -257,6 +257,42 @@ def validate(
 
 
 @app.command()
+def reproduce(
+    quick: Annotated[bool, typer.Option("--quick", help="Small, in two minutes.")] = False,
+    only: Annotated[list[str] | None, typer.Option("--only", help="Just this experiment", metavar="NAME")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Do again what is done.")] = False,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the results.", metavar="DIR")] = Path("reproduction"),
+) -> None:
+    """Run every experiment of the thesis, both ways; exit 1 when a bound is broken. Run again to go on after Ctrl-C."""
+    from ullage.experiments.reproduce.loop import reproduce as run_all
+    from ullage.experiments.reproduce.plan import wanted
+    from ullage.experiments.warmup import compile_kernels, compiled
+    from ullage.view.progress import console, progress_bar
+
+    chosen = wanted(quick, only or [])
+    if not compiled():
+        with console.status("compiling kernels (once after installation)"):
+            compile_kernels()
+    with progress_bar("reproducing", total=float(len(chosen))) as bar:
+
+        def tell(done: int, text: str) -> None:
+            bar.say(text)
+            bar(done)
+
+        done = run_all(out, chosen, quick=quick, fresh=force, tell=tell)
+    for line in done.broken:
+        console.print(f"[red]OUT[/]  {line}", highlight=False)
+    holding, total = done.counts
+    console.print(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
+    console.print(f"report: [link=file://{done.report.resolve()}]{done.report}[/]")
+    if done.interrupted:
+        console.print("[yellow]interrupted[/]: run the same command again to go on")
+        raise typer.Exit(130)
+    if done.broken:
+        raise typer.Exit(1)
+
+
+@app.command()
 def doctor() -> None:
     """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong."""
     from ullage.experiments.doctor import checks

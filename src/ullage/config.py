@@ -42,6 +42,9 @@ class FlightSpec(Spec):
     vehicle: str = Field("hector", description="hector: rigid-body flight; ideal: straight lines at constant speed")
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gust_m_s: float = Field(0.0, ge=0, le=20)
+    wander_m: float = Field(0.0, ge=0, le=5, description="stray as under a human hand, rms along x and y; half in z")
+    wander_deg: float = Field(0.0, ge=0, le=90, description="the same of the heading, rms")
+    hover_s: float = Field(0.0, ge=0, le=600, description="hover at the last waypoint")
 
 
 class NavigationSpec(Spec):

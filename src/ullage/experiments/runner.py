@@ -67,7 +67,12 @@ def of_scenario(folder: Path, simulated: Simulated) -> Run:
 
 
 def execute(
-    job: Run, *, sinks: Sequence[Sink] = (), progress: Callable[[float], None] | None = None, say: Say = print
+    job: Run,
+    *,
+    sinks: Sequence[Sink] = (),
+    progress: Callable[[float], None] | None = None,
+    say: Say = print,
+    draw: bool = True,
 ) -> Report:
     """Run the loop, then write map files, figures, metrics, provenance and report.
 
@@ -76,6 +81,7 @@ def execute(
         sinks: beside the folder's own recording.
         progress: told the seconds of recording done.
         say: told each step in a few words.
+        draw: figures too; without them the report holds numbers only.
     """
     origin = provenance()
     write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
@@ -92,9 +98,10 @@ def execute(
         job.flown = _seen_path(job.looks) or job.flown
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
     _write_maps(job.folder, outcome)
-    say("drawing figures")
     metrics = _metrics(job, outcome)
-    figures = _draw(job, outcome)
+    if draw:
+        say("drawing figures")
+    figures = _draw(job, outcome) if draw else ()
     write_json(job.folder / "metrics.json", metric_tree(metrics))
     write_json(job.folder / "provenance.json", origin | {"timing": job.timing, "interrupted": outcome.interrupted})
     report = Report(job.folder, outcome, metrics, figures)

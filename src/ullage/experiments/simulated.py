@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ullage.config import FlightSpec, Scenario, WorldSpec
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames, Trajectory, even_times, strung
 from ullage.errors import InputError
 from ullage.specs import Rig
 from ullage.world.scene import Scene
@@ -87,15 +87,19 @@ def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: 
     Raises:
         InputError: there is no path, or a waypoint lies in a wall.
     """
-    from ullage.flight.missions import Waypoints
+    from ullage.flight.missions import Waypoints, erratic
     from ullage.flight.vehicle import fly
 
     spec = scenario.flight
     points = np.array(waypoints_of(spec, scenario.world))
+    hand = {"lateral_m": spec.wander_m, "vertical_m": spec.wander_m / 2, "yaw_deg": spec.wander_deg}
+    astray = any(hand.values())
     if spec.vehicle == "ideal":
-        return ideal_path(points, spec.speed_m_s, rate_hz)
-    return fly(
-        Waypoints(points, speed_m_s=spec.speed_m_s),
+        straight = ideal_path(points, spec.speed_m_s, rate_hz)
+        return _hovering(erratic(straight, scenario.seed, **hand) if astray else straight, spec.hover_s, rate_hz)
+    mission = Waypoints(points, speed_m_s=spec.speed_m_s)
+    flown = fly(
+        erratic(mission, scenario.seed, **hand) if astray else mission,
         vehicle=spec.vehicle,
         scene=scene,
         wind_m_s=spec.wind_m_s,
@@ -104,6 +108,19 @@ def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: 
         seed=scenario.seed,
         progress=progress,
     )
+    return _hovering(flown, spec.hover_s, rate_hz)
+
+
+def _hovering(flown: Trajectory, hover_s: float, rate_hz: float) -> Trajectory:
+    """The path with its last pose kept for a time [s]."""
+    if not hover_s:
+        return flown
+    more = even_times(rate_hz, count=max(round(hover_s * rate_hz), 1) + 1)[1:]
+    still = np.zeros((len(more), 3))
+    held = Trajectory(
+        flown.t_ns[-1] + more, still + flown.position[-1], np.tile(flown.quat_xyzw[-1], (len(more), 1)), still, still
+    )
+    return strung([flown, held]) or flown
 
 
 def waypoints_of(flight: FlightSpec, world: WorldSpec) -> tuple[tuple[float, ...], ...]:
@@ -125,7 +142,6 @@ def waypoints_of(flight: FlightSpec, world: WorldSpec) -> tuple[tuple[float, ...
 
 def ideal_path(points: np.ndarray, speed_m_s: float, rate_hz: float) -> Trajectory:
     """Straight lines at constant speed through waypoints (n, 3 or 4), yaw turning evenly between them [deg]."""
-    from ullage.data import even_times
     from ullage.geometry import rpy_quat
 
     legs = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)

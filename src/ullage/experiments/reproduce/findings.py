@@ -1,0 +1,128 @@
+"""What an experiment of the thesis gives: statements held against numbers, figures, tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ullage.experiments.folder import read_json, write_json
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """Something the thesis says, or that has to hold here, with the number that decides it."""
+
+    text: str
+    where: str  # section, figure or table of the thesis; "beyond" where it is about what came after
+    value: float
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the number is known and lies within its bounds."""
+        if not math.isfinite(self.value):
+            return False
+        return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
+
+    @property
+    def wanted(self) -> str:
+        """The bounds in words."""
+        limits = [
+            f">= {self.low:g}" if self.low is not None else "",
+            f"<= {self.high:g}" if self.high is not None else "",
+        ]
+        return " and ".join(limit for limit in limits if limit) or "known"
+
+
+@dataclass(frozen=True, slots=True)
+class Exhibit:
+    """A figure: its file in the experiment's folder, the figure of the thesis it answers, and what it shows."""
+
+    file: str
+    figure: str  # as "figure 6.3"; "" where the thesis has none
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of text under a head."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+@dataclass(slots=True)
+class Findings:
+    """Everything one experiment found."""
+
+    statements: list[Statement] = field(default_factory=list)
+    exhibits: list[Exhibit] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    numbers: dict[str, float] = field(default_factory=dict)  # for the experiments that follow
+    scenarios: list[str] = field(default_factory=list)  # folders of the runs, under the experiment's own
+    notes: list[str] = field(default_factory=list)  # plain sentences for the report
+    skipped: str = ""  # why there is nothing
+
+    def hold(
+        self,
+        text: str,
+        where: str,
+        value: float,
+        unit: str = "",
+        *,
+        low: float | None = None,
+        high: float | None = None,
+    ) -> None:
+        """Adds a statement."""
+        self.statements.append(Statement(text, where, float(value), unit, low, high))
+
+    def show(self, path: Path, figure: str, caption: str) -> None:
+        """Adds a figure that lies in the experiment's folder."""
+        self.exhibits.append(Exhibit(path.name, figure, caption))
+
+    def tabulate(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, note: str = "") -> None:
+        """Adds a table."""
+        self.tables.append(Table(title, tuple(head), tuple(tuple(row) for row in rows), note))
+
+    def write(self, path: Path, **also: Any) -> None:
+        """As JSON, whole or not at all; numbers that are not finite become null."""
+        write_json(path, _plain({**asdict(self), **also}))
+
+
+def read_findings(path: Path) -> Findings:
+    """Findings as they were written.
+
+    Raises:
+        InputError: the file is missing or broken.
+    """
+    tree = read_json(path)
+    return Findings(
+        [
+            Statement(**{**row, "value": math.nan if row["value"] is None else row["value"]})
+            for row in tree["statements"]
+        ],
+        [Exhibit(**row) for row in tree["exhibits"]],
+        [
+            Table(row["title"], tuple(row["head"]), tuple(map(tuple, row["rows"])), row["note"])
+            for row in tree["tables"]
+        ],
+        {name: math.nan if value is None else value for name, value in tree["numbers"].items()},
+        tree["scenarios"],
+        tree["notes"],
+        tree["skipped"],
+    )
+
+
+def _plain(tree: Any) -> Any:
+    if isinstance(tree, Mapping):
+        return {key: _plain(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_plain(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree

@@ -1,0 +1,49 @@
+"""The experiments of the thesis, in its order."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ullage.errors import InputError
+
+if TYPE_CHECKING:
+    from ullage.experiments.reproduce.bench import Bench
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One experiment: its module in this package has a `run(bench)`."""
+
+    name: str
+    title: str
+    section: str  # of the thesis
+    quick: bool = True  # also done in small
+
+    def run(self, bench: Bench) -> None:
+        """Do it; findings and figures go to the bench."""
+        importlib.import_module(f"ullage.experiments.reproduce.{self.name}").run(bench)
+
+    def reads(self) -> list[Path]:
+        """Recordings it looks at, there or not."""
+        module = importlib.import_module(f"ullage.experiments.reproduce.{self.name}")
+        return list(getattr(module, "READS", ()))
+
+
+EXPERIMENTS: tuple[Experiment, ...] = (Experiment("detection", "Radar object detection", "6.1"),)
+"""In the order in which they are done and reported."""
+
+
+def wanted(quick: bool, only: Sequence[str]) -> list[Experiment]:
+    """The experiments asked for, in order.
+
+    Raises:
+        InputError: there is none of such a name.
+    """
+    known = [experiment.name for experiment in EXPERIMENTS]
+    if unknown := set(only) - set(known):
+        raise InputError(f"no experiment {min(unknown)!r}", where="--only", allowed=", ".join(known))
+    return [e for e in EXPERIMENTS if (e.name in only if only else e.quick or not quick)]
