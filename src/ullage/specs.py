@@ -137,6 +137,10 @@ class RadarSpec(Spec):
     frame_area_offset_m: float = Field(
         0.0, ge=-5, le=5, description="zero offset of the hardware, already taken off range_start_m"
     )
+    range_zero_m: float | None = Field(
+        None, ge=-5, le=5, description="of recordings: what cables and antennas add to every range, if once measured"
+    )
+    range_zero_sigma_m: float = Field(0.02, gt=0, le=5, description="one sigma of range_zero_m")
     antenna: AntennaSpec = AntennaSpec()
     antenna_offset_m: float = Field(0.0, ge=0, le=2, description="distance between Tx and Rx along sensor y")
     fps: float = Field(17.0, gt=0, le=10000)
@@ -159,6 +163,7 @@ class RadarSpec(Spec):
             "name": "pulson440", "center_hz": 3.95e9, "bandwidth_hz": 1.7e9, "sampling_hz": 1 / 61e-12,
             "decimation": 1, "output": "rf", "bins": 1152, "prf_div": 24,
             "antenna": {"kind": "cosine", "gain_dbi": 2.0, "azimuth_deg": 100, "elevation_deg": 100},
+            "range_zero_m": 0.435, "range_zero_sigma_m": 0.02,  # three surveyed reflectors, two rails
         },
     }  # fmt: skip
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Calibration, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
@@ -16,16 +16,24 @@ from ullage.geometry import quat_matrix
 from ullage.grids import Grid
 from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import checked, to_baseband
+from ullage.specs import RadarSpec
 
 Floats = NDArray[np.float64]
+Pair = tuple[float, float]  # clock [s], range [m]
 Singles = NDArray[np.float32]
 _MAX_CELLS, _MAX_REACH_M, _LEAST_TRACK_M = 16_000, 8.0, 0.15
+_CONTRADICTS = 3.0  # sigmas between focus and a measured zero at which the zero is somebody else's
 _LOOKS = 20  # parts of an aperture over which path errors are taken as independent
 
 
 @overload
 def calibrate(
-    frames: Frames, *, t_span_s: float | None = ..., range_span_m: float = ..., bounds: Floats | None = ...
+    frames: Frames,
+    *,
+    t_span_s: float | None = ...,
+    range_span_m: float = ...,
+    bounds: Floats | None = ...,
+    reflectors: ArrayLike | None = ...,
 ) -> Frames: ...
 @overload
 def calibrate(
@@ -34,6 +42,7 @@ def calibrate(
     t_span_s: float | None = ...,
     range_span_m: float = ...,
     bounds: Floats | None = ...,
+    reflectors: ArrayLike | None = ...,
 ) -> dict[str, Frames]: ...
 
 
@@ -43,13 +52,18 @@ def calibrate(
     t_span_s: float | None = None,
     range_span_m: float = 1.0,
     bounds: Floats | None = None,
+    reflectors: ArrayLike | None = None,
 ) -> Frames | dict[str, Frames]:
     """Frames on the poses' clock and with true ranges: the two offsets that make the sharpest image.
 
     Where the echoes change and the track moves are matched first, over all of the track; the best few matches are
     then tried by back-projection, and that of least image entropy kept. The strongest echoes that stay coherent along
     the track then settle both offsets: those that make them most coherent, sum log(1 - coherence) least, which is the
-    likelihood of steady points in noise. Nothing is known of what stands where.
+    likelihood of steady points in noise. Nothing need be known of what stands where.
+
+    What is known is used: where the radar's own range zero has been measured (`RadarSpec.range_zero_m`), it and the
+    focus are weighed by their sigmas, unless they contradict each other; where reflectors have been surveyed, the
+    offsets are those that make their places brightest.
     `frames.calibration` of the result says what was found and how sure that is.
 
     Args:
@@ -58,13 +72,15 @@ def calibrate(
             and 2 s either way.
         range_span_m: search range offsets of at most this, either way [m].
         bounds: (2, 3) where to look for echoes [m]; None: what the beam saw.
+        reflectors: (r, 3) surveyed places of reflectors, world [m].
 
     Raises:
-        InputError: no poses, no phase, or a track that moves too little to tell.
+        InputError: no poses, no phase, a track that moves too little to tell, or places that are none.
     """
     if isinstance(frames, Mapping):
         named = frames.items()
-        return {k: calibrate(f, t_span_s=t_span_s, range_span_m=range_span_m, bounds=bounds) for k, f in named}
+        options: Any = {"t_span_s": t_span_s, "range_span_m": range_span_m, "bounds": bounds, "reflectors": reflectors}
+        return {name: calibrate(part, **options) for name, part in named}
     track = frames.track if frames.track is not None else frames.believed
     spread = float(np.linalg.norm(np.ptp(track.position, axis=0)))
     if spread < _LEAST_TRACK_M:
@@ -73,11 +89,24 @@ def calibrate(
     start = search.entropy(0.0, 0.0)
     clock = _clock_candidates(frames, track, t_span_s)
     best = search.coarse(clock, range_span_m)
-    best, sigma = search.fine(best, range_span_m)
+    best, sigma, points = search.fine(best, range_span_m)
+    method = "coherence of the strongest points"
+    if reflectors is not None:
+        best, sigma = search.surveyed(best, _places(reflectors))
+        method = "brightness of the surveyed reflectors"
+    elif frames.spec.range_zero_m is not None and frames.unit == "normalised":
+        best, sigma, method = search.with_zero(best, sigma, points, frames.spec)
     end = search.entropy(*best)
     gain_db = 10 / np.log(10) * (start - end) if np.isfinite(start) else float("nan")
-    found = Calibration(best[0], best[1], *sigma, float(gain_db), "coherence of the strongest points")
+    found = Calibration(best[0], best[1], *sigma, float(gain_db), method)
     return _corrected(frames, track, found)
+
+
+def _places(reflectors: ArrayLike) -> Floats:
+    places = np.atleast_2d(np.asarray(reflectors, float))
+    if places.ndim != 2 or places.shape[1] != 3 or not len(places) or not np.isfinite(places).all():
+        raise InputError(f"reflectors of shape {places.shape}", where="calibrate", allowed="(r, 3) finite metres")
+    return places
 
 
 def _corrected(frames: Frames, track: Trajectory, found: Calibration) -> Frames:
@@ -237,8 +266,8 @@ class _Search:
             out.append(np.log(1 - min(soft, 0.9999)))
         return np.array(out)
 
-    def fine(self, start: tuple[float, float], span_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The offsets that make the points most coherent, to 1 ms and 1 mm, and one sigma of each."""
+    def fine(self, start: Pair, span_m: float) -> tuple[Pair, Pair, Floats]:
+        """The offsets that make the points most coherent, to 1 ms and 1 mm, one sigma of each, and the points."""
         from scipy.optimize import minimize
 
         best = np.array(start)
@@ -252,9 +281,56 @@ class _Search:
             total: Any = lambda v, p=points, d=drawn: float(self.loss(v[0], v[1], p, d).sum())  # noqa: E731
             best = np.asarray(minimize(total, best, method="Nelder-Mead", options=options).x)
             best[1] = np.clip(best[1], -span_m, span_m)
-        return (float(best[0]), float(best[1])), self.spread(best, points, drawn)
+        return (float(best[0]), float(best[1])), self.spread(best, points, drawn), points
 
-    def spread(self, best: Floats, points: Floats, drawn: float) -> tuple[float, float]:
+    def with_zero(self, best: Pair, sigma: Pair, points: Floats, spec: RadarSpec) -> tuple[Pair, Pair, str]:
+        """Weighs the range offset against the radar's own measured zero, then finds the clock that goes with it."""
+        from scipy.optimize import minimize_scalar
+
+        zero, zero_sigma = -float(spec.range_zero_m or 0.0), spec.range_zero_sigma_m
+        apart = abs(best[1] - zero) / np.hypot(sigma[1], zero_sigma)
+        if apart > _CONTRADICTS:
+            warnings.warn(
+                f"focus finds a range offset of {best[1]:+.3f} m, {apart:.1f} sigma from the radar's range_zero_m of "
+                f"{-zero:.3f} m, which is left out",
+                UllageWarning,
+                stacklevel=3,
+            )
+            return best, sigma, "coherence of the strongest points"
+        share = zero_sigma**-2 / (zero_sigma**-2 + sigma[1] ** -2)
+        dr = share * zero + (1 - share) * best[1]
+        span = (best[0] - 3 * sigma[0], best[0] + 3 * sigma[0])
+
+        def total(dt: float) -> float:
+            return float(self.loss(float(dt), dr, points, best[1]).sum())
+
+        dt = float(minimize_scalar(total, bounds=span, method="bounded", options={"xatol": 1e-3}).x)
+        both = (zero_sigma**-2 + sigma[1] ** -2) ** -0.5
+        return (dt, dr), (sigma[0], float(both)), "coherence of the strongest points and the radar's range_zero_m"
+
+    def surveyed(self, best: Pair, places: Floats) -> tuple[Pair, Pair]:
+        """The offsets near these that make known places brightest, and one sigma of each, from how places disagree."""
+        from scipy.optimize import minimize
+
+        def darkness(v: Floats, known: Floats) -> float:
+            sums = [
+                self.sums(float(v[0]), float(v[1]), Grid((x - 5e-4, y - 5e-4, z), 1e-3, (1, 1))) for x, y, z in known
+            ]
+            return -sum(0.0 if one is None else float(np.hypot(one[0, 0, 0], one[0, 1, 0])) for one in sums)
+
+        def brightest(known: Floats) -> Floats:
+            comb = best[1] + np.arange(-0.4, 0.41, 0.02)
+            start = np.array([best[0], comb[np.argmin([darkness(np.array([best[0], dr]), known) for dr in comb])]])
+            simplex = start + np.array([[0.01, -0.02], [-0.01, -0.02], [0.0, 0.02]])
+            options: Any = {"initial_simplex": simplex, "xatol": 1e-3, "fatol": 1e-9, "maxiter": 60}
+            return np.asarray(minimize(darkness, start, args=(known,), method="Nelder-Mead", options=options).x)
+
+        both = brightest(places)
+        each = np.array([brightest(place[None]) for place in places]) - both
+        sigma = np.maximum(np.sqrt((each**2).mean(0) / max(len(places) - 1, 1)), (0.005, 0.01))
+        return (float(both[0]), float(both[1])), (float(sigma[0]), float(sigma[1]))
+
+    def spread(self, best: Floats, points: Floats, drawn: float) -> Pair:
         """One sigma of both offsets: how far single points disagree on them, or from the curvature if that is more."""
         reach = np.array([0.02, 0.06])
         stencil = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
