@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self, TypeVar
@@ -12,8 +12,9 @@ from typing import Any, Literal, Protocol, Self, TypeVar
 import numpy as np
 from pydantic import Field
 
-from ullage.data import Floats, Frames, Trajectory
+from ullage.data import Floats, Frames, Trajectory, joined
 from ullage.errors import InputError, UllageWarning
+from ullage.ports.protocol import Item, one_or_all
 from ullage.radar.live import LiveRadars
 from ullage.specs import Rig, Spec
 from ullage.world.scene import Scene
@@ -100,17 +101,19 @@ class FollowSource:
     begin anew and the frames' own clock goes on, so that time rises in every recording.
 
     Args:
-        feed: tells where the model is.
+        join: begins to listen and gives what tells where the model is; called when the radars are ready.
         scene: the world without the model.
         rig: the radars on the model.
         options: how.
         say: told what a person should know; None: it becomes a warning.
     """
 
-    def __init__(self, feed: Feed, scene: Scene, rig: Rig, options: FollowOptions, *, say: Say | None = None) -> None:
+    def __init__(
+        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: FollowOptions, *, say: Say | None = None
+    ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
-        self._feed, self._options, self._say = feed, options, say or tell
+        self._options, self._say = options, say or tell
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
             rate_hz=options.rate_hz,
@@ -119,8 +122,11 @@ class FollowSource:
         self._waiting: list[Sighting] = []
         self._newest_ns, self._offset_ns = 0, 0  # of the simulator's clock, and what is added to it
         self._first_ns: int | None = None
-        self._done_ns = 0
+        self._done_ns = -1  # nothing yet
         self._told: dict[str, float] = {}
+        self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits for us
+        self._radars.reset()
+        self._feed = join()
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -156,8 +162,6 @@ class FollowSource:
         """
         if self._options.duration_s is None:
             raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
-        from ullage.data import joined
-        from ullage.ports.protocol import one_or_all
 
         parts: dict[str, list[Frames]] = {}
         for piece in self.stream():
@@ -268,6 +272,76 @@ def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
     from ullage.world.load import load_scene
 
     return load_scene(name).rig(model)
+
+
+Following = TypeVar("Following", bound=FollowOptions)
+
+
+def opened(options: Following, where: str) -> tuple[Following, Scene, Rig]:
+    """The options with the model told, the world without it, and the radars on it.
+
+    Raises:
+        InputError: no world or model is told, or one cannot be used.
+    """
+    if not options.world:
+        raise InputError("no world", where=where, allowed="world=NAME or world=FILE")
+    world = world_of(options.world, where=where)
+    model = options.model or (next(iter(world.rigs)) if len(world.rigs) == 1 else "")
+    if not model:
+        raise InputError("no model", where=where, allowed=", ".join(f"model={m}" for m in world.rigs) or "model=NAME")
+    return options.but(model=model), world.without(model), rig_of(options.rig, world, model, where=where)
+
+
+class PaceOptions(Spec):
+    """What can be set about giving frames to a simulator."""
+
+    model: str = Field("ullage", min_length=1, description="the model that is said to carry the radars")
+    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as can be")
+    host: str = Field("127.0.0.1", description="address of the interface to use")
+
+
+class PacedSink:
+    """Gives frames at the pace of their own clock, one moment after the other; everything else passes by.
+
+    Args:
+        pace: times real time; 0: as fast as can be.
+    """
+
+    def __init__(self, pace: float) -> None:
+        self._pace = pace
+        self._start: tuple[float, int] | None = None
+
+    def write(self, item: Item) -> None:
+        """Take frames."""
+        parts = [item] if isinstance(item, Frames) else list(item.values()) if isinstance(item, Mapping) else []
+        moments = [(int(part.t_ns[k]), n, k) for n, part in enumerate(parts) for k in range(len(part))]
+        for t_ns, n, k in sorted(moments):
+            self._wait(t_ns)
+            self.give(parts[n][k : k + 1])
+
+    def _wait(self, t_ns: int) -> None:
+        now = time.monotonic()
+        if self._start is None:
+            self._start = (now, t_ns)
+        if self._pace:
+            time.sleep(max(0.0, self._start[0] + (t_ns - self._start[1]) * 1e-9 / self._pace - now))
+        self.tick(t_ns)
+
+    def tick(self, t_ns: int) -> None:
+        """Told the frames' time before each is given."""
+
+    def give(self, frames: Frames) -> None:
+        """Hand some frames on."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Finish."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def nearest(frames: Frames) -> Floats:

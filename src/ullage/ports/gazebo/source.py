@@ -9,7 +9,6 @@ from typing import Any
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.errors import InputError
 from ullage.ports.following import (
     PATIENCE_S,
     FollowOptions,
@@ -17,15 +16,12 @@ from ullage.ports.following import (
     Note,
     Say,
     Sighting,
+    opened,
     options_of,
-    rig_of,
-    tell,
-    world_of,
 )  # fmt: skip
 from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
-from ullage.world.scene import Scene
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")
 STATS = re.compile(r"/world/([^/]+)/stats")
@@ -49,7 +45,7 @@ class PoseFeed:
         self._dynamic = False  # the model is in the stream of what moves
         self._seen = False
         self._missed_s: float | None = None
-        self._last_s = self._told_s = time.monotonic()
+        self._last_s, self._told_s = time.monotonic(), 0.0
         self._paused = False
         self._topics: RadarTopics | None = None
         if options.topic:
@@ -170,28 +166,11 @@ class GazeboSource(FollowSource):
     """
 
     def __init__(self, address: str, options: dict[str, Any], *, say: Say | None = None) -> None:
-        chosen = options_of(GazeboOptions, options, f"gazebo:{address}")
-        say = say or tell
         where = f"gazebo:{address}"
-        if not chosen.world:
-            raise InputError("no world", where=where, allowed="world=NAME or world=FILE.sdf")
-        world = world_of(chosen.world, where=where)
-        model = chosen.model or only_model(world, where=where)
-        chosen = chosen.but(model=model)
-        rig = rig_of(chosen.rig, world, model, where=where)
-        feed = PoseFeed(Peer(chosen.host, chosen.partition), chosen, address)
-        super().__init__(feed, world.without(model), rig, chosen, say=say)
-
-
-def only_model(scene: Scene, *, where: str) -> str:
-    """The one model of a world that declares radars.
-
-    Raises:
-        InputError: none does, or several do.
-    """
-    if len(scene.rigs) == 1:
-        return next(iter(scene.rigs))
-    raise InputError("no model", where=where, allowed="model=NAME" + "".join(f", model={m}" for m in scene.rigs))
+        chosen, scene, rig = opened(options_of(GazeboOptions, options, where), where)
+        super().__init__(
+            lambda: PoseFeed(Peer(chosen.host, chosen.partition), chosen, address), scene, rig, chosen, say=say
+        )
 
 
 def _read(kind: str, event: Heard) -> Any | None:

@@ -1,0 +1,24 @@
+"""Gazebo Classic 11: follow a model in its world, simulate its radars, give back what they see."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ullage.ports.protocol import Sink, Source
+
+__all__ = ["open_sink", "open_source"]
+
+
+def open_source(address: str, options: dict[str, Any]) -> Source:
+    """Frames of radars on a model in a running gzserver: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
+    from ullage.ports.gazebo_classic.source import ClassicSource
+
+    return ClassicSource(address, options)
+
+
+def open_sink(address: str, options: dict[str, Any]) -> Sink:
+    """A place on gzserver's topics for frames from anywhere: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
+    from ullage.ports.gazebo_classic.sink import ClassicSink
+
+    return ClassicSink(address, options)

@@ -1,0 +1,202 @@
+"""Radars on somebody else's model: frames depend on poses and their times alone, whatever happens meanwhile."""
+
+import contextlib
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.ports.following import (
+    FollowOptions,
+    FollowSource,
+    Note,
+    PacedSink,
+    Sighting,
+    nearest,
+    opened,
+    options_of,
+    rig_of,
+    world_of,
+)
+
+RIG = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", fps=10), "left": ul.RadarSpec.preset("x4m05", fps=20)})
+WALL = ul.scenes.plate(width_m=2, height_m=2, distance_m=3.0)
+
+
+class Script:
+    """A feed that tells what it was given, then nothing."""
+
+    def __init__(self, events, newest_ns=0):
+        self.events, self.given, self.newest_ns = list(events), [], newest_ns
+        self.closed = self.ended = False
+
+    def next(self, timeout_s):
+        if self.ended:
+            raise KeyboardInterrupt
+        self.ended = not self.events
+        return self.events.pop(0) if self.events else None
+
+    def give(self, chunk, offset_ns):
+        self.given.append((chunk, offset_ns))
+
+    def close(self):
+        self.closed = True
+
+
+def line(start_s=0.0, end_s=2.0, rate_hz=50.0, speed=0.5):
+    times = np.arange(round(start_s * rate_hz), round(end_s * rate_hz) + 1) / rate_hz
+    return [Sighting(round(t * 1e9), (speed * t, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for t in times]
+
+
+def followed(events, *, said=None, chunk=64, newest_ns=0, **options):
+    script = Script(events, newest_ns)
+    chosen = FollowOptions(fidelity="thesis", model="x", **options)
+    source = FollowSource(lambda: script, WALL, RIG, chosen, say=(said if said is not None else []).append)
+    pieces = []
+    with contextlib.suppress(KeyboardInterrupt):
+        pieces.extend(source.stream(chunk))
+    assert script.closed
+    return pieces, script
+
+
+def whole(pieces, name):
+    return [part[name] for part in pieces if name in part]
+
+
+def test_frames_are_those_of_a_simulation_along_the_same_path():
+    pieces, _ = followed(line())
+    for name, spec in RIG.sensors.items():
+        times = np.concatenate([f.t_ns for f in whole(pieces, name)])
+        np.testing.assert_array_equal(times, np.arange(2 * spec.fps + 1) * round(1e9 / spec.fps))
+        path = ul.Trajectory(
+            times, np.stack([0.5e-9 * times, 0 * times, 0 * times], 1), np.tile([0, 0, 0, 1.0], (len(times), 1))
+        )
+        want = ul.simulate(WALL, path, ul.Rig(sensors={name: spec}), fidelity="thesis")[name]
+        got = np.concatenate([f.samples for f in whole(pieces, name)])
+        np.testing.assert_allclose(got, want.samples, atol=1e-6)
+
+
+def test_bunches_change_no_bit():
+    events = line()
+    torn = [e for sighting in events for e in (sighting, None)]
+    one, other = followed(events)[0], followed(torn, chunk=3)[0]
+    for name in RIG.sensors:
+        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (one, other))
+        assert a.tobytes() == b.tobytes()
+    assert len(other) > len(one)
+
+
+def test_time_that_jumps_back_begins_anew_and_still_rises():
+    said = []
+    pieces, script = followed([*line(), *line()], said=said)
+    assert said == ["time jumped back 2 s: the radars begin anew"]
+    times = np.concatenate([f.t_ns for f in whole(pieces, "front")])
+    assert np.all(np.diff(times) > 0)
+    samples = np.concatenate([f.samples for f in whole(pieces, "front")])
+    assert len(samples) == 42
+    np.testing.assert_array_equal(samples[:21], samples[21:])  # the same world from its start gives the same
+    back = [f.t_ns - offset for chunk, offset in script.given for f in [chunk["front"]]]
+    assert sorted(set(np.concatenate(back))) == sorted(set(times[:21]))  # published by the simulator's own clock
+
+
+def test_a_pose_that_comes_late_or_twice_is_passed_by():
+    events = line()
+    said = []
+    muddled = [e for k, s in enumerate(events) for e in ([s, s, events[k - 1]] if k else [s])]
+    clean, pieces = followed(events)[0], followed(muddled, said=said)[0]
+    assert not said
+    for name in RIG.sensors:
+        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
+        assert a.tobytes() == b.tobytes()
+
+
+def test_it_ends_after_the_asked_duration():
+    pieces, _ = followed(line(5.0, 9.0), duration_s=1.0, chunk=4)
+    times = np.concatenate([f.t_ns for f in whole(pieces, "left")])
+    assert times[0] == 5_000_000_000
+    assert 6_000_000_000 <= times[-1] < 6_500_000_000
+
+
+def test_notes_are_said_but_not_over_and_over():
+    said = []
+    followed([Note("gone"), Note("gone"), Note("back"), *line()], said=said)
+    assert said == ["gone", "back"]
+
+
+def test_falling_behind_is_said():
+    said = []
+    followed(line(), said=said, newest_ns=9_000_000_000)
+    assert len(said) == 1
+    assert said[0].startswith("cannot keep up: 7")
+
+
+def test_nothing_is_published_when_not_asked():
+    assert not followed(line(), publish=False)[1].given
+    assert followed(line())[1].given
+
+
+def test_nearest_is_the_first_detection():
+    frames = ul.simulate(WALL, ul.Trajectory.stationary(n=3), RIG.sensors["front"], fidelity="thesis")
+    np.testing.assert_allclose(nearest(frames), 3.0, atol=0.1)
+    empty = ul.simulate(ul.Scene.empty(), ul.Trajectory.stationary(n=3), RIG.sensors["front"], fidelity="thesis")
+    assert np.isinf(nearest(empty)).all()
+
+
+WORLD = """<sdf version="1.6" xmlns:ullage="urn:ullage:sdf"><world name="w"><model name="{}"><link name="l">
+  <collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>
+  <ullage:radar name="down"/></link></model></world></sdf>"""
+
+
+def test_the_model_that_declares_radars_is_found_and_left_out_of_the_world(tmp_path):
+    (tmp_path / "w.sdf").write_text(WORLD.format("drone"))
+    options, scene, rig = opened(FollowOptions(world=str(tmp_path / "w.sdf")), "here")
+    assert options.model == "drone"
+    assert not scene.objects
+    assert list(rig.sensors) == ["down"]
+
+
+def test_radars_come_from_the_world_a_preset_or_a_file(tmp_path):
+    (tmp_path / "w.sdf").write_text(WORLD.format("drone"))
+    scene = world_of(str(tmp_path / "w.sdf"), where="")
+    assert list(rig_of("", scene, "drone", where="").sensors) == ["down"]
+    assert rig_of("", scene, "other", where="") == ul.Rig.preset("thesis-4")
+    assert rig_of("single", scene, "drone", where="") == ul.Rig.preset("single")
+    assert list(rig_of(str(tmp_path / "w.sdf"), ul.Scene.empty(), "drone", where="").sensors) == ["down"]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"wrold": "x"}, r"here: no option 'wrold' \(allowed: model, world, rig,"),
+        ({"rate_hz": "fast"}, "rate_hz: .*not 'fast'"),
+        ({}, r"here: no world \(allowed: world=NAME"),
+        ({"world": "ntnu-room"}, r"here: no model \(allowed: model=NAME"),
+        ({"world": "atlantis", "model": "x"}, r"here: no world 'atlantis' \(allowed: a world file, or .*cargo-hold"),
+        (
+            {"world": "ntnu-room", "model": "x", "rig": "five"},
+            r"here: no rig 'five' \(allowed: thesis-4, single, or an SDF",
+        ),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(values, words):
+    with pytest.raises(ul.InputError, match=words):
+        opened(options_of(FollowOptions, values, "here"), "here")
+
+
+class Kept(PacedSink):
+    def __init__(self):
+        super().__init__(0)
+        self.kept = []
+
+    def give(self, frames):
+        self.kept.append((frames.sensor, int(frames.t_ns[0])))
+
+
+def test_a_sink_is_given_frames_in_order_of_time():
+    path = ul.Trajectory.stationary(n=3, rate_hz=10)
+    both = ul.simulate(WALL, path, RIG, fidelity="thesis")
+    with Kept() as sink:
+        sink.write(both)
+        sink.write(WALL)
+    assert [t for _, t in sink.kept] == sorted(2 * [0, 100_000_000, 200_000_000])
+    assert {name for name, _ in sink.kept} == {"front", "left"}

@@ -1,0 +1,175 @@
+"""Gazebo Classic: how messages lie on the wire, a peer beside a small server, and the real gzserver in its chroot."""
+
+import socket
+import threading
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ullage.errors import InputError
+
+pytest.importorskip("google.protobuf")
+
+from ullage.ports.gazebo_classic.peer import ClassicPeer, Heard, Lost, Met
+from ullage.ports.gazebo_classic.source import ClassicSource
+from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
+
+
+@given(st.lists(st.binary(max_size=40), max_size=6), st.integers(1, 30))
+def test_messages_come_out_whole_however_they_are_cut(messages, step):
+    raw = b"".join(framed(data) for data in messages)
+    stream, out = Stream(), []
+    for start in range(0, len(raw), step):
+        out += stream.take(raw[start : start + step])
+    assert out == messages
+
+
+def test_the_length_is_eight_hexadecimal_digits():
+    assert framed(b"x" * 300)[:8] == b"0000012C"
+
+
+@pytest.mark.parametrize("raw", [b"GET / HTTP/1.1", b"-0000001x", b"FFFFFFFFx"])
+def test_what_is_no_length_is_refused(raw):
+    with pytest.raises(ValueError):  # noqa: PT011
+        Stream().take(raw)
+
+
+@pytest.mark.parametrize(
+    ("text", "want"),
+    [
+        ("", ("127.0.0.1", 11345)),
+        ("box:1234", ("box", 1234)),
+        ("http://10.0.0.1:11346", ("10.0.0.1", 11346)),
+        ("box", ("box", 11345)),
+    ],
+)
+def test_addresses_of_a_master(text, want, monkeypatch):
+    monkeypatch.delenv("GAZEBO_MASTER_URI", raising=False)
+    assert master_of(text) == want
+
+
+def test_an_address_that_is_none_is_refused():
+    with pytest.raises(InputError, match="'box:door' is not an address"):
+        master_of("box:door")
+
+
+class Server:
+    """A master that knows one world, and itself publishes the clock on the same port."""
+
+    def __init__(self, port=0):
+        self.door = socket.create_server(("127.0.0.1", port))
+        self.port = self.door.getsockname()[1]
+        self.heard, self.lines = [], []
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self):
+        try:
+            while True:
+                sock, _ = self.door.accept()
+                self.lines.append(sock)
+                threading.Thread(target=self._talk, args=(sock,), daemon=True).start()
+        except OSError:
+            return
+
+    def _talk(self, sock):
+        sock.sendall(packet("version_init", gz().GzString(data="gazebo 11.1.0")))
+        sock.sendall(packet("topic_namepaces_init", gz().GzString_V(data=["w", "/gazebo"])))
+        sock.sendall(packet("publishers_init", gz().Publishers()))
+        stream = Stream()
+        while raw := sock.recv(65536):
+            for data in stream.take(raw):
+                said = gz().Packet.FromString(data)
+                self.heard.append(said)
+                if said.type == "subscribe":
+                    want = gz().Subscribe.FromString(said.serialized_data)
+                    offer = gz().Publish(topic=want.topic, msg_type=want.msg_type, host="127.0.0.1", port=self.port)
+                    sock.sendall(packet("publisher_subscribe", offer))
+
+    def close(self):
+        self.door.shutdown(socket.SHUT_RDWR)  # wakes the thread that accepts
+        for sock in [self.door, *self.lines]:
+            sock.close()
+
+
+def until(peer, kind, limit_s=5.0):
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        event = peer.wait(0.1)
+        if isinstance(event, kind):
+            return event
+    raise TimeoutError(kind.__name__)
+
+
+def test_a_peer_joins_publishers_and_serves_readers():
+    server = Server()
+    with ClassicPeer(("127.0.0.1", server.port)) as peer:
+        assert until(peer, Met).worlds == ("w", "/gazebo")
+        peer.advertise("/gazebo/w/x/range", "gazebo.msgs.GzString")
+        with socket.create_connection(("127.0.0.1", peer.port)) as reader:
+            want = gz().Subscribe(topic="/gazebo/w/x/range", host="127.0.0.1", port=1, msg_type="gazebo.msgs.GzString")
+            reader.sendall(packet("sub", want))
+            reader.settimeout(0.05)
+            stream, got = Stream(), []
+            for _ in range(100):
+                peer.publish("/gazebo/w/x/range", gz().GzString(data="3.25"))
+                try:
+                    got += stream.take(reader.recv(4096))
+                except TimeoutError:
+                    continue
+                if got:
+                    break
+            assert gz().GzString.FromString(got[0]).data == "3.25"
+    said = {packet.type for packet in server.heard}
+    assert "advertise" in said
+    server.close()
+
+
+def test_a_server_that_went_is_found_again_and_told_anew():
+    server = Server()
+    with ClassicPeer(("127.0.0.1", server.port)) as peer:
+        until(peer, Met)
+        peer.subscribe("/gazebo/w/world_stats", "gazebo.msgs.WorldStatistics")
+        peer.advertise("/gazebo/w/x", "gazebo.msgs.GzString")
+        time.sleep(0.2)
+        port = server.port
+        for sock in server.lines:
+            sock.shutdown(socket.SHUT_RDWR)
+        server.close()
+        until(peer, Lost)
+        for _ in range(20):
+            try:
+                server = Server(port)
+                break
+            except OSError:
+                time.sleep(0.2)
+        until(peer, Met)
+        end = time.monotonic() + 3
+        while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.heard}:
+            time.sleep(0.05)
+        assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
+        server.close()
+
+
+def test_somebody_who_speaks_nonsense_is_let_go():
+    with ClassicPeer(("127.0.0.1", 1)) as peer, socket.create_connection(("127.0.0.1", peer.port)) as line:
+        line.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        line.settimeout(3)
+        assert line.recv(10) == b""
+        assert not isinstance(peer.wait(0.0), Heard)
+
+
+def test_an_interface_that_is_not_ours_is_refused():
+    with pytest.raises(InputError, match=r"host 192\.0\.2\.77.*allowed: an address of this machine"):
+        ClassicPeer(("127.0.0.1", 11345), "192.0.2.77")
+
+
+def test_no_server_is_said():
+    said = []
+    options = {"world": "ntnu-room", "model": "x", "fidelity": "thesis"}
+    source = ClassicSource("127.0.0.1:1", options, say=said.append)
+    source._feed._last_s -= 10
+    source._bunch(8)
+    source.close()
+    assert said == ["no gzserver at 127.0.0.1:1"]
