@@ -22,8 +22,12 @@ from ullage.specs import MountSpec
 __all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 
 Made = TypeVar("Made")
-SOURCES = ".mcap, .zarr, an X4 .dat, or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
-SINKS = f".mcap, a folder, .zarr, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
+SOURCES = (
+    ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, "
+    "or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
+)
+SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
+LOGS = (".lsf", ".lsf.gz")
 MAPS = {
     ".yaml": ("maps", "write_map_server", "read_map_server"),
     ".pgm": ("maps", "write_map_server", "read_map_server"),
@@ -37,8 +41,8 @@ def open(target: str | Path, **options: Any) -> Source:
     """A recording, whatever its kind, or a live port.
 
     Args:
-        target: a `.mcap` file, a run's or rosbag2 folder, an X4 `.dat`, a folder with radar.out and mocap.csv, or a
-            live port as `scheme:place?key=value`.
+        target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, a folder with
+            radar.out and mocap.csv, or a live port as `scheme:place?key=value`.
         **options: of that kind: X4 takes fps and range_start_m; a PulsON folder takes mount (a MountSpec).
 
     Raises:
@@ -59,6 +63,10 @@ def open(target: str | Path, **options: Any) -> Source:
         from ullage.ports.replay import McapSource
 
         return with_options(McapSource, path, options)
+    if path.name.lower().endswith(LOGS):
+        from ullage.ports.imc import open_log
+
+        return open_log(path, options)
     if path.suffix.lower() == ".dat":
         from ullage.ports.x4 import X4Source
 
@@ -86,6 +94,10 @@ def sink(target: str | Path, **options: Any) -> Sink:
         raise InputError("not something to write to", where=target, allowed=SINKS)
     if kind in MAPS:
         return MapSink(path, **options)
+    if path.name.lower().endswith(LOGS):
+        from ullage.ports.imc import write_log
+
+        return write_log(path, options)
     if kind == ".zarr":
         from ullage.ports.store import ZarrSink
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from ullage.ports.protocol import Sink, Source
@@ -21,3 +22,19 @@ def open_sink(address: str, options: dict[str, Any]) -> Sink:
     from ullage.ports.imc.sink import ImcSink
 
     return ImcSink(address, options_of(SinkOptions, options))
+
+
+def open_log(path: Path, options: dict[str, Any]) -> Source:
+    """Read a log of DUNE's."""
+    from ullage.ports.imc.lsf import LsfSource
+    from ullage.ports.imc.options import LogSourceOptions, options_of
+
+    return LsfSource(path, options_of(LogSourceOptions, options))
+
+
+def write_log(path: Path, options: dict[str, Any]) -> Sink:
+    """Write a log as DUNE does."""
+    from ullage.ports.imc.lsf import LsfSink
+    from ullage.ports.imc.options import LogOptions, options_of
+
+    return LsfSink(path, options_of(LogOptions, options))

@@ -108,8 +108,8 @@ class Gatherer:
         self._told: set[Part] = set()
         self.damaged = 0
 
-    def take(self, packet: Packet) -> None:
-        """Keep what this message tells of a radar."""
+    def take(self, packet: Packet) -> bool:
+        """Keep what this message tells of a radar; true where it is a frame."""
         part = (packet.src, packet.src_ent)
         if packet.name == "EntityInfo":
             self._labels[packet.src, packet["id"]] = packet["label"]
@@ -121,6 +121,7 @@ class Gatherer:
             self._mount(part, packet)
         elif packet.name == "SonarData":
             self._profile(part, packet)
+        return packet.name in ("DevDataBinary", "SonarData")
 
     def give(self, *, final: bool = False) -> dict[str, Frames]:
         """The frames that are ready, by sensor; with `final` those whose poses will not come are left out."""
@@ -194,7 +195,9 @@ class Gatherer:
         del waiting[:-HELD]
         if part not in self._told:
             self._told.add(part)
-            self._track.say(f"{self.label(part)}: only profiles come of it, without phase, on whole metres of range")
+            self._track.say(
+                f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images"
+            )
 
     def label(self, part: Part) -> str:
         """The name of a part of a system, as far as it is known."""
@@ -213,22 +216,21 @@ class Gatherer:
         if not len(rows):
             return None
         axis = ready[rows[0]][1]
-        samples = np.array([ready[k][2] for k in rows if len(ready[k][1]) == len(axis)], np.float32)
+        samples = np.array([ready[k][2] for k in rows], np.complex64)  # as if all had phase zero
         path = path_along(list(poses)).at(times[rows]).mounted(sensor.mount.body_from_sensor())
         spec = profile_spec(axis, sensor.mount)
         return Frames(samples, axis, times[rows], spec, poses=path, sensor=self.label(part), unit="normalised")
 
 
 def profile_spec(axis: Floats, mount: MountSpec) -> RadarSpec:
-    """A radar for a profile that came without one: an X4M05's antenna and band, samples of amplitude."""
-    step = float(axis[1] - axis[0])
-    sampling_hz = float(np.clip(C0 / (2 * step), 1e8, 1e12))
+    """A radar for a profile that came without one: an X4M05's antenna, and as much band as the bins can hold."""
+    rate_hz = float(np.clip(C0 / (2 * (axis[1] - axis[0])), 1.3e7, 1e11))
     return RadarSpec.preset(
         "x4m05",
-        output="rf",
         bins=len(axis),
         range_start_m=float(axis[0]),
-        sampling_hz=sampling_hz,
+        sampling_hz=8 * rate_hz,
+        bandwidth_hz=min(1.4e9, 0.8 * rate_hz),
         noise=None,
         mount=mount,
     )

@@ -292,7 +292,7 @@ class Link:
         if packet.name == "EntityList" and packet["op"] == QUERY:
             answers = [self._pack(self.me.entity_list(self.table))]
         elif packet.name == "QueryEntityInfo":
-            answers = [self._info(e) for e in self.me.entities if e.id == packet["id"]]
+            answers = [self._info(e) for e in self.me.entities if e.id in (packet.dst_ent, packet["id"])]
         elif packet.name == "QueryEntityState":
             answers = [self._state(e) for e in self.me.entities if packet.dst_ent in (e.id, 255)]
         for data in answers:

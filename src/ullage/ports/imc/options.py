@@ -92,19 +92,59 @@ class SourceOptions(PlaceOptions):
         return Rig.preset(self.rig)
 
 
-class SinkOptions(PlaceOptions):
-    """What to give to the bus."""
+class TellOptions(PlaceOptions):
+    """Which messages are made of frames."""
 
-    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as it comes")
     distance: Literal["first_peak", "off"] = "first_peak"
     profile: bool = Field(True, description="SonarData")
     exact: bool = Field(True, description="DevDataBinary with every bit of the frame")
-    truth: bool = Field(False, description="exact frames carry the true pose as well")
-    state: Literal["off", "EstimatedState", "SimulatedState"] = Field("off", description="the body's pose as well")
+    truth: bool = Field(False, description="true poses too: in exact frames, and as SimulatedState")
+    state: bool = Field(False, description="the body's poses as EstimatedState")
 
     def home(self) -> Geodetic:
         """The world's origin."""
         return self.place() or TRONDHEIM
+
+
+class SinkOptions(TellOptions):
+    """What to give to the bus."""
+
+    pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as it comes")
+
+
+class LogOptions(TellOptions):
+    """What to write to a log."""
+
+    state: bool = Field(True, description="the body's poses as EstimatedState")
+    truth: bool = Field(True, description="true poses too: in exact frames, and as SimulatedState")
+    overwrite: bool = False
+
+
+class LogSourceOptions(Spec):
+    """What to take from a log."""
+
+    vehicle: str = Field("", description="name or number of the system to follow; none: the one that logged")
+    state: Literal["EstimatedState", "SimulatedState"] = "EstimatedState"
+    origin: str = Field("", description="latitude, longitude [deg], height [m] of the world's origin")
+    xml: str = Field("", description="an IMC.xml, for messages that our table lacks")
+
+
+def origin_of(text: str) -> Geodetic | None:
+    """The point that `LAT,LON` or `LAT,LON,HEIGHT` names; None where nothing is written.
+
+    Raises:
+        InputError: it is not two or three numbers within bounds.
+    """
+    if not text:
+        return None
+    try:
+        numbers = [float(part) for part in text.split(",")]
+        lat, lon, height = (*numbers, 0.0)[:3] if len(numbers) in (2, 3) else ()
+    except ValueError:
+        raise InputError(f"origin is {text!r}", where="imc", allowed="LAT,LON or LAT,LON,HEIGHT") from None
+    if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
+        raise InputError(f"origin is {text!r}", where="imc", allowed="degrees, and metres over the ellipsoid")
+    return Geodetic.degrees(lat, lon, height)
 
 
 def options_of(group: type[Group], options: dict[str, Any]) -> Group:

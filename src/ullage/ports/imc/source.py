@@ -79,7 +79,7 @@ class ImcSource:
                     if f.t_ns[0] <= first_ns + limit * 1e9
                 }
             self._seen += [name for name in out if name not in self._seen]
-            yield from _pieces(out, chunk)
+            yield from pieces(out, chunk)
             if out != ready and len(out) < len(ready):
                 return
             if any(len(out[k]) < len(ready[k]) for k in out):
@@ -161,7 +161,8 @@ class ImcSource:
         self.close()
 
 
-def _pieces(frames: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
+def pieces(frames: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
+    """The frames in pieces of at most `chunk` of each sensor."""
     start = 0
     while part := {name: f[start : start + chunk] for name, f in frames.items() if len(f) > start}:
         yield part

@@ -234,7 +234,7 @@ def _kind(line: str) -> Kind:
     return Kind(int(number), name, tuple(fields))
 
 
-_XML = {
+XML_TYPES = {
     "int8_t": "i8", "uint8_t": "u8", "int16_t": "i16", "uint16_t": "u16", "int32_t": "i32", "uint32_t": "u32",
     "int64_t": "i64", "fp32_t": "f32", "fp64_t": "f64", "rawdata": "raw", "plaintext": "text",
     "message": "message", "message-list": "messages",
@@ -262,7 +262,7 @@ def from_xml(path: str | Path) -> Table:
 def _xml_kind(node: Any, path: str | Path) -> Kind:
     try:
         fields = tuple(
-            Field(str(f.get("abbrev")), _XML[f.get("type")], str(f.get("message-type", "")))
+            Field(str(f.get("abbrev")), XML_TYPES[f.get("type")], str(f.get("message-type", "")))
             for f in node.findall("field")
         )
         return Kind(int(node.get("id")), str(node.get("abbrev")), fields)

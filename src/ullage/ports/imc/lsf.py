@@ -1,0 +1,235 @@
+"""DUNE's logs: `Data.lsf` and `Data.lsf.gz` are the packets of the bus, one after the other."""
+
+from __future__ import annotations
+
+import gzip
+import time
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+from ullage.data import Frames, Trajectory, joined
+from ullage.errors import InputError
+from ullage.grids import OccupancyMap
+from ullage.ports.imc.codec import Packet, Parser, encode, make
+from ullage.ports.imc.definition import to_xml
+from ullage.ports.imc.gather import Gatherer, Track
+from ullage.ports.imc.link import Entity
+from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
+from ullage.ports.imc.source import pieces, warn
+from ullage.ports.imc.table import from_xml, own
+from ullage.ports.imc.teller import BODY, Teller
+from ullage.ports.protocol import Item, one_or_all, write_whole
+
+AT_ONCE = 1 << 19
+STARTED, STOPPED = 1, 3
+EPOCH_NS = 1_000_000_000_000_000_000
+FLUSH_EVERY_S = 0.5
+
+
+class LsfSource:
+    """Reads a log.
+
+    Args:
+        path: `.lsf` or `.lsf.gz`.
+        options: what to take.
+
+    Raises:
+        InputError: it cannot be read, or holds no packet of IMC.
+    """
+
+    def __init__(self, path: str | Path, options: LogSourceOptions | None = None) -> None:
+        self.path, self._options = Path(path), options or LogSourceOptions()
+        self._table = from_xml(self._options.xml) if self._options.xml else own()
+        self._vehicle = self._options.vehicle or self._logger()
+        self._sensors: tuple[str, ...] | None = None
+
+    def packets(self) -> Iterator[Packet]:
+        """Every message, in order; what is damaged or cut is left out, with one warning at the end.
+
+        Raises:
+            InputError: it cannot be read, or holds no packet.
+        """
+        parser, seen = Parser(self._table), False
+        for data in self._unpacked():
+            for packet in parser.feed(data):
+                seen = True
+                yield packet
+        for packet in parser.finish():
+            seen = True
+            yield packet
+        if not seen:
+            other = parser.version
+            what = f"packets of IMC {other[0]}.{other[1]}" if other else "no packet of IMC"
+            raise InputError(f"{what} in it", where=self.path, allowed="a log of IMC 5.4")
+        if parser.garbage:
+            what = f"{parser.garbage} bytes belong to no whole packet"
+            warn(f"{self.path}: {what}; all that can be read is used")
+
+    def _unpacked(self) -> Iterator[bytes]:
+        """The bytes of the log in pieces, as far as they can be unpacked."""
+        try:
+            with open(self.path, "rb") as file:
+                zipped = file.read(2) == b"\x1f\x8b"
+                file.seek(0)
+                unzip = zlib.decompressobj(wbits=31)
+                while data := file.read(AT_ONCE):
+                    if not zipped:
+                        yield data
+                    while zipped and data:
+                        yield unzip.decompress(data, AT_ONCE)
+                        data = unzip.unconsumed_tail or unzip.unused_data
+                        if unzip.eof:
+                            unzip = zlib.decompressobj(wbits=31)
+                if zipped and unzip.unused_data == b"" and not unzip.eof:
+                    yield unzip.flush()
+        except zlib.error as error:
+            warn(f"{self.path}: damaged ({error}); all that can be read before that is used")
+        except OSError as error:
+            raise InputError(f"cannot read: {error.strerror or error}", where=self.path) from None
+
+    def _logger(self) -> str:
+        """The number of the system that wrote the log; empty where it does not say."""
+        for count, packet in enumerate(self.packets()):
+            if packet.name == "LoggingControl" and packet["op"] == STARTED:
+                return str(packet.src)
+            if count > 2000:
+                break
+        return ""
+
+    def _track(self, keep: int | None) -> Track:
+        origin = origin_of(self._options.origin)
+        say = lambda text: warn(f"{self.path}: {text}")  # noqa: E731
+        return Track(state=self._options.state, origin=origin, vehicle=self._vehicle, say=say, keep=keep)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        if self._sensors is None:
+            self._sensors = tuple(dict.fromkeys(name for piece in self.stream(4096) for name in piece))
+        return self._sensors
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything of one sensor as Frames, or of several as a dict by name.
+
+        Raises:
+            InputError: no frames are there, or no such sensor.
+        """
+        parts: dict[str, list[Frames]] = {}
+        for piece in self.stream(4096):
+            for name, part in piece.items():
+                parts.setdefault(name, []).append(part)
+        if not parts:
+            raise InputError("no radar frames in it", where=self.path, allowed="DevDataBinary of ullage, or SonarData")
+        return one_or_all({name: joined(part) for name, part in parts.items()}, sensor)
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+        track = self._track(4096)
+        gather = Gatherer(track)
+        waiting = 0
+        for packet in self.packets():
+            track.take(packet)
+            waiting += gather.take(packet)
+            if waiting >= chunk:
+                waiting = 0
+                yield from pieces(gather.give(), chunk)
+        yield from pieces(gather.give(final=True), chunk)
+        if gather.damaged:
+            warn(f"{self.path}: {gather.damaged} frames are damaged and left out")
+
+    def trajectory(self) -> Trajectory | None:
+        """The path of the vehicle, where it is known."""
+        track = self._track(None)
+        for packet in self.packets():
+            track.take(packet)
+        return track.path()
+
+    def map(self) -> OccupancyMap | None:
+        """None: logs hold no maps."""
+        return None
+
+
+class LsfSink:
+    """Writes a log that DUNE's and Neptus' readers accept, with `IMC.xml.gz`, which tells its messages, beside it.
+
+    Args:
+        path: `.lsf`, or `.lsf.gz`, which is packed.
+        options: what to write.
+
+    Raises:
+        InputError: it exists already, or cannot be written.
+    """
+
+    def __init__(self, path: str | Path, options: LogOptions | None = None) -> None:
+        self.path, self._options = Path(path), options or LogOptions()
+        if self.path.exists() and not self._options.overwrite:
+            raise InputError("exists already", where=self.path, allowed="a new name, or overwrite=True")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            zipped = self.path.suffix == ".gz"
+            self._file: Any = gzip.open(self.path, "wb") if zipped else open(self.path, "wb")  # noqa: SIM115
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
+        beside = self.path.parent / "IMC.xml.gz"
+        if not beside.exists():
+            write_whole(beside, lambda out: out.write(gzip.compress(to_xml(own()))))
+        self._entities: list[Entity] = [Entity(BODY, self._options.name, "ullage")]
+        self._teller = Teller(self._options, self._options.home(), self._enter)
+        self._shift_ns: int | None = None  # added to times that do not count from 1970
+        self._last_ns, self._flushed_s = 0, time.monotonic()
+        self._new: list[Entity] = []
+
+    def write(self, item: Item) -> None:
+        """Take frames, chunks of them, or the body's path; everything else passes by.
+
+        Raises:
+            InputError: the log is closed, or the disk is full.
+        """
+        if self._file is None:
+            raise InputError("the log is closed", where=self.path)
+        notes = self._teller.notes(item)
+        if notes and self._shift_ns is None:
+            self._shift_ns = 0 if notes[0].t_ns > EPOCH_NS else time.time_ns() - notes[0].t_ns
+            self._last_ns = notes[0].t_ns
+            self._put(make("LoggingControl", op=STARTED, name=self.path.parent.name or "log"), BODY)
+            self._enter(self._entities[0])
+        for entity in self._new:
+            info = make("EntityInfo", id=entity.id, label=entity.label, component=entity.component)
+            self._put(info, entity.id)
+        self._new.clear()
+        for note in notes:
+            self._last_ns = note.t_ns
+            self._put(note.message, note.entity)
+        if time.monotonic() - self._flushed_s > FLUSH_EVERY_S:
+            self._flush()
+
+    def _enter(self, entity: Entity) -> None:
+        self._new.append(entity)
+
+    def _put(self, message: Any, entity: int) -> None:
+        t_s = (self._last_ns + (self._shift_ns or 0)) * 1e-9
+        try:
+            self._file.write(encode(Packet(message, t_s, self._options.system_id, entity)))
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}", where=self.path) from None
+
+    def _flush(self) -> None:
+        self._flushed_s = time.monotonic()
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish the log."""
+        if self._file is None:
+            return
+        if self._shift_ns is not None:
+            self._put(make("LoggingControl", op=STOPPED, name=self.path.parent.name or "log"), BODY)
+        file, self._file = self._file, None
+        file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
