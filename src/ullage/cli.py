@@ -262,6 +262,9 @@ def reproduce(
     only: Annotated[list[str] | None, typer.Option("--only", help="Just this experiment", metavar="NAME")] = None,
     force: Annotated[bool, typer.Option("--force", help="Do again what is done.")] = False,
     out: Annotated[Path, typer.Option("--out", help="Folder of the results.", metavar="DIR")] = Path("reproduction"),
+    recordings: Annotated[
+        Path, typer.Option("--recordings", help="Folder of the real recordings.", metavar="DIR")
+    ] = Path("../shared/data"),
 ) -> None:
     """Run every experiment of the thesis, both ways; exit 1 when a bound is broken. Run again to go on after Ctrl-C."""
     from ullage.experiments.reproduce.loop import reproduce as run_all
@@ -279,7 +282,7 @@ def reproduce(
             bar.say(text)
             bar(done)
 
-        done = run_all(out, chosen, quick=quick, fresh=force, tell=tell)
+        done = run_all(out, chosen, recordings=recordings, quick=quick, fresh=force, tell=tell)
     for line in done.broken:
         console.print(f"[red]OUT[/]  {line}", highlight=False)
     holding, total = done.counts

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import ullage as ul
 from ullage.cli import app
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario, scenario_names
-from ullage.experiments.reproduce.bench import Bench
+from ullage.experiments.reproduce import maps, rail, rest
+from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.experiments.reproduce.findings import Findings, Statement, read_findings
 from ullage.experiments.reproduce.loop import reproduce
 from ullage.experiments.reproduce.plan import EXPERIMENTS, Experiment, wanted
+from ullage.experiments.simulated import Simulated
+from ullage.radar.receiver import receive
+
+PATH = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 10)
+FRAMES = ul.simulate(ul.scenes.plate(2, 2, 3.0), PATH, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +41,7 @@ class Told(Experiment):
             raise KeyboardInterrupt
         bench.findings.hold("the number is small", "6.1", self.number, "m", low=0, high=2)
 
-    def reads(self) -> list[Path]:
+    def reads(self, recordings: Path) -> list[Path]:
         return []
 
 
@@ -99,3 +107,40 @@ def test_the_small_reproduction_holds_everything_it_states(tmp_path):
     verdict = json.loads((tmp_path / "quick" / "verdict.json").read_text())
     assert set(verdict["experiments"]) == {e.name for e in EXPERIMENTS if e.quick}
     assert verdict["holding"] == verdict["statements"] >= 20
+
+
+def test_waveforms_are_laid_on_each_other_at_their_lag():
+    place = np.array([3.0, 0.0, 0.0])
+    spec = ul.RadarSpec.preset("pulson440", noise=None, bins=600)
+    path = ul.Trajectory.line((0, -0.2, 0), (0, 0.2, 0), 0.5, 20)
+    corner = ul.scenes.trihedral(edge_m=0.2, distance_m=3.0)
+    twin = ul.simulate(corner, path, spec, max_bounces=3)
+    late = replace(twin, samples=np.roll(twin.samples, 7, axis=1))
+    found = rail.echoes(late, twin, place)
+    assert np.allclose(found.lag_m, 7 * spec.bin_m)
+    assert np.allclose(found.correlation, 1.0, atol=1e-6)
+    turned = replace(twin, samples=-twin.samples)
+    assert np.median(rail.echoes(turned, twin, place).correlation) < 0.95  # a waveform, not an envelope, is compared
+
+
+def test_a_radar_at_rest_is_measured_alike_whatever_its_scale():
+    spec = ul.RadarSpec.preset("x4m05", iterations=4, pulses_per_step=1, bins=180)
+    rows = receive(np.zeros((600, 180), np.complex64), spec, seed=3).astype(np.complex128)
+    once, twice = rest.measure(rows, spec), rest.measure(3 * rows, spec)
+    assert twice["noise"] == pytest.approx(3 * once["noise"])
+    assert twice["direct"] == pytest.approx(once["direct"])
+    assert 0.5 < once["lag 1"] < 0.75
+    assert 40 < once["direct"] < 60
+
+
+def test_false_cells_are_those_far_from_everything_true():
+    flown = Flown(
+        "wall", Simulated(None, ul.scenes.plate(2, 2, 3.0), PATH, PATH, None), {"front": FRAMES}, None, None, {}
+    )
+    grid = ul.Grid.covering([(0, -2, 0), (4, 2, 0)], 0.1, z_m=0.0)
+    percent = np.zeros(grid.shape, np.int8)
+    percent[20, 29] = 100  # on the plate
+    percent[20, 10] = percent[30, 10] = 100  # nowhere
+    omap = ul.OccupancyMap(grid, percent)
+    assert maps.false_cells(omap, flown) == 2
+    assert maps.false_cells(omap, flown, around=[np.array([1.0, 0.0])], radius_m=0.5) == 1

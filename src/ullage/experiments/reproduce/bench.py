@@ -87,7 +87,7 @@ class Bench:
     folder: Path
     quick: bool
     say: Say
-    before: Mapping[str, Findings]
+    recordings: Path
     findings: Findings = field(default_factory=Findings)
 
     def fly(self, name: str, options: Sequence[str] = ()) -> Flown:

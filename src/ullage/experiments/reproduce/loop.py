@@ -19,6 +19,8 @@ from ullage.experiments.reproduce.findings import Findings, read_findings
 from ullage.experiments.reproduce.plan import Experiment
 
 Tell = Callable[[int, str], None]
+RECORDINGS = Path("../shared/data")
+"""Where the real recordings lie beside a checkout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +66,20 @@ class Reproduction:
 
 
 def reproduce(
-    out: Path, wanted: Sequence[Experiment], *, quick: bool = False, fresh: bool = False, tell: Tell = lambda *_: None
+    out: Path,
+    wanted: Sequence[Experiment],
+    *,
+    recordings: Path = RECORDINGS,
+    quick: bool = False,
+    fresh: bool = False,
+    tell: Tell = lambda *_: None,
 ) -> Reproduction:
     """Run every experiment that is not yet done, then write the report.
 
     Args:
         out: folder of the results; one folder for each experiment, report.html above them.
         wanted: which.
+        recordings: folder of the real recordings; what needs those that are not there is left out.
         quick: small, in two minutes.
         fresh: do again what is done.
         tell: told the number of experiments done and what goes on.
@@ -87,9 +96,7 @@ def reproduce(
             def say(text: str, number: int = number, title: str = experiment.title) -> None:
                 tell(number, f"{title}: {text}")
 
-            chapters.append(
-                _chapter(experiment, root, quick, fresh, say, {c.experiment.name: c.findings for c in chapters})
-            )
+            chapters.append(_chapter(experiment, root, recordings, quick, fresh, say))
             tell(number + 1, experiment.title)
     except KeyboardInterrupt:
         interrupted = True
@@ -97,16 +104,11 @@ def reproduce(
 
 
 def _chapter(
-    experiment: Experiment,
-    root: Path,
-    quick: bool,
-    fresh: bool,
-    say: Callable[[str], None],
-    before: dict[str, Findings],
+    experiment: Experiment, root: Path, recordings: Path, quick: bool, fresh: bool, say: Callable[[str], None]
 ) -> Chapter:
     folder = root / experiment.name
     mark = folder / "findings.json"
-    inputs = fingerprint(experiment, quick)
+    inputs = fingerprint(experiment, quick, recordings)
     again = not fresh and mark.is_file() and read_json(mark).get("inputs") == inputs
     if not again:
         shutil.rmtree(folder, ignore_errors=True)
@@ -114,7 +116,7 @@ def _chapter(
             folder.mkdir(parents=True)
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=folder, allowed="--out DIR") from None
-        bench = Bench(folder, quick, say, before)
+        bench = Bench(folder, quick, say, recordings)
         started = time.monotonic()
         experiment.run(bench)
         bench.findings.write(mark, inputs=inputs, took_s=time.monotonic() - started, machine=provenance()["machine"])
@@ -123,14 +125,14 @@ def _chapter(
     return Chapter(experiment, folder, findings, tuple(judged), read_json(mark)["took_s"], again)
 
 
-def fingerprint(experiment: Experiment, quick: bool) -> str:
+def fingerprint(experiment: Experiment, quick: bool, recordings: Path) -> str:
     """Stands for all that an experiment's result hangs on: this code, the scenarios, the recordings, quick or not."""
     text = hashlib.sha256(json.dumps([experiment.name, quick, ullage.__version__]).encode())
     here = Path(ullage.__file__).parent
     for path in sorted(p for kind in ("*.py", "*.yaml", "*.sdf", "*.obj") for p in here.rglob(kind)):
         text.update(f"{path.relative_to(here)}\n".encode())
         text.update(path.read_bytes())
-    for path in experiment.reads():
+    for path in experiment.reads(recordings):
         text.update(f"{path}:{path.stat().st_size if path.exists() else None}\n".encode())
     return text.hexdigest()[:16]
 

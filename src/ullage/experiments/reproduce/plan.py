@@ -27,13 +27,21 @@ class Experiment:
         """Do it; findings and figures go to the bench."""
         importlib.import_module(f"ullage.experiments.reproduce.{self.name}").run(bench)
 
-    def reads(self) -> list[Path]:
+    def reads(self, recordings: Path) -> list[Path]:
         """Recordings it looks at, there or not."""
         module = importlib.import_module(f"ullage.experiments.reproduce.{self.name}")
-        return list(getattr(module, "READS", ()))
+        return [recordings / name for name in getattr(module, "READS", ())]
 
 
-EXPERIMENTS: tuple[Experiment, ...] = (Experiment("detection", "Radar object detection", "6.1"),)
+EXPERIMENTS: tuple[Experiment, ...] = (
+    Experiment("detection", "Radar object detection", "6.1"),
+    Experiment("room", "Mapping the NTNU room", "6.2"),
+    Experiment("hall", "Mapping the cluttered room", "6.2"),
+    Experiment("hold", "The cargo hold", "6.3"),
+    Experiment("tables", "Speed, CPU and memory", "tables 6.1 to 6.4"),
+    Experiment("rail", "A real rail beside a simulated one", "real"),
+    Experiment("rest", "A real X4 at rest beside a simulated one", "real"),
+)
 """In the order in which they are done and reported."""
 
 
