@@ -161,7 +161,7 @@ def test_a_grid_too_large_says_how_large_before_it_is_made():
 
 def test_memory_follows_what_is_known(flight):
     mapper = UllageMapper(ul.Grid.covering([[-25, -25, -1], [25, 25, 1]], 0.05, z_m=0.0))
-    assert mapper.blocks.nbytes < 20_000
+    assert mapper.blocks.nbytes < 25_000
     part = {n: f[:60] for n, f in flight.items()}
     mapper.update(part)
     mapper.finish()
@@ -169,17 +169,15 @@ def test_memory_follows_what_is_known(flight):
 
 
 def test_blocks_collapse_and_come_back():
-    from ullage.kernels.occupancy import CLEAR
-
     blocks = Blocks(ul.Grid((0, 0, 0), 0.1, (32, 32)))
-    blocks.reserve(4)
-    from ullage.kernels.occupancy import mark_flown
-
-    pools = (blocks.slots, blocks.free_slots, blocks.free_count, blocks.hits, blocks.silent, blocks.facing)
-    mark_flown(*pools, blocks.origin, 0.1, 16, blocks.size, np.array([0.8, 0.8, 0.0]), 1.3)
-    assert blocks.collapse(6) == 1
-    assert blocks.slots[0, 0, 0] == CLEAR
-    assert int(blocks.free_count[0]) >= 1
+    blocks.clear(np.array([0.8, 0.8, 0.0]), 1.3)
+    assert blocks.used[0] == 4
+    assert blocks.collapse() == 1, "the one block wholly within the radius"
+    assert blocks.used == (3, 1)
+    room = len(blocks.pools.hits)
+    blocks.clear(np.array([2.4, 2.4, 0.0]), 1.3)
+    assert blocks.used == (3, 1)
+    assert len(blocks.pools.hits) == room, "its place is used again"
 
 
 def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):

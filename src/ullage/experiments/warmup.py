@@ -16,7 +16,7 @@ NEEDED = {
     "thesis": ("rays", "receiver"),
     "physical": ("facets", "edges", "wires", "beams", "receiver"),
     "elfes": ("elfes",),
-    "ullage": ("occupancy", "occupancy_listen", "occupancy_show"),
+    "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_show"),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""

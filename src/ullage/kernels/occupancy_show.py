@@ -7,16 +7,13 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.occupancy import CLEAR, EMPTY, SCALE, bit_count, cell_index
+from ullage.kernels.occupancy import EMPTY, SCALE, Pools, bit_count, cell_index
 
 
 @njit(cache=True, fastmath=True)
 def render_cells(
-    slots: np.ndarray,
-    hits: np.ndarray,
-    silent: np.ndarray,
+    pools: Pools,
     edge: int,
-    size: np.ndarray,
     box: np.ndarray,
     free_nats: np.ndarray,
     prior: float,
@@ -27,31 +24,30 @@ def render_cells(
     solid: float,
     out: np.ndarray,
 ) -> None:
-    """Percent of each cell of the box into `out` (z, y, x): chance, UNKNOWN -1 or AMBIGUOUS -2."""
-    sure_free = int(100.0 / (1.0 + math.exp(-prior + free_nats[16])) + 0.5)
-    for iz in range(box[2, 0], box[2, 1]):
+    """Percent of each cell of the box (z, y, x; first and end) into `out`: chance, UNKNOWN -1 or AMBIGUOUS -2."""
+    for iz in range(box[0, 0], box[0, 1]):
         for iy in range(box[1, 0], box[1, 1]):
-            for ix in range(box[0, 0], box[0, 1]):
-                slot = slots[iz // edge, iy // edge, ix // edge]
-                if slot == EMPTY:
-                    out[iz, iy, ix] = -1
-                    continue
-                if slot == CLEAR:
-                    out[iz, iy, ix] = sure_free
-                    continue
-                cell = cell_index(ix, iy, iz, edge, size[2])
-                echoes, looks = hits[slot, cell], bit_count(silent[slot, cell])
+            for ix in range(box[2, 0], box[2, 1]):
+                bz, by, bx = iz // edge if pools.size[2] > 1 else 0, iy // edge, ix // edge
+                slot, silent, echoes = pools.slots[bz, by, bx], pools.common[bz, by, bx], 0
+                if slot != EMPTY:
+                    cell = cell_index(ix, iy, iz, edge, pools.size[2])
+                    silent |= pools.silent[slot, cell]
+                    echoes = pools.hits[slot, cell]
+                looks = bit_count(silent)
                 odds = prior + echoes / SCALE - free_nats[looks]
                 if echoes >= vague:
                     odds = heard + echoes / SCALE - many * (max(looks - enough, 0) + max(looks - 8, 0))
                 if odds >= solid:
-                    out[iz, iy, ix] = min(int(100.0 / (1.0 + math.exp(-odds)) + 0.5), 99)
+                    out[iz - box[0, 0], iy - box[1, 0], ix - box[2, 0]] = min(
+                        int(100.0 / (1.0 + math.exp(-odds)) + 0.5), 99
+                    )
                 elif looks >= enough and echoes < vague:
-                    out[iz, iy, ix] = int(100.0 / (1.0 + math.exp(-odds)) + 0.5)
+                    out[iz - box[0, 0], iy - box[1, 0], ix - box[2, 0]] = int(100.0 / (1.0 + math.exp(-odds)) + 0.5)
                 elif echoes > 0:
-                    out[iz, iy, ix] = -2
+                    out[iz - box[0, 0], iy - box[1, 0], ix - box[2, 0]] = -2
                 else:
-                    out[iz, iy, ix] = -1
+                    out[iz - box[0, 0], iy - box[1, 0], ix - box[2, 0]] = -1
 
 
 @njit(cache=True, fastmath=True)

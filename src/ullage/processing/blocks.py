@@ -7,10 +7,19 @@ from numpy.typing import NDArray
 
 from ullage.errors import InputError
 from ullage.grids import EDGE, Grid
-from ullage.kernels.occupancy import CLEAR, EMPTY, NOWHERE, collapse_clear
+from ullage.kernels.occupancy import EMPTY, MOST_HITS, NOWHERE, Pools, collapse_blocks, mark_flown, share_echoes
+from ullage.kernels.occupancy_cone import Beam, cast_reach, hear_blocks, survey_blocks
 
 MOST_BYTES = 2 * 1024**3
-GROWTH = 64
+GROWTH = 16
+PRIOR = -3.5
+FREE_NATS = np.array([0, 0.3, 0.7, 1.2, 2.0, 2.7] + [3.5] * 11)
+WALL_TENTHS = 20
+HAZE_PER_M = 0.12
+SHADE_DEG = 25.0
+STRIDE = {2: 1, 3: 4}
+MOST_FOUND = 60_000
+COLLAPSED_EVERY = 64
 
 
 class Blocks:
@@ -27,49 +36,104 @@ class Blocks:
         self.grid, self.edge = grid, EDGE[grid.dims]
         shape = grid.shape if grid.dims == 3 else (1, *grid.shape)
         table = tuple(-(-n // (self.edge if grid.dims == 3 or axis else 1)) for axis, n in enumerate(shape))
-        bytes_needed = 4.0 * float(np.prod(np.asarray(table, float)))
+        bytes_needed = 6.0 * float(np.prod(np.asarray(table, float)))
         if bytes_needed > MOST_BYTES or grid.size > 2**40:
             raise InputError(
                 f"the grid has {grid.size:.3g} cells; its table of blocks alone takes {bytes_needed / 1e9:.1f} GB",
                 where="grid",
                 allowed=f"at most {MOST_BYTES / 1e9:.1f} GB; a coarser step or a smaller box",
             )
-        self.size = np.array(shape[::-1], np.int64)
-        self.origin = np.nan_to_num(np.asarray(grid.origin_m, float))
-        self.slots = np.full(table, EMPTY, np.int32)
         self.cells = self.edge**grid.dims
-        self.hits = np.zeros((0, self.cells), np.int8)
-        self.silent = np.zeros((0, self.cells), np.uint16)
-        self.facing = np.zeros((0, self.cells), np.uint8)
-        self.free_slots = np.zeros(0, np.int32)
-        self.free_count = np.zeros(1, np.int64)
+        self.pools = Pools(
+            slots=np.full(table, EMPTY, np.int32),
+            common=np.zeros(table, np.uint16),
+            hits=np.zeros((0, self.cells), np.int8),
+            silent=np.zeros((0, self.cells), np.uint16),
+            facing=np.zeros((0, self.cells), np.uint8),
+            loud=np.zeros(0, np.uint8),
+            free_slots=np.zeros(0, np.int32),
+            free_count=np.zeros(1, np.int64),
+            size=np.array(shape[::-1], np.int64),
+            origin=np.nan_to_num(np.asarray(grid.origin_m, float)),
+        )
+        self._held_by = chances()
+        self._found, self._chance = np.zeros((MOST_FOUND, 5), np.int32), np.zeros(MOST_FOUND)
+        self._turn = 0
+
+    def insert(self, beam: Beam, ways: NDArray[np.float64]) -> None:
+        """Add one look.
+
+        Args:
+            beam: the sensor, its echoes and its silence; `reach` is filled in.
+            ways: (m, 4) direction and range of surfaces known to lie square to the look.
+        """
+        step, stride = self.grid.step_m, STRIDE[self.grid.dims]
+        self._turn += 1
+        farthest = cast_reach(
+            self.pools, step, self.edge, beam, ways, np.cos(np.radians(SHADE_DEG)), WALL_TENTHS, HAZE_PER_M * step
+        )
+        rows = survey_blocks(self.pools, step, self.edge, beam, min(farthest + step, beam.far), self._turn, stride)
+        self.reserve(int(np.count_nonzero(self.pools.slots[rows[:, 0], rows[:, 1], rows[:, 2]] == EMPTY)))
+        found = hear_blocks(
+            self.pools, step, self.edge, beam, min(farthest + step, beam.far), rows, self._found, self._chance
+        )
+        share_echoes(self.pools, beam.arcs, self._found, self._chance, found, self._held_by)
+        if self._turn % COLLAPSED_EVERY == 0:
+            self.collapse()
+
+    def clear(self, position: NDArray[np.float64], radius_m: float) -> None:
+        """Nothing stands within a radius of a place where the drone was."""
+        self.reserve(
+            min(int(2 * radius_m / (self.edge * self.grid.step_m) + 3) ** self.grid.dims, self.pools.slots.size)
+        )
+        mark_flown(self.pools, self.grid.step_m, self.edge, position, radius_m)
 
     def reserve(self, count: int) -> None:
         """Have room for this many more blocks."""
-        lacking = min(count, self.slots.size) - int(self.free_count[0])
+        old, free = len(self.pools.hits), self.pools.free_slots[: int(self.pools.free_count[0])]
+        lacking = min(count - len(free), self.pools.slots.size - old)
         if lacking <= 0:
             return
-        old = len(self.hits)
-        extra = max(lacking, GROWTH, old // 4)
-        for name, fill in (("hits", 0), ("silent", 0), ("facing", NOWHERE)):
-            pool: NDArray[np.generic] = getattr(self, name)
-            setattr(self, name, np.concatenate([pool, np.full((extra, self.cells), fill, pool.dtype)]))
-        held = self.free_slots[: int(self.free_count[0])]
+        extra = min(max(lacking, GROWTH, old // 8), self.pools.slots.size - old)
+        grown = {
+            name: np.concatenate([pool, np.full((extra, *pool.shape[1:]), fill, pool.dtype)])
+            for name, fill in (("hits", 0), ("silent", 0), ("facing", NOWHERE), ("loud", 0))
+            for pool in [getattr(self.pools, name)]
+        }
         fresh = np.arange(old + extra - 1, old - 1, -1, dtype=np.int32)
-        self.free_slots = np.concatenate([fresh, held, np.zeros(old, np.int32)])[: old + extra].copy()
-        self.free_count[0] = len(held) + extra
+        stack = np.concatenate([fresh, free, np.zeros(old - len(free), np.int32)])
+        self.pools.free_count[0] = len(free) + extra
+        self.pools = self.pools._replace(free_slots=stack, **grown)
 
-    def collapse(self, enough: int) -> int:
-        """Keep one value for each block that is free throughout; returns how many were collapsed."""
-        return int(collapse_clear(self.slots, self.free_slots, self.free_count, self.hits, self.silent, enough))
+    def collapse(self) -> int:
+        """Keep one number for each block without echoes that is free, or alike, throughout; returns how many."""
+        return int(collapse_blocks(self.pools))
+
+    def known(self) -> tuple[slice, ...] | None:
+        """The smallest box of whole blocks, in cells, that holds all that is known; None: nothing is."""
+        heard = (self.pools.slots != EMPTY) | (self.pools.common != 0)
+        out = []
+        for axis in range(3):
+            along = np.flatnonzero(heard.any(axis=tuple(k for k in range(3) if k != axis)))
+            if not len(along):
+                return None
+            edge = self.edge if self.grid.dims == 3 or axis else 1
+            out.append(slice(int(along[0]) * edge, min(int(along[-1] + 1) * edge, int(self.pools.size[2 - axis]))))
+        return tuple(out)
 
     @property
     def nbytes(self) -> int:
         """Memory held, room kept for more blocks included [byte]."""
-        pools = (self.slots, self.hits, self.silent, self.facing, self.free_slots)
-        return sum(pool.nbytes for pool in pools)
+        return sum(pool.nbytes for pool in self.pools)
 
     @property
     def used(self) -> tuple[int, int]:
-        """Blocks kept cell by cell, and blocks kept as one value."""
-        return int((self.slots >= 0).sum()), int((self.slots == CLEAR).sum())
+        """Blocks kept cell by cell, and blocks kept as one number."""
+        kept = self.pools.slots != EMPTY
+        return int(kept.sum()), int(((self.pools.common != 0) & ~kept).sum())
+
+
+def chances() -> NDArray[np.float64]:
+    """Chance that a cell is occupied, by its hits and the number of directions from which it was silent."""
+    odds = PRIOR + np.arange(MOST_HITS + 1)[:, None] / 10.0 - FREE_NATS
+    return np.asarray(1 / (1 + np.exp(-odds)))

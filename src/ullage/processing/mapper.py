@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
-from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap
-from ullage.kernels.occupancy import cast_reach, mark_flown, update_cells
+from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
+from ullage.kernels.occupancy_cone import Beam
 from ullage.kernels.occupancy_show import in_view, render_cells
-from ullage.processing.blocks import Blocks
+from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
@@ -19,21 +21,16 @@ from ullage.processing.mapper_looks import Listener, Look
 
 Floats = NDArray[np.float64]
 
-PRIOR = -3.5
 DETECTION = 0.9
-FREE_NATS = np.array([0, 0.3, 0.7, 1.2, 2.0, 2.7] + [3.5] * 11)
 ENOUGH_SIDES = 4
 VAGUE_TENTHS = 10
 HEARD_ODDS, SIDE_NATS = -0.7, 0.8
 SOLID_ODDS = float(np.log(0.65 / 0.35))
-WALL_TENTHS = 20
-HAZE_PER_M = 0.12
-HIT_BEAM, FREE_BEAM = np.cos(np.radians(50.0)), np.cos(np.radians(40.0))
+HIT_DEG, FREE_DEG = 50.0, 40.0
 TANGENT = 1.3
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN = 0.15, 0.01
-SHADE_DEG = 25.0
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 
 
@@ -51,14 +48,11 @@ class UllageMapper:
         self._listeners: dict[str, Listener] = {}
         self._axis: dict[str, tuple[float, float, float]] = {}
         self._published: OccupancyMap | None = None
-        self._found = np.zeros((60_000, 4), np.int32)
-        self._chance = np.zeros(60_000)
         self._reach = np.zeros(SECTORS[grid.dims])
         self._levels = LevelFinder() if grid.dims == 2 else None
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
         self._waiting: list[tuple[int, str, Look]] = []
-        self._looks = 0
         self._flown: dict[tuple[int, ...], None] = {}
 
     def update(self, frames: Recording) -> None:
@@ -83,7 +77,7 @@ class UllageMapper:
         self._insert_all(
             [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()], last=True
         )
-        self.blocks.collapse(ENOUGH_SIDES + 2)
+        self.blocks.collapse()
 
     def _insert_all(self, looks: list[tuple[int, str, Look]], *, last: bool = False) -> None:
         looks = sorted(looks, key=lambda item: item[:2])
@@ -106,27 +100,26 @@ class UllageMapper:
 
     def _insert(self, name: str, look: Look) -> None:
         start, bin_m, far = self._axis[name]
-        blocks, heard, step = self.blocks, look.heard, self.grid.step_m
-        arcs = self._arcs(look)
-        n = far / (blocks.edge * step)  # most blocks a cone of 100 deg can meet, its rim counted twice over
-        blocks.reserve(int(1.2 * n**2 + 8 * n + 40 if self.grid.dims == 2 else 1.2 * n**3 + 10 * n**2 + 8 * n + 60))
-        pools = (blocks.slots, blocks.free_slots, blocks.free_count, blocks.hits, blocks.silent, blocks.facing)
-        mark_flown(*pools, blocks.origin, step, blocks.edge, blocks.size, heard.position, max(FLOWN_M, step))
-        self._flown[tuple(np.rint(heard.position / step).astype(int).tolist())] = None
-        cast_reach(
-            blocks.slots, blocks.hits, blocks.silent, blocks.origin, step, blocks.edge, blocks.size, heard.position,
-            heard.axes, TANGENT, far, WALL_TENTHS, HAZE_PER_M * step, self._reach,
-        )  # fmt: skip
-        self._shade(heard.axes, arcs)
-        box = np.zeros((3, 2), np.int64)
-        update_cells(
-            *pools, blocks.origin, step, blocks.edge, blocks.size, heard.position, heard.axes, HIT_BEAM, FREE_BEAM,
-            TANGENT, self._reach, heard.quiet, start, bin_m, FLOWN_M, far, arcs, FREE_NATS, PRIOR,
-            self._found, self._chance, box,
-        )  # fmt: skip
-        self._looks += 1
-        if self._looks % 64 == 0:
-            blocks.collapse(ENOUGH_SIDES + 2)
+        heard, arcs = look.heard, self._arcs(look)
+        self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
+        self._flown[tuple(np.rint(heard.position / self.grid.step_m).astype(int).tolist())] = None
+        quiet = np.concatenate([[0], np.cumsum(heard.quiet)])
+        beam = Beam(
+            heard.position,
+            heard.axes,
+            self._reach,
+            TANGENT,
+            cos_sin(HIT_DEG),
+            cos_sin(FREE_DEG),
+            FLOWN_M,
+            far,
+            start,
+            bin_m,
+            quiet,
+            arcs,
+        )
+        ways = [(*way, arc[0]) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc)]
+        self.blocks.insert(beam, np.array(ways).reshape(-1, 4))
 
     def _arcs(self, look: Look) -> Floats:
         """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false."""
@@ -145,33 +138,11 @@ class UllageMapper:
         arcs[:, 7], arcs[:, 8], arcs[:, 9] = DETECTION, 1, np.clip(1 - trust, 0.03, 0.95)
         return arcs[trust >= LEAST_TRUST]
 
-    def _shade(self, axes: Floats, arcs: Floats) -> None:
-        """Nothing is learned behind an echo whose bearing is known, even before the map holds it.
-
-        An echo comes off a surface that lies square to the way there, so on a plane the shade follows that line to
-        25 deg on both sides.
-        """
-        rays = self._rays(axes)
-        slack = 2 * self.grid.step_m
-        for arc in arcs[arcs[:, 8] > 0]:
-            behind = abs(rays @ arc[2:5] - arc[5]) < 2.5 * arc[6] + 0.05
-            self._reach[behind] = np.minimum(self._reach[behind], arc[0] + slack)
-            for way in self._ways(axes, arc):
-                turn = rays @ way
-                square = turn > np.cos(np.radians(SHADE_DEG))
-                self._reach[square] = np.minimum(self._reach[square], arc[0] / turn[square] + slack)
-
-    def _rays(self, axes: Floats) -> Floats:
-        up, left = self._reach.shape
-        y = (2 * (np.arange(left) + 0.5) / left - 1) * TANGENT
-        z = (2 * (np.arange(up) + 0.5) / up - 1) * TANGENT if up > 1 else np.zeros(1)
-        ray = np.stack(np.broadcast_arrays(1.0, y[None, :], z[:, None]), axis=-1) @ axes.T
-        if up == 1:
-            ray[..., 2] = 0
-        return np.asarray(ray / np.linalg.norm(ray, axis=-1, keepdims=True))
-
     def _ways(self, axes: Floats, arc: Floats) -> list[Floats]:
-        """The directions on the plane that an arc's bearing leaves open, when only one of them is in the beam."""
+        """The direction on the plane that an arc's bearing leaves open, where only one is in the beam.
+
+        An echo comes off a surface that lies square to the way there, which then hides what lies behind it.
+        """
         if self.grid.dims == 3:
             return []
         track = np.array([arc[2], arc[3], 0.0])
@@ -179,24 +150,26 @@ class UllageMapper:
         across = np.array([-track[1], track[0], 0.0])
         off = np.sqrt(max(1 - arc[5] ** 2, 0.0))
         both = [arc[5] * track + sign * off * across for sign in (-1, 1)]
-        lit = [way for way in both if way @ axes[:, 0] > HIT_BEAM]
+        lit = [way for way in both if way @ axes[:, 0] > np.cos(np.radians(HIT_DEG))]
         return lit if len(lit) == 1 else []
 
     def map(self) -> OccupancyMap:
         """The map so far; free cells that no free way joins to the flight are unknown."""
-        shape = self.grid.shape if self.grid.dims == 3 else (1, *self.grid.shape)
-        percent = np.empty(shape, np.int8)
-        box = np.array([[0, n] for n in shape[::-1]], np.int64)
-        blocks = self.blocks
+        known = self.blocks.known()
+        if known is None:
+            return OccupancyMap(self.grid, Tiles.unknown(self.grid.shape), "ullage")
+        box = np.array([(axis.start, axis.stop) for axis in known], np.int64)
+        percent = np.empty(box[:, 1] - box[:, 0], np.int8)
         render_cells(
-            blocks.slots, blocks.hits, blocks.silent, blocks.edge, blocks.size, box, FREE_NATS, PRIOR, ENOUGH_SIDES,
-            VAGUE_TENTHS, HEARD_ODDS, SIDE_NATS, SOLID_ODDS, percent,
+            self.blocks.pools, self.blocks.edge, box, FREE_NATS, PRIOR, ENOUGH_SIDES, VAGUE_TENTHS, HEARD_ODDS,
+            SIDE_NATS, SOLID_ODDS, percent,
         )  # fmt: skip
-        percent = percent.reshape(self.grid.shape)
-        self._forget_cut_off(percent)
-        return OccupancyMap(self.grid, percent, "ullage")
+        percent = percent.reshape(percent.shape[3 - self.grid.dims :])
+        corner = tuple(int(k) for k in box[3 - self.grid.dims :, 0])
+        self._forget_cut_off(percent, corner)
+        return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
 
-    def _forget_cut_off(self, percent: NDArray[np.int8]) -> None:
+    def _forget_cut_off(self, percent: NDArray[np.int8], corner: tuple[int, ...]) -> None:
         """Free cells that only a narrow gap joins to the flight become unknown; walls hidden by walls, ambiguous."""
         free = (percent >= 0) & (percent < 50)
         solid = percent >= 50
@@ -207,7 +180,8 @@ class UllageMapper:
             return
         flown = np.array(list(self._flown), float) * self.grid.step_m
         cells, inside = self.grid.index(flown)
-        names = np.unique(open_[tuple(cells[inside].T)])
+        cells = cells[inside] - corner
+        names = np.unique(open_[tuple(cells.T)])
         joined = binary_dilation(np.isin(open_, names[names > 0]), ball, iterations=wide + 1)
         percent[free & ~joined] = UNKNOWN
         suspects = np.argwhere(solid & ~binary_dilation(joined, ball, iterations=2))
@@ -224,3 +198,9 @@ class UllageMapper:
         out = now.changes(self._published)
         self._published = now
         return out
+
+
+def cos_sin(angle_deg: float) -> tuple[float, float]:
+    """Cosine and sine."""
+    angle = math.radians(angle_deg)
+    return math.cos(angle), math.sin(angle)
