@@ -9,8 +9,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from full_wave import db, dipole, golden, ours_plate, ours_slab, ours_wire
 
-RIM = "the rim's own wave, which depends on polarisation, is not in physical optics"
-
 
 @pytest.fixture(scope="module")
 def radars(tmp_path_factory):
@@ -28,12 +26,12 @@ def off_db(name, index, radars):
     ("tilt", "pol", "bound"),
     [
         (0, "soft", 0.4),
-        (10, "soft", 1.7),
-        (10, "hard", 1.7),
+        (10, "soft", 0.5),
+        (10, "hard", 1.0),
         (25, "hard", 1.3),
-        pytest.param(25, "soft", 1.7, marks=pytest.mark.xfail(strict=True, reason=RIM)),
-        pytest.param(45, "soft", 3.0, marks=pytest.mark.xfail(strict=True, reason=RIM)),
-        pytest.param(45, "hard", 3.0, marks=pytest.mark.xfail(strict=True, reason=RIM)),
+        (25, "soft", 0.8),
+        (45, "soft", 1.4),
+        (45, "hard", 3.0),
     ],
 )
 def test_plate(tilt, pol, bound, radars):

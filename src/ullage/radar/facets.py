@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ullage.errors import UllageWarning
+from ullage.radar.diffraction import sharp_edges
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -260,6 +261,7 @@ class Prepared:
         self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
         self.still = gather(scene, ~self.moving)
         self.materials = tuple(o.material for o in scene.objects)
+        self.edges = sharp_edges(scene, self.still.rays)
 
     def parts(self, t_ns: int) -> list[Surfaces]:
         """Everything there is at one time: what stands still, then what moves."""

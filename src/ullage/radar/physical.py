@@ -23,6 +23,7 @@ from ullage.kernels import edges as rim
 from ullage.kernels import facets as kernel
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
+from ullage.radar.diffraction import Rims, nowhere, rims_of
 from ullage.radar.facets import Flats, Prepared, Surfaces, joined, prepare
 from ullage.radar.penetration import Curtains, curtains, reflection_tables
 from ullage.radar.pulse import Pulse, tabulate
@@ -73,6 +74,7 @@ class Bench:
     gamma: Complexes
     lag: Floats
     lines: Lines
+    rims: Rims
     sheets: Curtains
     first_m: float  # range of the first grid place [m]
     places: int
@@ -86,8 +88,8 @@ class Bench:
         return 1 / self.spec.prf_hz
 
 
-def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0) -> Bench:
-    """Pulse, tables and gates of one radar in one scene.
+def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> Bench:
+    """Pulse, tables and gates of one radar in one scene; without `edges` plain physical optics.
 
     Raises:
         InputError: the pulse is wider than the frame, or a material has no data at the carrier.
@@ -101,7 +103,8 @@ def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0) -> Bench:
     gamma = np.concatenate([gamma, _plain(gamma)])
     lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
     last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
-    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, strung(scene, spec.center_hz),
+    rims = rims_of(world.edges if edges else nowhere(), spec.wavelength_m)
+    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, strung(scene, spec.center_hz), rims,
                  curtains(world.materials, spec), first, places, pad, (0.0, last), seed)  # fmt: skip
 
 
@@ -163,6 +166,10 @@ def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes)
         out += [_lay_small(ready, parts, part, view, grids), *_lay_flats(ready, parts, part, view, grids)]
     if len(ready.lines):
         out.append(_lay_wires(ready, parts, view, t_ns, grids))
+    if len(ready.rims.edges):
+        from ullage.radar.fringes import lay_edges
+
+        out += lay_edges(ready, parts, view, t_ns, grids)
     if max_bounces > 1:
         from ullage.radar.multipath import lay_bounces
 
@@ -310,7 +317,13 @@ def _carrier_only(spec: RadarSpec, frequency_hz: float) -> RadarSpec:
 
 
 def path_gain_cw(
-    scene: Scene, pose: Trajectory, spec: RadarSpec, frequency_hz: float | None = None, *, max_bounces: int = 1
+    scene: Scene,
+    pose: Trajectory,
+    spec: RadarSpec,
+    frequency_hz: float | None = None,
+    *,
+    max_bounces: int = 1,
+    edges: bool = True,
 ) -> Complexes:
     """Complex path gain (n) of everything in sight at one frequency (None: the radar's centre), all delays summed.
 
@@ -320,8 +333,9 @@ def path_gain_cw(
         spec: the radar.
         frequency_hz: [Hz].
         max_bounces: 1 to 3.
+        edges: whether conducting edges are corrected; without, the plain integral of physical optics.
     """
-    ready = bench(scene, _carrier_only(spec, frequency_hz or spec.center_hz))
+    ready = bench(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
     turns = quat_matrix(pose.quat_xyzw)
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):

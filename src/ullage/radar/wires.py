@@ -6,6 +6,7 @@ its ends, the antenna's weight and what stands in between gives the echo. Echoes
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -101,15 +102,22 @@ def strung(scene: Scene, center_hz: float) -> Lines:
 
 def placed(lines: Lines, scene: Scene, t_ns: int) -> tuple[Floats, Floats]:
     """Ends of the wires in the world at one time (w, 3), (w, 3) [m]."""
-    starts, ends = lines.starts, lines.ends
+    starts, ends = moved((lines.starts, lines.ends), lines.stuffs, scene, t_ns)
+    return starts, ends
+
+
+def moved(
+    rows: Sequence[Floats], stuffs: NDArray[np.int32], scene: Scene, t_ns: int, *, turn_only: bool = False
+) -> Sequence[Floats]:
+    """Points (w, 3) [m] of objects, or with `turn_only` directions, in the world at one time."""
+    out = rows
     for index, thing in enumerate(scene.objects):
-        mine = lines.stuffs == index
+        mine = stuffs == index
         if thing.motion is None or not mine.any():
             continue
-        if starts is lines.starts:
-            starts, ends = starts.copy(), ends.copy()
+        out = [row.copy() for row in rows] if out is rows else out
         when = int(np.clip(t_ns, *thing.motion.t_ns[[0, -1]]))
         pose = thing.motion.at(when).world_from_body[0]
-        for points in (starts, ends):
-            points[mine] = points[mine] @ pose[:3, :3].T + pose[:3, 3]
-    return starts, ends
+        for points in out:
+            points[mine] = points[mine] @ pose[:3, :3].T + (0.0 if turn_only else pose[:3, 3])
+    return out

@@ -1,0 +1,293 @@
+"""Edges of conductors: where physical optics is corrected for the currents that bend around them.
+
+Every straight edge at which a conducting mesh ends, or turns by more than `TURN_DEG`, is a wedge whose free space has
+an angle n pi: n = 2 at the rim of a sheet, 1.5 at the edge of a box. The fringe currents of that wedge
+[Michaeli1986], [Ufimtsev2007] are added to first-bounce echoes. Left out: inner corners (n < 1), edges that another
+surface touches, edges of what lets waves through, and bodies narrower than a quarter wave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.radar import double_diffraction as double
+from ullage.radar.wires import moved
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
+
+TURN_DEG = 40.0
+"""A mesh that turns by less at an edge stands for a smooth surface [deg]."""
+NARROW = 0.25
+"""Faces narrower than this part of a wave are the side of a thin plate, or no face at all."""
+_WELD_M = 1e-6
+_AROUND_M = 0.01  # nothing may cut a circle of this radius about an edge
+_STEP_M = 0.25  # an edge is tested at its middle, and cut so that there is one at least so often
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Straight edges of conducting bodies, in the frame of their objects."""
+
+    starts: Floats  # (w, 3) [m]
+    ends: Floats  # (w, 3) [m]
+    angles: Floats  # (w) of the free space, over pi
+    inward: Floats  # (w, 2, 3) unit vectors in both faces, away from the edge
+    normals: Floats  # (w, 2, 3) of both faces, into the free space
+    widths: Floats  # (w, 2) of both faces across the edge [m]
+    stuffs: Ints  # (w) object
+    surfaces: Longs  # (w, 2) smooth surface on both sides
+
+    def __len__(self) -> int:
+        return len(self.angles)
+
+    @property
+    def outward(self) -> Floats:
+        """Unit vectors from each edge into the middle of its open side (w, 3)."""
+        half = (self.angles * np.pi / 2)[:, None]
+        return np.asarray(np.cos(half) * self.inward[:, 0] + np.sin(half) * self.normals[:, 0])
+
+    def take(self, index: NDArray[np.bool_] | Longs) -> Edges:
+        """Some of them."""
+        return Edges(*(getattr(self, f.name)[index] for f in fields(self)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sharp:
+    """All edges of a scene, and those that face each other."""
+
+    edges: Edges
+    pairs: double.Pairs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rims:
+    """Edges as one wavelength has them: sides of thin plates are no faces."""
+
+    edges: Edges
+    sheets: NDArray[np.bool_]  # (w) rim of a thin body: only its first face counts
+    pairs: double.Pairs
+    both: NDArray[np.bool_]  # (p) the wave runs over both sides
+    bare: NDArray[np.bool_]  # (p) of a sheet, which a wave from behind meets too
+
+
+def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
+    """All edges of the scene's conductors that stand free.
+
+    Args:
+        scene: what there is.
+        still: rays over all that does not move.
+    """
+    conducts = np.array([o.material.conductor for o in scene.objects], bool)
+    moves = np.array([o.motion is not None for o in scene.objects], bool)
+    owner = scene.face_object
+    if not len(scene.faces) or not conducts.any():
+        return nowhere()
+    found = [_free(_edges(scene, conducts[owner] & ~moves[owner]), still)]
+    for index in np.flatnonzero(conducts & moves):
+        mine = owner == index
+        thing = replace(scene.objects[index], motion=None)
+        alone = Scene(scene.vertices, scene.faces[mine], np.zeros(mine.sum(), np.int32), (thing,))
+        edges = _free(_edges(alone, np.ones(len(alone.faces), bool)), Raycaster(alone))
+        found.append(replace(edges, stuffs=np.full(len(edges), index, np.int32)))
+    joined = Edges(*(np.concatenate([getattr(e, f.name) for e in found]) for f in fields(Edges)))
+    return Sharp(joined, double.strung([_pairs(e) for e in found]))
+
+
+def nowhere() -> Sharp:
+    """No edges at all."""
+    return Sharp(_none(), _pairs(_none()))
+
+
+def _pairs(edges: Edges) -> double.Pairs:
+    return double.facing_pairs(*(getattr(edges, f.name) for f in fields(edges)))
+
+
+def rims_of(sharp: Sharp, wavelength_m: float) -> Rims:
+    """The edges that count at a wavelength [m], the wide face first where the other is the side of a thin plate."""
+    edges = sharp.edges
+    wide = edges.widths >= NARROW * wavelength_m
+    kept = np.asarray(wide.any(1))
+    held, wide = edges.take(kept), wide[kept]
+    order = np.where(wide[:, :1], [[0, 1]], [[1, 0]])
+    row = np.arange(len(held))[:, None]
+    held = replace(held, inward=held.inward[row, order], normals=held.normals[row, order],
+                   widths=held.widths[row, order])  # fmt: skip
+    return Rims(held, np.asarray(~wide.all(1)), *double.at_wavelength(sharp.pairs, NARROW * wavelength_m))
+
+
+def placed(edges: Edges, scene: Scene, t_ns: int) -> Edges:
+    """The edges in the world at one time."""
+    starts, ends = moved((edges.starts, edges.ends), edges.stuffs, scene, t_ns)
+    if starts is edges.starts:
+        return edges
+    inward, normals = (np.stack(moved((v[:, 0], v[:, 1]), edges.stuffs, scene, t_ns, turn_only=True), 1)
+                       for v in (edges.inward, edges.normals))  # fmt: skip
+    return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
+
+
+def facing(edges: Edges, sheets: NDArray[np.bool_], owner: Ints, pieces: Floats, origin: Floats) -> NDArray[np.bool_]:
+    """Which pieces (m, 2, 3) of edges have the point (3) in their open side; of a thin body, over its wide face."""
+    to = origin - pieces.mean(1)
+    lit = np.einsum("nfi,ni->nf", edges.normals[owner], to) > 0
+    return np.asarray(lit[:, 0] | (lit[:, 1] & ~sheets[owner]))
+
+
+def _none() -> Edges:
+    triple, pair = np.zeros((0, 3)), np.zeros((0, 2, 3))
+    return Edges(triple, triple, np.zeros(0), pair, pair, np.zeros((0, 2)), np.zeros(0, np.int32),
+                 np.zeros((0, 2), np.int64))  # fmt: skip
+
+
+def _edges(scene: Scene, chosen: NDArray[np.bool_]) -> Edges:
+    """Edges where the chosen faces end or turn, whether or not anything touches them."""
+    corners = scene.vertices[scene.faces[chosen]]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    held = area > 1e-12
+    corners, normals = corners[held], cross[held] / (2 * area[held, None])
+    stuffs = scene.face_object[chosen][held]
+    if not len(corners):
+        return _none()
+    tri, edge = _halves(corners)
+    first, count = _grouped(edge)
+    order = np.lexsort((edge[:, 1], edge[:, 0]))
+    inward = _inward(corners, normals)
+    pairs = _wedges(order, first, count, inward)
+    if not len(pairs):
+        return _none()
+    smooth = _smooth(order, first, count, inward, tri, len(corners))
+    lead = pairs[:, 0]
+    a, b = corners.reshape(-1, 3)[lead], corners.reshape(-1, 3)[lead - lead % 3 + (lead + 1) % 3]
+    into = inward[pairs]
+    n1, n2, angle = _open(into, normals[tri[lead]])
+    surfaces = smooth[tri[pairs]]
+    widths = _widths(corners, smooth, a, into, surfaces)
+    return Edges(a, b, angle, into, np.stack([n1, n2], 1), widths, stuffs[tri[lead]], surfaces)
+
+
+def _halves(corners: Floats) -> tuple[Longs, Longs]:
+    """Of every half edge, its triangle and the ids of its two welded corners, the lower first."""
+    _, ids = np.unique(np.round(corners.reshape(-1, 3) / _WELD_M).astype(np.int64), axis=0, return_inverse=True)
+    ids = ids.reshape(-1, 3).astype(np.int64)
+    edge = np.sort(np.stack([ids, np.roll(ids, -1, 1)], -1), -1).reshape(-1, 2)
+    return np.repeat(np.arange(len(ids)), 3), edge
+
+
+def _grouped(edge: Longs) -> tuple[Longs, Longs]:
+    """Of the half edges in order: where each edge begins, and how many triangles meet there."""
+    key = edge[np.lexsort((edge[:, 1], edge[:, 0]))]
+    first = np.flatnonzero(np.r_[True, (key[1:] != key[:-1]).any(1)])
+    return first, np.diff(np.r_[first, len(key)])
+
+
+def _inward(corners: Floats, normals: Floats) -> Floats:
+    """Of every half edge: the unit vector in its triangle, across it and away from it (3 f, 3)."""
+    along = np.roll(corners, -1, 1) - corners
+    out = np.cross(normals[:, None], along)
+    out /= np.maximum(np.linalg.norm(out, axis=2, keepdims=True), 1e-300)
+    return np.asarray(out.reshape(-1, 3))
+
+
+def _wedges(order: Longs, first: Longs, count: Longs, inward: Floats) -> Longs:
+    """Half edges (w, 2) of the two faces that bound the open side of each edge; twice the same at a rim."""
+    alone = order[first[count == 1]]
+    two = np.stack([order[first[count == 2]], order[first[count == 2] + 1]], 1)
+    folded = _turn(inward[two[:, 0]], inward[two[:, 1]]) > TURN_DEG
+    out = [np.stack([alone, alone], 1), two[folded]]
+    for start, many in zip(first[count > 2], count[count > 2], strict=True):
+        halves = order[start : start + many]
+        into = inward[halves]
+        axis = np.linalg.svd(into)[2][-1]
+        side = np.cross(axis, into[0])
+        angle = np.arctan2(into @ side, into @ into[0])
+        rank = np.argsort(angle)
+        gap = np.diff(np.r_[angle[rank], angle[rank[0]] + 2 * np.pi])
+        widest = int(gap.argmax())
+        if gap[widest] > np.pi + np.radians(TURN_DEG):
+            out.append(halves[rank[[widest, (widest + 1) % many]]][None])
+    return np.concatenate(out).astype(np.int64)
+
+
+def _turn(a: Floats, b: Floats) -> Floats:
+    """By how much a surface turns where its parts leave an edge along a and b [deg]."""
+    cosine = np.clip(-np.einsum("ni,ni->n", a, b), -1, 1)
+    return np.asarray(np.degrees(np.arccos(cosine)))
+
+
+def _smooth(order: Longs, first: Longs, count: Longs, inward: Floats, tri: Longs, many: int) -> Longs:
+    """Which smooth piece of surface each triangle belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b = order[first[count == 2]], order[first[count == 2] + 1]
+    held = _turn(inward[a], inward[b]) <= TURN_DEG
+    links = coo_array((np.ones(held.sum(), np.int8), (tri[a[held]], tri[b[held]])), shape=(many, many))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def _open(into: Floats, normal: Floats) -> tuple[Floats, Floats, Floats]:
+    """Normals of both faces into the open side, and its angle over pi, from the faces' directions (w, 2, 3)."""
+    x1, x2 = into[:, 0], into[:, 1]
+    cosine = np.clip(np.einsum("ni,ni->n", x1, x2), -1, 1)
+    away1, away2 = cosine[:, None] * x1 - x2, cosine[:, None] * x2 - x1
+    size = np.linalg.norm(away1, axis=1)
+    flat = size < 1e-6
+    n1 = np.where(flat[:, None], normal, away1 / np.maximum(size, 1e-300)[:, None])
+    n2 = np.where(flat[:, None], -normal, away2 / np.maximum(size, 1e-300)[:, None])
+    return n1, n2, np.asarray(2 - np.where(flat, 0.0, np.arccos(cosine)) / np.pi)
+
+
+def _widths(corners: Floats, smooth: Longs, a: Floats, into: Floats, piece: Longs) -> Floats:
+    """How far the surfaces on both sides reach across the edge (w, 2) [m]."""
+    out = np.zeros(piece.shape)
+    rank = np.argsort(smooth, kind="stable")
+    bound = np.searchsorted(smooth[rank], np.arange(smooth.max() + 2))
+    for p in np.unique(piece):
+        points = np.unique(corners[rank[bound[p] : bound[p + 1]]].reshape(-1, 3), axis=0)
+        for side in range(2):
+            mine = np.flatnonzero(piece[:, side] == p)
+            for e in mine:
+                out[e, side] = ((points - a[e]) @ into[e, side]).max()
+    return out
+
+
+def _free(edges: Edges, rays: Raycaster) -> Edges:
+    """The parts of edges around which nothing stands in the open side."""
+    if not len(edges):
+        return edges
+    length = np.linalg.norm(edges.ends - edges.starts, axis=1)
+    parts = np.maximum(np.ceil(length / _STEP_M), 1).astype(int)
+    of = np.repeat(np.arange(len(edges)), parts)
+    step = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+    share = (step + 0.5) / parts[of]
+    middle = edges.starts[of] + share[:, None] * (edges.ends - edges.starts)[of]
+    open_ = _circled(edges.take(of), middle, rays)
+    return _strung(edges, of, step, parts, open_)
+
+
+def _circled(edges: Edges, middle: Floats, rays: Raycaster) -> NDArray[np.bool_]:
+    """Whether an arc from face to face about each point meets nothing."""
+    steps = 12
+    share = np.linspace(0, 1, steps + 1)
+    turn = 0.12 + share * (edges.angles[:, None] * np.pi - 0.24)
+    x, n = edges.inward[:, 0], edges.normals[:, 0]
+    arc = middle[:, None] + _AROUND_M * (np.cos(turn)[..., None] * x[:, None] + np.sin(turn)[..., None] * n[:, None])
+    clear = rays.visible(arc[:, :-1].reshape(-1, 3), arc[:, 1:].reshape(-1, 3), slack_m=0.0)
+    return np.asarray(clear.reshape(-1, steps).all(1))
+
+
+def _strung(edges: Edges, of: Longs, step: Longs, parts: Longs, open_: NDArray[np.bool_]) -> Edges:
+    """Neighbouring open parts of an edge as one."""
+    begins = open_ & ~np.r_[False, open_[:-1] & (of[1:] == of[:-1])]
+    stops = open_ & ~np.r_[open_[1:] & (of[1:] == of[:-1]), False]
+    whole = edges.take(of[begins])
+    along = edges.ends[of[begins]] - edges.starts[of[begins]]
+    low, high = step[begins] / parts[of[begins]], (step[stops] + 1) / parts[of[stops]]
+    return replace(whole, starts=whole.starts + low[:, None] * along, ends=whole.starts + high[:, None] * along)

@@ -1,0 +1,172 @@
+"""Edges of conductors: strengths against Keller and against exact currents, and which edges of a mesh count."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.special import fresnel
+
+import ullage as ul
+from ullage.geometry import C0
+from ullage.kernels import fringe
+from ullage.radar.facets import prepare
+from ullage.radar.physical import path_gain_cw
+from ullage.world.scene import Scene
+
+HERE = ul.Trajectory.stationary()
+
+
+def radar(polarization="vertical"):
+    return ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic", "polarization": polarization}, noise=None)
+
+
+def edges_of(scene):
+    return prepare(scene).edges.edges
+
+
+def strength(n, phi, u=None, field=None):
+    """Fringe strength of a wedge along z whose first face is the half plane y = 0, x > 0."""
+    u = -np.array([np.cos(phi), np.sin(phi), 0.0]) if u is None else u
+    turn = n * np.pi
+    faces = (
+        (np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
+        (np.array([np.cos(turn), np.sin(turn), 0]), np.array([np.sin(turn), -np.cos(turn), 0])),
+    )
+    out = np.empty(2)
+    return sum(fringe.face(float(n), x, y, u, field, field, out) for x, y in faces)
+
+
+@pytest.mark.parametrize("n", [2.0, 1.75, 1.5, 1.2])
+def test_with_physical_optics_a_straight_edge_is_kellers(n):
+    """Broadside, fringe and both faces' optical shares make Keller's coefficient [Keller1962]."""
+    for deg in (7, 40, 89.9, 90.1, 130, 170, 190, 250, 320):
+        phi = np.radians(deg)
+        if phi >= n * np.pi:
+            continue
+        other = n * np.pi - phi
+        optical = sum(np.tan(a) / 2 for a in (phi, other) if a < np.pi)
+        direct = np.sin(np.pi / n) / n / (np.cos(np.pi / n) - 1)
+        mirrored = np.sin(np.pi / n) / n / (np.cos(np.pi / n) - np.cos(2 * phi / n))
+        soft = strength(n, phi, field=np.array([0, 0, 1.0]))
+        hard = strength(n, phi, field=np.array([-np.sin(phi), np.cos(phi), 0]))
+        assert soft + optical == pytest.approx(direct - mirrored, rel=2e-3, abs=2e-3)
+        assert -hard - optical == pytest.approx(direct + mirrored, rel=2e-3, abs=2e-3)
+
+
+def sommerfeld(x, phi, hard):
+    """Field (hard) or its normal slope (soft) on the lit side of a half plane, over kx; exact."""
+
+    def tail(a):  # integral of e^{-j t^2} from a on
+        s, c = fresnel(a * np.sqrt(2 / np.pi))
+        return np.sqrt(np.pi / 8) * (1 - 1j) - np.sqrt(np.pi / 2) * (c - 1j * s)
+
+    a = np.sqrt(2 * x) * np.cos(phi / 2)
+    g = np.exp(1j * np.pi / 4) / np.sqrt(np.pi) * np.exp(1j * x * np.cos(phi)) * tail(-a)
+    if hard:
+        return 2 * g
+    bend = np.exp(1j * np.pi / 4) / np.sqrt(np.pi) * np.exp(-1j * x) * np.sin(phi / 2) / np.sqrt(2 * x)
+    return 2 * (1j * np.sin(phi) * g + bend)
+
+
+@pytest.mark.parametrize(("deg", "mu"), [(40, 0.5), (130, -0.4), (70, -1.7), (150, -6.0), (230, 0.3)])
+def test_fringe_currents_are_those_of_the_exact_half_plane(deg, mu):
+    """The integral of exact less optical current along the face, for steps that no single angle gives."""
+    phi, loss = np.radians(deg), 0.02
+    s = (np.arange(400_000) + 0.5) * 1.5e-3  # of the root of kx, which takes the edge's singularity out
+    x = s * s / 2
+    weight = np.exp(1j * mu * x - loss * x) * s * 1.5e-3
+    out = np.empty(2)
+    fringe.fringe(2.0, phi, mu, out)
+    lit = phi < np.pi
+    optical = 2 * np.exp(1j * x * np.cos(phi)) * lit
+    hard = np.sum((sommerfeld(x, phi, True) - optical) * weight) / 2j
+    soft = np.sum((sommerfeld(x, phi, False) - 1j * np.sin(phi) * optical) * weight) / -2
+    assert hard == pytest.approx(out[1], abs=0.03)
+    assert soft == pytest.approx(out[0], abs=0.03)
+
+
+def test_transition_function():
+    x = np.array([1e-4, 0.3, 1.0, 3.0, 5.4, 5.6, 20.0])
+    s, c = fresnel(np.sqrt(2 * x / np.pi))
+    tail = np.sqrt(np.pi / 8) * (1 - 1j) - np.sqrt(np.pi / 2) * (c - 1j * s)
+    want = 2j * np.sqrt(x) * np.exp(1j * x) * tail
+    ours = np.array([fringe.transition(float(v)) for v in x])
+    assert abs(ours - want).max() < 5e-3
+
+
+def test_a_plate_is_four_rims_and_a_box_twelve_edges():
+    plate = edges_of(ul.scenes.plate(0.5, 0.3, 3.0))
+    assert sorted(np.linalg.norm(plate.ends - plate.starts, axis=1)) == pytest.approx([0.3, 0.3, 0.5, 0.5])
+    assert plate.angles == pytest.approx([2] * 4)
+    box = edges_of(cube(0.4))
+    assert box.angles == pytest.approx([1.5] * 12)
+    assert box.widths == pytest.approx(np.full((12, 2), 0.4))
+
+
+def cube(edge, *, at=(3.0, 0, 0), made_of="steel"):
+    body = trimesh.creation.box((edge, edge, edge))
+    return Scene.of_mesh(body.vertices + np.asarray(at), body.faces, name="box", made_of=made_of)
+
+
+def test_smooth_meshes_dielectrics_and_what_touches_have_no_edges():
+    assert len(edges_of(ul.scenes.sphere(0.3, 3.0))) == 0
+    assert len(edges_of(cube(0.4, made_of="wood"))) == 0
+    floor = Scene.of_mesh(np.array([[0, -3, -0.2], [6, -3, -0.2], [6, 3, -0.2], [0, 3, -0.2]]),
+                          np.array([[0, 1, 2], [0, 2, 3]]), name="floor", made_of="concrete")  # fmt: skip
+    standing = edges_of(Scene.union([cube(0.4), floor]))
+    assert len(standing) == 8
+    assert (standing.starts[:, 2] + standing.ends[:, 2] > -0.39).all()
+
+
+def test_the_rims_of_a_thin_body_are_those_of_a_sheet():
+    """The sides of a body of 0.1 mm are no faces."""
+    turn = np.array([[np.cos(0.7), -np.sin(0.7), 0], [np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
+    body = trimesh.creation.box((1e-4, 0.3, 0.3))
+    body = Scene.of_mesh(body.vertices @ turn.T + [3.0, 0, 0], body.faces, name="box", made_of="steel")
+    sheet = ul.scenes.plate(0.3, 0.3, 3.0, yaw_deg=np.degrees(0.7))
+    for pol in ("vertical", "horizontal"):
+        thick, thin = (path_gain_cw(s, HERE, radar(pol)) - path_gain_cw(s, HERE, radar(pol), edges=False)
+                       for s in (body, sheet))  # fmt: skip
+        assert abs(20 * np.log10(abs(thick / thin))) < 0.2
+
+
+def test_inside_a_closed_steel_room_no_edge_echoes():
+    room = ul.scenes.room((4, 3, 2), material="steel")
+    assert path_gain_cw(room, HERE, radar()) == path_gain_cw(room, HERE, radar(), edges=False)
+
+
+@pytest.mark.parametrize(("pol", "tilt"), [("vertical", 30), ("vertical", 50), ("horizontal", 30), ("horizontal", 50)])
+def test_a_long_strip_is_kellers_two_edges(pol, tilt):
+    """A tall strip, turned: both edges by Keller, for "horizontal" also the wave from edge to edge."""
+    width, r0 = 0.4, 4.0
+    k, t = 2 * np.pi * 7.29e9 / C0, np.radians(tilt)
+    ours = path_gain_cw(ul.scenes.plate(width, 6.0, r0, yaw_deg=tilt), HERE, radar(pol))[0]
+    total, sign = 0j, (-1 if pol == "vertical" else 1)
+    ends, r, phi = [], [], []
+    for side in (1, -1):
+        p = np.array([r0, 0.0]) + side * width / 2 * np.array([-np.sin(t), np.cos(t)])
+        inward = -side * np.array([-np.sin(t), np.cos(t)])
+        ends.append(p)
+        r.append(np.hypot(*p))
+        phi.append(np.arccos(-p @ inward / r[-1]))
+    for j in range(2):
+        keller = 0.5 * (-1 + sign * -1 / np.cos(phi[j])) * (-sign)
+        length = np.sqrt(np.pi * r[j] / k) * np.exp(-1j * np.pi / 4)  # of the stationary part
+        total += keller / (4 * np.pi * k * r[j] ** 2) * length * np.exp(-2j * k * r[j])
+    if pol == "horizontal":
+        twice = 2 * np.exp(-1j * np.pi / 4) / np.sqrt(2 * np.pi * k * width) / np.cos(phi[0] / 2) / np.cos(phi[1] / 2)
+        path = r[0] + r[1] + width
+        length = np.sqrt(2 * np.pi * r[0] * r[1] / (r[0] + r[1]) / k) * np.exp(-1j * np.pi / 4)
+        total -= twice / (4 * np.pi * k * r[0] * r[1]) * length * np.exp(-1j * k * path)
+    assert abs(20 * np.log10(abs(ours / total))) < 0.7
+    assert abs(np.angle(ours / total, deg=True)) < 8
+
+
+def test_a_moving_plate_takes_its_edges_along():
+    still = ul.scenes.plate(0.3, 0.3, 3.0, yaw_deg=40)
+    lone = ul.scenes.plate(0.3, 0.3, 3.0)
+    half = np.radians(20)
+    quat = np.array([[0, 0, np.sin(half), np.cos(half)]] * 2)
+    way = ul.Trajectory(np.array([0, 10**9]), np.array([[3.0, 0, 0]] * 2), quat)
+    moving = Scene.of_mesh(lone.vertices - [3.0, 0, 0], lone.faces, name="plate", made_of="pec", motion=way)
+    a, b = (path_gain_cw(s, HERE, radar())[0] for s in (still, moving))
+    assert a == pytest.approx(b, rel=1e-6)
