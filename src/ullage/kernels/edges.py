@@ -84,8 +84,8 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
     """
     count = 0
     image, axis = np.empty(3), np.empty(3)
-    stack = np.empty((64, 2))
-    a, b, m = np.empty(8), np.empty(8), np.empty(8)
+    stack = np.empty((64, 19))  # of pieces of an edge: where they start and end, their turn, both ends' spots
+    m = np.empty(8)
     wave = omega / C0
     for i in range(len(patches)):
         p = patches[i]
@@ -110,39 +110,52 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
             axis[k] = here[1, k] - image[k]
             length += axis[k] * axis[k]
         length = math.sqrt(length)
-        facing = 0.0
+        facing, along, square = 0.0, 0.0, 0.0
         for k in range(3):
             axis[k] /= length
             facing += axis[k] * normals[p, k]
+            along += (spheres[p, k] - image[k]) * axis[k]
+            square += (spheres[p, k] - image[k]) ** 2
         sign = 1.0 if facing > 0 else -1.0
+        round_axis = square - along * along <= 1.0001 * spheres[p, 3] * spheres[p, 3]
         winding = 0.0
         for e in range(first[p], first[p + 1]):
             size = 0.0
             for k in range(3):
                 size += (ends[e, k] - starts[e, k]) ** 2
             size = math.sqrt(size)
+            a, b = stack[0, 3:11], stack[0, 11:]
+            _spot(starts[e], ends[e], 0.0, here[1], image, axis, length, a)
+            _spot(starts[e], ends[e], 1.0, here[1], image, axis, length, b)
+            # the path over an edge is at least this: ends less half its length there and back
+            least = 0.5 * (a[3] + b[3]) - size
+            if not round_axis and (0.5 * least > gate[1] or least > length + most):
+                continue
             stack[0, 0], stack[0, 1] = 0.0, 1.0
+            stack[0, 2] = _turn(a, b, axis)
             top = 1
             while top > 0:
                 top -= 1
-                s0, s1 = stack[top, 0], stack[top, 1]
+                s0, s1, turn = stack[top, 0], stack[top, 1], stack[top, 2]
+                a, b = stack[top, 3:11], stack[top, 11:]
                 half = 0.5 * (s0 + s1)
-                _spot(starts[e], ends[e], s0, here[1], image, axis, length, a)
-                _spot(starts[e], ends[e], s1, here[1], image, axis, length, b)
                 _spot(starts[e], ends[e], half, here[1], image, axis, length, m)
-                turn = _turn(a, b, axis)
-                part = _turn(a, m, axis) / turn if abs(turn) > 1e-15 else 0.5
+                if 0.5 * (m[3] - (s1 - s0) * size) > gate[1] or m[3] - (s1 - s0) * size > length + most:
+                    winding += turn
+                    continue
+                early = _turn(a, m, axis)
+                part = early / turn if abs(turn) > 1e-15 else 0.5
                 bend = m[3] - a[3] - part * (b[3] - a[3])
                 wide = wave * abs(bend) > (0.1 if abs(turn) > 0.1 else 0.3) or (s1 - s0) * size > 0.2 * m[3]
                 round_part = part * (1 - part)
                 if round_part < 0.04 and wave * abs(b[3] - a[3]) * abs(turn) > 0.03:
                     wide = True
-                if 0.5 * (m[3] - (s1 - s0) * size) > gate[1]:
-                    winding += turn
-                    continue
                 if wide and abs(turn) > 2e-4 and top < 62 and min(a[3], b[3], m[3]) < length + most + 0.5:
-                    stack[top, 0], stack[top, 1] = s0, half
-                    stack[top + 1, 0], stack[top + 1, 1] = half, s1
+                    stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = s0, half, early
+                    stack[top, 0], stack[top, 2] = half, turn - early
+                    for k in range(8):
+                        stack[top + 1, 3 + k], stack[top + 1, 11 + k] = a[k], m[k]
+                        stack[top, 3 + k] = m[k]
                     top += 2
                     continue
                 winding += turn
@@ -222,6 +235,8 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
     """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`."""
     unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
     last = t0 + grids.shape[1] * dt
+    weights, cosines = np.zeros(gamma.shape[1], np.complex128), np.zeros(gamma.shape[1])
+    known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(pieces)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
@@ -230,11 +245,19 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
         o = owner[k] if len(origins) > 1 else 0
         scale = unit * factor[o]
         mono = _same(origins[o])
+        follows = known == k - 1 and owner[known] == owner[k]
+        for j in range(3):
+            follows = follows and pieces[known, 3 + j] == p[j]
+        known = k
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break
-            w0, c0 = _weight(p, 0, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            if follows:
+                w0, c0 = weights[tap], cosines[tap]
+            else:
+                w0, c0 = _weight(p, 0, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             w1, c1 = _weight(p, 3, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            weights[tap], cosines[tap] = w1, c1
             late = extra[k] + _late(lag, stuff, tap, 0.5 * (c0 + c1))
             mean = (0.5 * (p[6] + p[7]) + p[11]) / C0 + late
             landed = mean - math.floor((mean - t0) / fold) * fold
