@@ -37,6 +37,22 @@ def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, dista
 
 
 @njit(cache=True, nogil=True)
+def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignore[no-untyped-def]
+    """Rays between points (1 or n, 3) and (n, 3) in float32 about `centre`, short of both by `before` and `after`."""
+    for i in range(len(ends)):
+        s = i if len(starts) > 1 else 0
+        dx, dy, dz = ends[i, 0] - starts[s, 0], ends[i, 1] - starts[s, 1], ends[i, 2] - starts[s, 2]
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        per = 1.0 / max(length, 1e-12)
+        dx, dy, dz = dx * per, dy * per, dz * per
+        origin[i, 0] = starts[s, 0] + before * dx - centre[0]
+        origin[i, 1] = starts[s, 1] + before * dy - centre[1]
+        origin[i, 2] = starts[s, 2] + before * dz - centre[2]
+        ray[i, 0], ray[i, 1], ray[i, 2] = dx, dy, dz
+        reach[i] = max(length - before - after, 0.0)
+
+
+@njit(cache=True, nogil=True)
 def refine_wires(  # type: ignore[no-untyped-def]
     prim, tfar, origin, direction, first, per_wire, start, axis, length, radius, ids, face, distance, cosine
 ):

@@ -6,7 +6,7 @@ import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,14 @@ class Flats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Veil:
+    """The faces that let waves through."""
+
+    rays: Raycaster
+    stuffs: Ints  # object of each face that rays can hit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
     """What stands still together: large flat faces, small triangles in clusters, and a tree of rays over both."""
 
@@ -62,7 +70,25 @@ class Surfaces:
     first: Ints  # (k + 1)
     flats: Flats
     rays: Raycaster
-    ray_stuffs: Ints  # object of each face that rays can hit
+    solid: Scene  # the faces that rays can hit
+    t_ns: int | None
+    split: dict[bytes, tuple[Raycaster, Veil | None]] = field(default_factory=dict)
+
+    def casters(self, thin: NDArray[np.bool_]) -> tuple[Raycaster, Veil | None]:
+        """Rays over what is opaque, and over what is not, for a choice of thin objects (o); built when first asked."""
+        key = thin.tobytes()
+        if key not in self.split:
+            mine = thin[self.solid.face_object]
+            opaque, veil = self.rays, None
+            if mine.any():
+                opaque, through = (Raycaster(_only(self.solid, kept), t_ns=self.t_ns) for kept in (~mine, mine))
+                veil = Veil(through, self.solid.face_object[mine])
+            self.split[key] = opaque, veil
+        return self.split[key]
+
+
+def _only(scene: Scene, kept: NDArray[np.bool_]) -> Scene:
+    return replace(scene, faces=scene.faces[kept], face_object=scene.face_object[kept])
 
 
 def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> Surfaces:
@@ -82,7 +108,7 @@ def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> S
     small = small[order]
     mine = np.ascontiguousarray(corners[small])
     return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
-                    flats, rays, scene.face_object[index].copy())  # fmt: skip
+                    flats, rays, part, t_ns)  # fmt: skip
 
 
 def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.radar.facets import Surfaces
+from ullage.radar.facets import Surfaces, Veil
 from ullage.radar.penetration import Curtains
 
 Floats = NDArray[np.float64]
@@ -24,55 +24,63 @@ def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats, sheets: Curt
 
     1 in the open, 0 behind anything opaque; behind thin sheets what they let through, at most `SHEETS` of them.
     """
-    ray = points - origin
-    length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
-    ray /= np.maximum(length, 1e-9)[:, None]
-    factor, late = np.ones(len(points), complex), np.zeros(len(points))
-    distance, stuff, cosine = _first(parts, np.broadcast_to(origin, ray.shape), ray)
-    hidden = distance < length - SLACK_M
-    through = hidden & sheets.thin[stuff]
-    factor[hidden & ~through] = 0
-    todo = np.flatnonzero(through)
-    passed, stuff, cosine = distance[todo], stuff[todo], cosine[todo]
-    for _ in range(SHEETS):
-        if not len(todo):
-            return factor, late
-        place = np.minimum(cosine * (sheets.factor.shape[1] - 1), sheets.factor.shape[1] - 1.001)
-        low, u = place.astype(int), place % 1
-        factor[todo] *= sheets.factor[stuff, low] * (1 - u) + sheets.factor[stuff, low + 1] * u
-        late[todo] += sheets.delay_s[stuff, low] * (1 - u) + sheets.delay_s[stuff, low + 1] * u
-        passed = passed + 2 * SLACK_M
-        distance, stuff, cosine = _first(parts, origin + ray[todo] * passed[:, None], ray[todo])
-        passed = passed + distance
-        again = passed < length[todo] - SLACK_M
-        stop = again & ~sheets.thin[stuff]
-        factor[todo[stop]] = 0
-        keep = again & ~stop
-        todo, passed, stuff, cosine = todo[keep], passed[keep], stuff[keep], cosine[keep]
-    factor[todo] = 0
+    clear = np.ones(len(points), bool)
+    veils: list[Veil] = []
+    for part in parts:
+        opaque, veil = part.casters(sheets.thin)
+        clear &= opaque.visible(origin, points, slack_m=SLACK_M)
+        if veil is not None:
+            veils.append(veil)
+    factor, late = clear.astype(complex), np.zeros(len(points))
+    if veils:
+        _through(veils, origin, points, np.flatnonzero(clear), sheets, factor, late)
     return factor, late
 
 
-def _first(parts: Sequence[Surfaces], origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
-    """Distance [m], object and cos(incidence) of the first thing each ray meets; inf where there is none."""
+def _through(
+    veils: Sequence[Veil],
+    origin: Floats,
+    points: Floats,
+    todo: NDArray[np.int64],
+    sheets: Curtains,
+    factor: Complexes,
+    late: Floats,
+) -> None:
+    """Follows the rays to some of the points through sheet after sheet."""
+    ray = points[todo] - origin
+    length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
+    ray /= np.maximum(length, 1e-9)[:, None]
+    passed = np.zeros(len(todo))
+    for step in range(SHEETS + 1):
+        distance, stuff, cosine = _first(veils, origin + ray * passed[:, None], ray)
+        passed = passed + distance
+        met = passed < length - SLACK_M
+        todo, passed, stuff, cosine = todo[met], passed[met] + 2 * SLACK_M, stuff[met], cosine[met]
+        ray, length = ray[met], length[met]
+        if not len(todo):
+            return
+        if step < SHEETS:
+            place = np.minimum(cosine * (sheets.factor.shape[1] - 1), sheets.factor.shape[1] - 1.001)
+            low, u = place.astype(int), place % 1
+            factor[todo] *= sheets.factor[stuff, low] * (1 - u) + sheets.factor[stuff, low + 1] * u
+            late[todo] += sheets.delay_s[stuff, low] * (1 - u) + sheets.delay_s[stuff, low + 1] * u
+    factor[todo] = 0
+
+
+def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
+    """Distance [m], object and cos(incidence) of the first sheet each ray meets; inf where there is none."""
     least = np.full(len(rays), np.inf)
     stuff, cosine = np.zeros(len(rays), np.int32), np.ones(len(rays))
-    for part in parts:
-        face, distance = part.rays.hits(origins, rays)
+    for veil in veils:
+        face, distance, slope = veil.rays.trace(origins, rays)
         near = np.flatnonzero((face >= 0) & (distance < least))
-        hit = face[near]
-        least[near], stuff[near] = distance[near], part.ray_stuffs[hit]
-        cosine[near] = abs(np.einsum("ni,ni->n", part.rays.normals[hit], rays[near]))
+        least[near], stuff[near], cosine[near] = distance[near], veil.stuffs[face[near]], slope[near]
     return least, stuff, cosine
 
 
 def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> NDArray[np.bool_]:
     """Whether nothing stands between the points a (n, 3) and b (n, 3), which may lie on surfaces."""
-    ray = b - a
-    length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
-    ray /= np.maximum(length, 1e-9)[:, None]
     clear = np.ones(len(a), bool)
     for part in parts:
-        _, distance = part.rays.hits(a + SLACK_M * ray, ray)
-        clear &= distance >= length - 2 * SLACK_M
-    return np.asarray(clear | (length < 4 * SLACK_M))
+        clear &= part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
+    return clear

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Trajectory
 from ullage.errors import InputError
-from ullage.kernels.rays import refine_faces, refine_wires
+from ullage.kernels.rays import aim, refine_faces, refine_wires
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -87,17 +87,26 @@ class Raycaster:
         return np.where(reach < _FAR, reach.astype(np.float64), np.inf)
 
     def visible(
-        self, origin: ArrayLike, targets: ArrayLike, *, slack_m: float = 1e-3, t_ns: ArrayLike | None = None
+        self,
+        origin: ArrayLike,
+        targets: ArrayLike,
+        *,
+        slack_m: float = 1e-3,
+        leave_m: float = 0.0,
+        t_ns: ArrayLike | None = None,
     ) -> NDArray[np.bool_]:
-        """Whether nothing stands between origin (3) or (n, 3) and each target (n, 3), but for the last `slack_m`."""
-        goal = np.asarray(targets, np.float64).reshape(-1, 3)
-        ray = goal - np.asarray(origin, np.float64)
-        length = np.linalg.norm(ray, axis=1)
-        start, rays = _rays(origin, ray / np.maximum(length, 1e-12)[:, None])
-        clear = np.ones(len(rays), bool)
-        reach = np.maximum(length - slack_m, 0.0).astype(np.float32)
+        """Whether nothing stands between origin (3) or (n, 3) and each target (n, 3).
+
+        What stands within `slack_m` of the target or `leave_m` of the origin does not count.
+        """
+        ends = np.ascontiguousarray(np.asarray(targets, np.float64).reshape(-1, 3))
+        starts = np.ascontiguousarray(np.asarray(origin, np.float64).reshape(-1, 3))
+        clear = np.ones(len(ends), bool)
         for body in self._bodies:
-            clear &= body.query(*self._seen_by(body, start, rays, t_ns), "OCCLUDED", reach) < 0
+            here, there = starts, ends
+            if body.motion is not None:
+                here, there = (self._seen_by(body, p, p, t_ns)[0] for p in (np.broadcast_to(starts, ends.shape), ends))
+            clear &= body.open(here, there, leave_m, slack_m)
         return clear
 
     def _seen_by(self, body: _Body, start: Floats, rays: Floats, t_ns: ArrayLike | None) -> tuple[Floats, Floats]:
@@ -133,6 +142,13 @@ class _Body:
     def query(self, start: Floats, rays: Floats, query: str, reach: NDArray[np.float32]) -> NDArray[Any]:
         near = np.subtract(start, self.centre, dtype=np.float64).astype(np.float32)
         return np.asarray(self.tree.run(near, rays.astype(np.float32), dists=reach.copy(), query=query))
+
+    def open(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> NDArray[np.bool_]:
+        """Whether nothing of this body stands between points, but for the first and last metres given."""
+        origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
+        reach = np.empty(len(ends), np.float32)
+        aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
+        return np.asarray(self.tree.run(origin, ray, dists=reach, query="OCCLUDED") < 0)
 
     def meet(self, start: Floats, rays: Floats, face: Ints, distance: Floats, cosine: Floats) -> None:
         near = (start - self.centre).astype(np.float32)
