@@ -304,8 +304,10 @@ def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, f
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def crossings(patches, windings, normals, offsets, origins, points, lengths):  # type: ignore[no-untyped-def]
+def crossings(patches, windings, normals, offsets, origins, gate, points, lengths):  # type: ignore[no-untyped-def]
     """Where the lines from image to receiver cross the faces that hold them: points (k, 3) and lengths (k) [m].
+
+    Those whose mean range lies beyond the gate's end are left out, as their rims are.
 
     Returns:
         How many there are; `patches` is compacted to match, in place.
@@ -323,6 +325,8 @@ def crossings(patches, windings, normals, offsets, origins, points, lengths):  #
             ahead += normals[p, k] * here[1, k]
             behind -= normals[p, k] * image[k]
             square += (here[1, k] - image[k]) ** 2
+        if square > 4 * gate[1] * gate[1]:
+            continue
         share = behind / (ahead + behind)
         for k in range(3):
             points[count, k] = image[k] + share * (here[1, k] - image[k])

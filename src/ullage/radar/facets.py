@@ -46,6 +46,7 @@ class Flats:
     mirrors: Floats  # (c, MIRROR_CORNERS, 3) convex parts that can mirror [m]
     sizes: Ints  # (c) corners of each
     flat_of: Ints  # (c) face of each
+    widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -162,7 +163,20 @@ def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int
     a, b = np.ascontiguousarray(a[order]), np.ascontiguousarray(b[order])
     spheres = _spheres(np.stack([a, b], 1), first)
     mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
-    return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of)
+    return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of,
+                 _widths(normal, first, a, b))  # fmt: skip
+
+
+def _widths(normals: Floats, first: Ints, starts: Floats, ends: Floats) -> Floats:
+    """Extent (p, 2) of each face along its longest edge and across it [m]."""
+    out = np.zeros((len(normals), 2))
+    for p in range(len(normals)):
+        mine = slice(first[p], first[p + 1])
+        edge = ends[mine] - starts[mine]
+        size = np.linalg.norm(edge, axis=1)
+        along = edge[size.argmax()] / size.max()
+        out[p] = np.ptp(starts[mine] @ np.stack([along, np.cross(normals[p], along)], 1), axis=0)
+    return out
 
 
 def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> tuple[NDArray[np.int64], Ints, Ints]:
@@ -248,7 +262,8 @@ def joined(parts: Sequence[Flats]) -> Flats:
     return Flats(loose("normals"), loose("offsets"), loose("stuffs").astype(np.int32), loose("spheres"),
                  strung("first", "starts"), loose("starts"), loose("ends"),
                  np.concatenate(loop_of).astype(np.int32), np.concatenate(loops).astype(np.int32), loose("mirrors"),
-                 loose("sizes").astype(np.int32), np.concatenate(flat_of).astype(np.int32))  # fmt: skip
+                 loose("sizes").astype(np.int32), np.concatenate(flat_of).astype(np.int32),
+                 loose("widths"))  # fmt: skip
 
 
 def _clusters(centres: Floats, sizes: Floats) -> tuple[NDArray[np.int64], Ints]:

@@ -216,7 +216,8 @@ def _lay_flats(
         pieces, owner, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)), echo, delay
     )
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], points, lengths)
+    count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], np.array(ready.gate),
+                          points, lengths)  # fmt: skip
     points, lengths, which = points[:count], lengths[:count], which[:count]
     shade, extra = _zone_shading(ready, parts, flats, view, points, which, lengths)
     bright, when = np.empty(count, complex), np.empty(count)

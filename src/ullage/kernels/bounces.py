@@ -1,0 +1,216 @@
+"""Loops over paths of several bounces: where they go, and what their reflections make of the field."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stand_ins(middle, pieces, owner, points, which, out):  # type: ignore[no-untyped-def]
+    """One point (b, 3) on each beam's lit part to speak for it: the mirror point, or where the rim's path is least.
+
+    Args:
+        middle: (b, 3) a point well inside each lit part [m].
+        pieces: (m, 12) pieces of rim, as `edges.cut` gives them.
+        owner: (m) beam of each piece.
+        points: (k, 3) mirror points [m].
+        which: (k) beam of each.
+        out: (b, 3) gets the points, a hair inside the rim [m].
+    """
+    count = len(middle)
+    least = np.full(count, np.inf)
+    out[:] = middle
+    for j in range(len(pieces)):
+        i, path = owner[j], pieces[j, 6] + pieces[j, 7]
+        if path <= least[i]:
+            least[i] = path
+            for k in range(3):
+                out[i, k] = 0.5 * (pieces[j, k] + pieces[j, 3 + k])
+    for j in range(len(points)):
+        out[which[j]] = points[j]
+    for i in range(count):
+        square = 0.0
+        for k in range(3):
+            square += (middle[i, k] - out[i, k]) ** 2
+        share = min(0.02 / max(math.sqrt(square), 1e-9), 0.5)
+        for k in range(3):
+            out[i, k] += share * (middle[i, k] - out[i, k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
+    """Where the line from an image to a target crosses a face's plane."""
+    here, there = -offset, -offset
+    for k in range(3):
+        here += normal[k] * image[k]
+        there += normal[k] * target[k]
+    span = here - there
+    share = here / (span if abs(span) > 1e-12 else 1.0)
+    share = min(max(share, 0.0), 1.0)
+    for k in range(3):
+        out[k] = image[k] + share * (target[k] - image[k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: ignore[no-untyped-def]
+    """Corners (b, 5, 3) of each path from transmitter to receiver; one mirror only: the first corner twice.
+
+    Args:
+        images: (b, 3) the transmitter's last image, and firsts: (b, 3) its first [m].
+        chains: (b, 2) faces that mirror, -1 for none.
+        normals: (p, 3) and offsets: (p) of the faces.
+        origins: (2, 3) transmitter and receiver [m].
+        lit: (b, 3) point on the face at the end of each path [m].
+        out: gets the corners [m].
+    """
+    for i in range(len(lit)):
+        out[i, 0], out[i, 3], out[i, 4] = origins[0], lit[i], origins[1]
+        last = chains[i, 0] if chains[i, 1] < 0 else chains[i, 1]
+        _cross(images[i], lit[i], normals[last], offsets[last], out[i, 2])
+        if chains[i, 1] < 0:
+            out[i, 1] = origins[0]
+        else:
+            first = chains[i, 0]
+            _cross(firsts[i], out[i, 2], normals[first], offsets[first], out[i, 1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def middles(first, edges, out):  # type: ignore[no-untyped-def]
+    """Mean corner (b, 3) of the outlines of beams."""
+    for i in range(len(first) - 1):
+        for k in range(3):
+            out[i, k] = 0.0
+        for e in range(first[i], first[i + 1]):
+            for k in range(3):
+                out[i, k] += edges[e, 0, k] / (first[i + 1] - first[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cover(paths, chains, normals, widths, wavelength, out):  # type: ignore[no-untyped-def]
+    """How much of a wave each path's mirrors (b, 2) reflect, multiplied into `out` (b): all, or what they cover.
+
+    A mirror smaller than the Fresnel zone sqrt(lambda d1 d2 / (d1 + d2)) reflects, by Kirchhoff's integral, the area
+    it covers over that of the zone's square, side by side; d1 is the way to it, d2 the way on to the last face.
+
+    Args:
+        paths: (b, 5, 3) corners from transmitter to receiver [m].
+        chains: (b, 2) faces that mirror, -1 for none.
+        normals: (p, 3) and widths: (p, 2) of the faces [m].
+        wavelength: [m].
+        out: (b) multiplied.
+    """
+    size = np.empty(3)
+    for i in range(len(paths)):
+        total = 0.0
+        for j in range(3):
+            square = 0.0
+            for k in range(3):
+                square += (paths[i, j + 1, k] - paths[i, j, k]) ** 2
+            size[j] = math.sqrt(square)
+            total += size[j]
+        for step in range(2):
+            face = chains[i, step]
+            if face < 0:
+                continue
+            corner = 1 if step == 0 and chains[i, 1] >= 0 else 2
+            before = size[0] if corner == 1 else size[0] + size[1]
+            along = 0.0
+            for k in range(3):
+                along += normals[face, k] * (paths[i, corner + 1, k] - paths[i, corner, k])
+            cosine = abs(along) / max(size[corner], 1e-9)
+            zone = math.sqrt(wavelength * before * max(total - before, 0.0) / max(total, 1e-9))
+            for k in range(2):
+                out[i] *= min(1.0, widths[face, k] * math.sqrt(cosine) / max(zone, 1e-9))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unit(a, b, out):  # type: ignore[no-untyped-def]
+    size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    for k in range(3):
+        out[k] = (b[k] - a[k]) / max(size, 1e-12)
+    return size
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _across(field, unit, out):  # type: ignore[no-untyped-def]
+    """The unit field across the direction of travel."""
+    along = field[0] * unit[0] + field[1] * unit[1] + field[2] * unit[2]
+    square = 0.0
+    for k in range(3):
+        out[k] = field[k] - along * unit[k]
+        square += out[k] * out[k]
+    for k in range(3):
+        out[k] /= max(math.sqrt(square), 1e-9)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
+    """Turns the field (3) into that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
+    cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
+    place = min(cosine, 1.0) * (gamma.shape[3] - 1)
+    i = min(int(place), gamma.shape[3] - 2)
+    w = place - i
+    te = gamma[stuff, 0, 0, i] * (1 - w) + gamma[stuff, 0, 0, i + 1] * w
+    tm = gamma[stuff, 0, 1, i] * (1 - w) + gamma[stuff, 0, 1, i + 1] * w
+    sx, sy, sz = u[1] * n[2] - u[2] * n[1], u[2] * n[0] - u[0] * n[2], u[0] * n[1] - u[1] * n[0]
+    size = max(math.sqrt(sx * sx + sy * sy + sz * sz), 1e-12)
+    sx, sy, sz = sx / size, sy / size, sz / size
+    across = (te - tm) * (sx * field[0] + sy * field[1] + sz * field[2])
+    field[0], field[1], field[2] = tm * field[0] + across * sx, tm * field[1] + across * sy, tm * field[2] + across * sz
+    twice = 2 * (n[0] * field[0] + n[1] * field[1] + n[2] * field[2])
+    for k in range(3):
+        field[k] -= twice * n[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mirrored(n, vector):  # type: ignore[no-untyped-def]
+    twice = 2 * (n[0] * vector[0] + n[1] * vector[1] + n[2] * vector[2])
+    for k in range(3):
+        vector[k] -= twice * n[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, factor, frames_out, fields_out):  # type: ignore[no-untyped-def]
+    """What all reflections along each path make of the transmitted field, as the receiver's polarisation takes it.
+
+    Args:
+        paths: (b, 5, 3) corners from transmitter to receiver [m].
+        chains: (b, 2) faces that mirror, -1 for none; ends_on: (b) the face at the end.
+        normals: (p, 3) and stuffs: (p) of the faces.
+        gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
+        frames: (2, 3, 3) sensor_from_world and fields: (2, 3) of transmitter and receiver.
+        factor: (b) multiplied by the reflections; paths where it is 0 are left alone.
+        frames_out: (b, 2, 3, 3) gets the frames, the transmitter's as its last image holds it.
+        fields_out: (b, 2, 3) gets the fields likewise.
+    """
+    unit, start, taken = np.empty(3), np.empty(3), np.empty(3)
+    field = np.empty(3, np.complex128)
+    for i in range(len(paths)):
+        frames_out[i], fields_out[i] = frames, fields
+        for step in range(2):
+            if chains[i, step] >= 0:
+                n = normals[chains[i, step]]
+                for row in range(3):
+                    _mirrored(n, frames_out[i, 0, row])
+                _mirrored(n, fields_out[i, 0])
+        if factor[i] == 0:
+            continue
+        double = chains[i, 1] >= 0
+        if _unit(paths[i, 0], paths[i, 1], unit) <= 1e-9:
+            _unit(paths[i, 1], paths[i, 2], unit)
+        _across(fields[0], unit, start)
+        for k in range(3):
+            field[k] = start[k]
+        if double:
+            _reflect(gamma, stuffs[chains[i, 0]], normals[chains[i, 0]], unit, field)
+        face = chains[i, 1] if double else chains[i, 0]
+        _unit(paths[i, 1], paths[i, 2], unit)
+        _reflect(gamma, stuffs[face], normals[face], unit, field)
+        _unit(paths[i, 2], paths[i, 3], unit)
+        _reflect(gamma, stuffs[ends_on[i]], normals[ends_on[i]], unit, field)
+        _unit(paths[i, 3], paths[i, 4], unit)
+        _across(fields[1], unit, taken)
+        factor[i] *= field[0] * taken[0] + field[1] * taken[1] + field[2] * taken[2]
