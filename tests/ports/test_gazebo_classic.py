@@ -13,7 +13,7 @@ from ullage.errors import InputError
 pytest.importorskip("google.protobuf")
 
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Heard, Lost, Met
-from ullage.ports.gazebo_classic.source import ClassicSource
+from ullage.ports.gazebo_classic.source import source_of
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
 
 
@@ -168,7 +168,7 @@ def test_an_interface_that_is_not_ours_is_refused():
 def test_no_server_is_said():
     said = []
     options = {"world": "ntnu-room", "model": "x", "fidelity": "thesis"}
-    source = ClassicSource("127.0.0.1:1", options, say=said.append)
+    source = source_of("127.0.0.1:1", options, say=said.append)
     source._feed._last_s -= 10
     source._bunch(8)
     source.close()

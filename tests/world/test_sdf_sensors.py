@@ -85,6 +85,16 @@ def test_a_radar_needs_no_sensor_around_it(tmp_path):
         scene.rig("x")
 
 
+def test_a_lidar_may_be_a_radar_too(tmp_path):
+    more = """<model name="other"><link name="l"><sensor name="lidar" type="gpu_lidar"><pose>1 2 3 0 0 0</pose>
+      <lidar><scan><horizontal><samples>9</samples><min_angle>-1</min_angle><max_angle>1</max_angle></horizontal>
+      <vertical><samples>9</samples><min_angle>-1</min_angle><max_angle>1</max_angle></vertical></scan></lidar>
+      <ullage:radar/></sensor></link></model>"""
+    spec = ul.load_scene(written(tmp_path, more=more)).rig("other").sensors["lidar"]
+    assert spec.mount.position_m == (1, 2, 3)
+    assert spec.thesis.rays_per_side == 9
+
+
 @pytest.mark.parametrize(
     ("inside", "words"),
     [

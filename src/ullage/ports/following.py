@@ -16,7 +16,7 @@ from ullage.data import Floats, Frames, Trajectory, joined
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.protocol import Item, one_or_all
 from ullage.radar.live import LiveRadars
-from ullage.specs import Rig, Spec
+from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
 Say = Callable[[str], None]
@@ -35,6 +35,7 @@ class FollowOptions(Spec):
     model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
     world: str = Field("", description="library world or file that the simulator runs; none: asked of the simulator")
     rig: str = Field("", description="rig preset, or SDF/URDF file of the model; none: as declared, or thesis-4")
+    rays: str = Field("", description="name of a ray or lidar sensor of the model: frames of its rays, not of ours")
     fidelity: Literal["physical", "thesis"] = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     seed: int = Field(0, ge=0)
@@ -272,6 +273,11 @@ def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
     from ullage.world.load import load_scene
 
     return load_scene(name).rig(model)
+
+
+def radar_of(rig: Rig, name: str) -> RadarSpec:
+    """The radar of this name, or the first: whose range axis and noise a ray sensor is given."""
+    return rig.sensors.get(name) or next(iter(rig.sensors.values()))
 
 
 Following = TypeVar("Following", bound=FollowOptions)

@@ -1,9 +1,10 @@
 """Radars that an SDF file declares on its models, as rigs.
 
-In a link, `<sensor type="custom" gz:type="ullage_radar">`, as gz-sim has sensors of others' making, or an
-`<ullage:radar>` of its own, which Gazebo Classic and URDF take too. Pose and update_rate are the sensor's; a `<ray>` or
-`<lidar>` block sets the fan, range and noise of the thesis' model [Billdal2018, ch. 4]; `<ullage:radar>` holds any
-field of RadarSpec by name, with groups of fields nested, and `<preset>`.
+In a link, `<sensor type="custom" gz:type="ullage_radar">`, as gz-sim has sensors of others' making; or any sensor that
+holds an `<ullage:radar>`, as a lidar that the radar stands beside; or an `<ullage:radar>` alone, which Gazebo Classic
+and URDF take too. Pose and update_rate are the sensor's; a `<ray>` or `<lidar>` block sets the fan, range and noise of
+the thesis' model [Billdal2018, ch. 4]; `<ullage:radar>` holds any field of RadarSpec by name, with groups of fields
+nested, and `<preset>`.
 """
 
 from __future__ import annotations
@@ -18,15 +19,13 @@ from numpy.typing import NDArray
 
 from ullage.errors import InputError
 from ullage.geometry import invert
-from ullage.specs import MountSpec, RadarSpec, Rig, ThesisSpec
+from ullage.specs import MountSpec, RadarSpec, Rig
 from ullage.world.sdf_frames import ScopeFrames
 from ullage.world.sdf_parse import NAMESPACE, Node, read_pose
 from ullage.world.sdf_tree import Link
 
 Floats = NDArray[np.float64]
 KIND = "ullage_radar"
-RAY_TYPES = ("ray", "gpu_ray", "lidar", "gpu_lidar")
-"""Types of the sensors whose ranges and intensities Gazebo itself makes."""
 
 
 def rigs_of(world: ScopeFrames) -> dict[str, Rig]:
@@ -44,23 +43,6 @@ def rigs_of(world: ScopeFrames) -> dict[str, Rig]:
             sensors[called if called not in sensors else f"{link.name}::{called}"] = spec
         if sensors:
             out[name] = Rig(sensors=sensors)
-    return out
-
-
-def rays_of(world: ScopeFrames) -> dict[str, dict[str, tuple[ThesisSpec, MountSpec]]]:
-    """Gazebo's own ray sensors of each model by its name: their fans, and where they sit in the model's frame.
-
-    Raises:
-        InputError: one is declared in a way that cannot be.
-    """
-    out: dict[str, dict[str, tuple[ThesisSpec, MountSpec]]] = {}
-    for name, frames in _models(world, ""):
-        for link in frames.scope.links:
-            for node in link.node.children("sensor"):
-                if node.attribute("type") in RAY_TYPES:
-                    pose = frames.scope_from_pose(read_pose(node), link.name, at=node.place)
-                    found = (ThesisSpec(**_fan(node)), _mount(pose))
-                    out.setdefault(name, {})[node.name] = found
     return out
 
 
@@ -109,7 +91,8 @@ def _declared(frames: ScopeFrames) -> Iterator[tuple[Node, Floats, Link]]:
 def _in_links(frames: ScopeFrames, model_from_world: Floats) -> Iterator[tuple[Node, Floats, Link]]:
     model_from_here = model_from_world @ frames.world_from_scope()
     for link in frames.scope.links:
-        sensors = [s for s in link.node.children("sensor") if _custom_type(s) == KIND]
+        every = link.node.children("sensor")
+        sensors = [s for s in every if _custom_type(s) == KIND or next(_own(s), None) is not None]
         for node in [*sensors, *_own(link.node)]:
             yield node, model_from_here @ frames.scope_from_pose(read_pose(node), link.name, at=node.place), link
 

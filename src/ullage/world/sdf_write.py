@@ -1,4 +1,4 @@
-"""Worlds written as SDF 1.9 and OBJ meshes, byte for byte the same every time [SDFormat]."""
+"""Worlds written as SDF 1.7 and OBJ meshes, byte for byte the same every time [SDFormat]."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HEAD = """<?xml version="1.0"?>
 <!-- {title}
      Written by `python -m ullage.world.library`; lengths in metres, x east, y north, z up.
      The radar reads the collision shapes, <ullage:material> and <laser_retro> (the thesis' reflection coefficient). -->
-<sdf version="1.9" xmlns:ullage="{namespace}">
+<sdf version="1.7" xmlns:ullage="{namespace}">
   <world name="{name}">
     <gravity>0 0 -9.80665</gravity>
     <light type="directional" name="sun">

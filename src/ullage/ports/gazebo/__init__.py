@@ -12,9 +12,9 @@ __all__ = ["open_sink", "open_source"]
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
     """Frames of radars on a model in a running Gazebo: `gazebo:WORLD?model=NAME&key=value`."""
-    from ullage.ports.gazebo.source import GazeboSource
+    from ullage.ports.gazebo.source import source_of
 
-    return GazeboSource(address, options)
+    return source_of(address, options)
 
 
 def open_sink(address: str, options: dict[str, Any]) -> Sink:

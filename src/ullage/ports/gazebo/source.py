@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
-from ullage.data import Frames
+from ullage.data import Floats, Frames
+from ullage.errors import InputError
+from ullage.geometry import matrix_quat, quat_matrix
 from ullage.ports.following import (
     PATIENCE_S,
     FollowOptions,
@@ -18,10 +22,12 @@ from ullage.ports.following import (
     Sighting,
     opened,
     options_of,
+    radar_of,
 )  # fmt: skip
 from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
+from ullage.ports.scanning import Scan, ScanSource
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")
 STATS = re.compile(r"/world/([^/]+)/stats")
@@ -31,13 +37,14 @@ class GazeboOptions(FollowOptions):
     """What can be set about `gazebo:`."""
 
     topic: str = Field("", description="topic of the poses; none: /world/WORLD/dynamic_pose/info or pose/info")
+    scan_topic: str = Field("", description="topic of the rays; none: the usual one of the model's sensor")
     partition: str | None = Field(None, description="none: GZ_PARTITION, or this host and user")
 
 
 class PoseFeed:
     """Poses of one model from Gazebo's stream, and what becomes of the server."""
 
-    def __init__(self, peer: Peer, options: GazeboOptions, world: str) -> None:
+    def __init__(self, peer: Peer, options: GazeboOptions, world: str, mount: Floats) -> None:
         self._peer, self._options, self.world = peer, options, world
         self.package = "gz.msgs"
         self.newest_ns = 0
@@ -48,11 +55,13 @@ class PoseFeed:
         self._last_s, self._told_s = time.monotonic(), 0.0
         self._paused = False
         self._topics: RadarTopics | None = None
+        self._mount, self._scan_topic = mount, ""
+        self._at: Sighting | None = None
         if options.topic:
             peer.subscribe(options.topic)
 
-    def next(self, timeout_s: float) -> Sighting | Note | None:
-        """The next pose of the model, or something to say."""
+    def next(self, timeout_s: float) -> Any:
+        """The next pose of the model or scan of its rays, or something to say."""
         end = time.monotonic() + timeout_s
         while True:
             event = self._peer.wait(max(0.0, end - time.monotonic()))
@@ -62,16 +71,39 @@ class PoseFeed:
             if found is not None:
                 return found
 
-    def _take(self, event: Heard | Came | Gone) -> Sighting | Note | None:
+    def _take(self, event: Heard | Came | Gone) -> Sighting | Scan | Note | None:
         if isinstance(event, Came):
             return self._met(event)
         if isinstance(event, Gone):
             return self._lost(event)
         if STATS.fullmatch(event.topic):
             return self._status(event)
-        return self._pose(event)
+        if event.topic == self._scan_topic:
+            return self._scan(event)
+        found = self._pose(event)
+        if self._options.rays and isinstance(found, Sighting):
+            self._at = found
+            return None
+        return found
+
+    def _scan(self, event: Heard) -> Scan | None:
+        """A scan, cast from where the model was last seen."""
+        told = _read("LaserScan", event)
+        if told is None or self._at is None:
+            return None
+        shape = (max(int(told.vertical_count), 1), int(told.count))
+        stamp = told.header.stamp
+        mounted = transform_of(self._at) @ self._mount
+        return Scan(
+            stamp.sec * 10**9 + stamp.nsec, np.array(told.ranges).reshape(shape),
+            np.array(told.intensities).reshape(shape), math.degrees(told.angle_max - told.angle_min),
+            told.range_min, told.range_max, tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])),
+        )  # fmt: skip
 
     def _met(self, event: Came) -> Note | None:
+        if self._options.rays and self._is_scan(event.topic):
+            self._scan_topic = event.topic
+            self._peer.subscribe(event.topic)
         found = POSES.fullmatch(event.topic)
         ours = event.topic == self._options.topic or (
             found is not None and not self._options.topic and self.world in ("", found[1])
@@ -86,6 +118,10 @@ class PoseFeed:
         self._servers.add(event.process)
         self._peer.subscribe(event.topic)
         return Note(f"Gazebo gives poses on {event.topic}") if fresh else None
+
+    def _is_scan(self, topic: str) -> bool:
+        usual = f"/model/{self._options.model}/" in topic and topic.endswith(f"/sensor/{self._options.rays}/scan")
+        return topic == self._options.scan_topic if self._options.scan_topic else usual
 
     def _lost(self, event: Gone) -> Note | None:
         if event.process not in self._servers:
@@ -152,7 +188,14 @@ class PoseFeed:
         self._peer.close()
 
 
-class GazeboSource(FollowSource):
+def transform_of(found: Sighting) -> Floats:
+    """The transform (4, 4) from the model to the world."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = quat_matrix(np.array(found.quat_xyzw)), found.position
+    return out
+
+
+def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource | ScanSource:
     """Frames of radars on a model of a running Gazebo: `gazebo:WORLD?model=NAME`.
 
     Args:
@@ -164,13 +207,21 @@ class GazeboSource(FollowSource):
         InputError: an option cannot be used, or no world is known.
         MissingExtra: pyzmq or protobuf is not installed.
     """
+    where = f"gazebo:{address}"
+    chosen, scene, rig = opened(options_of(GazeboOptions, options, where), where)
+    mount = np.eye(4)
+    if chosen.rays:
+        if chosen.rays not in rig.sensors:
+            allowed = f"a sensor of the world's file that holds <ullage:radar>: {', '.join(rig.sensors)}"
+            raise InputError(f"where {chosen.rays!r} sits is not known", where=where, allowed=allowed)
+        mount = rig.sensors[chosen.rays].mount.body_from_sensor()
 
-    def __init__(self, address: str, options: dict[str, Any], *, say: Say | None = None) -> None:
-        where = f"gazebo:{address}"
-        chosen, scene, rig = opened(options_of(GazeboOptions, options, where), where)
-        super().__init__(
-            lambda: PoseFeed(Peer(chosen.host, chosen.partition), chosen, address), scene, rig, chosen, say=say
-        )
+    def join() -> PoseFeed:
+        return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mount)
+
+    if chosen.rays:
+        return ScanSource(join, radar_of(rig, chosen.rays), chosen, scene=scene, say=say)
+    return FollowSource(join, scene, rig, chosen, say=say)
 
 
 def _read(kind: str, event: Heard) -> Any | None:

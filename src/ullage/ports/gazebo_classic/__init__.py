@@ -12,9 +12,9 @@ __all__ = ["open_sink", "open_source"]
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
     """Frames of radars on a model in a running gzserver: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
-    from ullage.ports.gazebo_classic.source import ClassicSource
+    from ullage.ports.gazebo_classic.source import source_of
 
-    return ClassicSource(address, options)
+    return source_of(address, options)
 
 
 def open_sink(address: str, options: dict[str, Any]) -> Sink:

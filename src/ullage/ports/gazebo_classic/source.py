@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from ullage.data import Frames
@@ -18,10 +20,12 @@ from ullage.ports.following import (
     Sighting,
     opened,
     options_of,
+    radar_of,
 )
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Heard, Lost, Met, type_of
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
+from ullage.ports.scanning import Scan, ScanSource
 
 ASK_S = 0.5
 """How often the server is asked for the model while no pose of it comes: it tells of what moves only."""
@@ -36,7 +40,7 @@ class ClassicOptions(FollowOptions):
 
 
 class ClassicFeed:
-    """Poses of one model from a gzserver, and what becomes of the server."""
+    """Poses of one model from a gzserver, or scans of its rays, and what becomes of the server."""
 
     def __init__(self, peer: ClassicPeer, options: ClassicOptions) -> None:
         self._peer, self._options, self.world = peer, options, options.gazebo_world
@@ -49,8 +53,8 @@ class ClassicFeed:
         self._told_s = 0.0
         self._topics: RadarTopics | None = None
 
-    def next(self, timeout_s: float) -> Sighting | Note | None:
-        """The next pose of the model, or something to say."""
+    def next(self, timeout_s: float) -> Any:
+        """The next pose of the model or scan of its rays, or something to say."""
         end = time.monotonic() + timeout_s
         while True:
             event = self._peer.wait(max(0.0, end - time.monotonic()))
@@ -60,7 +64,7 @@ class ClassicFeed:
             if found is not None:
                 return found
 
-    def _take(self, event: Heard | Met | Lost) -> Sighting | Note | None:
+    def _take(self, event: Heard | Met | Lost) -> Sighting | Scan | Note | None:
         if isinstance(event, Met):
             return self._met(event)
         if isinstance(event, Lost):
@@ -68,9 +72,14 @@ class ClassicFeed:
             return Note("gzserver has gone; waiting for it to come back (Ctrl-C ends)")
         self._last_s = time.monotonic()
         what = event.topic.rpartition("/")[2]
+        if what == "scan":
+            return scan_of(gz().LaserScanStamped.FromString(event.data))
         if what == "info":
             return self._poses(event)
-        return self._status(event) if what == "world_stats" else self._answer(event)
+        if what == "world_stats":
+            return self._status(event)
+        told = gz().Response.FromString(event.data)
+        return self._answer(told) if told.id == self._number else None
 
     def _met(self, event: Met) -> Note | None:
         worlds = [name for name in event.worlds if name and not name.startswith("/")]
@@ -78,7 +87,9 @@ class ClassicFeed:
             return None
         self._there, self.world = True, self.world or worlds[0]
         root = f"/gazebo/{self.world}"
-        kinds = {"pose/info": "PosesStamped", "world_stats": "WorldStatistics", "response": "Response"}
+        kinds = {"world_stats": "WorldStatistics", "response": "Response"}
+        if not self._options.rays:
+            kinds["pose/info"] = "PosesStamped"
         for name, kind in kinds.items():
             self._peer.subscribe(f"{root}/{name}", type_of(kind))
         self._peer.advertise(f"{root}/request", type_of("Request"))
@@ -112,23 +123,38 @@ class ClassicFeed:
         ask = gz().Request(id=self._number, request=what, data=data)
         self._peer.publish(f"/gazebo/{self.world}/request", ask)
 
-    def _answer(self, event: Heard) -> Sighting | Note | None:
-        told = gz().Response.FromString(event.data)
-        if told.id != self._number:
-            return None
+    def _answer(self, told: Any) -> Sighting | Note | None:
         if told.request == "scene_info":
             names = [model.name for model in gz().Scene.FromString(told.serialized_data).model]
             return Note(f"no model {self._options.model!r} in gzserver (there are {', '.join(names[:12])})")
         if told.type != type_of("Model"):
-            gone, self._known = self._known, False
-            if gone:
-                return Note(f"the model {self._options.model!r} has gone from gzserver; waiting for it to come back")
-            self._ask("scene_info", "")
-            return None
+            return self._absent()
+        if self._options.rays:
+            return self._sensor(told)
         asked_ns, self._asked_ns, self._known = self._asked_ns, None, True
         if asked_ns is None:
             return None
         return self._seen(max(asked_ns - STILL_NS, 0), gz().Model.FromString(told.serialized_data).pose)
+
+    def _absent(self) -> Note | None:
+        if self._known:
+            self._known = False
+            return Note(f"the model {self._options.model!r} has gone from gzserver; waiting for it to come back")
+        self._ask("scene_info", "")
+        return None
+
+    def _sensor(self, told: Any) -> Note | None:
+        """Join the topic of the ray sensor, wherever on the model it is."""
+        links = gz().Model.FromString(told.serialized_data).link
+        found = {sensor.name: (link.name, sensor) for link in links for sensor in link.sensor}
+        if self._options.rays not in found:
+            names = ", ".join(found) or "none"
+            return Note(f"no sensor {self._options.rays!r} on {self._options.model!r} (there are {names})")
+        link, sensor = found[self._options.rays]
+        path = link.replace("::", "/")
+        usual = f"/gazebo/{self.world}/{path}/{sensor.name}/scan"
+        self._peer.subscribe(usual, type_of("LaserScanStamped"))
+        return None
 
     def _silence(self) -> Note | None:
         now = time.monotonic()
@@ -150,7 +176,19 @@ class ClassicFeed:
         self._peer.close()
 
 
-class ClassicSource(FollowSource):
+def scan_of(told: Any) -> Scan:
+    """The scan in a message."""
+    scan, at, turn = told.scan, told.scan.world_pose.position, told.scan.world_pose.orientation
+    shape = (max(int(scan.vertical_count), 1), int(scan.count))
+    return Scan(
+        told.time.sec * 10**9 + told.time.nsec,
+        np.array(scan.ranges).reshape(shape), np.array(scan.intensities).reshape(shape),
+        math.degrees(scan.angle_max - scan.angle_min), scan.range_min, scan.range_max,
+        (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
+    )  # fmt: skip
+
+
+def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource | ScanSource:
     """Frames of radars on a model of a running gzserver: `gazebo-classic:HOST:PORT?model=NAME`.
 
     Args:
@@ -162,9 +200,13 @@ class ClassicSource(FollowSource):
         InputError: an option cannot be used, or no world is known.
         MissingExtra: protobuf is not installed.
     """
+    where = f"gazebo-classic:{address}"
+    chosen, scene, rig = opened(options_of(ClassicOptions, options, where), where)
+    master = master_of(address)
 
-    def __init__(self, address: str, options: dict[str, Any], *, say: Say | None = None) -> None:
-        where = f"gazebo-classic:{address}"
-        chosen, scene, rig = opened(options_of(ClassicOptions, options, where), where)
-        master = master_of(address)
-        super().__init__(lambda: ClassicFeed(ClassicPeer(master, chosen.host), chosen), scene, rig, chosen, say=say)
+    def join() -> ClassicFeed:
+        return ClassicFeed(ClassicPeer(master, chosen.host), chosen)
+
+    if chosen.rays:
+        return ScanSource(join, radar_of(rig, chosen.rays), chosen, scene=scene, say=say)
+    return FollowSource(join, scene, rig, chosen, say=say)

@@ -36,7 +36,9 @@ TABLE = {
     "PointCloud": "points:Vector3d*=1",
     "Request": "id:int32!=1 request:string!=2 data:string=3",
     "Response": "id:int32!=1 request:string!=2 response:string!=3 type:string=4 serialized_data:bytes=5",
-    "Model": "name:string!=1 id:uint32=2 is_static:bool=3 pose:Pose=4",
+    "Sensor": "name:string!=1 parent:string!=3 type:string!=5",
+    "Link": "id:uint32=1 name:string!=2 sensor:Sensor*=12",
+    "Model": "name:string!=1 id:uint32=2 is_static:bool=3 pose:Pose=4 link:Link*=6",
     "Scene": "name:string!=1 model:Model*=8",
 }
 

@@ -1,0 +1,176 @@
+"""Radar frames from a simulator's own rays, by the thesis' processing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+
+from ullage.data import Floats, Frames, Trajectory, joined
+from ullage.errors import InputError
+from ullage.ports.following import LATE_NS, PATIENCE_S, FollowOptions, Note, Say, tell
+from ullage.ports.protocol import one_or_all
+from ullage.radar.receiver import receive_thesis
+from ullage.radar.scan import echoes_of_scans
+from ullage.radar.simulate import sensor_seed
+from ullage.specs import RadarSpec, ThesisSpec
+from ullage.world.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What a fan of rays met, and where it was cast."""
+
+    t_ns: int
+    range_m: Floats  # (up, across), infinite where it met nothing
+    intensity: Floats  # (up, across)
+    fov_deg: float
+    min_range_m: float
+    max_range_m: float
+    position: tuple[float, float, float]  # of the sensor in the world
+    quat_xyzw: tuple[float, float, float, float]
+
+
+class ScanFeed(Protocol):
+    """Tells what the rays met."""
+
+    def next(self, timeout_s: float) -> Scan | Note | None:
+        """The next thing that came, None if nothing did for so long."""
+
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
+        """Hand frames back; their time less the offset is the simulator's."""
+
+    def close(self) -> None:
+        """Let go of the sockets."""
+
+
+def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
+    """The radar with the scan's fan.
+
+    Raises:
+        InputError: the fan is not square, or no radar model can be made of it.
+    """
+    up, across = scan.range_m.shape
+    if up != across:
+        raise InputError(f"{across} rays across and {up} up", where="rays", allowed="as many across as up")
+    fan = ThesisSpec(
+        rays_per_side=across, fov_deg=scan.fov_deg, min_range_m=scan.min_range_m, max_range_m=scan.max_range_m,
+        noise_sigma=radar.thesis.noise_sigma, smoothing_bins=radar.thesis.smoothing_bins,
+        threshold=radar.thesis.threshold,
+    )  # fmt: skip
+    return radar.but(thesis=fan)
+
+
+class ScanSource:
+    """Frames made of a simulator's own rays, one of each scan.
+
+    Args:
+        join: begins to listen and gives what tells of scans.
+        radar: range axis and noise; the fan is that of the scans.
+        options: how; `rays` names the sensor.
+        scene: the world, where it is known.
+        say: told what a person should know; None: it becomes a warning.
+    """
+
+    def __init__(
+        self,
+        join: Callable[[], ScanFeed],
+        radar: RadarSpec,
+        options: FollowOptions,
+        *,
+        scene: Scene | None = None,
+        say: Say | None = None,
+    ) -> None:
+        self.scene = scene
+        self._radar, self._options, self._say = radar, options, say or tell
+        self._first_ns: int | None = None
+        self._last_ns, self._offset_ns, self._count = -1, 0, 0
+        self._told: dict[str, float] = {}
+        self._feed = join()
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """The name of the ray sensor."""
+        return (self._options.rays,)
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """A frame of each scan as it comes."""
+        try:
+            while not self._over():
+                found = self._feed.next(0.5)
+                if isinstance(found, Note):
+                    self._tell(found.text)
+                elif found is not None and self._in_time(found):
+                    piece = {self._options.rays: self._frame(found)}
+                    if self._options.publish:
+                        self._feed.give(piece, self._offset_ns)
+                    yield piece
+        finally:
+            self.close()
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything until the asked duration is over.
+
+        Raises:
+            InputError: no end was asked for, or there is no such sensor.
+        """
+        if self._options.duration_s is None:
+            raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
+        name = self._options.rays
+        return one_or_all({name: joined([piece[name] for piece in self.stream()])}, sensor)
+
+    def trajectory(self) -> Trajectory | None:
+        """None: the path is not over."""
+        return None
+
+    def map(self) -> None:
+        """None: simulators hold no maps."""
+        return None
+
+    def close(self) -> None:
+        """Let go of the sockets."""
+        self._feed.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _over(self) -> bool:
+        length = self._options.duration_s
+        return length is not None and self._first_ns is not None and self._last_ns - self._first_ns >= length * 1e9
+
+    def _in_time(self, scan: Scan) -> bool:
+        """Whether it is later than the one before, on a clock that is made to rise."""
+        t_ns = scan.t_ns + self._offset_ns
+        if t_ns <= self._last_ns:
+            if self._last_ns - t_ns < LATE_NS:
+                return False
+            self._tell(f"time jumped back {(self._last_ns - t_ns) * 1e-9:.3g} s")
+            self._offset_ns, self._count = self._last_ns + LATE_NS - scan.t_ns, 0
+        self._last_ns = scan.t_ns + self._offset_ns
+        self._first_ns = self._last_ns if self._first_ns is None else self._first_ns
+        return True
+
+    def _frame(self, scan: Scan) -> Frames:
+        spec, name = spec_of(scan, self._radar), self._options.rays
+        strength = scan.intensity
+        if not strength.any():
+            self._tell("every intensity is zero: no laser_retro in this world, so each object reflects as 1")
+            strength = np.ones_like(strength)
+        clean = echoes_of_scans(scan.range_m[None], strength[None], spec)
+        seed = sensor_seed(self._options.seed, name)
+        samples = receive_thesis(clean, spec, seed=seed, first_frame=self._count)
+        self._count += 1
+        pose = Trajectory(np.array([self._last_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
+        return Frames(samples, spec.range_m, pose.t_ns, spec, pose, pose, name, "thesis")
+
+    def _tell(self, text: str) -> None:
+        now = time.monotonic()
+        if now - self._told.get(text, -PATIENCE_S) >= PATIENCE_S:
+            self._told[text] = now
+            self._say(text)

@@ -1,0 +1,197 @@
+"""The real gzserver of Gazebo Classic 11, in the chroot that `make gazebo-classic` makes."""
+
+import contextlib
+import os
+import shutil
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.geometry import quat_matrix
+from ullage.radar.rays import echoes_thesis, ray_fan, ray_spacing_m
+from ullage.world.raycast import Raycaster
+from ullage.world.shipped import BUILDERS
+
+pytest.importorskip("google.protobuf")
+
+from ullage.ports.gazebo_classic.source import ClassicFeed, source_of
+from ullage.ports.scanning import Scan
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+CHROOT = Path(os.environ.get("ULLAGE_GAZEBO_CLASSIC", "/var/tmp/ullage-gazebo-classic"))
+WORLD = HERE / "classic" / "side_by_side.world"
+pytestmark = [
+    pytest.mark.gazebo_classic,
+    pytest.mark.slow,
+    pytest.mark.skipif(not (CHROOT / "usr/bin/gzserver").exists(), reason="no gzserver: make gazebo-classic"),
+]
+
+
+class Gazebo:
+    """A gzserver on a port of its own, and Gazebo's own tool beside it."""
+
+    def __init__(self):
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.process = None
+
+    def run(self, *words, **more):
+        env = {"GAZEBO_MODEL_DATABASE_URI": "", "GAZEBO_IP": "127.0.0.1", "GAZEBO_MODEL_PATH": "/ullage/models",
+               "GAZEBO_RESOURCE_PATH": "/usr/share/gazebo-11:/ullage/world",
+               "GAZEBO_MASTER_URI": f"http://127.0.0.1:{self.port}",
+               "HOME": "/tmp", "PATH": "/usr/bin:/bin"}  # fmt: skip
+        return subprocess.Popen(["/usr/sbin/chroot", CHROOT, *words], env=env, text=True, **more)
+
+    def start(self, world):
+        inside = CHROOT / "ullage"
+        inside.mkdir(exist_ok=True)
+        shutil.copytree(world.parent, inside / "world", dirs_exist_ok=True)
+        shutil.copytree(ROOT / "integrations/gazebo/models", inside / "models", dirs_exist_ok=True)
+        log = subprocess.PIPE if self.process is None else subprocess.DEVNULL
+        words = ("gzserver", "--verbose", f"/ullage/world/{world.name}")
+        self.process = self.run(*words, stdout=subprocess.DEVNULL, stderr=log)
+        end = time.monotonic() + 30
+        while time.monotonic() < end:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
+                return self
+            time.sleep(0.1)
+        raise TimeoutError("gzserver does not answer")
+
+    def tool(self, *words):
+        """What `gz ...` says; for topics, ended after a while."""
+        process = self.run("timeout", "6", "gz", *words, stdout=subprocess.PIPE)
+        return process.communicate(timeout=20)[0]
+
+    def stop(self):
+        if self.process is not None:
+            self.process.kill()
+            said = self.process.communicate()[1]
+            self.process = None
+            return said or ""
+        return ""
+
+
+@pytest.fixture
+def gazebo():
+    server = Gazebo()
+    yield server
+    server.stop()
+
+
+def source(gazebo, said=None, **options):
+    chosen = {"world": str(WORLD), "fidelity": "thesis", **options}
+    return source_of(f"127.0.0.1:{gazebo.port}", chosen, say=(said if said is not None else []).append)
+
+
+def until(pieces, good, limit=400):
+    for _, piece in zip(range(limit), pieces, strict=False):
+        if good(piece):
+            return piece
+    raise TimeoutError
+
+
+def test_gazebos_own_rays_meet_what_ours_meet(gazebo, monkeypatch):
+    gazebo.start(WORLD)
+    scans, hear = [], ClassicFeed.next
+
+    def hearing(self, timeout_s):
+        found = hear(self, timeout_s)
+        scans.extend([found] if isinstance(found, Scan) else [])
+        return found
+
+    monkeypatch.setattr(ClassicFeed, "next", hearing)
+    live = source(gazebo, rays="front", duration_s=0.5)
+    frames = live.frames()
+    scan, spec = scans[0], frames.spec
+    rays = Raycaster(live.scene, wires=True)
+    turned = ray_fan(spec.thesis) @ quat_matrix(np.array([scan.quat_xyzw]))[0].T
+    face, distance, _ = rays.trace(np.repeat([scan.position], len(turned), 0), turned)
+    ours = np.where((face >= 0) & (distance <= 10), distance, np.inf).reshape(58, 58)
+    both = np.isfinite(ours) & np.isfinite(scan.range_m)
+    spacing = ray_spacing_m(spec.thesis.fov_deg, 58, 1.0) * ours[both]
+    assert np.mean(np.isfinite(ours) == np.isfinite(scan.range_m)) > 0.999
+    assert np.mean(np.abs(ours - scan.range_m)[both] <= spacing) > 0.998  # a ray along an edge may meet either side
+    assert np.median(np.abs(ours - scan.range_m)[both]) < 1e-6
+    assert np.abs(ours - scan.range_m)[both & (scan.intensity != 0.5)].mean() < 1e-3
+    profile = echoes_thesis(live.scene, frames.poses[:1], spec)[0]
+    assert np.corrcoef(profile, frames.samples.mean(0))[0, 1] > 0.99
+
+
+def test_radars_follow_the_model_and_give_back_what_the_real_tool_shows(gazebo):
+    gazebo.start(WORLD)
+    with source(gazebo, rig="single") as live:
+        pieces = live.stream()
+        assert until(pieces, lambda piece: "front" in piece)["front"].poses.position[0] == pytest.approx(
+            [0, 0, 1], abs=1e-6
+        )
+        gazebo.tool("model", "-m", "x3", "-x", "0.5", "-y", "0.25", "-z", "1", "-Y", "0.5")
+        moved = until(pieces, lambda piece: abs(piece["front"].poses.position[-1, 0] - 0.5) < 1e-3)["front"]
+        want = [0, 0, np.sin(0.25), np.cos(0.25)]
+        np.testing.assert_allclose(moved.poses.quat_xyzw[-1], want, atol=1e-3)
+        echo = gazebo.run(
+            "timeout", "6", "gz", "topic", "-e", "/gazebo/side_by_side/x3/radar/front/range", stdout=subprocess.PIPE
+        )
+        end = time.monotonic() + 6
+        while time.monotonic() < end and echo.poll() is None:
+            next(pieces)
+        ranges = {round(float(line.split()[1]), 3) for line in echo.communicate()[0].splitlines() if "range:" in line}
+        assert ranges
+        assert all(0.5 < r < 4 for r in ranges)
+        assert "/gazebo/side_by_side/x3/radar/front/frame" in gazebo.tool("topic", "-l")
+
+
+def test_a_model_that_stands_still_is_seen(gazebo):
+    gazebo.start(WORLD)
+    with source(gazebo, model="ball", rig="single") as live:  # static: pose/info never tells of it
+        piece = until(live.stream(), lambda piece: len(piece) > 0)
+        np.testing.assert_allclose(piece["front"].poses.position[0], [2, 0.5, 1.2], atol=1e-9)
+
+
+def test_what_happens_to_the_server_is_said_and_survived(gazebo):
+    gazebo.start(WORLD)
+    said = []
+    with source(gazebo, said, rig="single") as live:
+        pieces = live.stream()
+        until(pieces, lambda piece: True)
+        gazebo.tool("world", "-p", "1")
+        gazebo.tool("world", "-p", "0")
+        until(pieces, lambda piece: "gzserver goes on" in said)
+        assert "gzserver is paused" in said
+        gazebo.tool("world", "-r")
+        until(pieces, lambda piece: any(text.startswith("time jumped back") for text in said))
+        gazebo.tool("model", "-m", "x3", "-d")
+        feed_until(live, lambda: any("has gone from gzserver" in text for text in said))
+        gazebo.stop()
+        feed_until(live, lambda: any(text.startswith("gzserver has gone") for text in said))
+        gazebo.start(WORLD)
+        last = until(pieces, lambda piece: True)["front"]
+        assert said.count("gzserver runs the world 'side_by_side'") == 2
+        assert len(last) >= 1
+
+
+def feed_until(live, good, limit_s=20):
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        live._waiting += live._bunch(4)[:0]
+        if good():
+            return
+    raise TimeoutError
+
+
+@pytest.mark.parametrize("name", BUILDERS)
+def test_the_shipped_worlds_load_unchanged(name, gazebo):
+    gazebo.start(ROOT / "src/ullage/worlds" / f"{name}.sdf")
+    scene = ul.load_scene(ROOT / "src/ullage/worlds" / f"{name}.sdf")
+    end = time.monotonic() + 20
+    while f"/gazebo/{scene.name}/world_stats" not in gazebo.tool("topic", "-l"):
+        assert time.monotonic() < end, "the world does not come up"
+    said = gazebo.stop()
+    elsewhere = ("Render", "OpenAL")  # no screen and no sound in the chroot
+    assert not [line for line in said.splitlines() if "[Err]" in line and not any(e in line for e in elsewhere)]
+    assert "Unable to" not in said.replace("Unable to create X window", "").replace("Unable to open audio", "")
