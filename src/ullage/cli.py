@@ -265,6 +265,7 @@ def reproduce(
     recordings: Annotated[
         Path, typer.Option("--recordings", help="Folder of the real recordings.", metavar="DIR")
     ] = Path("../shared/data"),
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many experiments at a time.")] = 2,
 ) -> None:
     """Run every experiment of the thesis, both ways; exit 1 when a bound is broken. Run again to go on after Ctrl-C."""
     from ullage.experiments.reproduce.loop import reproduce as run_all
@@ -282,7 +283,7 @@ def reproduce(
             bar.say(text)
             bar(done)
 
-        done = run_all(out, chosen, recordings=recordings, quick=quick, fresh=force, tell=tell)
+        done = run_all(out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=jobs, tell=tell)
     for line in done.broken:
         console.print(f"[red]OUT[/]  {line}", highlight=False)
     holding, total = done.counts

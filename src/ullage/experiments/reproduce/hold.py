@@ -16,7 +16,7 @@ from ullage.view.thesis_maps import Panel, draw_panels
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-LEG = "flight.waypoints=[[-11.5, -7, 4, 0], [-4, -7, 4, 0]]"
+LEG = "flight.waypoints=[[-11.5, -7, 4, 0], [-9, -7, 4, 0]]"
 """The first metres of the flight, for the small run."""
 THESIS_RATIO = 128 / 0.4 / 15
 """CPU of the thesis' mapping node in the hold over that in the NTNU room, both at real time (tables 6.2, 6.4)."""
@@ -61,7 +61,7 @@ def _far(bench: Bench, flown: Flown) -> None:
     bench.say("cost of a profile near and far")
     loud, _ = radars()
     rig = Rig.preset("thesis-4", radar=loud)
-    track = flown.track[: 120 if bench.quick else 300]
+    track = flown.track[: 60 if bench.quick else 200]
     around = scenes.room(size_m=(8, 6, 3))
     middle = track.position.mean(0)
     shifted = Scene(around.vertices + middle, around.faces, around.face_object, around.objects)

@@ -92,6 +92,8 @@ def walls_of(flown: Flown) -> Floats:
 
 def show_world(bench: Bench, world: str, path: Path, figure: str, caption: str) -> None:
     """The world as a cutaway, and a plan with the flight in it."""
+    if bench.quick:
+        return  # the docs have it
     from ullage.view.world_picture import VIEWS, world_picture
 
     way = np.array(WORLDS[world].path_xyzyaw)

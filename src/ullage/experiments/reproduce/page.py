@@ -11,7 +11,8 @@ from jinja2 import Environment, StrictUndefined
 from ullage.experiments.folder import provenance, write_text
 
 if TYPE_CHECKING:
-    from ullage.experiments.reproduce.loop import Chapter, Reproduction
+    from ullage.experiments.reproduce.loop import Reproduction
+    from ullage.experiments.reproduce.task import Chapter
 
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>The thesis reproduced - ullage</title>
@@ -31,7 +32,7 @@ ullage's. {{ "A small run (--quick)." if quick }} {{ holding }} of {{ total }} s
 {% if interrupted %}<span class="bad">Interrupted: {{ chapters|length }} of {{ wanted }} experiments are
 here; run the same command again to go on.</span>{% endif %}</p>
 <p class="small">{{ origin.machine.processor }}, {{ origin.machine.cores }} cores, {{ origin.machine.system }}, Python
-{{ origin.python }}, {{ origin.started }}; {{ "%.0f"|format(took) }} s of work in all. The thesis' machine: Intel Core
+{{ origin.python }}, {{ origin.started }}; {{ "%.0f"|format(took) }} s of CPU in all. The thesis' machine: Intel Core
 i7-4790 at 3.6 GHz, Ubuntu 16.04, ROS Kinetic, Gazebo 8. Figures numbered 2 to 6 are the thesis'; its pictures are not
 copied here, hold it beside this page.</p>
 <nav>{% for c in chapters %}<a href="#{{ c.name }}">{{ c.section }} {{ c.title }}</a>{% endfor %}</nav>
@@ -66,7 +67,7 @@ def write_page(done: Reproduction, *, quick: bool, wanted: int) -> Path:
     holding, total = done.counts
     write_text(done.report, page.render(
         origin=provenance(), quick=quick, wanted=wanted, interrupted=done.interrupted, broken=done.broken,
-        holding=holding, total=total, took=sum(c.took_s for c in done.chapters),
+        holding=holding, total=total, took=sum(c.cpu_s for c in done.chapters),
         chapters=[_chapter(c) for c in done.chapters],
     ))  # fmt: skip
     return done.report
@@ -91,5 +92,5 @@ def _chapter(chapter: Chapter) -> dict[str, Any]:
         ],
         "verdicts": [{"name": name, "text": v.text, "inside": v.inside} for name, v in chapter.verdicts],
         "inside": sum(v.inside for _, v in chapter.verdicts),
-        "took": f"{chapter.took_s:.0f} s" + (", done by an earlier call" if chapter.again else ""),
+        "took": f"{chapter.cpu_s:.0f} s of CPU in {chapter.took_s:.0f} s",
     }  # fmt: skip
