@@ -1,0 +1,93 @@
+"""Writes the docs page of the reproduction: python -m ullage.experiments.reproduce.docs RESULTS DOCS."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from ullage.experiments.folder import read_json, write_text
+from ullage.experiments.reproduce.findings import Findings, Table, read_findings
+from ullage.experiments.reproduce.plan import EXPERIMENTS
+
+HEAD = """# The thesis, reproduced
+
+`ullage reproduce` runs every experiment of chapter 6 of the thesis [Billdal2018] under its own ray model and under the
+physical one, with its own methods and with ullage's, and writes one HTML page with every figure. What the thesis says of
+its results is held against numbers with bounds; the command exits 1 when one is broken. After Ctrl-C the same command
+goes on where it stopped: each experiment's results are kept in its folder under a fingerprint of code, scenarios and
+recordings. `--quick` does it small, `--only NAME` does one experiment, `--jobs N` does N at a time.
+
+Every flight is a scenario that runs alone, too: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`;
+`ullage list` names them all.
+
+The thesis' pictures are not copied here: hold it beside this page. Written by `python -m
+ullage.experiments.reproduce.docs` from {kind}.
+"""
+PICTURES = {
+    "detection": ("ntnu-plate.png", "ntnu-plate_sar.png", "ntnu-plate45.png", "ntnu-wire.png", "ntnu-wire_sar.png"),
+    "room": ("maps.png", "sar.png"),
+    "hall": ("maps.png", "hover.png"),
+    "hold": ("maps.png",),
+    "rail": ("rail.png",),
+    "rest": (),
+}
+"""Which figures stand on the page."""
+
+
+def write_docs(root: Path, docs: Path) -> Path:
+    """The page and its pictures, from a folder of results."""
+    done = [experiment for experiment in EXPERIMENTS if (root / experiment.name / "findings.json").is_file()]
+    kind = "a small run (`--quick`)" if root.name == "quick" else "a whole run"
+    lines = [HEAD.format(kind=kind)]
+    spent = [read_json(root / e.name / "findings.json") for e in done]
+    machine = spent[0]["machine"] if spent else {}
+    cpu = sum(tree["cpu_s"] for tree in spent)
+    lines.append(f"\nOn {machine.get('processor')} the experiments below took {cpu:.0f} s of CPU in all.\n")
+    for experiment in done:
+        section = f" ({experiment.section})" if experiment.section[0].isdigit() else ""
+        lines.append(f"\n## {experiment.title}{section}\n")
+        lines += _chapter(read_findings(root / experiment.name / "findings.json"), experiment.name, root, docs)
+    page = docs / "reproduce.md"
+    write_text(page, "\n".join(lines).rstrip("\n") + "\n")
+    return page
+
+
+def _chapter(found: Findings, name: str, root: Path, docs: Path) -> Iterator[str]:
+    for note in found.notes:
+        yield f"{note}\n"
+    if found.skipped:
+        yield f"Not done: {found.skipped}\n"
+    if found.statements:
+        yield "| statement | thesis | measured | wanted | holds |\n|---|---|---|---|---|"
+        for s in found.statements:
+            verdict = "yes" if s.holds else "**no**"
+            yield f"| {s.text} | {s.where} | {s.value:.3g} {s.unit} | {s.wanted} | {verdict} |"
+        yield ""
+    for table in found.tables:
+        yield from _table(table)
+    folder = docs / "pictures" / "reproduce"
+    folder.mkdir(parents=True, exist_ok=True)
+    for exhibit in found.exhibits:
+        if exhibit.file in PICTURES.get(name, ()):
+            target = folder / f"{name}_{exhibit.file}"
+            shutil.copyfile(root / name / exhibit.file, target)
+            words = f"**Thesis {exhibit.figure}.** {exhibit.caption}" if exhibit.figure else exhibit.caption
+            yield f"![{exhibit.figure or name}](pictures/reproduce/{target.name})\n\n{words}\n"
+
+
+def _table(table: Table) -> Iterator[str]:
+    yield f"### {table.title}\n"
+    yield "| " + " | ".join(cell or " " for cell in table.head) + " |\n|" + "---|" * len(table.head)
+    for row in table.rows:
+        yield "| " + " | ".join(row) + " |"
+    yield ""
+    if table.note:
+        yield f"{table.note}\n"
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    print(write_docs(Path(sys.argv[1]), Path(sys.argv[2])))
