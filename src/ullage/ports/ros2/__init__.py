@@ -5,23 +5,43 @@ rclpy is that of the sourced ROS 2 environment, or of the `ros-*` wheels of `pip
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ullage.ports.protocol import Sink
+if TYPE_CHECKING:
+    from ullage.ports.protocol import Sink, Source
+
+__all__ = ["open_sink", "open_source"]
 
 
-def open_sink(address: str, options: dict[str, Any]) -> Sink:
-    """Publish everything that flows.
-
-    Args:
-        address: namespace of the topics; none: the root.
-        options: fields of `SinkOptions`.
+def open_source(address: str, options: dict[str, Any]) -> Source:
+    """Frames from topics: `ros2:NAMESPACE?key=value`, or of radars simulated on a robot: `ros2:?simulate=WORLD`.
 
     Raises:
         InputError: an option is unknown or of no use.
         MissingExtra: there is no rclpy.
     """
-    from ullage.ports.ros2.options import SinkOptions, read_options
+    from ullage.ports.following import options_of
+    from ullage.ports.ros2.options import SimulateOptions, SourceOptions
+
+    where = f"ros2:{address}"
+    if "simulate" in options or "world" in options:
+        from ullage.ports.ros2.follow import Ros2Radars
+
+        return Ros2Radars(address, options_of(SimulateOptions, options, where))
+    from ullage.ports.ros2.source import Ros2Source
+
+    return Ros2Source(address, options_of(SourceOptions, options, where))
+
+
+def open_sink(address: str, options: dict[str, Any]) -> Sink:
+    """Publish everything that flows: `ros2:NAMESPACE?key=value`.
+
+    Raises:
+        InputError: an option is unknown or of no use.
+        MissingExtra: there is no rclpy.
+    """
+    from ullage.ports.following import options_of
+    from ullage.ports.ros2.options import SinkOptions
     from ullage.ports.ros2.sink import Ros2Sink
 
-    return Ros2Sink(address, read_options(SinkOptions, options))
+    return Ros2Sink(address, options_of(SinkOptions, options, f"ros2:{address}"))

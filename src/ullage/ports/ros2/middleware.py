@@ -8,21 +8,33 @@ from __future__ import annotations
 
 import importlib
 import re
+import threading
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from ullage.errors import InputError, UllageWarning, need
 from ullage.ports.ros2.options import NodeOptions
 from ullage.ports.ros2.outgoing import Note, Quality
 
+Say = Callable[[str], None]
 HOW = {
     "sensor": (5, False, False),  # depth, reliable, kept: as rclcpp's SensorDataQoS
     "stream": (50, True, False),
     "transforms": (100, True, False),  # as tf2_ros' DynamicBroadcasterQoS
     "latched": (1, True, True),  # as nav2's and map_server's maps, and tf2_ros' StaticBroadcasterQoS
 }
+TAKEN: set[str] = set()
+"""Topics that something in this program listens to: what came in there must not go out there again."""
+ROBOTS_OWN = {"/tf", "/tf_static", "/clock", "odom", "truth/odom"}
+"""Topics left to others where ullage only listens to a robot and others already speak on them."""
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?")
+
+
+def tell(text: str) -> None:
+    """How things are said unless somebody else listens."""
+    warnings.warn(text, UllageWarning, stacklevel=3)
 
 
 def profile(quality: Quality, *, depth: int | None = None, reliable: bool | None = None) -> Any:
@@ -49,30 +61,77 @@ def message_class(kind: str) -> Any:
 
 
 class Peer:
-    """One node in a context of its own, so that a program that has its own rclpy is left alone.
+    """A node: one in a context of its own, so that a program that has its own rclpy is left alone, or a given one.
 
     Args:
         namespace: of its topics.
         options: domain and name.
+        node: an rclpy node to use; whoever made it spins and destroys it.
 
     Raises:
         InputError: the namespace is none.
         MissingExtra: there is no rclpy.
     """
 
-    def __init__(self, namespace: str, options: NodeOptions) -> None:
+    def __init__(self, namespace: str, options: NodeOptions, *, node: Any = None) -> None:
         rclpy = need("rclpy", extra="ros2")
         if not NAMESPACE.fullmatch(namespace):
             raise InputError(f"not a namespace {namespace!r}", where="ros2:", allowed="names and /, as in ros2:/drone1")
-        from rclpy.signals import SignalHandlerOptions
+        self._context = None
+        self._prefix = namespace.strip("/") + "/" if node is not None and namespace.strip("/") else ""
+        if node is None:
+            from rclpy.signals import SignalHandlerOptions
 
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=options.domain, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node(
-            options.node, namespace="/" + namespace.strip("/"), context=self.context, use_global_arguments=False
-        )
+            self._context = rclpy.Context()
+            quiet = SignalHandlerOptions.NO
+            rclpy.init(context=self._context, domain_id=options.domain, signal_handler_options=quiet)
+            above = "/" + namespace.strip("/")
+            node = rclpy.create_node(options.node, namespace=above, context=self._context, use_global_arguments=False)
+        self.node = node
         self._publishers: dict[str, Any] = {}
+        self._subscriptions: list[Any] = []
         self._told: set[str] = set()
+        self._claimed: set[str] = set()
+        self._executor: Any = None
+        self._thread: threading.Thread | None = None
+
+    def spin(self) -> None:
+        """Take messages in a thread of its own; a given node is spun by whoever made it."""
+        if self._context is None or self._thread is not None:
+            return
+        from rclpy.executors import SingleThreadedExecutor
+
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name="ullage ros2", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException
+
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def claim(self, *topics: str) -> None:
+        """Nothing else in this program shall publish on these, until this node closes."""
+        self._claimed.update(topics)
+        TAKEN.update(topics)
+
+    def topics(self) -> dict[str, str]:
+        """Topics on the network that somebody publishes, with their types."""
+        named = self.node.get_topic_names_and_types()
+        return {name: kinds[0] for name, kinds in named if self.node.count_publishers(name)}
+
+    def resolved(self, topic: str) -> str:
+        """The full name of a topic."""
+        return str(self.node.resolve_topic_name(self._named(topic)))
+
+    def speaks(self, kind: str) -> bool:
+        """Whether a message's package is installed."""
+        return message_class(kind) is not None
+
+    def _named(self, topic: str) -> str:
+        return topic if topic.startswith("/") else self._prefix + topic
 
     def class_of(self, kind: str, topic: str) -> Any:
         """The class of a message; None, said once, where its package is missing."""
@@ -87,10 +146,24 @@ class Peer:
     def publisher(self, topic: str, kind: str, quality: Quality, *, reliable: bool | None = None) -> Any:
         """The publisher of a topic, made when first asked for; None where its type is missing."""
         if topic not in self._publishers:
-            found = self.class_of(kind, topic)
-            quality_of = profile(quality, reliable=reliable) if found else None
-            self._publishers[topic] = self.node.create_publisher(found, topic, quality_of) if found else None
+            found = None if self._left_to_others(topic) else self.class_of(kind, topic)
+            how = profile(quality, reliable=reliable)
+            self._publishers[topic] = self.node.create_publisher(found, self._named(topic), how) if found else None
         return self._publishers[topic]
+
+    def _left_to_others(self, topic: str) -> bool:
+        if self.resolved(topic) in TAKEN:
+            return True
+        if not TAKEN or topic not in ROBOTS_OWN or not self.others(topic):
+            return False
+        if topic != "/clock":
+            warnings.warn(f"others publish {topic} already; it is left to them", UllageWarning, stacklevel=4)
+        return True
+
+    def others(self, topic: str) -> bool:
+        """Whether somebody else publishes on a topic."""
+        ours = self._publishers.get(topic) is not None
+        return int(self.node.count_publishers(self.resolved(topic))) > ours
 
     def send(self, note: Note, *, reliable: bool | None = None) -> bool:
         """Publish one message; whether there was a way to."""
@@ -104,14 +177,13 @@ class Peer:
         out = self._publishers.get(topic)
         return out.get_subscription_count() if out is not None else 0
 
-    def listen(self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], **how: Any) -> Any:
-        """Call `take` with each message as bytes; None where the type is missing."""
+    def listen(self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], **how: Any) -> None:
+        """Call `take` with each message as bytes."""
         found = self.class_of(kind, topic)
-        return (
-            None
-            if found is None
-            else self.node.create_subscription(found, topic, take, profile(quality, **how), raw=True)
-        )
+        if found is not None:
+            how_ = profile(quality, **how)
+            heard = self.node.create_subscription(found, self._named(topic), take, how_, raw=True)
+            self._subscriptions.append(heard)
 
     def settle(self, timeout_s: float) -> None:
         """Wait until what was sent reliably has arrived."""
@@ -122,9 +194,21 @@ class Peer:
                 out.wait_for_all_acked(Duration(seconds=timeout_s))
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network; a given node stays, without what was made on it."""
+        TAKEN.difference_update(self._claimed)
+        if self._context is None:
+            for thing in (*self._publishers.values(), *self._subscriptions):
+                if thing is not None:
+                    thing.destroy()
+            self._publishers, self._subscriptions = {}, []
+            return
+        if not self._context.ok():
+            return
         import rclpy
 
-        if self.context.ok():
-            self.node.destroy_node()
-            rclpy.shutdown(context=self.context)
+        if self._executor is not None:
+            self._executor.shutdown(timeout_sec=2.0)
+        rclpy.shutdown(context=self._context)
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout=2.0)
+        self.node.destroy_node()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 from pydantic import Field
 
-from ullage.errors import InputError
+from ullage.ports.following import FollowOptions
 from ullage.specs import Spec
 
 
@@ -28,18 +28,28 @@ class SinkOptions(NodeOptions):
     reliable: bool = Field(False, description="frames and profiles reliable instead of best effort")
 
 
-Options = TypeVar("Options", bound=NodeOptions)
+class SourceOptions(NodeOptions):
+    """What `ullage run ros2:` is told."""
+
+    topics: str = Field("", description="RadarFrame, profile or Range topics, with commas; none: found by type")
+    poses: Literal["auto", "tf", "message", "none"] = Field(
+        "auto", description="auto: those in the frames, else from the transforms"
+    )
+    odom: str = Field("", description="also take the body's pose from this topic: Odometry or PoseStamped")
+    map: str = Field("map", description="frame of reference that the map stands in")
+    body: str = Field("base_link", description="frame of reference of the vehicle")
+    radar: str = Field("x4m05", description="preset of radars whose topics do not say what they are")
+    patience_s: float = Field(1.0, ge=0, le=60, description="how long frames wait for a late transform")
+    batch_s: float = Field(0.25, ge=0, le=10, description="how long frames are gathered before they are passed on")
+    duration_s: float | None = Field(None, gt=0, description="ends after this much of the frames' time")
+    idle_s: float | None = Field(None, gt=0, description="ends when nothing came for so long")
 
 
-def read_options(kind: type[Options], options: dict[str, Any]) -> Options:
-    """Checked options.
+class SimulateOptions(FollowOptions, NodeOptions):
+    """What `ullage run ros2:?simulate=WORLD` is told beside what every simulator port is told."""
 
-    Raises:
-        InputError: one is unknown, or of no use.
-    """
-    if unknown := sorted(options.keys() - kind.model_fields.keys()):
-        raise InputError(f"no option {unknown[0]!r}", where="ros2:", allowed=", ".join(kind.model_fields))
-    try:
-        return kind(**options)
-    except InputError as error:
-        raise InputError(error.what, where="ros2:") from None
+    simulate: str = Field("", description="library world or file that the vehicle moves in")
+    pose: str = Field("odom", description="topic of its pose: Odometry, PoseStamped, with covariance, or TFMessage")
+    map: str = Field("map", description="frame of reference of that world, where the pose comes from transforms")
+    body: str = Field("base_link", description="frame of reference of the vehicle")
+    tf: Literal["auto", "on", "off"] = Field("auto", description="publish /tf; auto: when nobody else does")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -211,3 +211,12 @@ def merged(paths: list[Trajectory]) -> Trajectory | None:
 
 def _timed(path: Trajectory, notes: list[bytes]) -> Iterator[tuple[int, bytes]]:
     return zip(path.t_ns.tolist(), notes, strict=True)
+
+
+def shifted(frames: Frames, by_ns: int) -> Frames:
+    """The same frames at other times."""
+    if not by_ns:
+        return frames
+    t_ns = frames.t_ns + by_ns
+    poses, truth = (None if p is None else replace(p, t_ns=t_ns) for p in (frames.poses, frames.truth))
+    return replace(frames, t_ns=t_ns, poses=poses, truth=truth)

@@ -1,0 +1,186 @@
+"""ullage as the radars of somebody's robot: its pose comes in, what its radars receive goes out."""
+
+from __future__ import annotations
+
+import queue
+import time
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Frames, sensors_of
+from ullage.errors import InputError
+from ullage.geometry import matrix_quat
+from ullage.ports import messages as ros
+from ullage.ports.following import PATIENCE_S, FollowSource, Sighting, rig_of, world_of
+from ullage.ports.following import Note as Said
+from ullage.ports.ros2.incoming import stamp_ns
+from ullage.ports.ros2.middleware import Peer, Say, tell
+from ullage.ports.ros2.options import SimulateOptions
+from ullage.ports.ros2.outgoing import Outgoing, shifted
+from ullage.ports.ros2.transforms import Transforms
+from ullage.world.scene import Scene
+
+POSE = "geometry_msgs/msg/PoseStamped"
+COVERED = "geometry_msgs/msg/PoseWithCovarianceStamped"
+KINDS = (ros.ODOMETRY, POSE, COVERED, ros.TRANSFORMS)
+
+
+class PoseFeed:
+    """Poses of a vehicle from a topic, and frames back to topics.
+
+    Args:
+        peer: the node.
+        options: which topic.
+        scene: the world, which is shown to whoever wants to see it.
+    """
+
+    def __init__(self, peer: Peer, options: SimulateOptions, scene: Scene) -> None:
+        self._peer, self._options = peer, options
+        self._topic = peer.resolved(options.pose)
+        self._kind = ""
+        self._came: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._transforms = Transforms()
+        self._waiting: list[Sighting] = []
+        self._outgoing = Outgoing()
+        peer.claim(self._topic)
+        self._scene: Scene | None = scene
+        self._looked_s = 0.0
+        self._last_s = self._told_s = time.monotonic()
+        self.newest_ns = 0
+        self._peer.spin()
+
+    def next(self, timeout_s: float) -> Sighting | Said | None:
+        """The next pose, or something to say."""
+        end = time.monotonic() + timeout_s
+        while True:
+            if not self._kind and (found := self._look()):
+                return found
+            if self._waiting:
+                return self._waiting.pop(0)
+            left = end - time.monotonic()
+            try:
+                data = self._came.get(timeout=max(0.0, min(left, 0.1))) if left > 0 else self._came.get_nowait()
+            except queue.Empty:
+                if left <= 0:
+                    return self._silence() if timeout_s else None
+                continue
+            self._last_s = time.monotonic()
+            self._waiting += self._read(data)
+
+    def _look(self) -> Said | None:
+        """Listen once the topic is there."""
+        if time.monotonic() - self._looked_s < 0.2:
+            return None
+        self._looked_s = time.monotonic()
+        kind = self._peer.topics().get(self._topic, "")
+        if not kind:
+            return None
+        if kind not in KINDS:
+            raise InputError(f"{self._topic} carries {kind}", where="pose", allowed=", ".join(KINDS))
+        self._kind = kind
+        quality: Any = "transforms" if kind == ros.TRANSFORMS else "sensor"
+        self._peer.listen(self._topic, kind, quality, self._came.put, depth=500)
+        if kind == ros.TRANSFORMS:
+            self._peer.listen("/tf_static", kind, "latched", self._fixed, depth=100)
+        return Said(f"poses come on {self._topic}")
+
+    def _fixed(self, data: bytes) -> None:
+        self._add(data, fixed=True)
+
+    def _add(self, data: bytes, *, fixed: bool = False) -> list[int]:
+        stamps = []
+        for note in ros.from_bytes(ros.TRANSFORMS, data).transforms:
+            at, turn = note.transform.translation, note.transform.rotation
+            place = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+            self._transforms.add(note.header.frame_id, note.child_frame_id, stamp_ns(note.header), *place, fixed=fixed)
+            stamps.append(stamp_ns(note.header))
+        return stamps
+
+    def _read(self, data: bytes) -> list[Sighting]:
+        """The body's poses in a message."""
+        if self._kind == ros.TRANSFORMS:
+            return self._from_transforms(self._add(data))
+        note = ros.from_bytes(self._kind, data)
+        pose = note.pose if self._kind == POSE else note.pose.pose
+        at, turn = pose.position, pose.orientation
+        return self._sighted(stamp_ns(note.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+
+    def _from_transforms(self, stamps: list[int]) -> list[Sighting]:
+        out = []
+        for t_ns in dict.fromkeys(stamps):
+            answer = self._transforms.at(self._options.map, self._options.body, t_ns)
+            if answer.matrix is not None and t_ns > self.newest_ns:
+                x, y, z = answer.matrix[:3, 3].tolist()
+                out += self._sighted(t_ns, (x, y, z), tuple(matrix_quat(answer.matrix[:3, :3]).tolist()))
+        return out
+
+    def _sighted(self, t_ns: int, at: tuple[float, float, float], turn: Any) -> list[Sighting]:
+        norm = float(np.linalg.norm(turn))
+        if not (np.isfinite([*at, norm]).all() and abs(norm - 1) < 0.1):
+            return []
+        self.newest_ns = t_ns
+        x, y, z, w = (float(k) / norm for k in turn)
+        return [Sighting(t_ns, at, (x, y, z, w))]
+
+    def _silence(self) -> Said | None:
+        now = time.monotonic()
+        if now - max(self._last_s, self._told_s) < PATIENCE_S:
+            return None
+        self._told_s = now
+        if self._kind:
+            return Said(f"no poses on {self._topic} any more; waiting (Ctrl-C ends)")
+        fitting = [name for name, kind in self._peer.topics().items() if kind in KINDS]
+        return Said(f"nobody publishes {self._topic}; pose=TOPIC could be {', '.join(fitting) or 'none that is there'}")
+
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
+        """Publish frames, in the clock of the poses."""
+        parts = {part.sensor: shifted(part, -offset_ns) for part in sensors_of(chunk)}
+        items: list[Any] = [parts] if self._scene is None else [parts, self._scene]
+        self._scene = None
+        for item in items:
+            for note in self._outgoing.notes(item):
+                if note.topic in ("odom", "truth/odom", "path") or (note.topic == "/tf" and not self._moves()):
+                    continue  # the robot's own say
+                if self._peer.send(note):
+                    self._peer.claim(
+                        self._peer.resolved(note.topic)
+                    )  # so that `--to ros2:` beside does not say it twice
+
+    def _moves(self) -> bool:
+        """Whether to tell where the body is."""
+        if self._options.tf == "auto":
+            return self._kind != ros.TRANSFORMS and not self._peer.others("/tf")
+        return self._options.tf == "on"
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._peer.close()
+
+
+class Ros2Radars(FollowSource):
+    """Frames of radars on a vehicle whose pose comes on a topic; they go out as topics as well.
+
+    Args:
+        namespace: of its topics.
+        options: the world, the pose, the radars.
+        say: told what a person should know; None: it becomes a warning.
+        peer: the node to use; None: one of its own.
+
+    Raises:
+        InputError: there is no such world or rig, or an option is of no use.
+        MissingExtra: there is no rclpy.
+    """
+
+    def __init__(
+        self, namespace: str, options: SimulateOptions, *, say: Say | None = None, peer: Peer | None = None
+    ) -> None:
+        where = f"ros2:{namespace}"
+        if not (options.simulate or options.world):
+            raise InputError("no world", where=where, allowed="simulate=NAME or simulate=FILE.sdf")
+        scene = world_of(options.simulate or options.world, where=where)
+        model = options.model or next(iter(scene.rigs), "")
+        rig = rig_of(options.rig, scene, model, where=where)
+        scene = scene.without(model) if model in scene.rigs else scene
+        made = peer or Peer(namespace, options)
+        super().__init__(PoseFeed(made, options, scene), scene, rig, options, say=say or tell)

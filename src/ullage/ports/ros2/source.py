@@ -1,0 +1,222 @@
+"""Frames from ROS 2 topics, with poses from transforms or odometry: `ullage run ros2:`."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, Self
+
+from ullage.data import Frames, Trajectory, joined
+from ullage.errors import InputError
+from ullage.ports import messages as ros
+from ullage.ports.protocol import one_or_all
+from ullage.ports.ros2 import encode
+from ullage.ports.ros2.incoming import Incoming
+from ullage.ports.ros2.middleware import Peer, Say, tell
+from ullage.ports.ros2.options import SourceOptions
+from ullage.ports.ros2.outgoing import Note
+from ullage.world.scene import Scene
+
+LOOK_S = 0.5
+"""How often the graph is asked for new topics [s]."""
+PATIENCE_S = 5.0
+"""Time between two complaints of the same kind [s]."""
+POSE = "geometry_msgs/msg/PoseStamped"
+
+
+class Ros2Source:
+    """Listens to the radars on a ROS 2 network.
+
+    Args:
+        namespace: where their topics are looked for; none: anywhere.
+        options: which, and where poses come from.
+        say: told what a person should know; None: it becomes a warning.
+        peer: the node to use; None: one of its own.
+
+    Raises:
+        InputError: the namespace is none, or there is no such radar preset.
+        MissingExtra: there is no rclpy.
+    """
+
+    def __init__(
+        self, namespace: str, options: SourceOptions, *, say: Say | None = None, peer: Peer | None = None
+    ) -> None:
+        self.scene: Scene | None = None
+        self._options, self._say, self._told = options, say or tell, dict[str, float]()
+        self._incoming = Incoming(options, self._tell)
+        self._peer = peer or Peer(namespace, options)
+        self._namespace = "/" + namespace.strip("/")
+        self._messages: queue.SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]]] = queue.SimpleQueue()
+        self._heard: set[str] = set()
+        self._closed = False
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._looked_s = self._reported_s = 0.0
+        self._given_s = time.monotonic()
+        self._peer.listen("/tf", ros.TRANSFORMS, "transforms", self._taker(self._incoming.take_transforms))
+        fixed = partial(self._incoming.take_transforms, fixed=True)
+        self._peer.listen("/tf_static", ros.TRANSFORMS, "latched", self._taker(fixed), depth=100)
+        self._peer.spin()
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars heard so far."""
+        return self._incoming.sensors
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Frames as they come, at most `chunk` of each radar at a time, until Ctrl-C, the asked end, or `close`."""
+        try:
+            while not (self._closed or self._over()):
+                self._look()
+                end = time.monotonic() + self._options.batch_s
+                while (left := end - time.monotonic()) > 0 and not self._closed:
+                    self._take(min(left, 0.1))
+                found = self._incoming.ready(chunk)
+                self._report()
+                if found:
+                    self._given_s = time.monotonic()
+                    self._count(found)
+                    yield found
+                elif time.monotonic() - self._given_s > PATIENCE_S:
+                    self._tell(self._why_nothing())
+        finally:
+            self.close()
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything until the asked end.
+
+        Raises:
+            InputError: no end was asked for, nothing came, or there is no such sensor.
+        """
+        if self._options.duration_s is None and self._options.idle_s is None:
+            raise InputError("a live port has no end", where="ros2:", allowed="duration_s=, idle_s=, or stream()")
+        parts: dict[str, list[Frames]] = {}
+        for piece in self.stream():
+            for name, part in piece.items():
+                parts.setdefault(name, []).append(part)
+        if not parts:
+            raise InputError("no frames came", where="ros2:")
+        return one_or_all({name: joined(some) for name, some in parts.items()}, sensor)
+
+    def trajectory(self) -> Trajectory | None:
+        """None: the path is not over."""
+        return None
+
+    def map(self) -> None:
+        """None: only frames are listened to."""
+        return None
+
+    def close(self) -> None:
+        """Leave the network; a stream that runs ends."""
+        self._closed = True
+        self._peer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _taker(self, take: Callable[..., None], *first: Any) -> Callable[[bytes], None]:
+        """Hands messages from rclpy's thread to the stream's."""
+        return lambda data: self._messages.put((take, (*first, data)))
+
+    def _take(self, timeout_s: float) -> None:
+        try:
+            take, what = self._messages.get(timeout=timeout_s)
+            while True:
+                try:
+                    take(*what)
+                except (InputError, ValueError) as error:  # somebody's broken message must not end a flight
+                    self._tell(f"a message that cannot be used: {error}")
+                take, what = self._messages.get_nowait()
+        except queue.Empty:
+            return
+
+    def _look(self) -> None:
+        """Find topics that were not there before."""
+        if time.monotonic() - self._looked_s < LOOK_S:
+            return
+        self._looked_s = time.monotonic()
+        there = self._peer.topics()
+        for topic in self._wanted(there):
+            if topic not in self._heard:
+                self._listen(topic, there[topic])
+        odom = self._options.odom and self._peer.resolved(self._options.odom)
+        if odom in there and odom not in self._heard:
+            self._heard.add(odom)
+            self._peer.claim(odom)
+            takers = {ros.ODOMETRY: self._incoming.take_odometry, POSE: self._incoming.take_pose}
+            if there[odom] not in takers:
+                raise InputError(f"{odom} carries {there[odom]}", where="odom", allowed=", ".join(takers))
+            self._peer.listen(odom, there[odom], "sensor", self._taker(takers[there[odom]]), depth=200)
+
+    def _wanted(self, there: dict[str, str]) -> list[str]:
+        named = [self._peer.resolved(name) for name in self._options.topics.split(",") if name]
+        if named:
+            return [name for name in named if name in there]
+        near = [name for name in there if name.startswith(self._namespace.rstrip("/") + "/")]
+        frames = [name for name in near if there[name] == ros.FRAME and self._peer.speaks(ros.FRAME)]
+        profiles = [name for name in near if there[name] == ros.CLOUD and name.endswith("/profile")]
+        has_frames = {name.rpartition("/")[0] for name in frames}
+        return frames + [name for name in profiles if name.rpartition("/")[0] not in has_frames]
+
+    def _listen(self, topic: str, kind: str) -> None:
+        self._heard.add(topic)
+        base = topic.rpartition("/")[0]
+        self._peer.claim(*(f"{base}/{name}" for name in ("frame", "settings", "profile", "range")))
+        takers = {
+            ros.FRAME: self._incoming.take_frame,
+            ros.CLOUD: self._incoming.take_profile,
+            encode.RANGE: self._incoming.take_range,
+        }
+        if kind not in takers:
+            raise InputError(f"{topic} carries {kind}", where="topics", allowed=", ".join(takers))
+        if kind == ros.FRAME:
+            settings = f"{base}/settings"
+            taker = self._taker(self._incoming.take_settings, settings)
+            self._peer.listen(settings, ros.SETTINGS, "latched", taker)
+        self._peer.listen(topic, kind, "sensor", self._taker(takers[kind], topic), depth=200)
+        self._say(f"listening to {topic}")
+
+    def _over(self) -> bool:
+        length, idle = self._options.duration_s, self._options.idle_s
+        if idle is not None and self._first_ns is not None and time.monotonic() - self._given_s > idle:
+            return True
+        return length is not None and self._first_ns is not None and self._last_ns - self._first_ns >= length * 1e9
+
+    def _count(self, found: dict[str, Frames]) -> None:
+        first = min(int(part.t_ns[0]) for part in found.values())
+        self._first_ns = first if self._first_ns is None else self._first_ns
+        self._last_ns = max(self._last_ns, *(int(part.t_ns[-1]) for part in found.values()))
+
+    def _why_nothing(self) -> str:
+        if not (self._heard - {self._options.odom}):
+            return f"no radar topics under {self._namespace} (of {ros.FRAME}, or */profile of {ros.CLOUD}); waiting"
+        if self._incoming.waits_for:
+            return f"frames wait for poses: {self._incoming.waits_for}"
+        return "no frames come any more; waiting (Ctrl-C ends)"
+
+    def _report(self) -> None:
+        """Diagnostics, once a second."""
+        now = time.monotonic()
+        if now - self._reported_s < 1.0:
+            return
+        self._reported_s = now
+        idle = now - self._given_s
+        level = 0 if idle < 1.0 + self._options.patience_s else 1 if self._incoming.sensors else 3
+        text = "frames come" if level == 0 else self._why_nothing()
+        values = [("radars", ", ".join(self.sensors)), ("seconds since the last frame", f"{idle:.1f}")]
+        values += [(name, str(count)) for name, count in sorted(self._incoming.count.items())]
+        t_ns = time.time_ns()
+        data = encode.diagnostics_note(t_ns, level, f"{self._options.node}: source", text, values)
+        self._peer.send(Note(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
+
+    def _tell(self, text: str) -> None:
+        """Say it, but the same no more often than every few seconds."""
+        now = time.monotonic()
+        if now - self._told.get(text, -PATIENCE_S) >= PATIENCE_S:
+            self._told[text] = now
+            self._say(text)

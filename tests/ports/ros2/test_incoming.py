@@ -1,0 +1,186 @@
+"""Frames and poses brought together, message by message, without any middleware."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.errors import InputError
+from ullage.geometry import rpy_quat
+from ullage.ports import conversions
+from ullage.ports import messages as ros
+from ullage.ports.ros2.encode import fixed_note, range_layout
+from ullage.ports.ros2.incoming import Incoming
+from ullage.ports.ros2.options import SourceOptions
+from ullage.ports.ros2.outgoing import Outgoing, body_path
+
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def flight() -> ul.Frames:
+    spec = ul.RadarSpec.preset("x4m05", mount=ul.MountSpec(position_m=(0.1, 0, 0.05), yaw_deg=90, pitch_deg=20))
+    n = 30
+    t_ns = 5 * S + np.arange(n) * S // 17
+    path = ul.Trajectory(
+        t_ns,
+        np.stack([np.arange(n) * 0.03, np.sin(np.arange(n) / 9), np.ones(n)], 1),
+        rpy_quat(0, 0, np.arange(n) * 0.02),
+    )
+    samples = np.random.default_rng(1).normal(size=(n, 188, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    poses = path.mounted(spec.mount.body_from_sensor())
+    return ul.Frames(samples, spec.range_m, t_ns, spec, poses=poses, sensor="left")
+
+
+def incoming(**options: object) -> tuple[Incoming, list[str]]:
+    said: list[str] = []
+    return Incoming(SourceOptions(**options), said.append), said  # type: ignore[arg-type]
+
+
+def hear(into: Incoming, frames: ul.Frames, *, settings: bool = True) -> None:
+    if settings:
+        into.take_settings("/radar/left/settings", conversions.settings_note(frames))
+    for note in conversions.frame_notes(frames, 0):
+        into.take_frame("/radar/left/frame", note)
+
+
+def posed(into: Incoming, frames: ul.Frames, *, every: int = 1, fixed: bool = True) -> None:
+    body = body_path(frames, frames.poses)[np.arange(0, len(frames), every)]
+    for note in conversions.transform_notes({"base_link": body}):
+        into.take_transforms(note)
+    if fixed:
+        mount = {("base_link", "left"): frames.spec.mount.body_from_sensor()}
+        into.take_transforms(fixed_note(0, mount), fixed=True)
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_poses_from_transforms_are_those_of_the_flight(flight: ul.Frames, fixed: bool) -> None:
+    into, said = incoming(poses="tf")
+    hear(into, flight)
+    assert into.ready() == {}  # nothing tells yet where it is
+    assert "nothing tells where left or base_link is" in into.waits_for
+    posed(into, flight, fixed=fixed)
+    frames = into.ready()["left"]
+    assert np.array_equal(frames.samples, flight.samples)
+    assert np.array_equal(frames.t_ns, flight.t_ns)
+    assert frames.spec == flight.spec
+    assert flight.poses is not None
+    np.testing.assert_allclose(frames.poses.world_from_body, flight.poses.world_from_body, atol=1e-9)
+    np.testing.assert_allclose(frames.poses.velocity, flight.poses.velocity, atol=0.05)
+    assert not said
+
+
+def test_frames_wait_for_the_transform_after_them_and_no_longer_than_asked(flight: ul.Frames) -> None:
+    into, said = incoming(poses="tf", patience_s=0.0)
+    posed(into, flight[:10])
+    hear(into, flight)
+    assert len(into.ready()["left"]) == 10
+    assert into.count["frames without pose"] == 20
+    assert "no pose for its frames (map to base_link)" in said[0]
+    patient, said = incoming(poses="tf", patience_s=60)
+    posed(patient, flight[:10])
+    hear(patient, flight)
+    assert len(patient.ready()["left"]) == 10
+    assert patient.ready() == {}
+    posed(patient, flight[10:])
+    later = patient.ready()["left"]
+    assert len(later) == 20
+    assert later.poses.velocity[0] == pytest.approx(flight.poses.velocity[10], abs=0.05)
+    assert not said
+
+
+def test_frames_without_settings_are_taken_for_an_x4m05_after_a_while(
+    flight: ul.Frames, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    into, said = incoming()
+    hear(into, flight, settings=False)
+    assert into.ready() == {}
+    monkeypatch.setattr("ullage.ports.ros2.incoming.SETTINGS_S", 0.0)
+    assert len(into.ready()["left"]) == len(flight)
+    assert "no settings were recorded" in said[0]
+
+
+def test_odometry_stands_in_for_transforms(flight: ul.Frames) -> None:
+    into, said = incoming(poses="tf")
+    for note in conversions.odometry_notes(body_path(flight, flight.poses), parent="odom"):
+        into.take_odometry(note)
+    hear(into, flight)
+    frames = into.ready()["left"]
+    np.testing.assert_allclose(frames.poses.position, flight.poses.position, atol=1e-9)
+    assert "base_link hangs on odom, not on map" in said[0]
+
+
+def test_a_profile_of_points_gives_the_same_ranges(flight: ul.Frames) -> None:
+    into, _ = incoming(poses="none")
+    for note in conversions.profile_notes(flight):
+        into.take_profile("/radar/left/profile", note)
+    frames = into.ready()["left"]
+    assert frames.poses is None
+    np.testing.assert_allclose(frames.amplitude, flight.amplitude, atol=1e-6)
+    np.testing.assert_allclose(frames.range_m, flight.range_m, atol=1e-4)
+
+
+def test_a_range_becomes_one_echo_there(flight: ul.Frames) -> None:
+    into, _ = incoming(poses="none")
+    ranges = np.array([1.0, 2.345, np.inf, 4.0])
+    layout = range_layout(b"left")
+    for note in layout.fill(4, sec=np.arange(4), min=0.1, max=6.0, range=ranges):
+        into.take_range("/sonar/range", note)
+    frames = into.ready()["sonar"]
+    found = ul.detect(frames)
+    assert found.frame.tolist() == [0, 1, 3]
+    np.testing.assert_allclose(found.range_m, ranges[[0, 1, 3]], atol=0.03)
+
+
+def test_a_clock_that_jumps_back_starts_anew_and_time_goes_on(flight: ul.Frames) -> None:
+    into, said = incoming()
+    hear(into, flight)
+    first = into.ready()["left"]
+    hear(into, flight)  # the bag begins again
+    again = into.ready()["left"]
+    assert again.t_ns[0] > first.t_ns[-1]
+    assert np.array_equal(np.diff(again.t_ns), np.diff(first.t_ns))
+    assert np.array_equal(again.poses.t_ns, again.t_ns)
+    assert "time jumped back" in said[0]
+
+
+def test_frames_that_overtook_each_other_are_left_out(flight: ul.Frames) -> None:
+    into, _ = incoming()
+    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
+    notes = conversions.frame_notes(flight, 0)
+    for k in (0, 2, 1, 3):
+        into.take_frame("/radar/left/frame", notes[k])
+    assert into.ready()["left"].t_ns.tolist() == flight.t_ns[[0, 2, 3]].tolist()
+    assert into.count["frames out of order"] == 1
+
+
+def test_a_broken_transform_changes_nothing() -> None:
+    into, _ = incoming()
+    into.take_transforms(fixed_note(0, {("map", "b"): np.eye(4)}))
+    record = bytearray(fixed_note(0, {("map", "b"): np.eye(4)}))
+    record[-32:] = np.full(4, np.nan).tobytes()
+    into.take_transforms(bytes(record))
+    assert into.count["poses that are none"] == 1
+
+
+def test_a_cloud_without_intensity_is_refused(flight: ul.Frames) -> None:
+    into, _ = incoming()
+    note = ros.cloud_layout(b"left", (("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
+    columns = ros.cloud_columns((("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
+    with pytest.raises(InputError, match=r"without intensity.*x, y, z and intensity"):
+        into.take_profile("/p/profile", note.fill(1, **columns)[0])
+
+
+def test_what_goes_out_comes_in_again(flight: ul.Frames) -> None:
+    into, _ = incoming(poses="tf")
+    for note in Outgoing().notes({"left": flight}):
+        if note.topic in ("/tf", "/tf_static"):
+            into.take_transforms(note.data, fixed=note.topic == "/tf_static")
+        elif note.topic.endswith("/settings"):
+            into.take_settings("/" + note.topic, note.data)
+        elif note.topic.endswith("/frame"):
+            into.take_frame("/" + note.topic, note.data)
+    frames = into.ready()["left"]
+    assert np.array_equal(frames.samples, flight.samples)
+    np.testing.assert_allclose(frames.poses.world_from_body, flight.poses.world_from_body, atol=1e-9)
