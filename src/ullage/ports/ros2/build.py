@@ -166,7 +166,10 @@ def _call(command: list[str], there: dict[str, str]) -> None:
 
 
 def main() -> int:
-    """Build what is missing; say what was done."""
+    """Build what is missing, or with `--needs` say which wheels that needs."""
+    if sys.argv[1:] == ["--needs"]:
+        sys.stdout.write(" ".join(WHEELS) + "\n")
+        return 0
     wanted = sys.argv[1:] or missing()
     for package in wanted:
         if package not in PARTS:

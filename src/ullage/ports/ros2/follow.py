@@ -183,4 +183,12 @@ class Ros2Radars(FollowSource):
         rig = rig_of(options.rig, scene, model, where=where)
         scene = scene.without(model) if model in scene.rigs else scene
         made = peer or Peer(namespace, options)
-        super().__init__(PoseFeed(made, options, scene), scene, rig, options, say=say or tell)
+        super().__init__(lambda: PoseFeed(made, options, scene), scene, rig, options, say=say or tell)
+        self._stopped = False
+
+    def stop(self) -> None:
+        """Let a stream that runs in another thread end."""
+        self._stopped = True
+
+    def _over(self) -> bool:
+        return self._stopped or super()._over()

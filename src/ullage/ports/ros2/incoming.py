@@ -16,7 +16,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0, matrix_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.ros2.encode import RANGE
+from ullage.ports.ros2.encode import RANGE, range_layout
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Answer, Transforms
 from ullage.specs import RadarSpec
@@ -92,7 +92,8 @@ class Incoming:
 
     def take_range(self, topic: str, data: bytes) -> None:
         """Range: one echo of the radar's own pulse there, or none."""
-        note = ros.from_bytes(RANGE, data)
+        short = range_layout(conversions.text_in(data, 0).encode()).dtype.itemsize - len(data)
+        note = ros.from_bytes(RANGE, data + bytes(4 if 0 < short <= 4 else 0))  # ROS 1 and Humble know no variance
         bins = np.arange(max(int(note.max_range / self._spec.bin_m) + 8, 16))
         range_m: Floats = np.asarray(self._spec.bin_m * bins, np.float64)
         width = C0 / 2 * self._spec.pulse_sigma_s

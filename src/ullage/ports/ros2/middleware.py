@@ -27,6 +27,8 @@ HOW = {
 }
 TAKEN: set[str] = set()
 """Topics that something in this program listens to: what came in there must not go out there again."""
+OWN: set[str] = set()
+"""Topics that something in this program publishes: they are no news here."""
 ROBOTS_OWN = {"/tf", "/tf_static", "/clock", "odom", "truth/odom"}
 """Topics left to others where ullage only listens to a robot and others already speak on them."""
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?")
@@ -118,9 +120,9 @@ class Peer:
         TAKEN.update(topics)
 
     def topics(self) -> dict[str, str]:
-        """Topics on the network that somebody publishes, with their types."""
+        """Topics on the network that somebody else publishes, with their types."""
         named = self.node.get_topic_names_and_types()
-        return {name: kinds[0] for name, kinds in named if self.node.count_publishers(name)}
+        return {name: kinds[0] for name, kinds in named if name not in OWN and self.node.count_publishers(name)}
 
     def resolved(self, topic: str) -> str:
         """The full name of a topic."""
@@ -149,6 +151,8 @@ class Peer:
             found = None if self._left_to_others(topic) else self.class_of(kind, topic)
             how = profile(quality, reliable=reliable)
             self._publishers[topic] = self.node.create_publisher(found, self._named(topic), how) if found else None
+            if found:
+                OWN.add(self.resolved(topic))
         return self._publishers[topic]
 
     def _left_to_others(self, topic: str) -> bool:
@@ -196,6 +200,8 @@ class Peer:
     def close(self) -> None:
         """Leave the network; a given node stays, without what was made on it."""
         TAKEN.difference_update(self._claimed)
+        if self._context is None or self._context.ok():
+            OWN.difference_update(self.resolved(topic) for topic in self._publishers)
         if self._context is None:
             for thing in (*self._publishers.values(), *self._subscriptions):
                 if thing is not None:

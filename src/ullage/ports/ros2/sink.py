@@ -57,15 +57,16 @@ class Ros2Sink:
     Args:
         namespace: of the topics.
         options: how.
+        peer: the node to use; None: one of its own.
 
     Raises:
         InputError: the namespace is none.
         MissingExtra: there is no rclpy.
     """
 
-    def __init__(self, namespace: str, options: SinkOptions) -> None:
+    def __init__(self, namespace: str, options: SinkOptions, *, peer: Peer | None = None) -> None:
         self._options = options
-        self._peer = Peer(namespace, options)
+        self._peer = peer or Peer(namespace, options)
         self._outgoing = Outgoing(map_full_s=options.map_full_s)
         self._notes: queue.Queue[Note | None] = queue.Queue()
         self._pace = Pace(options.pace)

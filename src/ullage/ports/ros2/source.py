@@ -66,7 +66,7 @@ class Ros2Source:
         return self._incoming.sensors
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames as they come, at most `chunk` of each radar at a time, until Ctrl-C, the asked end, or `close`."""
+        """Frames as they come, at most `chunk` of each radar at a time, until Ctrl-C, the asked end, or `stop`."""
         try:
             while not (self._closed or self._over()):
                 self._look()
@@ -76,9 +76,9 @@ class Ros2Source:
                 found = self._incoming.ready(chunk)
                 self._report()
                 if found:
-                    self._given_s = time.monotonic()
                     self._count(found)
                     yield found
+                    self._given_s = time.monotonic()  # whoever took them may have taken long
                 elif time.monotonic() - self._given_s > PATIENCE_S:
                     self._tell(self._why_nothing())
         finally:
@@ -108,8 +108,12 @@ class Ros2Source:
         """None: only frames are listened to."""
         return None
 
+    def stop(self) -> None:
+        """Let a stream that runs in another thread end."""
+        self._closed = True
+
     def close(self) -> None:
-        """Leave the network; a stream that runs ends."""
+        """Leave the network."""
         self._closed = True
         self._peer.close()
 

@@ -1,0 +1,9 @@
+"""The scenario ntnu-plate45: pace:=1 rviz:=false."""
+
+from launch import LaunchDescription
+from ullage_ros.scenario import describe
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What to start."""
+    return describe("ntnu-plate45")

@@ -1,0 +1,1 @@
+"""Entry points of ullage for ROS 2."""

@@ -1,0 +1,233 @@
+"""ullage as managed ROS 2 nodes: `radar_simulator` and `radar_mapping`.
+
+Every option of `ros2:` is a parameter of the same name. Transitions: configure makes the source, activate lets frames
+flow, deactivate stops them, cleanup lets go of everything; `autostart` goes through the first two at once.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ullage.data import Frames
+from ullage.errors import InputError, UllageError, need
+from ullage.grids import Grid
+from ullage.pipeline import DetectStage, MapStage, Sink, Source, Stage, run
+from ullage.ports.following import options_of
+from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions
+from ullage.specs import Spec
+
+
+class MappingOptions(SourceOptions):
+    """What `radar_mapping` is told beside what every source is told."""
+
+    step_m: float = 0.1
+    reach_m: float = 10.0  # how far around the first pose the map goes
+    margin_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Resumed:
+    """A stream whose first piece was looked at."""
+
+    first: dict[str, Frames]
+    rest: Iterator[dict[str, Frames]]
+
+    def stream(self) -> Iterator[dict[str, Frames]]:
+        """Every piece, once."""
+        yield self.first
+        yield from self.rest
+
+
+def simulate(source: Any, peer: Peer, options: Spec) -> None:
+    """Frames go out where the poses come in; nothing is made of them here."""
+    run(source)
+
+
+def map_frames(source: Any, peer: Peer, options: Spec) -> None:
+    """Detections and a map of frames that come on topics, published."""
+    from ullage.ports.ros2.sink import Ros2Sink
+
+    if not isinstance(options, MappingOptions):
+        raise InputError("not the options of radar_mapping", where="map_frames")
+    pieces = source.stream()
+    first = next(pieces, None)
+    if not first:
+        return
+    stages: list[Stage] = [DetectStage()]
+    placed = [part.poses.position[0] for part in first.values() if part.poses is not None]
+    if placed:
+        reach = options.reach_m + options.margin_m
+        grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
+        stages.append(MapStage(grid))
+    sink: Sink = Ros2Sink("", SinkOptions(pace=0, clock="off", node=options.node), peer=peer)
+    resumed: Source = Resumed(first, pieces)
+    run(resumed, stages=stages, sinks=[sink])
+
+
+def open_radars(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
+    """Radars on whatever moves."""
+    from ullage.ports.ros2.follow import Ros2Radars
+
+    return Ros2Radars("", options, say=say, peer=peer)
+
+
+def open_topics(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
+    """Frames from topics."""
+    from ullage.ports.ros2.source import Ros2Source
+
+    return Ros2Source("", options, say=say, peer=peer)
+
+
+NODES: dict[str, tuple[type[NodeOptions], Callable[..., Any], Callable[..., None]]] = {
+    "radar_simulator": (SimulateOptions, open_radars, simulate),
+    "radar_mapping": (MappingOptions, open_topics, map_frames),
+}
+NOT_PARAMETERS = {"domain", "node", "host"}
+
+
+def make_node(name: str) -> Any:
+    """The managed node of this name.
+
+    Raises:
+        MissingExtra: there is no rclpy.
+    """
+    need("rclpy", extra="ros2")
+    from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+
+    kind, make, work = NODES[name]
+    fine, refused = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+    class Managed(LifecycleNode):  # type: ignore[misc]
+        """Runs a source in a thread while it is active."""
+
+        def __init__(self) -> None:
+            super().__init__(name)
+            declare(self, kind)
+            self._thread: threading.Thread | None = None
+            self._source: Any = None
+            self._peer: Any = None
+
+        def on_configure(self, state: Any) -> Any:
+            """Make the source."""
+            try:
+                self._options = read(self, kind)
+                self._peer = Peer("", self._options, node=self)
+                self._source = make(self._peer, self._options, self.get_logger().info)
+            except UllageError as error:
+                self.get_logger().error(str(error))
+                return refused
+            return fine
+
+        def on_activate(self, state: Any) -> Any:
+            """Let frames flow."""
+            self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+            self._thread.start()
+            return super().on_activate(state)
+
+        def _work(self) -> None:
+            try:
+                work(self._source, self._peer, self._options)
+            except UllageError as error:
+                self.get_logger().error(str(error))
+            except Exception as error:
+                if self.context.ok():
+                    self.get_logger().error(f"{type(error).__name__}: {error}")
+
+        def on_deactivate(self, state: Any) -> Any:
+            """Stop them; to go on, configure anew."""
+            self.halt()
+            return super().on_deactivate(state)
+
+        def on_cleanup(self, state: Any) -> Any:
+            """Let go."""
+            self.halt()
+            return fine
+
+        def on_shutdown(self, state: Any) -> Any:
+            """Let go."""
+            self.halt()
+            return fine
+
+        def halt(self) -> None:
+            """Stop the stream and close the source."""
+            if self._source is not None:
+                self._source.stop()
+            if self._thread is not None:
+                self._thread.join(timeout=5.0)
+                self._thread = None
+            if self._source is not None:
+                self._source.close()
+                self._source = None
+
+    return Managed()
+
+
+def declare(node: Any, kind: type[NodeOptions]) -> None:
+    """Each option as a parameter; those without a value as an empty text."""
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    for name, field in kind.model_fields.items():
+        if name not in NOT_PARAMETERS:
+            about = ParameterDescriptor(description=field.description or name, dynamic_typing=True)
+            node.declare_parameter(name, "" if field.default is None else field.default, about)
+    node.declare_parameter("autostart", True)
+
+
+def read(node: Any, kind: type[NodeOptions]) -> Any:
+    """The options that the parameters tell.
+
+    Raises:
+        InputError: one is of no use.
+    """
+    told = {name: node.get_parameter(name).value for name in kind.model_fields if name not in NOT_PARAMETERS}
+    given = {name: value for name, value in told.items() if value != "" and value is not None}
+    return options_of(kind, given | {"node": node.get_name()}, node.get_name())
+
+
+def main(name: str, words: list[str] | None = None) -> int:
+    """Run a node until it is told to end.
+
+    Args:
+        name: of `NODES`.
+        words: of the command line, with --ros-args; None: this program's.
+    """
+    rclpy: Any = need("rclpy", extra="ros2")
+    from rclpy.executors import ExternalShutdownException
+
+    rclpy.init(args=words)
+    node = make_node(name)
+    if node.get_parameter("autostart").value:
+        node.trigger_configure()
+        node.trigger_activate()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.halt()
+        if rclpy.ok():
+            node.destroy_node()
+            rclpy.shutdown()
+    return 0
+
+
+def radar_simulator() -> int:
+    """Entry point of the package ullage_ros."""
+    return main("radar_simulator")
+
+
+def radar_mapping() -> int:
+    """Entry point of the package ullage_ros."""
+    return main("radar_mapping")
+
+
+if __name__ == "__main__":
+    import sys
+
+    raise SystemExit(main(sys.argv[1], sys.argv[1:]))

