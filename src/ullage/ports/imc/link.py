@@ -39,6 +39,7 @@ class Identity:
     name: str
     sys_type: int = MOBILE_SENSOR
     entities: list[Entity] = field(default_factory=list)
+    shared: bool = False  # somebody else on the bus has our address, and is meant to
     uid: str = field(default_factory=lambda: uuid.uuid4().hex[:16])
     lat_rad: float = 0.0
     lon_rad: float = 0.0
@@ -282,7 +283,7 @@ class Link:
     def _answer(self, packet: Packet) -> None:
         """What any system is expected to answer."""
         if packet.src == self.me.system_id:
-            if packet.name == "Announce" and self.me.uid not in packet["services"]:
+            if packet.name == "Announce" and not self.me.shared and self.me.uid not in packet["services"]:
                 other = f"{packet['sys_name']!r} also uses the address {packet.src:#06x}"
                 self._once("twin", f"{other}; give one of us another: system_id=")
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -86,6 +87,34 @@ class SourceOptions(PlaceOptions):
     seed: int = 0
     rate_hz: float | None = Field(None, gt=0, le=10_000)
     duration_s: float | None = Field(None, gt=0)
+    mission: str = Field(
+        "", description="lead the vehicle along x,y,z;x,y,z... [m], or along the world's own waypoints: world"
+    )
+    speed_m_s: float = Field(0.5, gt=0, le=50)
+    near_m: float = Field(1.0, gt=0, le=1000, description="a waypoint this near is reached")
+    z: Literal["height", "altitude", "depth"] = Field("height", description="how heights are told to the vehicle")
+    fly: str = Field("", description="be the vehicle: hector flies as DUNE's controllers desire")
+    start: str = Field("0,0,1", description="where it hovers at first: x,y,z [m], and yaw [deg] or not")
+    state_hz: float = Field(20.0, gt=0, le=250, description="EstimatedStates a second, when flying")
+    pace: float = Field(1.0, gt=0, le=100, description="times real time, when flying")
+
+    def waypoints(self) -> list[tuple[float, ...]]:
+        """The points of the mission, none where there is no mission.
+
+        Raises:
+            InputError: they are no points.
+        """
+        if self.mission == "world":
+            from ullage.world.library import WORLDS
+
+            if self.world not in WORLDS:
+                raise InputError("mission=world needs a world of the library", where="imc", allowed=", ".join(WORLDS))
+            return [tuple(point[:3]) for point in WORLDS[self.world].path_xyzyaw]
+        return [numbers_of(part, "mission", (3,)) for part in self.mission.split(";") if part.strip()]
+
+    def place_of_start(self) -> tuple[float, ...]:
+        """Where the vehicle hovers at first."""
+        return numbers_of(self.start, "start", (3, 4))
 
     def radars(self) -> RadarSpec | Rig:
         """The radars to simulate."""
@@ -129,6 +158,22 @@ class LogSourceOptions(Spec):
     xml: str = Field("", description="an IMC.xml, for messages that our table lacks")
 
 
+def numbers_of(text: str, name: str, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """Numbers with commas between them.
+
+    Raises:
+        InputError: there are too many or too few, or one is no finite number.
+    """
+    allowed = f"{' or '.join(map(str, counts))} numbers, like 1,0,2"
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"{name} is {text!r}", where="imc", allowed=allowed) from None
+    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{name} is {text!r}", where="imc", allowed=allowed)
+    return numbers
+
+
 def origin_of(text: str) -> Geodetic | None:
     """The point that `LAT,LON` or `LAT,LON,HEIGHT` names; None where nothing is written.
 
@@ -137,11 +182,7 @@ def origin_of(text: str) -> Geodetic | None:
     """
     if not text:
         return None
-    try:
-        numbers = [float(part) for part in text.split(",")]
-        lat, lon, height = (*numbers, 0.0)[:3] if len(numbers) in (2, 3) else ()
-    except ValueError:
-        raise InputError(f"origin is {text!r}", where="imc", allowed="LAT,LON or LAT,LON,HEIGHT") from None
+    lat, lon, height = (*numbers_of(text, "origin", (2, 3)), 0.0)[:3]
     if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(height) <= 1e5):
         raise InputError(f"origin is {text!r}", where="imc", allowed="degrees, and metres over the ellipsoid")
     return Geodetic.degrees(lat, lon, height)

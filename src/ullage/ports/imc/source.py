@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
 
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError, UllageWarning
@@ -13,10 +15,15 @@ from ullage.grids import OccupancyMap
 from ullage.ports.imc.gather import Gatherer, Track
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SourceOptions, scene_path
-from ullage.ports.imc.places import Pose
+from ullage.ports.imc.places import TRONDHEIM, Pose
 from ullage.ports.imc.reach import open_link
 from ullage.ports.protocol import one_or_all
 from ullage.world.scene import Scene
+
+if TYPE_CHECKING:
+    from ullage.flight.live import Steered
+    from ullage.ports.imc.backseat import Backseat
+    from ullage.ports.imc.helm import Flight
 
 
 def warn(text: str) -> None:
@@ -27,7 +34,8 @@ def warn(text: str) -> None:
 class ImcSource:
     """Listens to an IMC bus.
 
-    With a world, radars are simulated along the vehicle's poses; without, the frames on the bus are taken.
+    With a world, radars are simulated along the vehicle's poses; without, the frames on the bus are taken. With a
+    mission the vehicle is led along it, and with `fly` we are the vehicle.
 
     Args:
         place: `tcp://host:port`, `udp://host:port`, or nothing.
@@ -43,21 +51,31 @@ class ImcSource:
         self.scene: Scene | None = None
         self.home: Trajectory | None = None
         self._radars: Any = None
-        if options.world:
-            from ullage.radar.live import LiveRadars
-            from ullage.world.load import load_scene
-
-            self.scene = load_scene(scene_path(options.world))
-            self._radars = LiveRadars(
-                self.scene, options.radars(), fidelity=options.fidelity, max_bounces=options.max_bounces,
-                seed=options.seed, rate_hz=options.rate_hz,
-            )  # fmt: skip
+        self._seen: list[str] = []
+        self._behind = False
+        self._first_ns: int | None = None
+        points, start = options.waypoints(), options.place_of_start()
         self._track = Track(state=options.state, origin=options.place(), vehicle=options.vehicle, say=say)
         self._gather = Gatherer(self._track)
+        if options.world:
+            self._build()
+        vehicle = self._vehicle(start) if options.fly else None
         me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
         self._link: Link = open_link(place, options, me, say=say)
-        self._seen: list[str] = list(self._radars.sensors) if self._radars else []
-        self._behind = False
+        self._flight = self._take_off(vehicle) if vehicle is not None else None
+        self._backseat = self._take_wheel(points) if points else None
+
+    def _build(self) -> None:
+        """The world and its radars."""
+        from ullage.radar.live import LiveRadars
+        from ullage.world.load import load_scene
+
+        o = self._options
+        self.scene = load_scene(scene_path(o.world))
+        self._radars = LiveRadars(
+            self.scene, o.radars(), fidelity=o.fidelity, max_bounces=o.max_bounces, seed=o.seed, rate_hz=o.rate_hz
+        )  # fmt: skip
+        self._seen = list(self._radars.sensors)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -66,54 +84,95 @@ class ImcSource:
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """Frames with poses as they arrive, until the peer ends, the asked duration is over, or Ctrl-C."""
-        limit = self._options.duration_s
-        first_ns: int | None = None
         for ready in self._arriving():
-            out = ready
-            if limit is not None and ready:
-                start = min(int(f.t_ns[0]) for f in ready.values())
-                first_ns = start if first_ns is None else first_ns
-                out = {
-                    k: f[f.t_ns <= first_ns + limit * 1e9]
-                    for k, f in ready.items()
-                    if f.t_ns[0] <= first_ns + limit * 1e9
-                }
+            out = self._within(ready)
             self._seen += [name for name in out if name not in self._seen]
             yield from pieces(out, chunk)
-            if out != ready and len(out) < len(ready):
-                return
-            if any(len(out[k]) < len(ready[k]) for k in out):
-                return
+
+    def _within(self, ready: dict[str, Frames]) -> dict[str, Frames]:
+        """The frames that lie within the asked duration."""
+        limit = self._options.duration_s
+        if limit is None or not ready:
+            return ready
+        if self._first_ns is None:
+            self._first_ns = min(int(f.t_ns[0]) for f in ready.values())
+        last = self._first_ns + round(limit * 1e9)
+        return {name: f[f.t_ns <= last] for name, f in ready.items() if f.t_ns[0] <= last}
+
+    def _over(self) -> bool:
+        """Whether the asked duration is over, by the clock of the poses."""
+        limit, poses = self._options.duration_s, self._track.poses
+        if limit is None or not poses:
+            return False
+        if self._first_ns is None:
+            self._first_ns = poses[0].t_ns
+        return poses[-1].t_ns - self._first_ns > limit * 1e9
+
+    def _vehicle(self, start: tuple[float, ...]) -> Steered:
+        from ullage.flight.live import Steered
+
+        return Steered(self._options.fly, scene=self.scene, start=start)
+
+    def _take_off(self, vehicle: Steered) -> Flight:
+        from ullage.ports.imc.helm import Flight, Helm
+
+        o = self._options
+        home = self._track.origin = o.place() or TRONDHEIM
+        helm = Helm(vehicle, self._link, origin=home, rate_hz=o.state_hz, pace=o.pace, say=self._say)
+        return Flight(helm, self._link)
+
+    def _take_wheel(self, points: list[tuple[float, ...]]) -> Backseat:
+        from ullage.flight.missions import Waypoints
+        from ullage.ports.imc.backseat import Backseat
+
+        o = self._options
+        mission = Waypoints(np.array(points), speed_m_s=o.speed_m_s)
+        return Backseat(self._link, mission, z=o.z, near_m=o.near_m, say=self._say)
 
     def _arriving(self) -> Iterator[dict[str, Frames]]:
-        told = 0.0
-        started = time.monotonic()
+        told = time.monotonic()
         while True:
-            packets = self._link.receive(0.25)
-            poses: list[Pose] = []
-            for packet in packets:
-                jumps = self._track.jumps
-                pose = self._track.take(packet)
-                if self._track.jumps > jumps and self._radars is not None:
-                    self._radars.reset()
-                    poses.clear()
-                if pose is not None:
-                    poses.append(pose)
-                if self._radars is None:
-                    self._gather.take(packet)
+            poses, heard = self._poses()
             if self._radars is not None and poses:
                 yield self._simulated(poses)
-            elif self._radars is None and packets:
+            elif self._radars is None and heard:
                 yield self._gather.give()
             now = time.monotonic()
-            if not self._track.poses and now - max(told, started) > 5.0:
+            if not self._track.poses and now - told > 5.0:
                 told = now
                 what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
-                self._say(f"waiting for {what}")
-            if self._link.finished and not packets:
+                self._say(f"waiting for {what}" if self._flight is None else "waiting for a controller")
+            wheel = self._backseat
+            left = wheel is not None and (wheel.done or wheel.refused)
+            if left or self._over() or (self._link.finished and not heard):
                 if self._radars is None:
                     yield self._gather.give(final=True)
                 return
+
+    def _poses(self) -> tuple[list[Pose], bool]:
+        """The vehicle's next poses, and whether anything was heard."""
+        if self._flight is not None:
+            flown = self._flight.poses(0.25)
+            self._track.poses.extend(flown)
+            return flown, bool(flown)
+        packets = self._link.receive(0.25)
+        poses: list[Pose] = []
+        for packet in packets:
+            jumps = self._track.jumps
+            pose = self._track.take(packet)
+            if self._track.jumps > jumps and self._radars is not None:
+                self._radars.reset()
+                poses.clear()
+            if pose is not None:
+                poses.append(pose)
+            if self._radars is None:
+                self._gather.take(packet)
+            if self._backseat is not None:
+                self._backseat.take(packet)
+        track = self._track
+        if self._backseat is not None and track.poses and track.followed is not None and track.origin is not None:
+            self._backseat.lead(track.followed, track.poses[-1], track.origin)
+        return poses, bool(packets)
 
     def _simulated(self, poses: list[Pose]) -> dict[str, Frames]:
         began = time.monotonic()
@@ -150,6 +209,8 @@ class ImcSource:
 
     def close(self) -> None:
         """Let go of sockets and threads."""
+        if self._flight is not None:
+            self._flight.close()
         self._link.close()
         if self._radars is not None:
             self._radars.close()

@@ -1,0 +1,172 @@
+"""A multirotor that is steered while it flies: by height, speed and heading, or by forces.
+
+The body, its rotors, the air and what it can hit are those of `fly`; only the reference is made on the way, each
+control step, from what is asked for at that moment.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.errors import InputError
+from ullage.flight.airframe import Airframe, airframe
+from ullage.flight.control import Tables
+from ullage.flight.obstacles import bodies
+from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+
+_PULL_S = 1.2  # climb asked for per metre of height that is missing [1/s]
+_CLIMB_M_S, _ACCELERATION_M_S2 = 1.0, 1.5
+_SPEED_S, _SMOOTH_S = 0.35, 0.08  # time constants of the speed and of the acceleration that is asked for [s]
+_TURN_S, _TURN_RAD_S = 1.5, math.radians(60)
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the vehicle is asked to do; None: what it was asked for before, at first to hover."""
+
+    height_m: float | None = None  # z in the world
+    velocity_m_s: tuple[float, float] | None = None  # forward and left, level
+    heading_rad: float | None = None  # counter-clockwise from east
+    force_n: tuple[float, float, float] | None = None  # forward, left, up; on top of what carries the weight
+
+    def then(self, later: Wish) -> Wish:
+        """This one with what a later one says."""
+        height_m, force_n = later.height_m, later.force_n
+        return Wish(
+            self.height_m if height_m is None else height_m,
+            self.velocity_m_s if later.velocity_m_s is None else later.velocity_m_s,
+            self.heading_rad if later.heading_rad is None else later.heading_rad,
+            # a height or a speed takes the place of a force, and a force that of both
+            None if height_m is not None or later.velocity_m_s is not None else force_n or self.force_n,
+        )
+
+
+class Steered:
+    """A multirotor in the air, a control step at a time.
+
+    Args:
+        vehicle: name of a vehicle, or an `Airframe`.
+        scene: what can be hit; moving objects stand where they are at first. None: free space.
+        start: where it hovers at first: x, y, z [m], and yaw [deg] or not.
+        wind_m_s: mean wind (3) [m/s] world.
+
+    Raises:
+        InputError: the start is not three or four finite numbers, or the vehicle unknown.
+    """
+
+    def __init__(
+        self,
+        vehicle: str | Airframe = "hector",
+        *,
+        scene: Scene | None = None,
+        start: ArrayLike = (0.0, 0.0, 1.0),
+        wind_m_s: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        place = np.asarray(start, float)
+        if place.shape not in ((3,), (4,)) or not np.isfinite(place).all():
+            raise InputError(f"start is {start!r}", where="Steered", allowed="x, y, z [m], and yaw [deg] or not")
+        self._tables = Tables.of(airframe(vehicle))
+        self._around = Surroundings(airframe(vehicle), bodies(scene) if scene is not None else [], 1)
+        self._memory = self._tables.memory(airframe(vehicle).hover_rad_s)
+        self._track = np.zeros((1, 14))
+        self._wind = np.asarray(wind_m_s, float).reshape(1, 3)
+        self._mass_kg = airframe(vehicle).mass_kg
+        yaw = math.radians(float(place[3])) if len(place) == 4 else 0.0
+        self._track[0, :3], self._track[0, 12] = place[:3], yaw
+        self._around.data.qpos[:] = [*place[:3], math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+        self._around.data.qvel[:] = 0
+        self.wish = Wish(float(place[2]), (0.0, 0.0), yaw)
+        self.steps = 0
+
+    @property
+    def t_ns(self) -> int:
+        """Time flown [ns]."""
+        return round(self.steps * 1e9 / CONTROL_HZ)
+
+    @property
+    def touched(self) -> int:
+        """How often it has hit something."""
+        return len(self._around.touches)
+
+    @property
+    def position(self) -> Floats:
+        """Where it is (3) [m]."""
+        return np.array(self._around.data.qpos[:3])
+
+    @property
+    def quat_xyzw(self) -> Floats:
+        """Its attitude (4), world_from_body."""
+        return np.array(self._around.data.qpos[[4, 5, 6, 3]])
+
+    @property
+    def velocity(self) -> Floats:
+        """Its velocity (3) in the world [m/s]."""
+        return np.array(self._around.data.qvel[:3])
+
+    @property
+    def spin(self) -> Floats:
+        """Its turn rate (3) in the body [rad/s]."""
+        return np.array(self._around.data.qvel[3:6])
+
+    def ask(self, wish: Wish) -> None:
+        """Change what is asked for."""
+        self.wish = self.wish.then(wish)
+
+    def advance(self, until_ns: int) -> None:
+        """Fly on until this time or the control step just before it."""
+        while round((self.steps + 1) * 1e9 / CONTROL_HZ) <= until_ns:
+            self._step()
+
+    def _step(self) -> None:
+        import mujoco
+
+        from ullage.kernels import flight
+
+        command: Any = flight.command
+        wrench: Any = flight.wrench
+        around, tables, dt = self._around, self._tables, 1 / CONTROL_HZ
+        around.look(0)
+        data = around.data
+        self._steer(dt)
+        command(
+            data.qpos, data.qvel, self._memory, tables.plane, tables.gains, tables.mixer, self._track, 0, dt
+        )  # fmt: skip
+        for _ in range(CONTROL_EVERY):
+            wrench(
+                data.qpos, data.qvel, self._memory, tables.plane, tables.rotors, self._wind, 0, 1 / PHYSICS_HZ,
+                data.qfrc_applied,
+            )  # fmt: skip
+            mujoco.mj_step(around.model, data)
+            if around.near and data.ncon:
+                around.note(self.steps)
+        self.steps += 1
+
+    def _steer(self, dt: float) -> None:
+        """Move the reference on by one control step."""
+        row, wish, data = self._track[0], self.wish, self._around.data
+        turn = math.remainder((wish.heading_rad or 0.0) - row[12], math.tau)
+        row[13] = min(max(_TURN_S * turn, -_TURN_RAD_S), _TURN_RAD_S)
+        row[12] += row[13] * dt
+        cos, sin = math.cos(row[12]), math.sin(row[12])
+        if wish.force_n is not None:
+            forward, left, up = (f / self._mass_kg for f in wish.force_n)
+            row[0:3], row[3:6] = data.qpos[:3], data.qvel[:3]  # nothing to track: the force alone decides
+            row[6:9] = forward * cos - left * sin, forward * sin + left * cos, up
+            return
+        ahead, aside = wish.velocity_m_s or (0.0, 0.0)
+        climb = _PULL_S * ((wish.height_m if wish.height_m is not None else row[2]) - row[2])
+        wanted = (ahead * cos - aside * sin, ahead * sin + aside * cos, min(max(climb, -_CLIMB_M_S), _CLIMB_M_S))
+        for k in range(3):
+            push = min(max((wanted[k] - row[3 + k]) / _SPEED_S, -_ACCELERATION_M_S2), _ACCELERATION_M_S2)
+            row[6 + k] += (push - row[6 + k]) * dt / _SMOOTH_S
+            row[k] += row[3 + k] * dt + 0.5 * row[6 + k] * dt * dt
+            row[3 + k] += row[6 + k] * dt

@@ -1,0 +1,124 @@
+"""A scripted TCP server in a thread: what it is sent goes to `heard`, and `react` decides what it answers."""
+
+from __future__ import annotations
+
+import math
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+from imc_bus import HEIGHT, LAT, LON, VEHICLE, announce, estimated_state, heartbeat, packed, text
+
+from ullage.ports.imc.codec import Packet, Parser
+
+EARTH_M = 6_371_000.0
+
+
+class Peer:
+    """Speaks IMC with one client at a time.
+
+    Args:
+        react: given each packet and the time, gives bytes to send.
+        tick: called 50 times a second, gives bytes to send.
+    """
+
+    def __init__(
+        self,
+        *,
+        react: Callable[[Packet, float], bytes] = lambda *_: b"",
+        tick: Callable[[float], bytes] = lambda _: b"",
+    ) -> None:
+        self.heard: list[Packet] = []
+        self.clients = 0
+        self._react, self._tick = react, tick
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.settimeout(0.1)
+        self.place = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+        self._ending = False
+        self._drop = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def drop(self) -> None:
+        """Hang up on the client of now."""
+        self._drop = True
+
+    def _run(self) -> None:
+        while not self._ending:
+            try:
+                client, _ = self._server.accept()
+            except TimeoutError:
+                continue
+            self.clients += 1
+            with client, suppress(OSError):
+                self._serve(client)
+
+    def _serve(self, client: socket.socket) -> None:
+        parser, next_beat = Parser(), 0.0
+        while not self._ending and not self._drop:
+            now = time.time()
+            if now > next_beat:
+                next_beat = now + 0.5
+                client.sendall(heartbeat(now) + announce(now))
+            client.sendall(self._tick(now))
+            if select.select([client], [], [], 0.02)[0]:
+                data = client.recv(1 << 16)
+                if not data:
+                    return
+                for packet in parser.feed(data):
+                    self.heard.append(packet)
+                    client.sendall(self._react(packet, now))
+        self._drop = False
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._ending = True
+        self._thread.join(5)
+        self._server.close()
+
+
+class Follower:
+    """A vehicle that follows References, a point that moves at the speed it is told."""
+
+    def __init__(self, *, refuses: bytes = b"") -> None:
+        self.north = self.east = 0.0
+        self.down = 0.0
+        self.goal: tuple[float, float, float] | None = None
+        self.speed = 0.0
+        self.stopped = False
+        self._refuses = refuses
+        self._last: float | None = None
+
+    def react(self, packet: Packet, now: float) -> bytes:
+        if packet.name == "PlanControl" and packet["op"] == 0:
+            kind = 2 if self._refuses else 1
+            reply = struct.pack("<BBH", kind, 0, packet["request_id"]) + text(packet["plan_id"].encode())
+            return packed(559, reply + struct.pack("<HH", 0, 0xFFFF) + text(self._refuses), t_s=now)
+        if packet.name == "PlanControl":
+            self.stopped = True
+        if packet.name == "Reference":
+            north = (packet["lat"] - LAT) * EARTH_M
+            east = (packet["lon"] - LON) * EARTH_M * math.cos(LAT)
+            self.goal = (north, east, HEIGHT - packet["z"]["value"])
+            self.speed = packet["speed"]["value"]
+        return b""
+
+    def tick(self, now: float) -> bytes:
+        step = 0.0 if self._last is None else 8 * (now - self._last)  # lives eight times as fast as we do
+        self._last = now
+        if self.goal is not None:
+            gap = [g - h for g, h in zip(self.goal, (self.north, self.east, self.down), strict=True)]
+            share = min(1.0, self.speed * step / max(math.hypot(*gap), 1e-9))
+            self.north, self.east, self.down = (
+                h + share * g for g, h in zip(gap, (self.north, self.east, self.down), strict=True)
+            )
+        return estimated_state(now, self.north, self.east, self.down, 0.0)
+
+
+__all__ = ["VEHICLE", "Follower", "Peer"]
