@@ -1,0 +1,257 @@
+"""What goes wrong on a network: peers that die, stall, shout nonsense, speak another version or use our number."""
+
+from __future__ import annotations
+
+import random
+import socket
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from imc_bus import announce, estimated_state, heartbeat, packed, text
+from imc_peer import Peer
+
+import ullage as ul
+from ullage.ports.imc.codec import Parser, make
+from ullage.ports.imc.link import OUTBOX_BYTES, Identity, Link
+from ullage.ports.imc.table import own
+from ullage.ports.imc.tcp import TcpWire
+from ullage.ports.imc.udp import UdpWire
+
+
+def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if true():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+@contextmanager
+def tcp(place: str, *, silence_s: float = 15.0, reconnect: bool = True) -> Iterator[tuple[Link, list[str]]]:
+    told: list[str] = []
+    host, port = place.removeprefix("tcp://").split(":")
+    wire = TcpWire(host, int(port), table=own(), silence_s=silence_s, reconnect=reconnect, say=told.append)
+    link = Link(wire, Identity(0x9001, "ullage"), say=told.append)
+    try:
+        yield link, told
+    finally:
+        link.close()
+
+
+def names(link: Link, wanted: str) -> bool:
+    return until(lambda: any(packet.name == wanted for packet in link.receive(0.1)))
+
+
+def test_a_server_that_comes_late_is_waited_for() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with tcp(f"tcp://127.0.0.1:{port}") as (link, told):
+        assert until(lambda: told)
+        assert told == [f"waiting for tcp://127.0.0.1:{port} (Connection refused)"]
+        with socket.create_server(("127.0.0.1", port)) as server:
+            client, _ = server.accept()
+            client.sendall(heartbeat(time.time()))
+            assert names(link, "Heartbeat")
+            client.close()
+
+
+def test_a_peer_that_dies_is_waited_for_and_greeted_again() -> None:
+    with Peer() as peer, tcp(peer.place) as (link, told):
+        assert names(link, "Heartbeat")
+        peer.drop()
+        assert until(lambda: peer.clients == 2)
+        assert names(link, "Announce")
+        assert "the peer has gone; waiting for it to come back" in told
+        assert until(lambda: sum(packet.name == "Announce" for packet in peer.heard) >= 2)
+
+
+def test_without_reconnection_the_end_of_the_peer_is_the_end() -> None:
+    with Peer() as peer, tcp(peer.place, reconnect=False) as (link, _):
+        assert names(link, "Heartbeat")
+        peer.drop()
+        assert until(lambda: link.finished)
+
+
+def test_a_half_open_connection_is_given_up() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        with tcp(f"tcp://127.0.0.1:{server.getsockname()[1]}", silence_s=0.5) as (_, told):
+            first, _ = server.accept()
+            server.settimeout(10)
+            second, _ = server.accept()  # it came back without the first having been closed
+            assert any("said nothing for 0.5 s" in line for line in told)
+            first.close()
+            second.close()
+
+
+def test_a_slow_reader_costs_messages_not_memory() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        with tcp(f"tcp://127.0.0.1:{server.getsockname()[1]}") as (link, told):
+            client, _ = server.accept()
+            big = make("DevDataBinary", value=bytes(60_000))
+            for _ in range(400):
+                link.send(big)
+            assert link.out._size <= OUTBOX_BYTES
+            assert link.out.dropped > 100
+            assert told == ["the peer reads too slowly; the oldest messages to it are dropped"]
+            client.close()
+
+
+def test_a_flood_costs_messages_not_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ullage.ports.imc.link.INBOX", 500)
+    flood = heartbeat(1.7e9) * 3000
+    with Peer(tick=lambda _: flood) as peer, tcp(peer.place) as (link, told):
+        assert until(lambda: link.dropped_in > 1000)
+        assert len(link.receive()) <= 500
+        assert told == ["messages come faster than they are used; the oldest are dropped"]
+
+
+def test_random_bytes_are_passed_over_and_what_follows_is_read() -> None:
+    noise = [random.Random(k).randbytes(20_000) for k in range(50)]
+    with Peer(tick=lambda _: noise.pop() if noise else b"") as peer, tcp(peer.place) as (link, told):
+        assert until(lambda: not noise)
+        assert names(link, "Heartbeat")
+        assert any("bytes that are no IMC" in line for line in told)
+
+
+def test_another_version_is_named() -> None:
+    def older(data: bytes) -> bytes:
+        head = data[:-2].replace(b"\x54\xfe", b"\x53\xfe", 1)
+        from imc_bus import checksum
+
+        return head + checksum(head).to_bytes(2, "little")
+
+    with Peer(tick=lambda now: older(heartbeat(now))) as peer, tcp(peer.place) as (_, told):
+        assert until(lambda: any("speaks IMC 5.3; this port speaks 5.4" in line for line in told))
+
+
+def test_somebody_with_our_number_is_named() -> None:
+    twin = announce(1.7e9, src=0x9001, name=b"other")
+    with Peer(tick=lambda _: twin) as peer, tcp(peer.place) as (_, told):
+        assert until(lambda: told)
+        assert told == ["'other' also uses the address 0x9001; give one of us another: system_id="]
+
+
+def test_questions_are_answered() -> None:
+    asked = iter(
+        [
+            packed(5, b"\x01" + text(b""), t_s=1.7e9),
+            packed(4, b"\x0a", t_s=1.7e9),
+            packed(2, b"", t_s=1.7e9),
+        ]
+    )
+    frames = ul.Frames(
+        [[0j] * 8], ul.RadarSpec.preset("x4m05", bins=8).range_m, [1], ul.RadarSpec.preset("x4m05", bins=8)
+    )
+    with Peer(tick=lambda _: next(asked, b"")) as peer, ul.sink(f"imc:{peer.place}") as sink:
+        sink.write(frames)
+        assert until(lambda: any(p.name == "EntityState" and p.src_ent == 10 for p in peer.heard))
+        assert until(lambda: any(p.name == "EntityList" and p["list"] == "ullage=1;radar=10" for p in peer.heard))
+        assert until(lambda: sum(p.name == "EntityInfo" and p["id"] == 10 for p in peer.heard) >= 1)
+
+
+def test_a_clock_that_jumps_back_starts_anew() -> None:
+    began = 1.7e9
+    sent = [0]
+
+    def tick(_: float) -> bytes:
+        sent[0] += 1
+        jump = -100.0 if sent[0] > 25 else 0.0
+        return estimated_state(began + jump + sent[0] * 0.1, 0.0, 0.0, -1.5, 0.0)
+
+    asked = "world=ntnu-room&fidelity=thesis&rig=single&rate_hz=5"
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with Peer(tick=tick) as peer, ul.open(f"imc:{peer.place}?{asked}") as source:
+            times = []
+            for piece in source.stream():
+                times += [part.t_ns for part in piece.values()]
+                if times[-1][0] < began * 1e9 - 50e9:
+                    break
+    assert any("jumped back 99.9 s: starting anew" in str(w.message) for w in said)
+
+
+# UDP
+
+
+@contextmanager
+def udp(
+    number: int, name: str, *, place: tuple[str, int] | None = None, silence_s: float = 15.0
+) -> Iterator[tuple[Link, list[str]]]:
+    told: list[str] = []
+    me = Identity(number, name)
+    wire = UdpWire(
+        place, table=own(), own=me, interface="127.0.0.1", port=0, silence_s=silence_s, reconnect=True, say=told.append
+    )  # fmt: skip
+    link = Link(wire, me, say=told.append)
+    try:
+        yield link, told
+    finally:
+        link.close()
+
+
+def test_two_peers_find_each_other_and_talk() -> None:
+    with udp(0x9001, "one") as (one, _), udp(0x9002, "two") as (two, _):
+        assert until(lambda: one.connected and two.connected)
+        one.send(make("TextMessage", origin="one", text="hello"))
+        assert until(lambda: any(p.name == "TextMessage" and p["text"] == "hello" for p in two.receive(0.1)))
+        two.send(make("Abort"))
+        assert names(one, "Abort")
+
+
+def test_a_peer_that_falls_silent_is_forgotten() -> None:
+    with udp(0x9001, "one", silence_s=2.5) as (one, told):
+        with udp(0x9002, "two") as (two, _):
+            assert until(lambda: one.connected and two.connected)
+        assert until(lambda: not one.connected)
+        assert told[0] == "'two' has said nothing for 2.5 s"
+
+
+def test_two_peers_with_one_number_are_told_apart() -> None:
+    with udp(0x9001, "one") as (one, told), udp(0x9002, "two") as (two, _):
+        assert until(lambda: one.connected and two.connected)
+        with udp(0x9002, "three"):
+            assert until(lambda: any("'two' and 'three' both use the address 0x9002" in line for line in told))
+        two.send(make("Abort"))
+        assert names(one, "Abort")
+
+
+def test_who_has_not_announced_itself_is_not_listened_to_and_noise_does_no_harm() -> None:
+    with udp(0x9001, "one") as (one, _), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        port = int(one.wire.services[0].rsplit(":", 1)[1].strip("/"))
+        rng = random.Random(3)
+        for _ in range(100):
+            stranger.sendto(rng.randbytes(500), ("127.0.0.1", port))
+        stranger.sendto(estimated_state(1.7e9, 0, 0, 0, 0), ("127.0.0.1", port))
+        time.sleep(0.3)
+        assert one.receive(0.1) == []
+        services = f"imc+udp://127.0.0.1:{stranger.getsockname()[1]}/".encode()
+        stranger.sendto(announce(1.7e9, services=services), ("127.0.0.1", port))
+        stranger.sendto(estimated_state(1.7e9, 0, 0, 0, 0), ("127.0.0.1", port))
+        assert names(one, "EstimatedState")
+
+
+def test_a_place_named_beforehand_needs_no_announcement() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", 0))
+        there.settimeout(10)
+        with udp(0x9001, "one", place=there.getsockname()) as (one, _):
+            data, back = there.recvfrom(65535)
+            assert [p.name for p in Parser().feed(data)] == ["Announce"]
+            there.sendto(heartbeat(1.7e9), back)
+            assert names(one, "Heartbeat")
+
+
+def test_nothing_leaves_this_machine_by_itself() -> None:
+    with udp(0x9001, "one") as (one, _):
+        wire = one.wire
+        assert isinstance(wire, UdpWire)
+        bound = {sock.getsockname()[0] for sock in (wire._sock, *wire._ears)}
+        assert bound <= {"127.0.0.1", "224.0.75.69"}
+        assert socket.inet_ntoa(wire._sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
+    assert threading.active_count() < 50
