@@ -14,7 +14,7 @@ FOLDER = Path(kernels.__path__[0])
 NEEDED = {
     "hector": ("flight", "proximity"),
     "thesis": ("rays", "receiver"),
-    "physical": ("facets", "edges", "wires", "beams", "bounces", "rays", "receiver"),
+    "physical": ("facets", "edges", "wires", "fringe", "beams", "bounces", "rays", "receiver"),
     "elfes": ("elfes",),
     "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_show"),
     "backprojection": ("backprojection",),

@@ -7,6 +7,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,6 +303,7 @@ class Prepared:
         self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
         self.still = gather(scene, ~self.moving)
         self.materials = tuple(o.material for o in scene.objects)
+        self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self.edges = sharp_edges(scene, self.still.rays)
 
     def parts(self, t_ns: int) -> list[Surfaces]:

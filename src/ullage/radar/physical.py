@@ -170,6 +170,10 @@ def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes)
         from ullage.radar.fringes import lay_edges
 
         out += lay_edges(ready, parts, view, t_ns, grids)
+    if any(m.roughness_m for m in ready.world.materials):
+        from ullage.radar.roughness import lay_grit
+
+        out.append(lay_grit(ready, parts, view, t_ns, grids))
     if max_bounces > 1:
         from ullage.radar.multipath import lay_bounces
 

@@ -27,8 +27,16 @@ class Material(Spec):
     valid_ghz: tuple[float, float] = (0.0, 1000.0)
     thickness_m: float | None = Field(None, gt=0, description="slab thickness; None: thick, nothing comes through")
     roughness_m: float = Field(0.0, ge=0, le=0.1, description="rms height")
+    correlation_m: float | None = Field(
+        None, gt=0, le=10, description="length over which heights are alike; None: ten times the height"
+    )
     reflection: float = Field(1.0, ge=0, description="I_m of the thesis model (laser_retro)")
     source: str = ""
+
+    @property
+    def correlation(self) -> float:
+        """Correlation length of the roughness [m]."""
+        return 10 * self.roughness_m if self.correlation_m is None else self.correlation_m
 
     def permittivity(self, frequency_hz: float) -> complex:
         """Relative permittivity, eps' - j eps'' (time e^{+jwt}).

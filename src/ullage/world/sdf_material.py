@@ -12,7 +12,7 @@ from ullage.world.materials import Material, material
 from ullage.world.sdf_parse import NAMESPACE, Node
 
 DEFAULT_MATERIAL = "steel"
-_ATTRIBUTES = ("thickness_m", "roughness_m")
+_ATTRIBUTES = ("thickness_m", "roughness_m", "correlation_m")
 
 
 def read_material(shape: Node, inherited: Node | None) -> Material:

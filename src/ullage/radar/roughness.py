@@ -1,0 +1,162 @@
+"""What rough surfaces send back beside their weakened mirror echo: scatterers fixed to them.
+
+A Gaussian height of variance s^2 turns the reflected phase by 2 k s cos. Its mean keeps exp(-g) of the power, with
+g = (2 k s cos)^2; the rest, 1 - exp(-g), leaves in a lobe whose strength straight back follows from the heights'
+correlation, here exp(-d / length), term by term [BeckmannSpizzichino1963]. It is laid down as scatterers strewn over
+the surface, with random complex amplitudes that belong to them: from every pose, every time, the same spot answers
+with the same phase, as a real surface does, so that apertures focus it to speckle.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.geometry import C0
+from ullage.kernels import grit as kernel
+from ullage.radar.facets import Prepared, Surfaces
+from ullage.radar.penetration import COSINES, reflection_tables
+from ullage.radar.physical import Bench, Laid, View, common, shading
+from ullage.radar.wires import moved
+from ullage.specs import RadarSpec
+from ullage.world.materials import Material
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Longs = NDArray[np.int64]
+
+SPACING_M = 0.05
+"""Mean distance between scatterers [m]; several to every range bin and beam."""
+MOST = 200_000
+"""At most about so many scatterers; larger worlds have them farther apart."""
+TILE_M = 0.3
+"""Scatterers within so much are seen or hidden together [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grit:
+    """Scatterers of a scene's rough surfaces, tile by tile, in the frame of their objects."""
+
+    points: Floats  # (n, 3) [m]
+    normals: Floats  # (n, 3)
+    weights: Complexes  # (n) root of the area each stands for, times its random amplitude [m]
+    stuffs: NDArray[np.int32]  # (n) object
+    first: Longs  # (t + 1) first of each tile
+    middles: Longs  # (t) the scatterer that speaks for each tile
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+
+def grit_of(world: Prepared, seed: int) -> Grit:
+    """The scatterers of a scene for a seed; kept with it."""
+    if seed not in world.grit:
+        world.grit[seed] = strewn(world.scene, seed)
+    known: Grit = world.grit[seed]
+    return known
+
+
+def strewn(scene: Scene, seed: int) -> Grit:
+    """Strews scatterers over every rough object, evenly by area; the same for the same mesh wherever it stands."""
+    rough = [i for i, o in enumerate(scene.objects) if o.material.roughness_m > 0]
+    corners = scene.vertices[scene.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    whole = float(area[np.isin(scene.face_object, rough)].sum())
+    spacing = max(SPACING_M, np.sqrt(whole / MOST))
+    parts = [_on_object(corners[mine], area[mine], spacing, [seed, i, zlib.crc32(scene.objects[i].name.encode())])
+             for i in rough if (mine := scene.face_object == i).any()]  # fmt: skip
+    if not parts:
+        none = np.zeros((0, 3))
+        return Grit(
+            none, none, np.zeros(0, complex), np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
+        )
+    points, normals, weights = (np.concatenate([p[k] for p in parts]) for k in range(3))
+    stuffs = np.concatenate([np.full(len(p[0]), i, np.int32) for p, i in zip(parts, rough, strict=True)])
+    return _tiled(points, normals, weights, stuffs)
+
+
+def _on_object(corners: Floats, area: Floats, spacing: float, key: list[int]) -> tuple[Floats, Floats, Complexes]:
+    rng = np.random.default_rng(key)
+    count = max(round(float(area.sum()) / spacing**2), 1)
+    reach = np.cumsum(area)
+    face = np.searchsorted(reach, (np.arange(count) + rng.random(count)) / count * reach[-1] * (1 - 1e-12))
+    u, v = rng.random((2, count))
+    fold = u + v > 1
+    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+    a, b, c = (corners[face, k] for k in range(3))
+    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    amplitude = rng.standard_normal((2, count)) * np.sqrt(0.5)
+    return points, normals, (amplitude[0] + 1j * amplitude[1]) * np.sqrt(area.sum() / count)
+
+
+def _tiled(points: Floats, normals: Floats, weights: Complexes, stuffs: NDArray[np.int32]) -> Grit:
+    cell = np.floor((points + 1e-4) / TILE_M)
+    key = np.concatenate([stuffs[:, None], np.round(4 * normals), cell], 1).astype(np.int64)
+    _, tile = np.unique(key, axis=0, return_inverse=True)
+    order = np.argsort(tile.ravel(), kind="stable")
+    tile = tile.ravel()[order]
+    first = np.searchsorted(tile, np.arange(tile[-1] + 2)).astype(np.int64)
+    points = points[order]
+    mean = np.add.reduceat(points, first[:-1]) / np.diff(first)[:, None]
+    gap = np.linalg.norm(points - mean[tile], axis=1)
+    rank = np.lexsort((gap, tile))
+    return Grit(points, normals[order], weights[order], stuffs[order], first, rank[first[:-1]].astype(np.int64))
+
+
+@lru_cache(maxsize=256)
+def lobe(material: Material, center_hz: float, bandwidth_hz: float) -> Floats:
+    """Amplitude straight back per root area (2, COSINES) over cos(incidence), TE and TM, before 1 / 4 pi [1/m]."""
+    c = np.linspace(0, 1, COSINES)
+    smooth = RadarSpec(center_hz=center_hz, bandwidth_hz=bandwidth_hz)
+    gamma, _ = reflection_tables([material.but(roughness_m=0.0)], smooth)
+    return np.asarray(abs(gamma[0, 0]) * c * np.sqrt(spectrum(material, 2 * np.pi * center_hz / C0, c)))
+
+
+def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | None = None) -> Floats:
+    """Power of a rough surface's diffuse phase straight back, per area (n) [m^2].
+
+    Args:
+        material: with its height and correlation length.
+        wave: wave number [1/m].
+        cosine: (n) of the incidence, which the phase's variance follows.
+        sine: (n) of the angle that is looked from; None: the same incidence.
+    """
+    across = np.sqrt(1 - cosine * cosine) if sine is None else sine
+    variance = np.maximum((2 * wave * material.roughness_m * cosine) ** 2, 1e-12)
+    length = material.correlation
+    terms = int(variance.max() + 10 * np.sqrt(variance.max()) + 12)
+    return np.array([kernel.lobe(float(g), 2 * wave * length, float(s), terms) * length**2
+                     for g, s in zip(variance, across, strict=True)])  # fmt: skip
+
+
+def lay_grit(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids: Complexes) -> Laid:
+    """Adds the echoes of the scatterers of all rough surfaces at one pose to the delay grids."""
+    scene, grit = ready.world.scene, grit_of(ready.world, ready.seed)
+    if any(scene.objects[i].motion is not None for i in np.unique(grit.stuffs)):
+        (points,) = moved((grit.points,), grit.stuffs, scene, t_ns)
+        (normals,) = moved((grit.normals,), grit.stuffs, scene, t_ns, turn_only=True)
+        grit = replace(grit, points=points, normals=normals)
+    at = grit.points[grit.middles]
+    gap = np.linalg.norm(at - view.origins.mean(0), axis=1)
+    near = np.flatnonzero((gap > ready.gate[0] - TILE_M) & (gap < ready.gate[1] + TILE_M))
+    shade, extra = np.zeros(len(at), complex), np.zeros(len(at))
+    if len(near):
+        shade[near], extra[near] = shading(ready, parts, view, at[near])
+    echo, delay = np.empty(len(at), complex), np.empty(len(at))
+    told = common(ready, view, grids)
+    kernel.lay_grit(grit.points, grit.normals, grit.weights, grit.stuffs, grit.first, shade, extra, _lobes(ready),
+                    *told[:6], *told[8:], echo, delay)  # fmt: skip
+    return Laid(grit.stuffs[grit.middles], at, echo, delay)
+
+
+def _lobes(ready: Bench) -> Floats:
+    spec = ready.spec
+    return np.stack([lobe(m, spec.center_hz, spec.bandwidth_hz) if m.roughness_m else np.zeros((2, COSINES))
+                     for m in ready.world.materials])  # fmt: skip
