@@ -78,14 +78,14 @@ def test_without_reconnection_the_end_of_the_peer_is_the_end() -> None:
 
 
 def test_a_half_open_connection_is_given_up() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        with tcp(f"tcp://127.0.0.1:{server.getsockname()[1]}", silence_s=0.5) as (_, told):
-            first, _ = server.accept()
-            server.settimeout(10)
-            second, _ = server.accept()  # it came back without the first having been closed
-            assert any("said nothing for 0.5 s" in line for line in told)
-            first.close()
-            second.close()
+    server = socket.create_server(("127.0.0.1", 0))
+    with server, tcp(f"tcp://127.0.0.1:{server.getsockname()[1]}", silence_s=0.5) as (_, told):
+        first, _ = server.accept()
+        server.settimeout(10)
+        second, _ = server.accept()  # it came back without the first having been closed
+        assert any("said nothing for 0.5 s" in line for line in told)
+        first.close()
+        second.close()
 
 
 def test_a_slow_reader_costs_messages_not_memory() -> None:

@@ -211,11 +211,11 @@ def decode(data: bytes, *, table: Table | None = None) -> Packet:
         raise Malformed("sync or size does not fit")
     if crc(data[:-TAIL]) != WORD[big].unpack_from(data, HEAD + size)[0]:
         raise Malformed("checksum does not fit")
-    body = _body(number, data[HEAD:-TAIL], big, table or own())
-    return Packet(body, t_s, src, src_ent, dst, dst_ent, number)
+    return Packet(body(number, data[HEAD:-TAIL], big, table or own()), t_s, src, src_ent, dst, dst_ent, number)
 
 
-def _body(number: int, payload: bytes, big: bool, table: Table) -> Message:
+def body(number: int, payload: bytes, big: bool, table: Table) -> Message:
+    """The message of this number that a payload holds; one without a name where it holds none."""
     kind = table.by_id.get(number)
     if kind is not None:
         reader = _Reader(payload, big, table)
@@ -300,7 +300,7 @@ def decode_sound(data: bytes, table: Table) -> Packet:
     """The packet that these bytes are, whose checksum is known to fit."""
     big = data[0] == 0xFE
     _, number, _, t_s, src, src_ent, dst, dst_ent = HEADER[big].unpack_from(data)
-    return Packet(_body(number, data[HEAD:-TAIL], big, table), t_s, src, src_ent, dst, dst_ent, number)
+    return Packet(body(number, data[HEAD:-TAIL], big, table), t_s, src, src_ent, dst, dst_ent, number)
 
 
 def compile_kernels() -> None:

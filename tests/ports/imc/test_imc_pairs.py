@@ -1,0 +1,105 @@
+"""IMC as ROS messages and back: nothing is lost, and the axes are right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_imc_codec import PACKETS, messages_of
+
+from ullage.ports.imc.broker import PACKED, definition, to_imc, to_ros
+from ullage.ports.imc.codec import Message, Packet, make
+from ullage.ports.imc.interpreter import PAIRS, imc_of, interpreted
+from ullage.ports.imc.table import own
+
+
+@settings(max_examples=200, deadline=None)
+@given(PACKETS)
+def test_the_broker_loses_no_field_of_any_message(packet: Packet) -> None:
+    note = to_ros(packet)
+    back = to_imc(packet.name, note)
+    assert back.message == packet.message
+    assert back.t_s == pytest.approx(packet.t_s, abs=1e-9)
+    assert (back.src, back.src_ent, back.dst, back.dst_ent) == (packet.src, packet.src_ent, packet.dst, packet.dst_ent)
+
+
+def test_every_message_has_a_definition_that_ros_understands() -> None:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    types = get_types_from_msg(PACKED, "imc_msgs/msg/Packed")
+    for name in own().by_name:
+        types |= get_types_from_msg(definition(name), f"imc_msgs/msg/{name}")
+    store.register(types)
+    assert "imc_msgs/msg/Distance" in store.types
+    assert [f for f in definition("DesiredZ").splitlines() if "z_units" in f] == ["uint8 z_units"]
+
+
+def sensible(name: str) -> st.SearchStrategy:
+    """Messages with angles that a quaternion can tell: pitch within a quarter turn."""
+    angles = {"phi": math.pi, "theta": 1.5, "psi": math.pi, "lat": 1.5, "lon": math.pi}
+    near = st.floats(-1e4, 1e4, width=32)
+
+    def tamed(message: Message) -> st.SearchStrategy:
+        parts = {}
+        for key, value in message.values.items():
+            if isinstance(value, float):
+                bound = angles.get(key)
+                parts[key] = near if bound is None else st.floats(-bound * 0.999, bound * 0.999)
+            elif isinstance(value, tuple):
+                parts[key] = st.tuples(*(tamed(one) if one else st.just(make("DeviceState")) for one in value))
+            else:
+                parts[key] = st.just(value)
+        return st.fixed_dictionaries(parts).map(lambda values: Message(message.name, values))
+
+    def whole(message: Message) -> bool:
+        return all(one is not None for value in message.values.values() if isinstance(value, tuple) for one in value)
+
+    return messages_of(own().by_name[name]).filter(whole).flatmap(tamed)
+
+
+def same(one: Message, other: Message) -> None:
+    assert one.name == other.name
+    assert one.values.keys() == other.values.keys()
+    for key, value in one.values.items():
+        got = other[key]
+        if isinstance(value, tuple):
+            assert len(value) == len(got)
+            for a, b in zip(value, got, strict=True):
+                same(a, b)
+        elif isinstance(value, float):
+            assert got == pytest.approx(value, rel=1e-9, abs=1e-6), key
+        else:
+            assert got == value, key
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_the_interpreter_loses_no_field(name: str) -> None:
+    @settings(max_examples=40, deadline=None)
+    @given(sensible(name))
+    def check(message: Message) -> None:
+        notes = interpreted(message)
+        assert notes is not None
+        assert set(notes) <= PAIRS[name].ros.keys() or "Desired" in name
+        same(message, imc_of(name, notes))
+
+    check()
+
+
+def test_the_interpreter_turns_the_axes() -> None:
+    state = make("EstimatedState", x=1.0, y=2.0, z=-3.0, psi=math.pi / 2, u=0.5, vy=0.5, q=0.1)
+    notes = interpreted(state)
+    assert notes["odom"]["position"] == {"x": 2.0, "y": 1.0, "z": 3.0}
+    assert [notes["odom"]["orientation"][k] for k in "xyzw"] == pytest.approx([0, 0, 0, 1])  # east is forward
+    assert notes["velocity"]["linear"] == {"x": 0.5, "y": 0.0, "z": 0.0}
+    assert notes["odom"]["angular"]["y"] == -0.1
+    assert interpreted(make("DesiredZ", value=4.0, z_units=2)) == {"desired/altitude": {"data": 4.0}}
+    assert interpreted(make("DesiredHeading", value=0.0))["desired/heading"]["data"] == pytest.approx(math.pi / 2)
+    force = interpreted(make("DesiredControl", z=-2.0, flags=4))
+    assert force["desired/wrench"]["force"] == {"x": 0.0, "y": -0.0, "z": 2.0}
+    assert interpreted(make("Heartbeat")) is None
+    gone = interpreted(make("Distance", validity=0, value=3.0))
+    assert gone["range"]["range"] == np.inf
