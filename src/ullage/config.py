@@ -17,7 +17,7 @@ from ullage.specs import RadarSpec, Rig, Spec
 
 MAX_BYTES = 1_000_000
 Fidelity = Literal["physical", "thesis"]
-DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"]
+DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 MapMethod = Literal["ullage", "elfes"]
 ImageMethod = Literal["backprojection", "summation"]
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}

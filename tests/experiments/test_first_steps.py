@@ -49,3 +49,32 @@ def test_the_last_run_can_be_taken_up_again(tmp_path: Path, monkeypatch: pytest.
     job = make_run("runs/latest", tasks=("detect",), say=lambda _: None)
     assert execute(job, say=lambda _: None).outcome.frames == len(path)
     assert find_folder("runs/latest") == job.folder.resolve()
+
+
+def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:
+    import json
+
+    (tmp_path / "wall.sdf").write_text(WALL)
+    tree = {
+        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": ["detect"],
+        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, 1], [0, 1, 1]]},
+        "sensing": {"fidelity": "thesis", "rig": "single", "rate_hz": 5},
+    }  # fmt: skip
+
+    class Full:
+        def __init__(self) -> None:
+            self.taken = 0
+
+        def write(self, item: object) -> None:
+            self.taken += 1
+            if self.taken > 1:
+                raise InputError("no space left", where="sink")
+
+        def close(self) -> None: ...
+
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with pytest.raises(InputError, match="no space left"):
+        execute(of_scenario(folder, prepare(make_scenario(tree))), sinks=[Full()], say=lambda _: None)
+    assert json.loads((folder / "metrics.json").read_text())["frames"]["value"] > 0
+    assert "no space left" in json.loads((folder / "provenance.json").read_text())["refused"]

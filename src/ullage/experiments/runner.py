@@ -90,8 +90,11 @@ def execute(
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
-    except UllageError:
-        if not job.range_time.pictures():  # nothing was received, so nothing is lost
+    except UllageError as error:
+        if job.looks.received:
+            write_json(job.folder / "metrics.json", metric_tree({"frames": Metric("frames", job.looks.received)}))
+            write_json(job.folder / "provenance.json", origin | {"refused": str(error)})
+        else:  # nothing is lost
             shutil.rmtree(job.folder, ignore_errors=True)
         raise
     if job.live:

@@ -74,6 +74,11 @@ class Looks:
     _seen: dict[str, int] = field(default_factory=dict)
     _kept: dict[str, list[Frames]] = field(default_factory=dict)
 
+    @property
+    def received(self) -> int:
+        """Frames of all sensors so far."""
+        return sum(self._seen.values())
+
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
         """Keeps some of this piece."""
         for name, part in chunk.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal, get_args, overload
 
 import numpy as np
@@ -13,10 +14,11 @@ from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.processing.baseband import checked, envelope, is_amplitude, noise_sigma, to_baseband
 from ullage.processing.cfar import cfar_threshold
+from ullage.processing.track import tracked
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Method = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean"]
+Method = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 
 THESIS_THRESHOLD = 0.038
 """The thesis' threshold on its own amplitudes [Billdal2018, 5.3.3]."""
@@ -37,6 +39,7 @@ def detect(
     train: int = ...,
     correlation: ArrayLike | None = ...,
     max_echoes: int = ...,
+    window_m: float = ...,
 ) -> Detections: ...
 @overload
 def detect(
@@ -50,6 +53,7 @@ def detect(
     train: int = ...,
     correlation: ArrayLike | None = ...,
     max_echoes: int = ...,
+    window_m: float = ...,
 ) -> dict[str, Detections]: ...
 
 
@@ -64,6 +68,7 @@ def detect(
     train: int = 16,
     correlation: ArrayLike | None = None,
     max_echoes: int = 16,
+    window_m: float = 0.6,
 ) -> Detections | dict[str, Detections]:
     """Echoes judged to be objects, in each frame, with ranges finer than a bin (parabola through three bins).
 
@@ -71,16 +76,18 @@ def detect(
         frames: one sensor's frames, or several by name.
         method: "first_peak" takes the first local maximum over the threshold, as the thesis does; "peaks" all of
             them; "cfar" and "os-cfar" all that exceed a threshold found from the bins around; "clean" takes the
-            strongest echo, subtracts the pulse it would have made, and looks again.
+            strongest echo, subtracts the pulse it would have made, and looks again; "track" adds the power of the
+            frames around along the hyperbolas that things at rest draw, which shows wires no single frame does.
         threshold: amplitude in the frames' unit. None: 0.038 for the thesis' amplitudes; else the larger of
-            5 times the noise of a bin and 50 dB under the strongest echo of these frames. Not used by CFAR.
+            5 times the noise of a bin and 50 dB under the strongest echo of these frames. Not used by CFAR and track.
         min_range_m: nothing nearer is an object [m]; None: 0.45 m, which the direct path fills, where the sensor
             has one, else 0.
-        pfa: false alarm probability of each bin (CFAR).
+        pfa: false alarm probability of each bin (CFAR, track).
         guard: cells left out on either side (CFAR).
         train: cells used on either side (CFAR).
         correlation: noise correlation between bins at lags 0, 1, ... (CFAR); None: what the receiver's filter gives.
         max_echoes: at most so many a frame (CLEAN).
+        window_m: way along the track over which power is added (track) [m].
 
     Raises:
         InputError: unknown method, a number out of bounds, or a sample that is not finite.
@@ -88,7 +95,7 @@ def detect(
     if isinstance(frames, Mapping):
         kept: dict[str, Any] = {
             "method": method, "threshold": threshold, "min_range_m": min_range_m, "pfa": pfa, "guard": guard,
-            "train": train, "correlation": correlation, "max_echoes": max_echoes,
+            "train": train, "correlation": correlation, "max_echoes": max_echoes, "window_m": window_m,
         }  # fmt: skip
         return {name: detect(part, **kept) for name, part in frames.items()}
     if method not in get_args(Method):
@@ -97,7 +104,11 @@ def detect(
         raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
     sigma = noise_sigma(checked(frames))
     values = np.asarray(envelope(frames), np.float64)
-    far = frames.range_m >= (_blind_m(frames) if min_range_m is None else min_range_m)
+    least_m = _blind_m(frames) if min_range_m is None else min_range_m
+    if method == "track":
+        frame, place, height, snr = tracked(frames, sigma, pfa=pfa, window_m=window_m, min_range_m=least_m)
+        return replace(_detections(frames, frame, place, height, sigma), snr_db=snr)
+    far = frames.range_m >= least_m
     level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
     if method == "clean":
         return _cleaned(frames, far, level, sigma, max_echoes)

@@ -1,0 +1,176 @@
+"""How often wires and poles are missed, and how often nothing alarms, by range, angle and tilt, from simulation.
+
+python benchmarks/wire_table.py [--runs 10] [--figure docs/pictures/wires.png] [--room]
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.world.scene import Scene
+
+OBJECTS = {"3 mm wire": 0.0015, "1 cm pole": 0.005, "5 cm pole": 0.025}
+RANGES = (1.0, 2.0, 4.0, 6.0, 8.0)
+CASES = {  # label: boresight off the object [deg], tilt of the object about the line of sight [deg]
+    "on boresight, upright": (0, 0),
+    "30° off, upright": (30, 0),
+    "60° off, upright": (60, 0),
+    "on boresight, 45° tilt": (0, 45),
+    "on boresight, level": (0, 90),
+    "60° off, level": (60, 90),
+}
+METHODS = ("first_peak", "cfar", "track")
+GATE_M, PFA = 0.15, 1e-4
+RADAR = ul.RadarSpec.preset("x4m05")
+NOWHERE = ul.scenes.wire(0.001, 1.0, 60.0)
+
+
+def passing(angle_deg: float) -> Trajectory:
+    """0.6 m across the line to the object at 0.5 m/s, looking `angle_deg` past it."""
+    return Trajectory.line((0, -0.3, 0), (0, 0.3, 0), speed_m_s=0.5, rate_hz=25, yaw_deg=angle_deg)
+
+
+def flights(radius_m: float, range_m: float, angle_deg: float, tilt_deg: float, runs: int):
+    scene = ul.scenes.wire(radius_m, 3.0, range_m, tilt_deg)
+    for seed in range(runs):
+        yield ul.simulate(scene, passing(angle_deg), RADAR, seed=seed)
+
+
+def hits_of(frames: Frames, method: str, pfa: float = PFA):
+    return ul.detect(frames, method=method, pfa=pfa)
+
+
+def found(frames: Frames, range_m: float, tilt_deg: float, method: str, pfa: float = PFA) -> np.ndarray:
+    """Whether each frame has a detection at the object."""
+    hits = hits_of(frames, method, pfa)
+    y = frames.believed.position[:, 1] * np.cos(np.radians(tilt_deg))  # across the object
+    near = abs(hits.range_m - np.hypot(range_m, y)[hits.frame]) <= GATE_M
+    return np.isin(np.arange(len(frames)), hits.frame[near])
+
+
+def misses(runs: int) -> dict[str, dict[tuple[str, float, str], float]]:
+    table: dict[str, dict[tuple[str, float, str], float]] = {name: {} for name in OBJECTS}
+    for name, radius in OBJECTS.items():
+        for case, (angle, tilt) in CASES.items():
+            for range_m in RANGES:
+                seen: dict[str, list[np.ndarray]] = {m: [] for m in METHODS}
+                for frames in flights(radius, range_m, angle, tilt, runs):
+                    for method in METHODS:
+                        seen[method].append(found(frames, range_m, tilt, method))
+                for method in METHODS:
+                    table[name][case, range_m, method] = 1 - float(np.concatenate(seen[method]).mean())
+    return table
+
+
+def false_alarms(runs: int) -> dict[str, float]:
+    """Detections for each bin and frame where there is nothing."""
+    out = dict.fromkeys(METHODS, 0)
+    bins = 0
+    for seed in range(runs):
+        frames = ul.simulate(NOWHERE, passing(0), RADAR, seed=1000 + seed)
+        bins += len(frames) * int((frames.range_m >= 0.45).sum())
+        for method in METHODS:
+            out[method] += len(hits_of(frames, method))
+    return {method: count / bins for method, count in out.items()}
+
+
+def curve(range_m: float, method: str, runs: int, case: str = "60° off, level"):
+    """Detection against false alarms of a 3 mm wire for rising pfa."""
+    angle, tilt = CASES[case]
+    with_, without = list(flights(0.0015, range_m, angle, tilt, runs)), []
+    without = [ul.simulate(NOWHERE, passing(0), RADAR, seed=2000 + s) for s in range(runs)]
+    bins = sum(len(f) * int((f.range_m >= 0.45).sum()) for f in without)
+    points = []
+    for pfa in np.geomspace(1e-6, 0.1, 11):
+        hit = np.concatenate([found(f, range_m, tilt, method, pfa) for f in with_]).mean()
+        points.append((max(sum(len(hits_of(f, method, pfa)) for f in without) / bins, 1e-6), hit))
+    return np.array(points)
+
+
+def draw(table, path: str, runs: int) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    case = "60° off, level"
+    for name, color in zip(OBJECTS, ("tab:blue", "tab:orange", "tab:green"), strict=True):
+        for method, line in (("cfar", ":"), ("track", "-")):
+            chance = [1 - table[name][case, r, method] for r in RANGES]
+            axes[0].plot(RANGES, chance, line, color=color, marker="o", ms=4, label=f"{name}, {method}")
+    axes[0].set(xlabel="range [m]", ylabel="chance of detection in a frame", ylim=(-0.03, 1.03), title=f"{case}")
+    axes[0].legend(fontsize=8)
+    for range_m, color in ((4.0, "tab:blue"), (6.0, "tab:orange"), (8.0, "tab:green")):
+        for method, line in (("cfar", ":"), ("track", "-")):
+            points = curve(range_m, method, runs)
+            axes[1].semilogx(*points.T, line, color=color, marker=".", label=f"{range_m:.0f} m, {method}")
+    axes[1].set(xlabel="false alarms for each bin and frame", ylabel="chance of detection in a frame")
+    axes[1].set(ylim=(-0.03, 1.03), title=f"3 mm wire, {case}")
+    axes[1].legend(fontsize=8)
+    for a in axes:
+        a.grid(alpha=0.3)
+    figure.savefig(path, dpi=100)
+
+
+def room() -> None:
+    """The three in a room with walls, floor, ceiling and two bounces of clutter: on the map, and flagged in flight."""
+    import mapping_table
+
+    places = {"3 mm wire": (-0.7, 0.3), "1 cm pole": (0.1, -0.2), "5 cm pole": (-1.4, -0.1)}
+    things = [Scene.of_wires((x, y, -1.5), (x, y, 1.5), OBJECTS[n], name=n) for n, (x, y) in places.items()]
+    scene = Scene.union([ul.scenes.room(mapping_table.SIZE), *things])
+    frames = ul.simulate(scene, mapping_table.route(0), ul.Rig.preset("thesis-4"), seed=0)
+    grid = ul.Grid.covering(scene.bounds, 0.1, margin_m=1.0)
+    score = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
+    print("| object | on the map | flagged, share of the frames with it in the beam |\n|---|---|---|")
+    for name, (x, y) in places.items():
+        lit = flagged = 0
+        for part in frames.values():
+            hits = hits_of(part, "track")
+            away = np.array([x, y]) - part.believed.position[:, :2]
+            reach = np.linalg.norm(away, axis=1)
+            ahead = np.array([np.cos(a) for a in angles(part, away)])
+            beam = (ahead > np.cos(np.radians(32.5))) & (reach > 0.5)
+            near = abs(hits.range_m - reach[hits.frame]) <= GATE_M
+            lit += int(beam.sum())
+            flagged += int(np.isin(np.flatnonzero(beam), hits.frame[near]).sum())
+        print(f"| {name} | {'yes' if score[f'found:{name}'].value else 'no'} | {flagged / max(lit, 1):.3f} |")
+
+
+def angles(part: Frames, away: np.ndarray) -> np.ndarray:
+    from ullage.geometry import quat_matrix
+
+    ahead = quat_matrix(part.believed.quat_xyzw)[:, :2, 0]
+    return np.arccos(np.clip(np.einsum("ij,ij->i", ahead, away) / np.linalg.norm(away, axis=1), -1, 1))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--figure")
+    parser.add_argument("--room", action="store_true")
+    options = parser.parse_args()
+    if options.room:
+        room()
+        return
+    table = misses(options.runs)
+    print("| object | geometry |", " | ".join(f"{r:.0f} m" for r in RANGES), "|")
+    print("|---|---|" + "---|" * len(RANGES))
+    for name, rates in table.items():
+        for case in CASES:
+            cells = [" / ".join(f"{100 * rates[case, r, m]:.0f}" for m in METHODS) for r in RANGES]
+            print(f"| {name} | {case} |", " | ".join(cells), "|")
+    print("\nfalse alarms for each bin and frame:")
+    for method, rate in false_alarms(max(40, 4 * options.runs)).items():
+        print(f"  {method}: {rate:.2e}")
+    if options.figure:
+        draw(table, options.figure, options.runs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Track before detect: what a single frame hides, the hyperbola of a thing at rest shows over slow time.
+
+In noise alone the power of a bin over its mean is exponential, and that of different frames independent, so the sum
+over m frames is Gamma(m) [Marcum1960]. It exceeds its level with probability pfa / t, with t hyperbolas tried for each
+bin, so a bin alarms with at most pfa.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Trajectory
+from ullage.errors import InputError
+from ullage.processing.baseband import is_amplitude, to_baseband
+
+Floats = NDArray[np.float64]
+
+BEND_M = 0.02
+MOST_FRAMES = 41
+LEAST_FRAMES = 3
+COSINES = 33
+
+
+def tracked(
+    frames: Frames, sigma: float, *, pfa: float, window_m: float, min_range_m: float
+) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """Frame, range [m], amplitude (root of the mean power along the track) and signal to noise [dB] of each detection.
+
+    Args:
+        frames: complex baseband or RF, with poses.
+        sigma: root of the mean noise power of a bin.
+        pfa: false alarm probability of a bin.
+        window_m: way along the track over which power is added [m].
+        min_range_m: nothing nearer counts [m].
+
+    Raises:
+        InputError: amplitudes without noise to judge by, no poses, or a number out of bounds.
+    """
+    from ullage.kernels.track import along_hyperbolas
+
+    if is_amplitude(frames) or not sigma > 0:
+        raise InputError("no exponential noise to judge by", where="track", allowed="frames with noise; threshold")
+    if not 0 < pfa < 0.5:
+        raise InputError(f"pfa is {pfa}", where="track", allowed="0 .. 0.5")
+    if not window_m > 0:
+        raise InputError(f"window_m is {window_m}", where="track", allowed="> 0")
+    path = frames.believed
+    power = np.abs(np.asarray(to_baseband(frames), np.complex128)) ** 2 / sigma**2
+    levels = level_of_sums(pfa / COSINES)
+    cosines = np.linspace(-1, 1, COSINES)
+    excess, best = np.empty(power.shape[1]), np.empty(power.shape[1])
+    out: list[tuple[int, float, float, float]] = []
+    for i in range(len(frames)):
+        rows, along = window(path, i, window_m)
+        along_hyperbolas(power[rows], along, frames.range_m, cosines, levels, excess, best)
+        m = len(rows)
+        over = excess > 1
+        top = np.flatnonzero(over[1:-1] & (excess[1:-1] > excess[:-2]) & (excess[1:-1] >= excess[2:])) + 1
+        for b in top[frames.range_m[top] >= min_range_m]:
+            mean = float(excess[b] * levels[m] / m)
+            left, middle, right = excess[b - 1], excess[b], excess[b + 1]
+            shift = 0.5 * (left - right) / (left - 2 * middle + right)
+            place = float(frames.range_m[b] + shift * (frames.range_m[1] - frames.range_m[0]))
+            out.append((i, place, sigma * np.sqrt(mean), 10 * np.log10(max(mean - 1, 1e-3))))
+    columns = np.array(out, float).reshape(-1, 4)
+    return columns[:, 0].astype(np.int64), columns[:, 1], columns[:, 2], columns[:, 3]
+
+
+def level_of_sums(pfa: float) -> Floats:
+    """What the sum of 0 .. MOST_FRAMES unit exponentials exceeds with probability pfa."""
+    from scipy.special import gammainccinv
+
+    return np.concatenate([[np.inf], gammainccinv(np.arange(1, MOST_FRAMES + 1), pfa)])
+
+
+def window(path: Trajectory, index: int, window_m: float) -> tuple[NDArray[np.int64], Floats]:
+    """Frames about one, and their way along the straight track through it [m]; the frame alone where it bends."""
+    away = path.position - path.position[index]
+    gap = np.linalg.norm(away, axis=1)
+    out = gap > window_m / 2
+    first = index - int(np.argmax(out[:index][::-1])) if out[:index].any() else 0
+    last = index + int(np.argmax(out[index:])) if out[index:].any() else len(path)
+    span = last - first
+    rows = np.unique(np.append(np.arange(first, last, max(1, -(-span // (MOST_FRAMES - 1)))), index))
+    far = rows[np.argmax(gap[rows])]
+    if gap[far] < 1e-3:
+        return np.array([index]), np.zeros(1)
+    ahead = away[far] / gap[far]
+    along = away[rows] @ ahead
+    straight = np.linalg.norm(away[rows] - along[:, None] * ahead, axis=1) < BEND_M
+    rows, along = rows[straight], along[straight]
+    return (rows, along) if len(rows) >= LEAST_FRAMES else (np.array([index]), np.zeros(1))
