@@ -161,7 +161,7 @@ def test_several_sensors_by_name():
 
 def test_bad_input_is_refused_in_one_line():
     frames = frames_of_points([(2.0, 0, 0)], STILL[:1], spec=SPEC)
-    with pytest.raises(ul.InputError, match=r"no method 'best' \(allowed: first_peak, peaks, cfar, os-cfar, clean, track\)"):
+    with pytest.raises(ul.InputError, match=r"no method .best. \(allowed: first_peak, .* clean, track\)"):
         ul.detect(frames, method="best")
     with pytest.raises(ul.InputError, match="threshold is -1"):
         ul.detect(frames, threshold=-1)
