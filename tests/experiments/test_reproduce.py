@@ -144,3 +144,11 @@ def test_false_cells_are_those_far_from_everything_true():
     omap = ul.OccupancyMap(grid, percent)
     assert maps.false_cells(omap, flown) == 2
     assert maps.false_cells(omap, flown, around=[np.array([1.0, 0.0])], radius_m=0.5) == 1
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_scenario_sets_bounds_on_metrics_that_runs_have(name: str) -> None:
+    known = {"detections", "apex_x", "f1", "precision", "recall", "known_behind", "surface_declared_free"}
+    bounds = find_scenario(name).expect
+    assert bounds
+    assert set(bounds) <= known

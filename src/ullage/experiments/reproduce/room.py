@@ -26,7 +26,7 @@ def run(bench: Bench) -> None:
     )  # fmt: skip
     steps = [step for step in STEPS if not bench.quick or step in SMALL]
     rays = {step: bench.fly(STEPS[step]) for step in steps}
-    waves = bench.fly("ntnu-mapping-physical")
+    waves = bench.fly("ntnu-mapping-physical", ["sensing.rate_hz=10"] if bench.quick else [])
     bench.say("mapping on every grid")
     rows, memory, top, bottom, scored = [], [], [], [], {}
     for step, flown in rays.items():
