@@ -177,6 +177,23 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
 
 
 @njit(cache=True, fastmath=True, nogil=True)
+def look_at(pieces, owner, normals, inward, out, middles):  # type: ignore[no-untyped-def]
+    """Middles (m, 3) of pieces of rim, and points `inward` of them on the face, to look at [m]."""
+    for i in range(len(pieces)):
+        p, n = pieces[i], normals[owner[i]]
+        ex, ey, ez = p[3] - p[0], p[4] - p[1], p[5] - p[2]
+        x, y, z = n[1] * ez - n[2] * ey, n[2] * ex - n[0] * ez, n[0] * ey - n[1] * ex
+        scale = inward / max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        for k in range(3):
+            middles[i, k] = 0.5 * (p[k] + p[3 + k])
+        out[i, 0], out[i, 1], out[i, 2] = (
+            middles[i, 0] + scale * x,
+            middles[i, 1] + scale * y,
+            middles[i, 2] + scale * z,
+        )
+
+
+@njit(cache=True, fastmath=True, nogil=True)
 def _weight(p, at, mono, normal, origins, frames, fields, table, flat, gamma, stuff, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point of a face."""
     dx, dy, dz = p[at] - origins[0, 0], p[at + 1] - origins[0, 1], p[at + 2] - origins[0, 2]

@@ -16,13 +16,14 @@ C0 = 299_792_458.0
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def split(spheres, first, corners, origins, gate, kappa_lambda, reach, leaves, owner):  # type: ignore[no-untyped-def]
+def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, leaves, owner):  # type: ignore[no-untyped-def]
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
     Args:
         spheres: (k, 4) centre and radius of each cluster of triangles [m].
         first: (k + 1) index of each cluster's first triangle.
         corners: (f, 3, 3) triangles [m].
+        dark: (f) triangles to leave out.
         origins: (2, 3) transmitter and receiver, or their images [m].
         gate: (2) least and greatest mean range [m].
         kappa_lambda: largest squared transverse edge over range [m].
@@ -40,6 +41,8 @@ def split(spheres, first, corners, origins, gate, kappa_lambda, reach, leaves, o
         if r - spheres[k, 3] > gate[1] or r + spheres[k, 3] < gate[0]:
             continue
         for face in range(first[k], first[k + 1]):
+            if dark[face]:
+                continue
             stack[0] = corners[face]
             top = 1
             while top > 0:

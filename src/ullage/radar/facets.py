@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.errors import UllageWarning
 from ullage.radar.diffraction import sharp_edges
+from ullage.radar.solids import WELD_M, Backs, backs
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -26,8 +27,6 @@ FLAT_M = 0.15
 """Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
 MIRROR_CORNERS = 12
 """Convex outlines with more corners than this mirror by their triangles."""
-WELD_M = 1e-6
-"""Corners nearer than this are one [m]."""
 _CLUSTER = 16  # triangles, about
 
 
@@ -70,7 +69,9 @@ class Surfaces:
     stuffs: Ints  # (f) object of each triangle, which is also its row in the material tables
     spheres: Floats  # (k, 4) centre and radius of each cluster [m]
     first: Ints  # (k + 1)
+    backs: Backs  # of the triangles
     flats: Flats
+    flat_backs: Backs  # of the flat faces
     rays: Raycaster
     solid: Scene  # the faces that rays can hit
     t_ns: int | None
@@ -104,13 +105,15 @@ def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> S
     corners, normals, stuffs = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
     patch = coplanar(corners, normals, stuffs)
     large = _extents(corners, patch)[patch] >= FLAT_M
+    sides = backs(corners, normals, stuffs)
     flats = _flats(corners[large], normals[large], stuffs[large], patch[large])
+    lead = np.unique(patch[large], return_index=True)[1]
     small = np.flatnonzero(~large)
     order, first = _clusters(corners[small].mean(1), np.sqrt(area[index][small]))
     small = small[order]
     mine = np.ascontiguousarray(corners[small])
     return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
-                    flats, rays, part, t_ns)  # fmt: skip
+                    sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part, t_ns)  # fmt: skip
 
 
 def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:

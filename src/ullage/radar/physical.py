@@ -209,12 +209,12 @@ def _lay_flats(
     flats = part.flats
     if not len(flats):
         return ()
-    which = np.arange(len(flats), dtype=np.int64)
+    opaque = ~ready.sheets.thin[flats.stuffs]
+    which = np.flatnonzero(~part.flat_backs.hidden(view.origins, opaque))
     pieces, owner, windings = rims(ready, flats, view, which)
-    middle = (pieces[:, :3] + pieces[:, 3:6]) / 2
-    inward = np.cross(flats.normals[owner], pieces[:, 3:6] - pieces[:, :3])
-    inward *= _NUDGE_M / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-12)
-    shade, extra = shading(ready, parts, view, middle + inward)
+    spots, middle = np.empty((len(pieces), 3)), np.empty((len(pieces), 3))
+    rim.look_at(pieces, owner, flats.normals, _NUDGE_M, spots, middle)
+    shade, extra = shading(ready, parts, view, spots)
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     rim.lay_rims(
         pieces, owner, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)), echo, delay
@@ -257,9 +257,10 @@ def grown(
 
 def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
     """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
+    dark = part.backs.hidden(view.origins, ~ready.sheets.thin[part.stuffs])
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
-        part.spheres, part.first, part.corners, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m,
-        REACH, out, owner))  # fmt: skip
+        part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
+        KAPPA * ready.spec.wavelength_m, REACH, out, owner))  # fmt: skip
 
 
 def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int32], Floats]:

@@ -1,0 +1,79 @@
+"""Mirrors: how much they pass on, and how they are chosen."""
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.kernels import bounces
+from ullage.radar import multipath
+from ullage.radar.facets import prepare
+from ullage.radar.multipath import between
+from ullage.world import shapes
+from ullage.world.scene import Scene
+
+
+def covered(widths, before=4.0, after=6.0, wavelength=0.04):
+    """Share that one facing mirror passes on, `before` metres away and `after` metres from the last face."""
+    path = np.array([[[0, 0, 0], [0, 0, 0], [before, 0, 0], [before - after, 0, 0], [0, 0, 0]]], float)
+    out = np.ones(1)
+    chain = np.array([[0, -1]])
+    bounces.cover(path, chain, np.array([[1.0, 0, 0]]), np.array([widths], float), wavelength, out)
+    return out[0]
+
+
+def test_a_small_mirror_passes_on_the_area_kirchhoff_gives_it():
+    size, before, after, wavelength = 0.03, 4.0, 6.0, 0.04
+    kirchhoff = size**2 * (before + after) / (wavelength * before * after)
+    assert covered((size, size), before, after, wavelength) == pytest.approx(kirchhoff, rel=1e-9)
+
+
+def test_a_large_mirror_passes_on_everything_and_a_strip_its_width():
+    assert covered((5.0, 5.0)) == 1.0
+    zone = np.sqrt(0.04 * 4 * 6 / 10)
+    assert covered((30.0, 0.1 * zone)) == pytest.approx(0.1)
+
+
+def test_clutter_of_small_boxes_on_the_wall_does_not_change_the_third_order_of_a_room():
+    radar = ul.RadarSpec.preset("x4m05", noise=None)
+    room = ul.scenes.room((6, 4, 3), material="concrete")
+    vertices, faces = shapes.box((0.06, 0.06, 0.06))
+    spots = [(2.9, y, z) for y in (-1.5, -0.5, 0.5, 1.5) for z in (-1.0, 1.0)]
+    boxes = [Scene.of_mesh(vertices + np.array(at), faces, name=f"box_{i}") for i, at in enumerate(spots)]
+    path = ul.Trajectory.stationary(position_m=(0.3, 0.2, 0.1), yaw_deg=180)
+
+    def third(scene):
+        one = [ul.simulate(scene, path, radar, max_bounces=order).samples[0] for order in (1, 3)]
+        return one[1] - one[0]
+
+    empty, cluttered = third(room), third(Scene.union([room, *boxes]))
+    assert abs(cluttered - empty).max() < 0.1 * abs(empty).max()
+
+
+def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):
+    monkeypatch.setattr(multipath, "MIRRORS", 3)
+    radar = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
+    room = ul.scenes.room((6, 4, 3), material="steel")
+    path = ul.Trajectory.line((0.2, -0.04, 0.1), (0.2, 0.04, 0.1), 0.5, 1250)
+    flats = prepare(room).still.flats
+    sets = set()
+    chosen = multipath._chosen
+
+    def noted(*words):
+        out = chosen(*words)
+        sets.add(tuple(out.targets))
+        return out
+
+    monkeypatch.setattr(multipath, "_chosen", noted)
+    both = [ul.simulate(room, path, radar, max_bounces=order).samples for order in (1, 2)]
+    samples = both[1] - both[0]
+    step = abs(np.diff(samples, axis=0)).max(1)
+    assert len(flats) > 3
+    assert len(sets) > 1
+    assert step.max() < 0.15 * abs(samples).max()
+
+
+def test_between_sees_walls_but_not_the_surfaces_at_its_ends():
+    room = prepare(ul.scenes.room((6, 4, 3))).still
+    a = np.array([[-3.0, 0, 0], [-3.5, 0, 0]])
+    b = np.array([[3.0, 0, 0], [3.0, 0, 0]])
+    np.testing.assert_array_equal(between([room], a, b), [True, False])

@@ -1,0 +1,50 @@
+"""Closed bodies and their backs."""
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.radar.solids import backs
+from ullage.world import shapes
+from ullage.world.scene import Scene
+
+EVERY = np.ones(12, bool)
+
+
+def sides(vertices, faces):
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross / np.linalg.norm(cross, axis=1, keepdims=True)
+    return backs(corners, normals, np.zeros(len(faces), np.int32))
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+def test_a_radar_beside_a_box_sees_one_side_of_it(inside_out):
+    vertices, faces = shapes.box((1.0, 1.0, 1.0))
+    both = sides(vertices, faces[:, ::-1] if inside_out else faces)
+    hidden = both.hidden(np.array([[3.0, 0.1, 0.2]] * 2), EVERY)
+    front = (vertices[faces][:, :, 0] == 0.5).all(1)
+    np.testing.assert_array_equal(hidden, ~front)
+
+
+def test_nothing_is_hidden_from_within_or_in_open_or_thin_bodies():
+    vertices, faces = shapes.box((1.0, 1.0, 1.0))
+    out = np.array([[3.0, 0.1, 0.2]] * 2)
+    assert not sides(vertices, faces).hidden(np.zeros((2, 3)), EVERY).any()
+    assert not sides(vertices, faces).hidden(out, ~EVERY).any()
+    assert not sides(vertices, faces[1:]).hidden(out, EVERY[1:]).any()
+    turned = faces.copy()
+    turned[3] = turned[3, ::-1]
+    assert not sides(vertices, turned).hidden(out, EVERY).any()
+
+
+def test_what_is_left_out_would_not_have_echoed(monkeypatch):
+    vertices, faces = shapes.box((0.6, 0.5, 0.4))
+    scene = Scene.of_mesh(vertices + np.array([2.0, 0.2, 0.1]), faces, name="crate")
+    radar = ul.RadarSpec.preset("x4m05", noise=None)
+    path = ul.Trajectory.line((0, 0, 0), (0.2, 0.3, 0.4), 0.5, 10)
+    with_cull = ul.simulate(scene, path, radar).samples
+    monkeypatch.setattr("ullage.radar.solids.Backs.hidden", lambda self, origins, opaque: np.zeros(len(opaque), bool))
+    without = ul.simulate(scene, path, radar).samples
+    assert abs(with_cull).max() > 1e-6
+    np.testing.assert_allclose(with_cull, without, atol=1e-9 * abs(without).max())
