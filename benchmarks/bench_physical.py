@@ -1,47 +1,149 @@
-"""CPU-ms per frame of the physical radar, by scene, bounce order, range and world size."""
+"""CPU-ms per frame of the physical radar by scene, bounce order, world size and sensors; both cores; where time goes.
 
+    python benchmarks/bench_physical.py [scenes] [grow] [cores] [stages]
+
+Without words all four tables. CPU times are the least of several short runs, since machines are shared.
+"""
+
+import contextlib
+import os
+import sys
 import time
+from collections import defaultdict
 
 import numpy as np
 
 import ullage as ul
+from ullage.kernels import beams, bounces, edges, facets
+from ullage.radar import multipath, physical, visibility
 from ullage.radar.physical import echoes
+from ullage.world.hold import hold_scene
+from ullage.world.library import WORLDS
+
+RADAR = ul.RadarSpec.preset("x4m05", noise=None)
 
 
-def cost(scene, spec, bounces, path, count=20):
-    track = path[:count]
-    echoes(scene, track[:1], spec, max_bounces=bounces)
-    start = time.process_time()
-    echoes(scene, track, spec, max_bounces=bounces)
-    return (time.process_time() - start) / len(track) * 1e3
+def cost(scene, bounces_, path, count=4, times=5):
+    """CPU-ms a frame."""
+    echoes(scene, path[:1], RADAR, max_bounces=bounces_)
+    best = np.inf
+    for start in range(times):
+        track = path[start : start + count]
+        began = time.process_time()
+        echoes(scene, track, RADAR, max_bounces=bounces_)
+        best = min(best, (time.process_time() - began) / len(track))
+    return 1e3 * best
 
 
-def main():
-    radar = ul.RadarSpec.preset("x4m05", noise=None)
+def worlds():
     line = ul.Trajectory.line((0.1, 0.1, 0.0), (0.6, 0.3, 0.1), 0.5, 50)
-    room = ul.scenes.room((6, 4, 3), plate={"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0})
-    long = ul.scenes.room((60, 4, 3), plate={"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0})
-    ball = ul.scenes.sphere(0.3, 3.0)
-    worlds = {"plate in a 6x4x3 room": (room, line), "the same, 60 m long": (long, line), "sphere": (ball, line)}
-    for name in ("cargo-hold", "cluttered-room"):
-        try:
-            scene = ul.load_scene(ul.world_path(name)) if hasattr(ul, "world_path") else _library(name)
-        except (ul.UllageError, ImportError, AttributeError) as error:
-            print(f"{name}: left out ({error})")
-            continue
+    plate = {"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0}
+    yield "plate in a 6x4x3 m room", ul.scenes.room((6, 4, 3), plate=plate), line
+    yield "the same, 60 m long", ul.scenes.room((60, 4, 3), plate=plate), line
+    yield "sphere", ul.scenes.sphere(0.3, 3.0), line
+    for name in ("ntnu-room", "cluttered-room"):
+        scene = ul.load_scene(WORLDS[name].path)
         middle = scene.bounds.mean(0)
-        worlds[name] = (scene, ul.Trajectory.line(middle, middle + np.array([0.5, 0.2, 0.1]), 0.5, 50))
-    print(f"{'world':26s}{'faces':>8s}" + "".join(f"{b:>9d} b." for b in (1, 2, 3)) + "   [CPU-ms a frame]")
-    for name, (scene, path) in worlds.items():
-        row = [cost(scene, radar, b, path) for b in (1, 2, 3)]
-        print(f"{name:26s}{len(scene.faces):8d}" + "".join(f"{v:12.2f}" for v in row))
+        yield name, scene, ul.Trajectory.line(middle, middle + np.array([0.5, 0.2, 0.1]), 0.5, 50)
+    hold = ul.load_scene(WORLDS["cargo-hold"].path)
+    yield "cargo-hold, in its middle", hold, ul.Trajectory.line((0.1, 0, 6.6), (0.6, 0.2, 6.7), 0.5, 50)
+    yield "cargo-hold, as it is flown", hold, _flown(100, 50)
 
 
-def _library(name):
-    from ullage.world.library import WORLDS
+def _flown(start, count):
+    """A piece of the main job's flight along the hold, as one radar of it."""
+    whole = ul.Trajectory.line((-11.5, -7, 4), (11, -7, 4), 0.5, 17)
+    return whole[start : start + count]
 
-    return ul.load_scene(WORLDS[name].path)
+
+def scenes():
+    print(f"{'world':28s}{'faces':>7s}" + "".join(f"{b:>8d} b." for b in (1, 2, 3)) + "   [CPU-ms a frame]")
+    for name, scene, path in worlds():
+        row = [cost(scene, b, path) for b in (1, 2, 3)]
+        print(f"{name:28s}{len(scene.faces):7d}" + "".join(f"{v:11.2f}" for v in row), flush=True)
+
+
+def grow():
+    print("hold, x1 and x10 in length, and their ratio [CPU-ms a frame]")
+    short, long = hold_scene(), hold_scene(length_m=10 * 30.7)
+    path = ul.Trajectory.line((0.1, -7, 4), (0.6, -7, 4), 0.5, 50)
+    for b in (1, 3):
+        one, ten = cost(short, b, path), cost(long, b, path)
+        print(f"  {b} bounces: {one:.2f}, {ten:.2f} ({len(short.faces)} and {len(long.faces)} faces): {ten / one:.2f}")
+
+
+def cores():
+    print("four radars over a piece of the cargo-hold flight, 3 bounces, wall-clock frames a second")
+    hold = ul.load_scene(WORLDS["cargo-hold"].path)
+    rig, path = ul.Rig.preset("thesis-4"), _flown(100, 34)
+    have = sorted(os.sched_getaffinity(0))
+    ul.simulate(hold, path[:2], rig, max_bounces=3)
+    rates = []
+    for use in (have[:1], have):
+        os.sched_setaffinity(0, use)
+        began, cpu = time.perf_counter(), time.process_time()
+        ul.simulate(hold, path, rig, max_bounces=3)
+        wall, cpu = time.perf_counter() - began, time.process_time() - cpu
+        rates.append(4 * len(path) / wall)
+        print(f"  {len(use)} core(s): {rates[-1]:.0f} frames/s, {1e3 * cpu / (4 * len(path)):.2f} CPU-ms a frame, "
+              f"{rates[-1] / (4 * 17):.2f} times real time at 17 FPS each")  # fmt: skip
+    print(f"  {len(have)} cores over one: {rates[-1] / rates[0]:.2f}")
+    print("every radar of the rig alone [CPU-ms a frame]:", end="")
+    for name, spec in rig.sensors.items():
+        print(f" {name} {cost(hold, 3, path.mounted(spec.mount.body_from_sensor())):.2f}", end="")
+    print()
+
+
+STAGES = (
+    (edges, "cut", "cut rims"), (edges, "lay_rims", "lay rims"), (edges, "lay_images", "lay images"),
+    (facets, "split", "split triangles"), (facets, "deposit", "lay triangles"), (facets, "convolve", "pulse"),
+    (beams, "trace", "trace beams"), (bounces, "reflect", "follow paths"), (bounces, "legs", "follow paths"),
+    (bounces, "stand_ins", "follow paths"), (bounces, "cover", "follow paths"), (physical, "seen", "rays, first"),
+    (multipath, "between", "rays, bounces"), (visibility, "_through", "sheets"), (physical, "lay", "rest"),
+)  # fmt: skip
+
+
+@contextlib.contextmanager
+def watched():
+    """Seconds by stage, those of inner stages taken out of outer ones."""
+    spent, inner, kept = defaultdict(float), [], []
+    for module, name, stage in STAGES:
+        call = getattr(module, name)
+        kept.append((module, name, call))
+
+        def timed(*words, call=call, stage=stage, **more):
+            began = time.perf_counter()
+            inner.append(0.0)
+            try:
+                return call(*words, **more)
+            finally:
+                took = time.perf_counter() - began
+                spent[stage] += took - inner.pop()
+                if inner:
+                    inner[-1] += took
+
+        setattr(module, name, timed)
+    try:
+        yield spent
+    finally:
+        for module, name, call in kept:
+            setattr(module, name, call)
+
+
+def stages():
+    print("where the time goes, in percent")
+    for name, scene, path in worlds():
+        for b in (1, 3):
+            echoes(scene, path[:1], RADAR, max_bounces=b)
+            with watched() as spent:
+                echoes(scene, path[:10], RADAR, max_bounces=b)
+            total = sum(spent.values())
+            shares = sorted(spent.items(), key=lambda pair: -pair[1])
+            told = ", ".join(f"{stage} {100 * s / total:.0f}" for stage, s in shares if s > 0.02 * total)
+            print(f"  {name}, {b} b.: {told}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    tables = {"scenes": scenes, "grow": grow, "cores": cores, "stages": stages}
+    for word in sys.argv[1:] or tables:
+        tables[word]()
