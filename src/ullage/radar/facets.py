@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.errors import UllageWarning
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.solids import WELD_M, Backs, backs
 from ullage.world.raycast import Raycaster
@@ -327,19 +325,7 @@ def prepare(scene: Scene) -> Prepared:
         known = _KNOWN.get(id(scene))
         if known is None or known.scene is not scene:
             known = _KNOWN[id(scene)] = Prepared(scene)
-            warn_of_doubles(known.still)
         _KNOWN.move_to_end(id(scene))
         while len(_KNOWN) > _KEPT:
             _KNOWN.popitem(last=False)
         return known
-
-
-def warn_of_doubles(surfaces: Surfaces) -> None:
-    """Warn where two faces lie on the same three corners: both would echo."""
-    if not len(surfaces.corners):
-        return
-    keys = np.sort(np.round(surfaces.corners, 6).view([("", float)] * 3)[..., 0], axis=1)
-    _, counts = np.unique(keys, axis=0, return_counts=True)
-    if (counts > 1).any():
-        warnings.warn(f"{int((counts - 1).sum())} faces coincide with others; each of them echoes", UllageWarning,
-                      stacklevel=4)  # fmt: skip

@@ -160,10 +160,13 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 
 def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids."""
+    from ullage.radar.folding import lay_folded
+
     parts = ready.world.parts(t_ns)
-    out = []
+    out: list[Laid] = []
     for part in parts:
-        out += [_lay_small(ready, parts, part, view, grids), *_lay_flats(ready, parts, part, view, grids)]
+        out += [_lay_small(ready, parts, part, view, grids), *lay_flats(ready, parts, part, view, grids)]
+    out += lay_folded(ready, parts, view, grids)
     if len(ready.lines):
         out.append(_lay_wires(ready, parts, view, t_ns, grids))
     if len(ready.rims.edges):
@@ -203,15 +206,25 @@ def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, 
     return Laid(part.stuffs[owner], middle, echo, delay)
 
 
-def _lay_flats(
-    ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes
+def lay_flats(
+    ready: Bench,
+    parts: list[Surfaces],
+    part: Surfaces,
+    view: View,
+    grids: Complexes,
+    which: NDArray[np.int64] | None = None,
 ) -> tuple[Laid, Laid] | tuple[()]:
+    """Adds the echoes of flat faces, all or some, between the gate's ranges."""
     flats = part.flats
-    if not len(flats):
+    which = np.arange(len(flats), dtype=np.int64) if which is None else which
+    if not len(which):
         return ()
     opaque = ~ready.sheets.thin[flats.stuffs]
-    which = np.flatnonzero(~part.flat_backs.hidden(view.origins, opaque))
+    which = which[~part.flat_backs.hidden(view.origins, opaque)[which]]
     pieces, owner, windings = rims(ready, flats, view, which)
+    if ready.gate[0] > 0:
+        later = np.minimum(pieces[:, 6], pieces[:, 7]) > 2 * ready.gate[0]
+        pieces, owner = pieces[later], owner[later]
     spots, middle = np.empty((len(pieces), 3)), np.empty((len(pieces), 3))
     rim.look_at(pieces, owner, flats.normals, _NUDGE_M, spots, middle)
     shade, extra = shading(ready, parts, view, spots)
@@ -222,7 +235,8 @@ def _lay_flats(
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
     count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], np.array(ready.gate),
                           points, lengths)  # fmt: skip
-    points, lengths, which = points[:count], lengths[:count], which[:count]
+    held = np.flatnonzero(lengths[:count] > 2 * ready.gate[0])
+    points, lengths, which, count = points[held], lengths[held], which[held], len(held)
     shade, extra = _zone_shading(ready, parts, flats, view, points, which, lengths)
     bright, when = np.empty(count, complex), np.empty(count)
     told = _each(common(ready, view, grids))

@@ -122,6 +122,10 @@ def simulate_stream(
     """
     _check_track(path, believed, chunk, first_frame)
     work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
+    if fidelity == "physical":
+        from ullage.radar.doors import check
+
+        check(scene, path, work.sensors)
     return _stream(work, path, believed, chunk, progress, first_frame)
 
 

@@ -1,0 +1,147 @@
+"""What the physical radar says at its door: meshes, poses and settings that it will take but that mean little."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Trajectory
+from ullage.errors import UllageWarning
+from ullage.radar.facets import Prepared, prepare
+from ullage.radar.folding import warn_of_folding
+from ullage.specs import RadarSpec
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+
+NEAREST_M = 0.05
+"""Surfaces nearer than this to a sensor are not in its far field: a bit over a wavelength [m]."""
+_ASKED = 200  # poses along a track that are looked at
+_TOLD: WeakSet[Prepared] = WeakSet()
+
+
+def check(scene: Scene, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:
+    """Warns, one line each, of what makes echoes doubtful.
+
+    Args:
+        scene: the world.
+        path: the body's poses.
+        sensors: its radars.
+    """
+    world = prepare(scene)
+    if world not in _TOLD:
+        _TOLD.add(world)
+        _say(_meshes(scene), scene.name)
+    for spec in {s.name: s for s in sensors.values()}.values():
+        warn_of_folding(spec)
+    if len(scene.faces) and len(path):
+        step = max(1, len(path) // _ASKED)
+        for name, spec in sensors.items():
+            at = path[::step].mounted(spec.mount.body_from_sensor())
+            _say(_places(world, at.position, at.t_ns, name), scene.name)
+
+
+def _say(lines: list[str], where: str) -> None:
+    for line in lines:
+        warnings.warn(f"{where}: {line}", UllageWarning, stacklevel=5)
+
+
+def _meshes(scene: Scene) -> list[str]:
+    """What is wrong with the scene's meshes, by object."""
+    out: list[str] = []
+    if not len(scene.faces):
+        return out
+    corners = scene.corners()
+    tri = _welded(corners)
+    ends = _edges(tri).rim  # where nothing else goes on, as a window does in its frame
+    for index in np.unique(scene.face_object):
+        mine = scene.face_object == index
+        name, edges = scene.objects[index].name, _edges(tri[mine])
+        if edges.flipped and not edges.open:  # a sheet has no outside
+            out.append(
+                f"{edges.flipped} edges of {name!r} join faces that look opposite ways; faces echo on both sides"
+            )
+        hole = corners[mine].reshape(-1, 3)[np.isin(tri[mine].ravel(), edges.rim)]
+        # the rim of a sheet is as large as the sheet: that is no hole
+        if np.isin(edges.rim, ends).any() and _size(hole) < 0.9 * _size(corners[mine].reshape(-1, 3)):
+            out.append(f"the mesh of {name!r} is not closed: {edges.open} of its edges have one face only")
+    low, middle, high = np.sort(tri, axis=1).T
+    wide = int(tri.max()) + 1
+    first, count = np.unique(low * wide + middle, return_counts=True)
+    again = np.isin(low * wide + middle, first[count > 1])
+    _, count = np.unique(np.stack([low, middle, high])[:, again], axis=1, return_counts=True)
+    if (count > 1).any():
+        out.append(f"{int((count - 1).sum())} faces coincide with others; each of them echoes")
+    return out
+
+
+def _size(points: Floats) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _welded(corners: Floats) -> NDArray[np.int64]:
+    """Numbers (f, 3) of the corners, the same for corners at one place."""
+    grid = np.round((corners.reshape(-1, 3) - corners.min((0, 1))) / 1e-6).astype(np.int64)
+    order = np.lexsort(grid.T)
+    new = np.r_[False, (np.diff(grid[order], axis=0) != 0).any(1)]
+    ids = np.empty(len(grid), np.int64)
+    ids[order] = np.cumsum(new)
+    return ids.reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class _Edges:
+    flipped: int  # between two faces turned against each other
+    open: int  # with one face only
+    rim: NDArray[np.int64]  # corners of those
+
+
+def _edges(tri: NDArray[np.int64]) -> _Edges:
+    ahead = np.stack([tri, np.roll(tri, -1, 1)], -1).reshape(-1, 2)
+    ahead = ahead[ahead[:, 0] != ahead[:, 1]]
+    wide = int(tri.max()) + 1
+    key = np.minimum(*ahead.T) * wide + np.maximum(*ahead.T)
+    both, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    up = np.bincount(index, ahead[:, 0] < ahead[:, 1], minlength=len(both))
+    alone = both[count == 1]
+    return _Edges(int(((count == 2) & (up != 1)).sum()), len(alone), np.unique(np.r_[alone // wide, alone % wide]))
+
+
+def _places(world: Prepared, position: Floats, t_ns: NDArray[np.int64], name: str) -> list[str]:
+    """Poses of a sensor that are inside a body or too near to a surface."""
+    rays = Raycaster(world.scene)
+    around = np.concatenate([np.eye(3), -np.eye(3)])
+    start = np.repeat(position, len(around), axis=0)
+    face, distance = rays.hits(start, np.tile(around, (len(position), 1)), t_ns=np.repeat(t_ns, len(around)))
+    met = (face >= 0).reshape(len(position), -1)
+    out = []
+    near = distance.min(initial=np.inf)
+    if near < NEAREST_M:
+        k = int(distance.argmin())
+        thing = world.scene.objects[rays.owner[face[k]]].name
+        out.append(f"sensor {name!r} comes within {near * 1e3:.0f} mm of {thing!r}, nearer than a wave; its echoes "
+                   "there are rough")  # fmt: skip
+    solid = _solids(world.scene)
+    owner = np.where(met, rays.owner[np.maximum(face, 0)].reshape(met.shape), -1)
+    inside = met.all(1) & (owner == owner[:, :1]).all(1) & solid[np.maximum(owner[:, 0], 0)]
+    return out + [f"sensor {name!r} is inside {world.scene.objects[k].name!r}: it sees its inner side"
+                  for k in np.unique(owner[inside, 0])]  # fmt: skip
+
+
+def _solids(scene: Scene) -> NDArray[np.bool_]:
+    """Which objects are closed, with all faces turned outward: not rooms, whose faces look inward."""
+    out = np.zeros(max(len(scene.objects), 1), bool)
+    corners = scene.corners()
+    tri = _welded(corners)
+    for index in np.unique(scene.face_object):
+        mine = scene.face_object == index
+        edges = _edges(tri[mine])
+        a, b, c = (corners[mine, k] - corners[mine].mean((0, 1)) for k in range(3))
+        out[index] = not edges.flipped and not edges.open and np.einsum("ni,ni->n", a, np.cross(b, c)).sum() > 0
+    return out
