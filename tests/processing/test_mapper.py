@@ -188,3 +188,14 @@ def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
     assert (middle[2] >= -2).all()
     assert omap.ambiguous.sum() > omap.occupied.sum()
     assert omap.free.sum() > 1000
+
+
+def test_a_narrow_antenna_is_believed_to_hear_a_narrow_cone(flight):
+    def arc(**antenna):
+        front = flight["front"][:1]
+        spec = front.spec.but(antenna=front.spec.antenna.but(**antenna))
+        return int((ul.map_occupancy(replace(front, spec=spec), GRID).percent == AMBIGUOUS).sum())
+
+    wide = arc()
+    assert arc(kind="cosine", azimuth_deg=65.0, elevation_deg=65.0) == wide
+    assert 0 < arc(kind="cosine", azimuth_deg=20.0, elevation_deg=20.0) < 0.5 * wide

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Frames
+from ullage.specs import AntennaSpec
 
 Floats = NDArray[np.float64]
 RAYLEIGH_MEDIAN = 1.1774
 FALSE_ALARM_SIGMAS = 6.0
 BLANKED_M = 0.45
 DYNAMIC = 10 ** (-40 / 20)
+X4A02_DEG, WIDEST_DEG = 65.0, 67.0
 
 
 def noise_sigma(frames: Frames) -> Floats:
@@ -51,3 +53,15 @@ def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Float
     peak[:, 1:-1] = (amplitude[:, 1:-1] >= amplitude[:, :-2]) & (amplitude[:, 1:-1] > amplitude[:, 2:])
     peak &= (amplitude >= level[:, None]) & (frames.range_m >= blank_m(frames))
     return frames.range_m[np.argmax(peak, axis=1)], np.asarray(peak.any(axis=1))
+
+
+def heard_deg(antenna: AntennaSpec) -> tuple[float, float]:
+    """Half angles from boresight in which an echo is looked for, and in which silence counts [deg].
+
+    Where a Gaussian lobe of the antenna's -3 dB opening has fallen by 7.1 and by 4.5 dB one way: 50 and 40 deg for the
+    X4's 65. Openings beyond 67 deg are taken as that; so is an antenna that sees all ways alike.
+    """
+    opening = X4A02_DEG if antenna.kind == "x4a02" else WIDEST_DEG
+    if antenna.kind == "cosine":
+        opening = min(float(np.sqrt(antenna.azimuth_deg * antenna.elevation_deg)), WIDEST_DEG)
+    return 50.0 * opening / 65.0, 40.0 * opening / 65.0

@@ -14,6 +14,7 @@ from ullage.kernels.occupancy_cone import Beam
 from ullage.kernels.occupancy_show import in_view, render_cells
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
+from ullage.processing.inverse_sensor import heard_deg
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
@@ -26,8 +27,6 @@ ENOUGH_SIDES = 4
 VAGUE_TENTHS = 10
 HEARD_ODDS, SIDE_NATS = -0.7, 0.8
 SOLID_ODDS = float(np.log(0.65 / 0.35))
-HIT_DEG, FREE_DEG = 50.0, 40.0
-TANGENT = 1.3
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN = 0.15, 0.01
@@ -47,9 +46,10 @@ class UllageMapper:
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
         self._axis: dict[str, tuple[float, float, float]] = {}
+        self._lobe: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
         self._published: OccupancyMap | None = None
         self._reach = np.zeros(SECTORS[grid.dims])
-        self._levels = LevelFinder() if grid.dims == 2 else None
+        self._levels = LevelFinder()
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
         self._waiting: list[tuple[int, str, Look]] = []
@@ -68,6 +68,8 @@ class UllageMapper:
             name = part.sensor
             step = float(part.range_m[-1] - part.range_m[0]) / (len(part.range_m) - 1)
             self._axis[name] = float(part.range_m[0]), step, float(part.range_m[-1])
+            hit_deg, free_deg = heard_deg(part.spec.antenna)
+            self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
         self._insert_all(looks)
@@ -81,10 +83,6 @@ class UllageMapper:
 
     def _insert_all(self, looks: list[tuple[int, str, Look]], *, last: bool = False) -> None:
         looks = sorted(looks, key=lambda item: item[:2])
-        if self._levels is None:
-            for _, name, look in looks:
-                self._insert(name, self._lobes.without_sidelobes(name, look))
-            return
         for item in looks:
             self._levels.hear(item[2])
             self._waiting.append(item)
@@ -100,6 +98,7 @@ class UllageMapper:
 
     def _insert(self, name: str, look: Look) -> None:
         start, bin_m, far = self._axis[name]
+        hit, free = self._lobe[name]
         heard, arcs = look.heard, self._arcs(look)
         self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
         self._flown[tuple(np.rint(heard.position / self.grid.step_m).astype(int).tolist())] = None
@@ -108,9 +107,9 @@ class UllageMapper:
             heard.position,
             heard.axes,
             self._reach,
-            TANGENT,
-            cos_sin(HIT_DEG),
-            cos_sin(FREE_DEG),
+            1.09 * hit[1] / hit[0],
+            hit,
+            free,
             FLOWN_M,
             far,
             start,
@@ -118,7 +117,7 @@ class UllageMapper:
             quiet,
             arcs,
         )
-        ways = [(*way, arc[0]) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc)]
+        ways = [(*way, arc[0]) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc, hit[0])]
         self.blocks.insert(beam, np.array(ways).reshape(-1, 4))
 
     def _arcs(self, look: Look) -> Floats:
@@ -138,7 +137,7 @@ class UllageMapper:
         arcs[:, 7], arcs[:, 8], arcs[:, 9] = DETECTION, 1, np.clip(1 - trust, 0.03, 0.95)
         return arcs[trust >= LEAST_TRUST]
 
-    def _ways(self, axes: Floats, arc: Floats) -> list[Floats]:
+    def _ways(self, axes: Floats, arc: Floats, least: float) -> list[Floats]:
         """The direction on the plane that an arc's bearing leaves open, where only one is in the beam.
 
         An echo comes off a surface that lies square to the way there, which then hides what lies behind it.
@@ -150,7 +149,7 @@ class UllageMapper:
         across = np.array([-track[1], track[0], 0.0])
         off = np.sqrt(max(1 - arc[5] ** 2, 0.0))
         both = [arc[5] * track + sign * off * across for sign in (-1, 1)]
-        lit = [way for way in both if way @ axes[:, 0] > np.cos(np.radians(HIT_DEG))]
+        lit = [way for way in both if way @ axes[:, 0] > least]
         return lit if len(lit) == 1 else []
 
     def map(self) -> OccupancyMap:
