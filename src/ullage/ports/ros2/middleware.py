@@ -203,9 +203,10 @@ class Peer:
         if self._context is None or self._context.ok():
             OWN.difference_update(self.resolved(topic) for topic in self._publishers)
         if self._context is None:
-            for thing in (*self._publishers.values(), *self._subscriptions):
-                if thing is not None:
-                    thing.destroy()
+            for out in filter(None, self._publishers.values()):
+                self.node.destroy_publisher(out)
+            for heard in self._subscriptions:
+                self.node.destroy_subscription(heard)
             self._publishers, self._subscriptions = {}, []
             return
         if not self._context.ok():

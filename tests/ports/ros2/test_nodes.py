@@ -1,0 +1,40 @@
+"""The managed nodes, driven through their services by a real client as `ros2 lifecycle set` would."""
+
+from __future__ import annotations
+
+import pytest
+
+from .network import Network, told
+
+pytestmark = pytest.mark.ros2
+
+
+def test_a_node_goes_through_its_states_and_refuses_what_it_cannot(network: Network) -> None:
+    robot = network.ready("move.py")
+    node = network.start(
+        "-m", "ullage.experiments.ros2_nodes", "radar_simulator", "--ros-args", "-p", "autostart:=false",
+        "-p", "simulate:=nowhere", "-p", "pose:=/robot/odom", "-p", "fidelity:=thesis",
+    )  # fmt: skip
+    got = told(network.start("drive.py", "/radar_simulator", "/radar/front/range"))
+    assert got["first"] == ["unconfigured", False]  # no such world
+    assert got["parameter"]
+    assert got["states"] == ["inactive", "active", "inactive", "unconfigured", "inactive", "active"]
+    assert got["heard"]["active"] > 5
+    assert got["heard"]["inactive"] <= 2  # what was under way
+    node.send_signal(2)
+    _, err = node.communicate(timeout=30)
+    assert node.returncode == 0, err
+    assert "no world 'nowhere'" in err
+    robot.kill()
+
+
+def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> None:
+    node = network.start("-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-p", "reach_m:=5.0")
+    listener = network.start("hear.py", "--all", "/map=nav_msgs/msg/OccupancyGrid:latched")
+    speaker = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker")
+    got = told(listener)
+    assert got["last"]["/map"]["info"]["width"] in (100, 101)
+    node.send_signal(2)
+    _, err = node.communicate(timeout=30)
+    assert node.returncode == 0, err
+    assert speaker.poll() in (None, 0)
