@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 
 import ullage as ul
 from ullage.cli import app
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageError
 from ullage.experiments.catalog import find_scenario, scenario_names
 from ullage.experiments.reproduce import maps, rail, rest
 from ullage.experiments.reproduce.bench import Bench, Flown
@@ -24,7 +25,6 @@ from ullage.experiments.simulated import Simulated
 from ullage.radar.receiver import receive
 
 PATH = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 10)
-FRAMES = ul.simulate(ul.scenes.plate(2, 2, 3.0), PATH, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,43 @@ def test_a_statement_out_of_bounds_is_told(tmp_path):
     assert "Out of bounds" in done.report.read_text()
 
 
+@dataclass(frozen=True, slots=True)
+class Apart(Experiment):
+    """An experiment for a process of its own: it fails, or waits, or says a number."""
+
+    how: str = "says"
+
+    def run(self, bench: Bench) -> None:
+        if self.how == "fails":
+            raise UllageError("the radar is on fire")
+        if self.how == "waits":
+            time.sleep(600)
+        bench.findings.hold("it is done", "6.1", 1.0)
+
+    def reads(self, recordings: Path) -> list[Path]:
+        return []
+
+
+def test_experiments_are_done_in_processes_of_their_own(tmp_path):
+    pair = [Apart("one", "One", "6.1"), Apart("two", "Two", "6.2", weight=2.0)]
+    done = reproduce(tmp_path, pair, jobs=2)
+    assert [c.experiment.name for c in done.chapters] == ["one", "two"]
+    with pytest.raises(UllageError, match="Three: the radar is on fire"):
+        reproduce(tmp_path, [*pair, Apart("three", "Three", "6.3", how="fails")], jobs=2)
+
+
+def test_ctrl_c_ends_the_processes_and_keeps_what_is_done(tmp_path):
+    def pressed(done: int, text: str) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    pair = [Apart("one", "One", "6.1"), Apart("two", "Two", "6.2", how="waits")]
+    found = reproduce(tmp_path, pair, jobs=2, tell=pressed)
+    assert found.interrupted
+    assert [c.experiment.name for c in found.chapters] == ["one"]
+    assert "Interrupted: 1 of 2" in found.report.read_text()
+
+
 def test_an_unknown_experiment_is_refused_by_name():
     with pytest.raises(InputError, match=r"no experiment 'detektion'.*detection"):
         wanted(False, ["detektion"])
@@ -134,9 +171,9 @@ def test_a_radar_at_rest_is_measured_alike_whatever_its_scale():
 
 
 def test_false_cells_are_those_far_from_everything_true():
-    flown = Flown(
-        "wall", Simulated(None, ul.scenes.plate(2, 2, 3.0), PATH, PATH, None), {"front": FRAMES}, None, None, {}
-    )
+    wall = ul.scenes.plate(2, 2, 3.0)
+    frames = ul.simulate(wall, PATH, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
+    flown = Flown("wall", Simulated(None, wall, PATH, PATH, None), {"front": frames}, None, None, {})
     grid = ul.Grid.covering([(0, -2, 0), (4, 2, 0)], 0.1, z_m=0.0)
     percent = np.zeros(grid.shape, np.int8)
     percent[20, 29] = 100  # on the plate

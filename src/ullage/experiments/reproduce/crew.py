@@ -68,6 +68,7 @@ def _start(task: Task) -> BaseProcess:
 def work(task: Task) -> None:
     """What each process does: the task, its state in a file."""
     told = 0.0
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the parent ignores it
 
     def say(text: str) -> None:
         nonlocal told

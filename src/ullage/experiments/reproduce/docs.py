@@ -16,8 +16,8 @@ HEAD = """# The thesis, reproduced
 `ullage reproduce` runs every experiment of chapter 6 of the thesis [Billdal2018] under its own ray model and the
 physical one, with its own methods and with ullage's, and writes one HTML page with every figure. What the thesis says
 of its results is held against numbers with bounds; the command exits 1 when one is broken. After Ctrl-C the same
-command goes on where it stopped: each experiment's results are kept in its folder under a fingerprint of code, scenarios and
-recordings. `--quick` does it small, `--only NAME` does one experiment, `--jobs N` does N at a time.
+command goes on where it stopped: each experiment's results are kept in its folder under a fingerprint of code,
+scenarios and recordings. `--quick` does it small, `--only NAME` does one experiment, `--jobs N` does N at a time.
 
 Every flight is a scenario that runs alone, too: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`;
 `ullage list` names them all.
