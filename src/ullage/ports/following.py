@@ -283,15 +283,21 @@ def radar_of(rig: Rig, name: str) -> RadarSpec:
 Following = TypeVar("Following", bound=FollowOptions)
 
 
-def opened(options: Following, where: str) -> tuple[Following, Scene, Rig]:
+def opened(options: Following, where: str, world: Scene | None = None) -> tuple[Following, Scene, Rig]:
     """The options with the model told, the world without it, and the radars on it.
+
+    Args:
+        options: as they were given.
+        where: for messages.
+        world: as the simulator tells it; None: what the options name.
 
     Raises:
         InputError: no world or model is told, or one cannot be used.
     """
-    if not options.world:
-        raise InputError("no world", where=where, allowed="world=NAME or world=FILE")
-    world = world_of(options.world, where=where)
+    if world is None:
+        if not options.world:
+            raise InputError("no world", where=where, allowed="world=NAME or world=FILE")
+        world = world_of(options.world, where=where)
     model = options.model or (next(iter(world.rigs)) if len(world.rigs) == 1 else "")
     if not model:
         raise InputError("no model", where=where, allowed=", ".join(f"model={m}" for m in world.rigs) or "model=NAME")

@@ -25,9 +25,11 @@ from ullage.ports.following import (
     radar_of,
 )  # fmt: skip
 from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
+from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
 from ullage.ports.scanning import Scan, ScanSource
+from ullage.world.scene import Scene
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")
 STATS = re.compile(r"/world/([^/]+)/stats")
@@ -208,7 +210,12 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
         MissingExtra: pyzmq or protobuf is not installed.
     """
     where = f"gazebo:{address}"
-    chosen, scene, rig = opened(options_of(GazeboOptions, options, where), where)
+    chosen = options_of(GazeboOptions, options, where)
+    told: Scene | None = None
+    if not chosen.world:
+        with Peer(chosen.host, chosen.partition) as peer:
+            told = ask_scene(peer, address, where=where)
+    chosen, scene, rig = opened(chosen, where, told)
     mount = np.eye(4)
     if chosen.rays:
         if chosen.rays not in rig.sensors:

@@ -1,0 +1,127 @@
+"""The world as a running Gazebo tells it: its scene service, read as the SDF that it stands for.
+
+The service knows visuals only, so these are what the radar sees; a world file tells more (collisions, materials).
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from ullage.errors import InputError
+from ullage.ports.gazebo.peer import Came, Peer
+from ullage.ports.gazebo.wire import gz
+from ullage.world.scene import Scene
+
+WORLD = re.compile(r"/world/([^/]+)/")
+BOX, CYLINDER, SPHERE, PLANE, MESH, CONE, CAPSULE, ELLIPSOID = 0, 1, 2, 3, 6, 10, 14, 15
+"""Types of geometry."""
+
+
+def ask_scene(peer: Peer, world: str, *, where: str, patience_s: float = 10.0) -> Scene:
+    """The scene of a running Gazebo.
+
+    Args:
+        peer: speaks to Gazebo.
+        world: Gazebo's name of it; empty: the first heard of.
+        where: for messages.
+        patience_s: how long to wait for it [s].
+
+    Raises:
+        InputError: Gazebo does not answer, or its scene cannot be used.
+    """
+    name, package = _find(peer, world, time.monotonic() + patience_s)
+    allowed = "world=FILE.sdf, or a running Gazebo (GZ_IP, GZ_PARTITION as here)"
+    if not name:
+        raise InputError(f"no Gazebo heard in {patience_s:g} s", where=where, allowed=allowed)
+    kinds = (f"{package}.Empty", f"{package}.Scene")
+    raw = peer.request(f"/world/{name}/scene/info", kinds=kinds, timeout_s=patience_s)
+    if raw is None:
+        raise InputError(f"Gazebo does not tell the scene of {name!r}", where=where, allowed=allowed)
+    return scene_of(gz().Scene.FromString(raw), where=where)
+
+
+def _find(peer: Peer, world: str, end_s: float) -> tuple[str, str]:
+    while time.monotonic() < end_s:
+        event = peer.wait(0.25)
+        found = WORLD.match(event.topic) if isinstance(event, Came) else None
+        if isinstance(event, Came) and found is not None and world in ("", found[1]):
+            return found[1], event.kind.rpartition(".")[0]
+    return "", ""
+
+
+def scene_of(told: Any, *, where: str) -> Scene:
+    """The scene in a message.
+
+    Raises:
+        InputError: a shape of it cannot be used, as a mesh that is not on the search path.
+    """
+    from ullage.world.load import load_scene
+
+    with tempfile.TemporaryDirectory(prefix="ullage-scene-") as folder:
+        path = Path(folder) / "scene.sdf"
+        path.write_text(sdf_of(told), encoding="utf-8")
+        try:
+            return load_scene(path)
+        except InputError as error:
+            raise InputError(f"Gazebo's scene: {error.what}", where=where, allowed=error.allowed) from None
+
+
+def sdf_of(told: Any) -> str:
+    """The message as SDF, each visual as a collision."""
+    models = "".join(_model(model) for model in told.model)
+    return f'<sdf version="1.9"><world name={quoteattr(told.name or "world")}>{models}</world></sdf>'
+
+
+def _model(model: Any) -> str:
+    links = "".join(
+        f"<link name={quoteattr(link.name)}>{_pose(link.pose)}{''.join(_visual(v) for v in link.visual)}</link>"
+        for link in model.link
+    )
+    inner = "".join(_model(one) for one in model.model)
+    return f"<model name={quoteattr(model.name)}>{_pose(model.pose)}{links}{inner}</model>"
+
+
+def _visual(visual: Any) -> str:
+    shape = _geometry(visual.geometry)
+    retro = f"<laser_retro>{visual.laser_retro!r}</laser_retro>" if visual.laser_retro > 0 else ""
+    return f"<collision name={quoteattr(visual.name)}>{_pose(visual.pose)}{retro}{shape}</collision>" if shape else ""
+
+
+def _geometry(told: Any) -> str:
+    """The shape, empty for what has no surface that a radar meets (axes, arrows, lines)."""
+    rounds = {CYLINDER: "cylinder", CONE: "cone", CAPSULE: "capsule"}
+    inside = ""
+    if told.type == BOX:
+        inside = f"<box><size>{_three(told.box.size)}</size></box>"
+    elif told.type == SPHERE:
+        inside = f"<sphere><radius>{told.sphere.radius!r}</radius></sphere>"
+    elif told.type in rounds:
+        name = rounds[told.type]
+        one = getattr(told, name)
+        inside = f"<{name}><radius>{one.radius!r}</radius><length>{one.length!r}</length></{name}>"
+    elif told.type == ELLIPSOID:
+        inside = f"<ellipsoid><radii>{_three(told.ellipsoid.radii)}</radii></ellipsoid>"
+    elif told.type == PLANE:
+        size = f"{told.plane.size.x!r} {told.plane.size.y!r}"
+        inside = f"<plane><normal>{_three(told.plane.normal)}</normal><size>{size}</size></plane>"
+    elif told.type == MESH:
+        scale = f"<scale>{_three(told.mesh.scale)}</scale>" if told.mesh.HasField("scale") else ""
+        part = f"<submesh><name>{told.mesh.submesh}</name></submesh>" if told.mesh.submesh else ""
+        inside = f"<mesh><uri>{told.mesh.filename}</uri>{part}{scale}</mesh>"
+    return inside and f"<geometry>{inside}</geometry>"
+
+
+def _three(vector: Any) -> str:
+    return f"{vector.x!r} {vector.y!r} {vector.z!r}"
+
+
+def _pose(pose: Any) -> str:
+    turn = pose.orientation
+    quat = (turn.x, turn.y, turn.z, turn.w)
+    words = " ".join(repr(value) for value in (quat if any(quat) else (0.0, 0.0, 0.0, 1.0)))
+    return f'<pose rotation_format="quat_xyzw">{_three(pose.position)} {words}</pose>'
