@@ -63,7 +63,7 @@ int main(int, char **argv)
     }
     done = true;
   });
-  while (!done)
+  for (long turn = 0; !done; ++turn)
   {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     if (!paused) ++step;
@@ -77,11 +77,11 @@ int main(int, char **argv)
     {
       auto *own = all.add_pose();
       own->set_name(model);
-      own->mutable_position()->set_x(0.01 * now);  // half a metre a second
+      own->mutable_position()->set_x(std::sin(0.01 * now));  // to and fro, half a metre a second
       own->mutable_orientation()->set_w(1);
     }
     poses.Publish(all);
-    if (now % 5) continue;
+    if (turn % 5) continue;
     msgs::WorldStatistics told;
     told.set_paused(paused);
     told.mutable_sim_time()->CopyFrom(all.header().stamp());
@@ -100,7 +100,7 @@ int main(int, char **argv)
       for (int across = 0; across < side; ++across)
       {
         const double step_rad = 2 * half / (side - 1);
-        scan.add_ranges((3.9 - 0.01 * now) / std::cos(-half + up * step_rad) / std::cos(-half + across * step_rad));
+        scan.add_ranges((3.9 - std::sin(0.01 * now)) / std::cos(-half + up * step_rad) / std::cos(-half + across * step_rad));
         scan.add_intensities(0.7);
       }
     scans.Publish(scan);

@@ -1,0 +1,221 @@
+"""`gazebo:` beside a server on the real library of Gazebo Transport, which says what gz-sim's server says."""
+
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ullage as ul
+
+pytest.importorskip("zmq")
+pytest.importorskip("google.protobuf")
+
+from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
+from ullage.ports.gazebo.scene import sdf_of
+from ullage.ports.gazebo.sink import GazeboSink
+from ullage.ports.gazebo.source import source_of
+from ullage.ports.gazebo.wire import gz
+
+SERVER = Path(__file__).with_name("gazebo_server.cpp")
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory):
+    """The server, compiled from the few lines beside this file."""
+    if not (shutil.which("g++") and shutil.which("pkg-config")):
+        pytest.skip("no g++ and pkg-config")
+    words = ["pkg-config", "--cflags", "--libs", "ignition-transport11"]
+    flags = subprocess.run(words, capture_output=True, text=True, check=False)
+    if flags.returncode:
+        pytest.skip("libignition-transport-dev (11) is not installed")
+    out = tmp_path_factory.mktemp("gazebo") / "server"
+    subprocess.run(["g++", "-O0", "-w", SERVER, "-o", out, *flags.stdout.split()], check=True)
+    return out
+
+
+class Server:
+    def __init__(self, program):
+        self.program, self.process = program, None
+        self.start()
+
+    def start(self):
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen([self.program, "w", "x3"], stdin=pipe, stdout=pipe, text=True)
+
+    def say(self, word):
+        self.process.stdin.write(word + "\n")
+        self.process.stdin.flush()
+
+    def stop(self):
+        self.process.kill()
+        return self.process.communicate()[0]
+
+
+@pytest.fixture
+def server(program, partition):
+    running = Server(program)
+    yield running
+    running.stop()
+
+
+def source(said=None, **options):
+    chosen = {"model": "x3", "fidelity": "thesis", "rig": "single", **options}
+    return source_of("", chosen, say=(said if said is not None else []).append)
+
+
+def until(pieces, good, limit_s=20):
+    """Follow on until something holds; the last piece that came."""
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        last = next(pieces)
+        if good(last["front"]):
+            return last["front"]
+    raise TimeoutError
+
+
+def feed_until(live, good, limit_s=15):
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        live._bunch(4)
+        if good():
+            return
+    raise TimeoutError
+
+
+@pytest.mark.slow
+def test_the_world_comes_from_the_scene_service_and_the_frames_go_back(server):
+    with source() as live:
+        assert [thing.name for thing in live.scene.objects] == ["wall"]  # less the model itself
+        np.testing.assert_allclose(live.scene.bounds, [[3.9, -3, -1.5], [4.1, 3, 1.5]])
+        assert live.scene.objects[0].material.reflection == 0.7
+        pieces = live.stream()
+        start_ns = next(pieces)["front"].t_ns[0]
+        frames = until(pieces, lambda f: f.t_ns[-1] > start_ns + 2e9)
+        np.testing.assert_allclose(frames.poses.position[:, 0], np.sin(0.5e-9 * frames.t_ns), atol=1e-3)
+        peak = frames.range_m[np.argmax(frames.amplitude[-1])]
+        assert peak == pytest.approx(3.9 - frames.poses.position[-1, 0], abs=0.3)
+    heard = [line.split() for line in server.stop().splitlines()]
+    assert len(heard) > 2  # of those since it knows the topic
+    assert all(2.5 < float(words[1]) < 5.2 for words in heard)
+
+
+@pytest.mark.slow
+def test_what_happens_to_the_server_is_said_and_survived(server):
+    said = []
+    with source(said) as live:
+        pieces = live.stream()
+        until(pieces, lambda f: True)
+        server.say("pause")
+        feed_until(live, lambda: "Gazebo is paused" in said)
+        server.say("go")
+        until(pieces, lambda f: "Gazebo goes on" in said)
+        begun = until(pieces, lambda f: True).t_ns[0]
+        until(pieces, lambda f: f.t_ns[-1] > begun + 1e9)
+        server.say("reset")
+        until(pieces, lambda f: any(text.startswith("time jumped back") for text in said))
+        server.say("delete")
+        feed_until(live, lambda: "the model 'x3' has gone from Gazebo; waiting for it to come back" in said)
+        server.say("back")
+        until(pieces, lambda f: True)
+        server.stop()
+        feed_until(live, lambda: any(text.startswith("Gazebo has gone") for text in said))
+        server.start()
+        until(pieces, lambda f: True)
+    assert said.count("Gazebo gives poses on /world/w/pose/info") == 2
+
+
+@pytest.mark.slow
+def test_frames_of_the_simulators_own_rays(server, tmp_path):
+    (tmp_path / "w.sdf").write_text("""<sdf version="1.9" xmlns:ullage="urn:ullage:sdf"><world name="w">
+      <model name="x3"><link name="base"><sensor name="front" type="gpu_lidar"><pose>0 0 0.25 0 0 0</pose>
+      <ullage:radar/></sensor></link></model></world></sdf>""")
+    with source(rays="front", world=str(tmp_path / "w.sdf"), rig="") as live:
+        frames = until(live.stream(), lambda f: True)
+        first = frames.range_m[np.argmax(frames.amplitude[-1] > 0.1 * frames.amplitude.max())]
+        assert frames.unit == "thesis"
+        assert frames.spec.thesis.rays_per_side == 9
+        assert frames.poses.position[0, 2] == 0.25
+        assert first == pytest.approx(3.9 - frames.poses.position[-1, 0], abs=0.2)
+
+
+def test_a_ray_sensor_whose_place_is_not_known_is_refused():
+    with pytest.raises(ul.InputError, match=r"where 'lidar' sits is not known \(allowed: .*front"):
+        source(rays="lidar", world="ntnu-room")
+
+
+def test_no_gazebo_is_refused_when_the_world_is_asked_of_it(partition, monkeypatch):
+    from ullage.ports.gazebo import scene
+
+    asked = scene.ask_scene
+    monkeypatch.setattr(
+        "ullage.ports.gazebo.source.ask_scene", lambda *words, **more: asked(*words, **more, patience_s=0.3)
+    )
+    with pytest.raises(ul.InputError, match=r"gazebo:: no Gazebo heard in 0\.3 s \(allowed: world=FILE.sdf"):
+        source()
+
+
+def test_frames_from_anywhere_are_published_with_their_clock(partition):
+    frames = ul.simulate(
+        ul.scenes.plate(width_m=1, height_m=1, distance_m=2), ul.Trajectory.stationary(n=40, rate_hz=20),
+        ul.Rig.preset("single"), fidelity="thesis",
+    )  # fmt: skip
+    topics = [f"/model/drone/radar/front/{name}" for name in ("frame", "profile", "range", "points")]
+    with Peer() as listener, GazeboSink("", {"model": "drone"}) as sink:
+        for topic in [*topics, "/clock"]:
+            listener.subscribe(topic)
+        sink.write(frames)
+        heard = {}
+        end = time.monotonic() + 3
+        while time.monotonic() < end and len(heard) < 5:
+            event = listener.wait(0.1)
+            if isinstance(event, Heard):
+                heard[event.topic] = event
+    assert set(heard) == {*topics, "/clock"}
+    assert heard["/clock"].kind == "gz.msgs.Clock"
+    told = gz().Float_V.FromString(heard[topics[0]].data)
+    about = {entry.key: entry.value[0] for entry in told.header.data}
+    k = round((told.header.stamp.sec + told.header.stamp.nsec * 1e-9) * 20)
+    np.testing.assert_array_equal(np.array(told.data, np.float32), frames["front"].samples[k])
+    assert about["samples"] == "real"
+    assert float(about["bin_m"]) == pytest.approx(frames["front"].spec.bin_m)
+    assert gz().Double.FromString(heard[topics[2]].data).data == pytest.approx(2.0, abs=0.15)
+    cloud = gz().PointCloudPacked.FromString(heard[topics[3]].data)
+    points = np.frombuffer(cloud.data, "<f4").reshape(cloud.width, 4)
+    np.testing.assert_allclose(points[:, 0], frames["front"].range_m, rtol=1e-6)
+
+
+def test_a_scene_becomes_the_sdf_that_it_stands_for(tmp_path):
+    told = gz().Scene(name="w")
+    model = told.model.add(name='a "b" & c')
+    model.pose.position.x = 1.5
+    link = model.link.add(name="l")
+    shapes = {1: ("cylinder", {"radius": 0.5, "length": 2.0}), 2: ("sphere", {"radius": 0.25})}
+    for kind, (name, values) in shapes.items():
+        visual = link.visual.add(name=name)
+        visual.geometry.type = kind
+        for key, value in values.items():
+            setattr(getattr(visual.geometry, name), key, value)
+    link.visual.add(name="axis").geometry.type = 13
+    (tmp_path / "s.sdf").write_text(sdf_of(told))
+    scene = ul.load_scene(tmp_path / "s.sdf")
+    assert [thing.name for thing in scene.objects] == ['a "b" & c']
+    np.testing.assert_allclose(scene.bounds, [[1, -0.5, -1], [2, 0.5, 1]], atol=0.01)
+
+
+def test_a_peer_that_falls_silent_is_held_for_gone(partition, monkeypatch):
+    monkeypatch.setattr("ullage.ports.gazebo.peer.SILENCE_S", 0.5)
+    with Peer() as listener:
+        speaker = Peer()
+        speaker.advertise("/clock", "gz.msgs.Clock")
+        while not isinstance(listener.wait(5.0), Came):
+            pass
+        end = time.monotonic() + 4
+        monkeypatch.setattr(speaker, "_tell", lambda *words, **more: None)
+        events = []
+        while time.monotonic() < end and not any(isinstance(e, Gone) for e in events):
+            events.append(listener.wait(0.1))
+        speaker.close()
+    assert any(isinstance(event, Gone) and event.process == speaker.uuid for event in events)
