@@ -23,7 +23,7 @@ Every flight is a scenario that runs alone, too: `ullage run ntnu-plate-by-hand`
 `ullage list` names them all.
 
 The thesis' pictures are not copied here: hold it beside this page. Written by `python -m
-ullage.experiments.reproduce.docs` from {kind}.
+ullage.experiments.reproduce.docs` from the results.
 """
 PICTURES = {
     "detection": ("ntnu-plate.png", "ntnu-plate_sar.png", "ntnu-plate45.png", "ntnu-wire.png", "ntnu-wire_sar.png"),
@@ -39,15 +39,15 @@ PICTURES = {
 def write_docs(root: Path, docs: Path) -> Path:
     """The page and its pictures, from a folder of results."""
     done = [experiment for experiment in EXPERIMENTS if (root / experiment.name / "findings.json").is_file()]
-    kind = "a small run (`--quick`)" if root.name == "quick" else "a whole run"
-    lines = [HEAD.format(kind=kind)]
-    spent = [read_json(root / e.name / "findings.json") for e in done]
-    machine = spent[0]["machine"] if spent else {}
-    cpu = sum(tree["cpu_s"] for tree in spent)
-    lines.append(f"\nOn {machine.get('processor')} the experiments below took {cpu:.0f} s of CPU in all.\n")
+    lines = [HEAD]
     for experiment in done:
+        tree = read_json(root / experiment.name / "findings.json")
+        size = "Small run (`--quick`)" if tree["quick"] else "Whole run"
+        cpu = f", {tree['cpu_s']:.0f} s of CPU" if tree.get("cpu_s") else ""
+        told = f"{size} on {tree['machine']['processor']}{cpu}.\n"
         section = f" ({experiment.section})" if experiment.section[0].isdigit() else ""
         lines.append(f"\n## {experiment.title}{section}\n")
+        lines.append(told)
         lines += _chapter(read_findings(root / experiment.name / "findings.json"), experiment.name, root, docs)
     page = docs / "reproduce.md"
     write_text(page, "\n".join(lines).rstrip("\n") + "\n")

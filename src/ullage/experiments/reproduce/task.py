@@ -83,7 +83,7 @@ class Task:
         wall, cpu = time.monotonic(), time.process_time()
         self.experiment.run(bench)
         spent = {"took_s": time.monotonic() - wall, "cpu_s": time.process_time() - cpu}
-        bench.findings.write(self.mark, inputs=self.inputs, machine=provenance()["machine"], **spent)
+        bench.findings.write(self.mark, inputs=self.inputs, quick=self.quick, machine=provenance()["machine"], **spent)
 
     def chapter(self) -> Chapter:
         """What it found."""
