@@ -20,6 +20,7 @@ SHADE_DEG = 25.0
 STRIDE = {2: 1, 3: 4}
 MOST_FOUND = 60_000
 COLLAPSED_EVERY = 64
+RAY_TENTHS = 20
 
 
 class Blocks:
@@ -87,6 +88,15 @@ class Blocks:
             min(int(2 * radius_m / (self.edge * self.grid.step_m) + 3) ** self.grid.dims, self.pools.slots.size)
         )
         mark_flown(self.pools, self.grid.step_m, self.edge, position, radius_m)
+
+    def insert_rays(self, eye: NDArray[np.float64], ends: NDArray[np.float64]) -> None:
+        """Add what a sensor of single directions says, as a lidar: nothing up to where each ray (n, 3) ends."""
+        from ullage.kernels.occupancy_rays import insert_rays
+
+        box = np.stack([np.minimum(ends.min(axis=0), eye), np.maximum(ends.max(axis=0), eye)]) - self.pools.origin
+        wide = np.ceil((box[1] - box[0]) / (self.edge * self.grid.step_m))[: self.grid.dims] + 1
+        self.reserve(int(min(np.prod(wide), self.pools.slots.size)))
+        insert_rays(self.pools, self.grid.step_m, self.edge, eye, ends, RAY_TENTHS)
 
     def reserve(self, count: int) -> None:
         """Have room for this many more blocks."""
