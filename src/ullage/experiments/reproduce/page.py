@@ -27,7 +27,8 @@ PAGE = """<!doctype html>
 </style></head><body>
 <h1>The thesis, reproduced</h1>
 <p>Every experiment of chapter 6 of D. C. Billdal, <i>Sensor Simulation and Environment Mapping using UWB Radar for
-Industrial Drone Inspection</i> (NTNU, 2018), run by ullage {{ origin.ullage }}: the thesis' own ray model and methods beside the physical model and
+Industrial Drone Inspection</i> (NTNU, 2018), run by ullage {{ origin.ullage }}: the thesis' own ray model and
+methods beside the physical model and
 ullage's. {{ "A small run (--quick)." if quick }} {{ holding }} of {{ total }} statements and bounds hold.
 {% if interrupted %}<span class="bad">Interrupted: {{ chapters|length }} of {{ wanted }} experiments are
 here; run the same command again to go on.</span>{% endif %}</p>
