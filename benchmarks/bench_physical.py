@@ -17,7 +17,6 @@ import ullage as ul
 from ullage.kernels import beams, bounces, edges, facets
 from ullage.radar import multipath, physical, visibility
 from ullage.radar.physical import echoes
-from ullage.world.hold import hold_scene
 from ullage.world.library import WORLDS
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
@@ -65,7 +64,7 @@ def scenes():
 
 def grow():
     print("hold, x1 and x10 in length, and their ratio [CPU-ms a frame]")
-    short, long = hold_scene(), hold_scene(length_m=10 * 30.7)
+    short, long = ul.scenes.hold(), ul.scenes.hold(length_m=300.0)
     path = ul.Trajectory.line((0.1, -7, 4), (0.6, -7, 4), 0.5, 50)
     for b in (1, 3):
         one, ten = cost(short, b, path), cost(long, b, path)

@@ -147,12 +147,16 @@ def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offs
                 end = _emit(b, one, planes1, made, loop_of, loops, starts, old, new, edges, at)
                 if end > at:
                     if beams < len(ends_on) and end <= len(edges):
-                        apexes[beams], chains[beams, 0], chains[beams, 1] = one, a, -1
+                        for k in range(3):
+                            apexes[beams, k] = one[k]
+                        chains[beams, 0], chains[beams, 1] = a, -1
                         ends_on[beams], first[beams + 1] = b, end
                     beams, at = beams + 1, end
                 continue
             count = sizes[b]
-            lit[:count] = outlines[b, :count]
+            for i in range(count):
+                for k in range(3):
+                    lit[i, k] = outlines[b, i, k]
             for i in range(made):
                 count = _clip(lit, count, planes1[i], spare)
                 lit, spare = spare, lit
@@ -170,7 +174,9 @@ def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offs
                 end = _emit(t, two, planes2, made2, loop_of, loops, starts, old, new, edges, at)
                 if end > at:
                     if beams < len(ends_on) and end <= len(edges):
-                        apexes[beams], chains[beams, 0], chains[beams, 1] = two, a, b
+                        for k in range(3):
+                            apexes[beams, k] = two[k]
+                        chains[beams, 0], chains[beams, 1] = a, b
                         ends_on[beams], first[beams + 1] = t, end
                     beams, at = beams + 1, end
     return beams, at

@@ -22,7 +22,9 @@ def stand_ins(middle, pieces, owner, points, which, out):  # type: ignore[no-unt
     """
     count = len(middle)
     least = np.full(count, np.inf)
-    out[:] = middle
+    for i in range(count):
+        for k in range(3):
+            out[i, k] = middle[i, k]
     for j in range(len(pieces)):
         i, path = owner[j], pieces[j, 6] + pieces[j, 7]
         if path <= least[i]:
@@ -30,7 +32,8 @@ def stand_ins(middle, pieces, owner, points, which, out):  # type: ignore[no-unt
             for k in range(3):
                 out[i, k] = 0.5 * (pieces[j, k] + pieces[j, 3 + k])
     for j in range(len(points)):
-        out[which[j]] = points[j]
+        for k in range(3):
+            out[which[j], k] = points[j, k]
     for i in range(count):
         square = 0.0
         for k in range(3):
@@ -67,12 +70,16 @@ def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: 
         out: gets the corners [m].
     """
     for i in range(len(lit)):
-        out[i, 0], out[i, 3], out[i, 4] = origins[0], lit[i], origins[1]
+        for k in range(3):
+            out[i, 0, k], out[i, 1, k], out[i, 3, k], out[i, 4, k] = (
+                origins[0, k],
+                origins[0, k],
+                lit[i, k],
+                origins[1, k],
+            )
         last = chains[i, 0] if chains[i, 1] < 0 else chains[i, 1]
         _cross(images[i], lit[i], normals[last], offsets[last], out[i, 2])
-        if chains[i, 1] < 0:
-            out[i, 1] = origins[0]
-        else:
+        if chains[i, 1] >= 0:
             first = chains[i, 0]
             _cross(firsts[i], out[i, 2], normals[first], offsets[first], out[i, 1])
 
@@ -189,7 +196,11 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
     unit, start, taken = np.empty(3), np.empty(3), np.empty(3)
     field = np.empty(3, np.complex128)
     for i in range(len(paths)):
-        frames_out[i], fields_out[i] = frames, fields
+        for side in range(2):
+            for k in range(3):
+                fields_out[i, side, k] = fields[side, k]
+                for row in range(3):
+                    frames_out[i, side, row, k] = frames[side, row, k]
         for step in range(2):
             if chains[i, step] >= 0:
                 n = normals[chains[i, step]]

@@ -194,9 +194,9 @@ def look_at(pieces, owner, normals, inward, out, middles):  # type: ignore[no-un
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _weight(p, at, mono, normal, origins, frames, fields, table, flat, gamma, stuff, tap):  # type: ignore[no-untyped-def]
+def _weight(p, mono, normal, origins, frames, fields, table, flat, gamma, stuff, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point of a face."""
-    dx, dy, dz = p[at] - origins[0, 0], p[at + 1] - origins[0, 1], p[at + 2] - origins[0, 2]
+    dx, dy, dz = p[0] - origins[0, 0], p[1] - origins[0, 1], p[2] - origins[0, 2]
     r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
     ux, uy, uz = dx * r, dy * r, dz * r
     cosine = abs(ux * normal[0] + uy * normal[1] + uz * normal[2])
@@ -204,7 +204,7 @@ def _weight(p, at, mono, normal, origins, frames, fields, table, flat, gamma, st
     g = toward(table, flat, frames[0], ux, uy, uz)
     if mono:
         return g * g * _reflection(gamma, stuff, tap, cosine, share), cosine
-    dx, dy, dz = p[at] - origins[1, 0], p[at + 1] - origins[1, 1], p[at + 2] - origins[1, 2]
+    dx, dy, dz = p[0] - origins[1, 0], p[1] - origins[1, 1], p[2] - origins[1, 2]
     r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
     ux, uy, uz = dx * r, dy * r, dz * r
     cosine = 0.5 * (cosine + abs(ux * normal[0] + uy * normal[1] + uz * normal[2]))
@@ -272,8 +272,8 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
             if follows:
                 w0, c0 = weights[tap], cosines[tap]
             else:
-                w0, c0 = _weight(p, 0, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
-            w1, c1 = _weight(p, 3, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+                w0, c0 = _weight(p[:3], mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            w1, c1 = _weight(p[3:6], mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             weights[tap], cosines[tap] = w1, c1
             late = extra[k] + _late(lag, stuff, tap, 0.5 * (c0 + c1))
             mean = (0.5 * (p[6] + p[7]) + p[11]) / C0 + late
@@ -307,7 +307,7 @@ def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, f
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break
-            w, cosine = _weight(points[k], 0, mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
+            w, cosine = _weight(points[k], mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
             late = extra[k] + _late(lag, stuff, tap, cosine)
             mean = lengths[k] / C0 + late
             landed = mean - math.floor((mean - t0) / fold) * fold

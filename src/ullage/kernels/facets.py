@@ -43,7 +43,9 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
         for face in range(first[k], first[k + 1]):
             if dark[face]:
                 continue
-            stack[0] = corners[face]
+            for i in range(3):
+                for j in range(3):
+                    stack[0, i, j] = corners[face, i, j]
             top = 1
             while top > 0:
                 top -= 1
@@ -52,7 +54,9 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
                     continue
                 if edge == -1 or top > 92:
                     if count < len(leaves):
-                        leaves[count] = stack[top]
+                        for i in range(3):
+                            for j in range(3):
+                                leaves[count, i, j] = stack[top, i, j]
                         owner[count] = face
                     count += 1
                     continue
@@ -160,11 +164,8 @@ def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
         return _bulk(grids, w, x, places, scale)
     least = min(d01, d12, d20)
     if least < 0.5:
-        if d12 == least:
-            return _strip(grids, w, x, places, scale, 0, 1, 2)
-        if d20 == least:
-            return _strip(grids, w, x, places, scale, 1, 2, 0)
-        return _strip(grids, w, x, places, scale, 2, 0, 1)
+        lone = 0 if d12 == least else 1 if d20 == least else 2
+        return _strip(grids, w, x, places, scale, lone, (lone + 1) % 3, (lone + 2) % 3)
     total = 0j
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
