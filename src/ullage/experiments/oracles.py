@@ -80,6 +80,30 @@ def wire_gain(radius_m: float, distance_m: float, frequency_hz: float, *, tm: bo
     return float(1 / (2 * k) * np.sqrt(width / (4 * np.pi * distance_m**3)))
 
 
+def keller_strip(width_m: float, distance_m: float, frequency_hz: float, tilt_deg: float, *, soft: bool) -> complex:
+    """Tall conducting strip, turned, by Keller's coefficients [Keller1962].
+
+    Two edges, and for the field across them (not `soft`) the wave from edge to edge, each with the stationary part of
+    its length.
+    """
+    k, t = wave_number(frequency_hz), np.radians(tilt_deg)
+    along = np.array([-np.sin(t), np.cos(t)])
+    total, r, half = 0j, [], []
+    for side in (1, -1):
+        p = np.array([distance_m, 0.0]) + side * width_m / 2 * along
+        r.append(float(np.hypot(*p)))
+        phi = np.arccos(side * (p @ along) / r[-1])
+        half.append(float(np.cos(phi / 2)))
+        edge = (-1 + 1 / np.cos(phi)) / 2 if soft else (1 + 1 / np.cos(phi)) / 2
+        reach = np.sqrt(np.pi * r[-1] / k) * np.exp(-1j * np.pi / 4)
+        total += edge / (4 * np.pi * k * r[-1] ** 2) * reach * np.exp(-2j * k * r[-1])
+    if not soft:
+        twice = 2 * np.exp(-1j * np.pi / 4) / np.sqrt(2 * np.pi * k * width_m) / half[0] / half[1]
+        reach = np.sqrt(2 * np.pi * r[0] * r[1] / (r[0] + r[1]) / k) * np.exp(-1j * np.pi / 4)
+        total -= twice / (4 * np.pi * k * r[0] * r[1]) * reach * np.exp(-1j * k * (r[0] + r[1] + width_m))
+    return complex(total)
+
+
 def shoebox_lengths(size_m: Floats, position_m: Floats, orders: tuple[int, ...], longest_m: float) -> Floats:
     """Path lengths [m] of the image method in a room centred on the origin, source and receiver at one point."""
     found = []
