@@ -210,6 +210,8 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
     if frames:
         index = min(map(len, frames.values())) // 2
         out.append(_snapshot(folder / "snapshot.png", list(frames.values()), index, job))
+        if job.scene is not None and not job.live and job.scenario.sensing.fidelity == "physical":
+            out.append(_explained(folder / "explain.png", *next(iter(frames.items())), index, job))
     if job.scene is None and (still := job.rest.frames()):
         out.append(rest_figure(folder / "rest.png", still, title=job.title))
     for item in outcome.results:
@@ -232,6 +234,18 @@ def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
     return figures.snapshot_figure(
         path, frames, index, threshold=threshold, title=f"{job.title}: one profile at {t_s:.1f} s"
     )
+
+
+def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> Path:
+    """Where the echoes of one frame came from."""
+    from ullage.radar.explain import explain
+    from ullage.view.explain_figure import explain_figure
+
+    found = explain(frames, index, scene=job.scene, max_bounces=job.scenario.sensing.max_bounces,
+                    seed=job.scenario.seed)  # fmt: skip
+    height = float(frames.poses.position[index, 2]) if frames.poses is not None else _height(job)
+    return explain_figure(path, frames, index, found, walls=_walls(job.scene, height),
+                          title=f"{job.title}: frame {index} of {name}, explained")  # fmt: skip
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:

@@ -58,12 +58,17 @@ def _both(axes: Any, x: Any, ours: list[float], reference: list[float], name: st
 
 def _tilt(axes: Any) -> None:
     x = np.linspace(0, 60, 121)
-    ours = [db(gain(scenes.plate(0.5, 0.5, 3.0, yaw_deg=t))) for t in x]
+    turned = [scenes.plate(0.5, 0.5, 3.0, yaw_deg=t) for t in x]
+    ours = [db(gain(plate, edges=False)) for plate in turned]
     want = [db(oracles.dense_plate(0.5, 3.0, 7.29e9, t)) for t in x]
     _both(axes, x, ours, want, "dense Kirchhoff integral", "turn [deg]")
+    axes.lines[-1].set_label("ullage without edges")
+    for name, colour in (("vertical", "C2"), ("horizontal", "C1")):
+        edged = [db(gain(plate, spec=radar(name))) for plate in turned]
+        axes.plot(x, edged, colour, lw=1.2, label=f"ullage, {name} field")
     cosine = ours[0] + 20 * np.log10(np.cos(np.radians(x)))
     axes.plot(x, cosine, "C3--", lw=1, label="cosine law of the ray model")
-    axes.legend()
+    axes.legend(fontsize=8)
 
 
 def _sphere(axes: Any) -> None:

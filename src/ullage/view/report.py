@@ -17,6 +17,7 @@ CAPTIONS = {
     "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
     "range_time": "Amplitude of every range bin over time, one panel a radar.",
     "rest": "Mean profile, noise and its correlation while the radar stood still.",
+    "explain": "Where the strongest echoes of a frame in the middle of the run came from, and a plan at its height.",
     "snapshot": "One profile of each radar in the middle of the run.",
 }
 
