@@ -7,9 +7,13 @@ from pathlib import Path
 
 import pytest
 from conftest import assert_same, some_frames
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from imc_peer import Peer
 
 import ullage as ul
+from ullage.ports.imc import radars
+from ullage.ports.imc.codec import Packet, make
 from ullage.ports.imc.gather import Gatherer, Track
 
 
@@ -57,3 +61,45 @@ class _Given:
 
     def stream(self):
         return iter(self._pieces)
+
+
+def bytes_of_frames() -> list[bytes]:
+    frames = some_frames(3)
+    return [radars.settings(frames)["value"], *(note["value"] for note in radars.exact(frames, 0, truth=True))]
+
+
+GOOD = bytes_of_frames()
+
+
+@pytest.mark.filterwarnings("ignore::ullage.UllageWarning")
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, len(GOOD) - 1), st.integers(0, 4000), st.binary(min_size=1, max_size=8), st.booleans())
+def test_damaged_frames_of_a_stranger_do_no_harm(which: int, at: int, new: bytes, cut: bool) -> None:
+    gather = Gatherer(Track(say=lambda _: None))
+    hurt = list(GOOD)
+    at %= len(hurt[which])
+    hurt[which] = hurt[which][:at] + (b"" if cut else new + hurt[which][at + len(new) :])
+    for value in hurt:
+        gather.take(Packet(make("DevDataBinary", value=value), 1.7e9, 5, 10))
+    gather.give(final=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_senseless_numbers_of_a_stranger_do_no_harm(data: st.DataObject) -> None:
+    track = Track(say=lambda _: None)
+    gather = Gatherer(track)
+    numbers = st.floats(width=32)
+    for name in data.draw(st.lists(st.sampled_from(["EstimatedState", "Distance", "SonarData"]), max_size=8)):
+        blank = make(name).values
+        fields = {k: data.draw(numbers) for k, v in blank.items() if isinstance(v, float)}
+        if name == "Distance":
+            fields["location"] = (make("DeviceState", x=data.draw(numbers), phi=data.draw(numbers)),)
+        if name == "SonarData":
+            fields |= {"bits_per_point": data.draw(st.sampled_from([0, 8, 12, 16, 255])), "max_range": 5}
+            fields["data"] = data.draw(st.binary(max_size=64))
+        packet = Packet(make(name, **fields), data.draw(st.floats(width=64)), 5, 10)
+        if packet.t_s == packet.t_s:
+            track.take(packet)
+            gather.take(packet)
+    gather.give(final=True)

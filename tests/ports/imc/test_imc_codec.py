@@ -64,7 +64,7 @@ PACKETS = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(PACKETS, st.booleans())
 def test_every_message_survives_the_way_there_and_back(packet: Packet, big: bool) -> None:
     data = encode(packet, big=big)
@@ -106,7 +106,7 @@ def test_syncs_without_end_cost_no_more_than_their_length() -> None:
     assert len(parser._held) < 2 * 65557
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(PACKETS, st.data())
 def test_a_damaged_packet_is_refused_and_the_next_one_read(packet: Packet, data: st.DataObject) -> None:
     whole = bytearray(encode(packet))
@@ -119,7 +119,7 @@ def test_a_damaged_packet_is_refused_and_the_next_one_read(packet: Packet, data:
     assert [q.name for q in found][-1] == "EstimatedState"
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.sampled_from(sorted(table.own().by_id)), st.binary(max_size=200), st.sampled_from("<>"))
 def test_a_sound_packet_with_a_senseless_payload_is_kept_as_bytes(number: int, payload: bytes, order: str) -> None:
     got = decode(packed(number, payload, t_s=0, order=order))
@@ -180,7 +180,7 @@ def test_an_announce_in_big_endian_is_read() -> None:
     assert math.isclose(math.degrees(got["lat"]), 63.4185)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(packet=PACKETS)
 def test_imcpy_understands_every_message_and_writes_the_same_bytes(packet: Packet) -> None:
     imcpy = pytest.importorskip("imcpy", reason="imcpy, which holds DUNE's own codec, is not installed")

@@ -108,6 +108,7 @@ def test_a_flood_costs_messages_not_memory(monkeypatch: pytest.MonkeyPatch) -> N
     with Peer(tick=lambda _: flood) as peer, tcp(peer.place) as (link, told):
         assert until(lambda: link.dropped_in > 1000)
         assert len(link.receive()) <= 500
+        assert until(lambda: told)
         assert told == ["messages come faster than they are used; the oldest are dropped"]
 
 

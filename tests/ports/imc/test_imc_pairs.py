@@ -16,7 +16,7 @@ from ullage.ports.imc.interpreter import PAIRS, imc_of, interpreted
 from ullage.ports.imc.table import own
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(PACKETS)
 def test_the_broker_loses_no_field_of_any_message(packet: Packet) -> None:
     note = to_ros(packet)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import warnings
 from collections import deque
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ullage.data import Floats, Frames, Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import UllageWarning
 from ullage.geometry import C0
 from ullage.ports import conversions
 from ullage.ports import messages as ros
@@ -22,7 +21,6 @@ from ullage.ports.imc.radars import carried, mount_of, profile_of
 from ullage.specs import MountSpec, RadarSpec
 
 HELD = 4096  # messages of one sensor that wait for a pose or for their settings
-UNREADABLE = (InputError, struct.error, ValueError, KeyError, TypeError, IndexError, AttributeError, AssertionError)
 Part = tuple[int, int]
 """A system and a part of it."""
 
@@ -129,7 +127,7 @@ class Gatherer:
         for part, sensor in self._sensors.items():
             try:
                 found = self._whole(sensor) if sensor.exact else self._placed(part, sensor, final)
-            except UNREADABLE:
+            except Exception:  # bytes of a stranger: whatever they do to those who read them, the rest goes on
                 self.damaged += 1
                 sensor.notes.clear()
                 continue
@@ -159,7 +157,7 @@ class Gatherer:
                 sensor.settings, sensor.name = fresh, conversions.text_in(data, 1)
             elif conversions.text_in(data, 1) == sensor.name:
                 sensor.notes.append(data)
-        except UNREADABLE:
+        except Exception:  # as in `give`
             self.damaged += 1
             return
         sensor.exact = True
@@ -178,10 +176,11 @@ class Gatherer:
         return conversions.frames_of([notes[k] for k in rows], sensor.name, sensor.settings, t_ns[rows])
 
     def _mount(self, part: Part, packet: Packet) -> None:
-        try:
-            self._of(part).mount = mount_of(packet["location"][0].values)
-        except UNREADABLE:
+        state = packet["location"][0]
+        if state is None or state.name != "DeviceState" or not np.isfinite(list(state.values.values())).all():
             self.damaged += 1
+            return
+        self._of(part).mount = mount_of(state.values)
 
     def _profile(self, part: Part, packet: Packet) -> None:
         sensor, found = self._of(part), profile_of(packet.message.values)
