@@ -121,12 +121,18 @@ def _tasks(text: str | None) -> Any:
 def warm_up(source: str, options: list[str]) -> None:
     """Compile the kernels that a scenario needs if this is their first time, and say so."""
     from ullage.experiments.catalog import find_scenario, scenario_names
-    from ullage.experiments.warmup import compile_kernels, compiled, parts_of
+    from ullage.experiments.warmup import NEEDED, compile_kernels, compiled, parts_of
+    from ullage.ports.live import Address
     from ullage.view.progress import console
 
-    if source not in scenario_names() and not source.endswith((".yaml", ".yml")):
+    address = Address.of(source)
+    if address and address.scheme.startswith("gazebo"):
+        parts: tuple[str, ...] = (str(address.options.get("fidelity", "physical")), "ullage")
+    elif source in scenario_names() or source.endswith((".yaml", ".yml")):
+        parts = parts_of(find_scenario(source, options=options))
+    else:
         return
-    parts = parts_of(find_scenario(source, options=options))
+    parts = tuple(part for part in parts if part in NEEDED)
     if compiled(parts):
         return
     console.print(f"compiling kernels for {', '.join(parts)} (once after installation)")
