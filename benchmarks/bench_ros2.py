@@ -72,7 +72,7 @@ def listen(case: str, typed: bool) -> None:
     node.create_subscription(message_class(kind), topic, whole if typed else raw, how, raw=not typed)
     print("ready", flush=True)
     last, count = time.monotonic(), 0
-    while time.monotonic() - last < (30.0 if not late else 2.0):
+    while time.monotonic() - last < (180.0 if not late else 2.0):
         rclpy.spin_once(node, timeout_sec=0.2)
         if len(late) > count:
             last, count = time.monotonic(), len(late)
@@ -106,6 +106,8 @@ def speak(case: str) -> float:
 
 def measure(case: str, typed: bool) -> str:
     """One row."""
+    import ullage.ports.ros2.middleware  # noqa: F401 (what is slow to load, before anybody waits)
+
     child = subprocess.Popen(
         [sys.executable, __file__, "--listen", case, *(["--typed"] if typed else [])], stdout=subprocess.PIPE, text=True
     )
@@ -158,8 +160,8 @@ def main() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     print("| what | sent a second | p50 [ms] | p99 [ms] | lost [%] |\n|---|---|---|---|---|")
     for case in CASES:
-        for typed in (False, True):
-            print(measure(case, typed), flush=True)
+        print(measure(case, False), flush=True)
+    print(measure(next(iter(CASES)), True), flush=True)
     print("\n| simulator in the room, four radars | frames a second |\n|---|---|")
     for fidelity in ("thesis", "physical"):
         print(f"| {fidelity} | {simulator_rate(fidelity):.0f} |", flush=True)
