@@ -98,3 +98,13 @@ def test_what_is_watched_stays_bounded() -> None:
     assert amplitude.shape == (len(t_s), len(range_m))
     assert amplitude.max() == pytest.approx(float(frames.amplitude[: len(t_s) * 8].max()), rel=0.2)
     assert 4 <= len(looks.frames()["front"]) <= 9
+
+
+def test_a_threshold_for_detections_does_not_break_the_map() -> None:
+
+    spec = ul.RadarSpec.preset("x4m05")
+    path = ul.Trajectory.line((0, 0, 0), (0.2, 0, 0), rate_hz=25)
+    noise = 1e-5 * (np.random.default_rng(1).normal(size=(len(path), spec.bins, 2)) @ [1, 1j])
+    frames = ul.Frames(noise.astype(np.complex64), spec.range_m, path.t_ns, spec, poses=path)
+    stage = MapStage(ul.Grid((-1, -1, 0), 0.1, (20, 20)), "ullage", threshold=0.1)
+    assert len([*stage.update({"radar": frames}), *stage.finish()]) == 2

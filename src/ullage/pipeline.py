@@ -205,7 +205,8 @@ class MapStage:
         from ullage.processing.occupancy import Mapper
 
         if self._mapper is None:
-            options = {} if self.threshold is None else {"threshold": self.threshold}
+            own = self.threshold is not None and self.method == "elfes"  # the other has its own level for every profile
+            options = {"threshold": self.threshold} if own else {}
             self._mapper = Mapper(self.grid, method=self.method, **options)
         self._mapper.update(chunk)
         now = max(int(p.t_ns[-1]) for p in chunk.values())
