@@ -72,7 +72,9 @@ def cases(seed: int, scene, grid):
     for noise in (0.003, 0.01):
         noisy = believed(frames, rng.normal(0, noise, (n, 3)))
         yield f"ullage, {1e3 * noise:.0f} mm white pose error", noisy, {}
-    yield "ullage, 20 cm smooth drift", believed(frames, drift(n, 0.2, rng)), {}
+    drifting = believed(frames, drift(n, 0.2, rng))
+    yield "ullage, 20 cm smooth drift", drifting, {}
+    yield "ullage, the same, drift_m=0.2", drifting, {"drift_m": 0.2}
 
 
 def draw(omap, scene, frames, path: str) -> None:

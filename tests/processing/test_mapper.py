@@ -199,3 +199,10 @@ def test_a_narrow_antenna_is_believed_to_hear_a_narrow_cone(flight):
     wide = arc()
     assert arc(kind="cosine", azimuth_deg=65.0, elevation_deg=65.0) == wide
     assert 0 < arc(kind="cosine", azimuth_deg=20.0, elevation_deg=20.0) < 0.5 * wide
+
+
+def test_frames_of_rays_are_mapped_no_worse_than_by_the_baseline(flight):
+    rays = {n: replace(f, samples=f.amplitude * 1e3, unit="thesis") for n, f in flight.items()}
+    ours, base = (ul.map_occupancy(rays, GRID, method=m) for m in ("ullage", "elfes"))
+    assert ours.method == "ullage"
+    np.testing.assert_array_equal(ours.percent, base.percent)

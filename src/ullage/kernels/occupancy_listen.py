@@ -109,36 +109,60 @@ def focus_echoes(
 ) -> None:
     """Coherence of each echo over the window, at the cosine near the fitted one that focuses it best.
 
-    `samples` (m, b) complex; rows of `sharp` take the coherence |sum|^2 / (m sum of |.|^2), that cosine and its sigma.
+    A flat wall's range is straight along the track, a point's is bowed: both, and half-way, are tried.
+    `samples` (m, b) complex; rows of `sharp` take the coherence |sum|^2 / (m sum of |.|^2), that cosine, its sigma,
+    and the coherence as a flat wall and as a point.
     """
-    frames, bins = samples.shape
     low, high = along.min(), along.max()
     pace = math.pi / (8.0 * wavenumber * max(high - low, 0.02))
     for p in range(len(echoes)):
         reach, cosine = echoes[p, 0], echoes[p, 2]
-        power = 0.0
         tries = min(int(3.0 * echoes[p, 3] / pace) + 2, 40)
         best, best_cosine = -1.0, cosine
         for t in range(-tries, tries + 1):
             trial = cosine + t * pace
-            real, imag, power = 0.0, 0.0, 0.0
-            for j in range(frames):
-                bow = 0.5 * along[j] * along[j] * (1.0 - trial * trial) / reach
-                r = reach - along[j] * trial + 0.5 * bow
-                b = int((r - start) / step + 0.5)
-                if b < 0 or b >= bins:
-                    continue
-                value = samples[j, b]
-                phase = 2.0 * wavenumber * (r - reach)
-                c, s = math.cos(phase), math.sin(phase)
-                real += value.real * c - value.imag * s
-                imag += value.real * s + value.imag * c
-                power += value.real * value.real + value.imag * value.imag
-            got = (real * real + imag * imag) / (frames * power + 1e-300)
+            got = _coherence(samples, along, start, step, wavenumber, reach, trial, 0.5)
             if got > best:
                 best, best_cosine = got, trial
-        sharp[p, 0], sharp[p, 1] = best, best_cosine
-        sharp[p, 2] = pace
+        middle = best_cosine
+        for bow in range(2):
+            top = -1.0
+            for t in range(-2, 3):
+                trial = middle + t * pace
+                got = _coherence(samples, along, start, step, wavenumber, reach, trial, float(bow))
+                top = max(top, got)
+                if got > best:
+                    best, best_cosine = got, trial
+            sharp[p, 3 + bow] = top
+        sharp[p, 0], sharp[p, 1], sharp[p, 2] = best, best_cosine, pace
+
+
+@njit(cache=True, fastmath=True)
+def _coherence(
+    samples: np.ndarray,
+    along: np.ndarray,
+    start: float,
+    step: float,
+    wavenumber: float,
+    reach: float,
+    cosine: float,
+    bowed: float,
+) -> float:
+    frames, bins = samples.shape
+    real, imag, power = 0.0, 0.0, 0.0
+    bend = 0.5 * bowed * (1.0 - cosine * cosine) / reach
+    for j in range(frames):
+        r = reach - along[j] * cosine + bend * along[j] * along[j]
+        b = int((r - start) / step + 0.5)
+        if b < 0 or b >= bins:
+            continue
+        value = samples[j, b]
+        phase = 2.0 * wavenumber * (r - reach)
+        c, s = math.cos(phase), math.sin(phase)
+        real += value.real * c - value.imag * s
+        imag += value.real * s + value.imag * c
+        power += value.real * value.real + value.imag * value.imag
+    return float((real * real + imag * imag) / (frames * power + 1e-300))
 
 
 @njit(cache=True, fastmath=True)

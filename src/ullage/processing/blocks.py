@@ -9,6 +9,7 @@ from ullage.errors import InputError
 from ullage.grids import EDGE, Grid
 from ullage.kernels.occupancy import EMPTY, MOST_HITS, NOWHERE, Pools, collapse_blocks, mark_flown, share_echoes
 from ullage.kernels.occupancy_cone import Beam, cast_reach, hear_blocks, survey_blocks
+from ullage.kernels.occupancy_strip import lay_strip
 
 MOST_BYTES = 2 * 1024**3
 GROWTH = 16
@@ -81,6 +82,18 @@ class Blocks:
         share_echoes(self.pools, beam.arcs, self._found, self._chance, found, self._held_by)
         if self._turn % COLLAPSED_EVERY == 0:
             self.collapse()
+
+    def lay(self, foot: NDArray[np.float64], way: NDArray[np.float64], strip: tuple[float, float, float]) -> None:
+        """Add an echo's evidence to the strip of surface, square to its way, that made it (planes only).
+
+        Args:
+            foot: (3) foot of the perpendicular [m].
+            way: (3) level unit vector to it.
+            strip: doubt in range [m], half length [m], gain on the strip [nat].
+        """
+        sigma, half, gain = strip
+        self.reserve(int(2 * (half + 3 * sigma) / (self.edge * self.grid.step_m) + 3) ** 2)
+        lay_strip(self.pools, self.grid.step_m, self.edge, foot, way, sigma, half, gain)
 
     def clear(self, position: NDArray[np.float64], radius_m: float) -> None:
         """Nothing stands within a radius of a place where the drone was."""

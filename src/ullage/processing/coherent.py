@@ -15,13 +15,41 @@ REMEMBERED = 128
 ENOUGH = 12
 FOCUSED = 0.6
 STEADY = 0.9
+SURE = 0.99
+DEPENDENCE = 0.6  # looks of one window share frames: their odds count only so far
+
+Table = tuple[float, dict[str, tuple[tuple[float, ...], tuple[float, ...]]]]
+
+# Log-odds that a bearing is true, as sums of piecewise linear terms: (places, values) of each measured quantity.
+# Fitted by benchmarks/calibrate_mapper.py.
+BY_PHASE: Table = (
+    0.92,
+    {
+        "level": ((-3, -2, -1.5, -1, -0.5, 0), (-2.32, 0.99, -0.17, -1.13, 0.5, 2.12)),
+        "coherence": ((0.15, 0.3, 0.5, 0.65, 0.8, 0.93, 1), (-2.45, -0.87, -0.91, -0.1, 1.2, 1.8, 1.34)),
+        "share": ((0.3, 0.5, 0.7, 0.9, 1), (0.62, 0.07, -0.19, -0.51, 0.0)),
+        "range_scatter": ((0.0009, 0.0015, 0.003, 0.006, 0.012), (1.17, 0.59, 0.68, -0.49, -1.95)),
+        "cosine_scatter": ((0.006, 0.012, 0.02, 0.05, 0.12), (-0.22, 0.44, 0.04, -0.14, -0.12)),
+        "cosine": ((0, 0.15, 0.5, 0.85, 0.97), (-1.1, 0.47, 1.07, 0.36, -0.8)),
+    },
+)
+BY_RANGE: Table = (
+    1.09,
+    {
+        "level": ((-3, -2, -1.5, -1, -0.5, 0), (-2.26, 0.26, -0.32, -2.17, 2.1, 2.39)),
+        "share": ((0.3, 0.5, 0.7, 0.9, 1), (0.04, -0.16, -0.23, 0.15, 0.2)),
+        "range_scatter": ((0.0009, 0.0015, 0.003, 0.006, 0.012), (1.51, 0.61, 0.47, -0.92, -1.68)),
+        "cosine_scatter": ((0.006, 0.012, 0.02, 0.05, 0.12), (1.55, 0.43, -0.53, -0.96, -0.48)),
+        "cosine": ((0, 0.15, 0.5, 0.85, 0.97), (0.22, -0.04, 0.21, -0.07, -0.32)),
+    },
+)
 
 
 class EchoJudge:
     """Chooses between phase and range by measured coherence, and says how likely an echo's bearing is true.
 
-    The chances were read off simulated flights as the share of echoes within 15 cm of a surface, by coherence, by the
-    share of frames that hold the echo, and by the scatter of its range about the fitted line; docs/mapping.md has them.
+    The chance is a sum of log-odds, one term for each measured quantity, fitted to the echoes of simulated flights
+    through rooms that no test uses; docs/mapping.md tells how.
 
     Args:
         phase: whether phase may be used at all.
@@ -30,6 +58,7 @@ class EchoJudge:
     def __init__(self, *, phase: bool = True) -> None:
         self._phase = phase
         self._recent: deque[float] = deque(maxlen=REMEMBERED)
+        self._strong: deque[float] = deque(maxlen=REMEMBERED)
 
     @property
     def coherent(self) -> bool:
@@ -42,10 +71,29 @@ class EchoJudge:
         coherence = look.sharp[:, 0]
         if coherence.any():
             self._recent.extend(coherence[(share >= STEADY) & (sigma < 0.03)].tolist())
-        by_range = np.interp(sigma, [0.008, 0.015, 0.03, 0.06, 0.12], [0.93, 0.72, 0.5, 0.3, 0.15])
-        by_range = by_range * np.interp(share, [0.4, 0.7, 0.95], [0.4, 0.6, 1.0])
+        measured = {
+            "level": self._level(look),
+            "coherence": coherence,
+            "share": share,
+            "range_scatter": look.echoes[:, 1],
+            "cosine_scatter": sigma,
+        }
         if not self.coherent:
-            return look.echoes[:, 2], sigma, by_range
-        by_phase = np.interp(coherence, [0.2, 0.5, 0.6, 1.0], [0.15, 0.5, 0.85, 0.93])
-        by_phase = by_phase * np.interp(share, [0.4, 0.95], [0.65, 1.0])
-        return look.sharp[:, 1], np.hypot(look.sharp[:, 2], look.wobble), by_phase
+            return look.echoes[:, 2], sigma, chance(BY_RANGE, measured | {"cosine": abs(look.echoes[:, 2])})
+        trust = chance(BY_PHASE, measured | {"cosine": abs(look.sharp[:, 1])})
+        return look.sharp[:, 1], np.hypot(look.sharp[:, 2], look.wobble), trust
+
+    def _level(self, look: Look) -> Floats:
+        """Echo strength without its spreading, against the strongest echoes lately heard, as a power of ten."""
+        strength = look.echoes[:, 5] * look.echoes[:, 0]
+        if len(strength):
+            self._strong.append(float(strength.max()))
+        usual = float(np.percentile(self._strong, 90)) if self._strong else 1.0
+        return np.asarray(np.log10(np.maximum(strength / max(usual, 1e-30), 1e-6)))
+
+
+def chance(table: Table, measured: dict[str, Floats]) -> Floats:
+    """Chance (k) that a bearing is true, from what was measured of each echo."""
+    bias, terms = table
+    odds = bias + sum(np.interp(measured[name], *term) for name, term in terms.items())
+    return np.asarray(np.minimum(1 / (1 + np.exp(-DEPENDENCE * odds)), SURE))

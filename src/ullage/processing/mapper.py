@@ -14,27 +14,32 @@ from ullage.kernels.occupancy_cone import Beam
 from ullage.kernels.occupancy_show import in_view, render_cells
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
+from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
-from ullage.processing.mapper_looks import Listener, Look
+from ullage.processing.mapper_looks import Listener, Look, lit_ways
 
 Floats = NDArray[np.float64]
 
 DETECTION = 0.9
 ENOUGH_SIDES = 4
-VAGUE_TENTHS = 10
-HEARD_ODDS, SIDE_NATS = -0.7, 0.8
+VAGUE_TENTHS = {2: 7, 3: 10}
+HEARD_ODDS, SIDE_NATS = {2: -1.2, 3: -0.7}, 0.8
 SOLID_ODDS = float(np.log(0.65 / 0.35))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
-LEAST_TRUST, LEAST_TURN = 0.15, 0.01
+LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
+FRESNEL_SHARE, LOOK_SHARE, FLAT_SHARE = 0.85, 0.4, 0.9
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 
 
 class UllageMapper:
     """Streaming full-profile mapper on a plane or a volume.
+
+    Frames of the thesis' ray model are amplitudes that sum a surface over the whole lobe: their ranges follow no one
+    reflector, and no bearing can be had from them. A plane is then mapped by the inverse model made for such frames.
 
     Args:
         grid: holds the flight; a plane without a height takes that of the first frames.
@@ -47,6 +52,8 @@ class UllageMapper:
         self._listeners: dict[str, Listener] = {}
         self._axis: dict[str, tuple[float, float, float]] = {}
         self._lobe: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
+        self._wavelength_m = 0.0
+        self._rays: ElfesMapper | None = None
         self._published: OccupancyMap | None = None
         self._reach = np.zeros(SECTORS[grid.dims])
         self._levels = LevelFinder()
@@ -63,10 +70,15 @@ class UllageMapper:
         """
         parts = in_order(frames, self.grid)
         self.grid = self.blocks.grid = plane_of(self.grid, parts)
+        if self._rays is not None or (self.grid.dims == 2 and all(part.unit == "thesis" for part in parts)):
+            self._rays = self._rays or ElfesMapper(self.grid)
+            self._rays.update(parts)
+            return
         looks: list[tuple[int, str, Look]] = []
         for part in parts:
             name = part.sensor
             step = float(part.range_m[-1] - part.range_m[0]) / (len(part.range_m) - 1)
+            self._wavelength_m = part.spec.wavelength_m
             self._axis[name] = float(part.range_m[0]), step, float(part.range_m[-1])
             hit_deg, free_deg = heard_deg(part.spec.antenna)
             self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
@@ -99,7 +111,7 @@ class UllageMapper:
     def _insert(self, name: str, look: Look) -> None:
         start, bin_m, far = self._axis[name]
         hit, free = self._lobe[name]
-        heard, arcs = look.heard, self._arcs(look)
+        heard, (arcs, flat) = look.heard, self._arcs(look)
         self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
         self._flown[tuple(np.rint(heard.position / self.grid.step_m).astype(int).tolist())] = None
         quiet = np.concatenate([[0], np.cumsum(heard.quiet)])
@@ -119,9 +131,31 @@ class UllageMapper:
         )
         ways = [(*way, arc[0]) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc, hit[0])]
         self.blocks.insert(beam, np.array(ways).reshape(-1, 4))
+        if self.grid.dims == 2:
+            self._lay_strips(beam, arcs, flat, hit[0])
 
-    def _arcs(self, look: Look) -> Floats:
-        """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false."""
+    def _lay_strips(self, beam: Beam, arcs: Floats, flat: NDArray[np.bool_], least: float) -> None:
+        """Echoes of smooth surfaces stand for the first Fresnel zone round the foot of the perpendicular.
+
+        The looks of one window share their frames, and their errors: each adds but a share of its log-odds.
+        """
+        middle = (np.arange(self._reach.shape[1]) + 0.5) / self._reach.shape[1]
+        for arc in arcs[flat & (arcs[:, 9] < 0.5)]:
+            for way in self._ways(beam.axes, arc, least):
+                side, fore = way @ beam.axes[:, 1], max(float(way @ beam.axes[:, 0]), 1e-3)
+                sector = int(np.argmin(abs((2 * middle - 1) * beam.tangent - side / fore)))
+                if arc[0] > self._reach[0, sector] + 1.5 * self.grid.step_m:
+                    continue
+                half = FRESNEL_SHARE * np.sqrt(self._wavelength_m * arc[0] / 2)
+                blur = arc[0] * arc[6] / max(np.sqrt(max(1 - arc[5] ** 2, 0.0)), 0.1)
+                gain = LOOK_SHARE * np.log((1 - arc[9]) / arc[9]) * half / np.hypot(half, blur)
+                self.blocks.lay(beam.eye + arc[0] * way, way, (float(arc[1]), float(half), float(gain)))
+
+    def _arcs(self, look: Look) -> tuple[Floats, NDArray[np.bool_]]:
+        """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false.
+
+        With them, whether each may be off a smooth surface: focused at least nearly as well as a wall as as a point.
+        """
         step, echoes = self.grid.step_m, look.echoes
         arcs = np.zeros((len(echoes), 10))
         arcs[:, 0] = echoes[:, 0]
@@ -129,13 +163,15 @@ class UllageMapper:
         arcs[:, 2:5] = look.track
         if not look.track.any():
             arcs[:, 6], arcs[:, 7], arcs[:, 9] = 1e3, 0.5, 0.5
-            return arcs
+            return arcs, np.zeros(len(arcs), bool)
         cosine, sigma, trust = self._judge.weigh(look)
         blur = 0.35 * step / np.maximum(echoes[:, 0], 0.1)
         arcs[:, 5] = np.clip(cosine, -1, 1)
         arcs[:, 6] = np.sqrt(sigma**2 + blur**2 + LEAST_TURN**2)
-        arcs[:, 7], arcs[:, 8], arcs[:, 9] = DETECTION, 1, np.clip(1 - trust, 0.03, 0.95)
-        return arcs[trust >= LEAST_TRUST]
+        arcs[:, 7], arcs[:, 8], arcs[:, 9] = DETECTION, 1, np.clip(1 - trust, LEAST_FALSE, 0.95)
+        heard = trust >= LEAST_TRUST
+        flat = look.sharp[:, 3] >= FLAT_SHARE * look.sharp[:, 4]
+        return arcs[heard], flat[heard]
 
     def _ways(self, axes: Floats, arc: Floats, least: float) -> list[Floats]:
         """The direction on the plane that an arc's bearing leaves open, where only one is in the beam.
@@ -144,23 +180,21 @@ class UllageMapper:
         """
         if self.grid.dims == 3:
             return []
-        track = np.array([arc[2], arc[3], 0.0])
-        track /= max(float(np.linalg.norm(track)), 1e-9)
-        across = np.array([-track[1], track[0], 0.0])
-        off = np.sqrt(max(1 - arc[5] ** 2, 0.0))
-        both = [arc[5] * track + sign * off * across for sign in (-1, 1)]
-        lit = [way for way in both if way @ axes[:, 0] > least]
+        lit = lit_ways(axes, arc[2:5], float(arc[5]), least)
         return lit if len(lit) == 1 else []
 
     def map(self) -> OccupancyMap:
         """The map so far; free cells that no free way joins to the flight are unknown."""
+        if self._rays is not None:
+            return OccupancyMap(self.grid, self._rays.map().tiles, "ullage")
         known = self.blocks.known()
         if known is None:
             return OccupancyMap(self.grid, Tiles.unknown(self.grid.shape), "ullage")
         box = np.array([(axis.start, axis.stop) for axis in known], np.int64)
         percent = np.empty(box[:, 1] - box[:, 0], np.int8)
         render_cells(
-            self.blocks.pools, self.blocks.edge, box, FREE_NATS, PRIOR, ENOUGH_SIDES, VAGUE_TENTHS, HEARD_ODDS,
+            self.blocks.pools, self.blocks.edge, box, FREE_NATS, PRIOR, ENOUGH_SIDES, VAGUE_TENTHS[self.grid.dims],
+            HEARD_ODDS[self.grid.dims],
             SIDE_NATS, SOLID_ODDS, percent,
         )  # fmt: skip
         percent = percent.reshape(percent.shape[3 - self.grid.dims :])

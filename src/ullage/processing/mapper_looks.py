@@ -18,6 +18,7 @@ MOST_PEAKS = 16
 STEP_M, TURN_RAD = 0.05, np.radians(4.0)
 WINDOW_M = 0.2
 BEND_M = 0.02
+STRAIGHT_RAD = 0.05
 LEAST_BASE_M = 0.12
 JUMP_M = 0.5
 MOST_WAITING = 96
@@ -50,7 +51,9 @@ class Look:
     heard: Heard
     track: Floats  # (3) unit vector along the way, zero when there was none
     echoes: Floats  # (k, 6)
-    sharp: Floats  # (k, 3) coherence, cosine where it is best, its sigma; zero without phase
+    sharp: (
+        Floats  # (k, 5) coherence, cosine where it is best, its sigma, coherence as wall and as point; 0 without phase
+    )
     wobble: float = 0.0  # doubt in the track's direction [rad]
 
     def only(self, keep: NDArray[np.bool_]) -> Look:
@@ -145,14 +148,17 @@ class Listener:
         span = np.linalg.norm(offsets, axis=1)
         track = offsets[int(np.argmax(span))] / max(span.max(), 1e-9)
         along = offsets @ track
-        straight = np.linalg.norm(offsets - along[:, None] * track, axis=1) < BEND_M + wobble * WINDOW_M
+        aside = np.linalg.norm(offsets - along[:, None] * track, axis=1)
+        straight = aside < BEND_M + wobble * WINDOW_M
         straight[window.index(index)] = True
         window, along = [j for j, ok in zip(window, straight, strict=True) if ok], along[straight]
         echoes, count = np.zeros((MOST_PEAKS, 6)), heard.count
-        sharp = np.zeros((count, 3))
+        sharp = np.zeros((count, 5))
         if np.ptp(along) < LEAST_BASE_M:
             echoes[:count, 0], echoes[:count, 5] = heard.ranges[:count], heard.heights[:count]
             return Look(heard, np.zeros(3), echoes[:count], sharp, wobble)
+        bend = float(aside[straight].max()) / (0.5 * float(np.ptp(along)))
+        wobble = float(np.hypot(wobble, max(bend - max(wobble, STRAIGHT_RAD), 0.0)))
         counts = np.array([self._held[j].count for j in window])
         ranges = np.stack([self._held[j].ranges for j in window])
         heights = np.stack([self._held[j].heights for j in window])
@@ -193,6 +199,16 @@ class Listener:
             last += 1
         stride = max(1, -(-(last - first) // round(100 * reach_m)))
         return sorted({*range(first, last + 1, stride), index})
+
+
+def lit_ways(axes: Floats, track: Floats, cosine: float, least: float) -> list[Floats]:
+    """Level directions (3) at this cosine to the track whose cosine to boresight is over `least`."""
+    level = np.array([track[0], track[1], 0.0])
+    level /= max(float(np.linalg.norm(level)), 1e-9)
+    across = np.array([-level[1], level[0], 0.0])
+    off = np.sqrt(max(1 - cosine**2, 0.0))
+    both = [cosine * level + sign * off * across for sign in (-1, 1)]
+    return [way for way in both if way @ axes[:, 0] > least]
 
 
 def smoothest(t: Floats, values: Floats) -> tuple[Floats, float, int]:

@@ -44,18 +44,25 @@ def Mapper(grid: Grid, *, method: Method = "ullage", **options: float | None) ->
     raise InputError(f"no mapping method {method!r}", where="method", allowed="ullage, elfes")
 
 
-def map_occupancy(frames: Recording, grid: Grid, *, method: Method = "ullage", **options: float | None) -> OccupancyMap:
+def map_occupancy(
+    frames: Recording, grid: Grid, *, method: Method = "ullage", drift_m: float = 0.0, **options: float | None
+) -> OccupancyMap:
     """The occupancy map that a recording gives.
 
     Args:
         frames: one sensor's, or several by name; sensors may differ in settings and rate.
         grid: a plane or a volume that holds the flight.
         method: "ullage", all that each profile says, or "elfes", the thesis' baseline.
+        drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it.
         options: those of the method's mapper, as `threshold`.
 
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.
     """
+    if drift_m:
+        from ullage.processing.drift import correct_drift
+
+        frames = correct_drift(frames, drift_m=drift_m)
     mapper = Mapper(grid, method=method, **options)
     mapper.update(frames)
     mapper.finish()

@@ -1,0 +1,93 @@
+from dataclasses import replace
+
+import mirror_world as world
+import numpy as np
+import pytest
+from test_mapper import GRID, PLAN, loop, moved, score
+
+import ullage as ul
+from ullage.data import Trajectory
+from ullage.processing.drift import correct_drift
+
+
+def wander(path, size_m):
+    phase = np.linspace(0, 1, len(path))[:, None]
+    offset = size_m * np.sin(2 * np.pi * phase * [1.3, 0.9, 0] + [0.5, 2.0, 0]) * [1, 1, 0]
+    return offset - offset[0]
+
+
+def shape_error(found, true):
+    """Rms distance [m] of two tracks (n, 2) after the best turn and shift, and that turn [rad]."""
+    a, b = found - found.mean(0), true - true.mean(0)
+    turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    turned = a @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return float(np.sqrt(((turned - b) ** 2).sum(1).mean())), float(turn)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return world.rig(loop(), PLAN, seed=1)
+
+
+@pytest.fixture(scope="module")
+def drifted(flight):
+    shift = wander(flight["front"], 0.2)
+    return {
+        n: moved(f, Trajectory(f.t_ns, f.believed.position + shift, f.believed.quat_xyzw)) for n, f in flight.items()
+    }
+
+
+def test_flat_walls_give_a_drifting_track_its_shape_back(flight, drifted):
+    true = flight["front"].believed.position[:, :2]
+    bent, _ = shape_error(drifted["front"].believed.position[:, :2], true)
+    found, turn = shape_error(correct_drift(drifted)["front"].believed.position[:, :2], true)
+    assert bent > 0.15
+    assert found < 0.35 * bent
+    assert abs(turn) < np.radians(5)
+
+
+def test_a_map_of_drifting_poses_gains(flight, drifted):
+    before = score(ul.map_occupancy(drifted, GRID), flight)
+    after = score(ul.map_occupancy(drifted, GRID, drift_m=0.2), flight)
+    assert after["f1"] > before["f1"] + 0.1
+    assert after["surface_declared_free"] <= 0.01
+
+
+def test_good_poses_are_left_alone(flight):
+    got = correct_drift(flight)
+    for name, frames in flight.items():
+        np.testing.assert_array_equal(got[name].believed.position, frames.believed.position)
+
+
+def test_one_wall_says_nothing_of_the_way_along_it():
+    path = ul.Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=25)
+    one = world.listen(
+        path,
+        [((-9.0, 2.0), (9.0, 2.0))],
+        sensor="left",
+        mount=ul.Rig.preset("thesis-4").sensors["left"].mount.body_from_sensor(),
+    )
+    got = correct_drift(one)[one.sensor]
+    np.testing.assert_array_equal(got.believed.position, one.believed.position)
+
+
+def test_a_turn_of_track_and_walls_together_changes_no_range(flight):
+    """The gauge that no method can fix: ranges of a turned hall from a turned track are the same."""
+    turn = np.radians(3.0)
+    rotate = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    path = loop()
+    turned = Trajectory(
+        path.t_ns, np.column_stack([path.position[:, :2] @ rotate.T, path.position[:, 2]]), path.quat_xyzw
+    )
+    wall = np.array([PLAN[0]], float)
+    straight = world.listen(path, wall, spec=world.SPEC.but(antenna={"kind": "isotropic"}), noise=0, edge=0)
+    other = world.listen(turned, wall @ rotate.T, spec=world.SPEC.but(antenna={"kind": "isotropic"}), noise=0, edge=0)
+    peak = [f.range_m[np.argmax(f.amplitude, axis=1)] for f in (straight, other)]
+    assert np.mean(peak[0] == peak[1]) > 0.98
+
+
+def test_bad_priors_and_missing_poses_are_refused(flight):
+    with pytest.raises(ul.InputError, match="drift_m -1"):
+        correct_drift(flight, drift_m=-1.0)
+    with pytest.raises(ul.InputError, match="no poses"):
+        correct_drift(replace(flight["front"], poses=None, truth=None))
