@@ -167,7 +167,8 @@ class _Walls:
 
     def _grouped(self) -> Ints:
         """Runs of echoes whose walls nearly coincide as heard are of one wall."""
-        heard, walls, wall = self._heard, [], np.zeros(len(self._heard.t_s), np.int64)
+        heard, wall = self._heard, np.zeros(len(self._heard.t_s), np.int64)
+        walls: list[tuple[float, list[Floats]]] = []
         for track in np.unique(heard.track):
             mine = heard.track == track
             way = heard.way[mine].mean(0)
@@ -242,7 +243,7 @@ class _Walls:
         self._offset = self._offset + step[: 2 * m].reshape(2, m).T
         self._angle = self._angle + np.clip(step[2 * m : 2 * m + k], -0.2, 0.2)
         self._distance = self._distance + step[2 * m + k :]
-        return miss
+        return np.asarray(miss, np.float64)
 
     def _square_up(self, matrix: Floats, right: Floats, first: int) -> None:
         """Walls nearly square or parallel to the one heard most are taken to be so."""
