@@ -163,7 +163,7 @@ class RadarSpec(Spec):
             "name": "pulson440", "center_hz": 3.95e9, "bandwidth_hz": 1.7e9, "sampling_hz": 1 / 61e-12,
             "decimation": 1, "output": "rf", "bins": 1152, "prf_div": 24,
             "antenna": {"kind": "cosine", "gain_dbi": 2.0, "azimuth_deg": 100, "elevation_deg": 100},
-            "range_zero_m": 0.435, "range_zero_sigma_m": 0.02,  # three surveyed reflectors, two rails
+            "range_zero_m": 0.45, "range_zero_sigma_m": 0.02,  # from surveyed reflectors of one rail: docs/imaging.md
         },
     }  # fmt: skip
 
