@@ -102,7 +102,8 @@ def test_radars_follow_a_robot_and_each_may_die_and_come_back(network: Network) 
         "/robot/radar/front/range", "/robot/radar/left/frame", "/tf", "/tf_static", "/robot/world"
     }  # fmt: skip
     nearest = got["last"]["/robot/radar/front/range"]["range"]
-    assert nearest == pytest.approx(4.0 - lines[-1]["at"][0] - 0.1, abs=0.3)  # the room is 8 m long
+    far, near = 4.0 - 2.0 - 0.1, 4.0 - lines[-1]["at"][0] - 0.1  # from where the robot set out, and from the last frame
+    assert near - 0.3 < nearest < far + 0.3  # the last range heard may be of any time between: frames are best effort
 
 
 def test_a_listener_outlives_the_one_it_listens_to(network: Network) -> None:
