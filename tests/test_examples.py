@@ -18,8 +18,12 @@ NEEDS = {
 WRITES = {"receiver_beside_recording": ["receiver.png"]}
 
 
+SLOW = {"real_rail", "first_map"}
+MARKED = [pytest.param(p, marks=pytest.mark.slow if p.stem in SLOW else (), id=p.stem) for p in EXAMPLES]
+
+
 @pytest.mark.filterwarnings("ignore::ullage.UllageWarning")
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", MARKED)
 def test_example(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     needed = NEEDS.get(path.stem, [])
     if missing := [str(p) for p in needed if not p.exists()]:

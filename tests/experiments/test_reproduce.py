@@ -138,6 +138,7 @@ def test_every_scenario_says_where_in_the_thesis_it_belongs():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_the_small_reproduction_holds_everything_it_states(tmp_path):
     told = CliRunner().invoke(app, ["reproduce", "--quick", "--out", str(tmp_path)])
     assert told.exit_code == 0, told.output

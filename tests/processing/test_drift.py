@@ -46,6 +46,7 @@ def test_flat_walls_give_a_drifting_track_its_shape_back(flight, drifted):
     assert abs(turn) < np.radians(5)
 
 
+@pytest.mark.slow
 def test_a_map_of_drifting_poses_gains(flight, drifted):
     before = score(ul.map_occupancy(drifted, GRID), flight)
     after = score(ul.map_occupancy(drifted, GRID, drift_m=0.2), flight)

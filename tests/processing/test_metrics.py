@@ -143,6 +143,7 @@ def test_hover_change_is_the_difference():
     assert change["hover_f1"].value < 0
 
 
+@pytest.mark.slow
 def test_volume_maps_are_judged_over_all_surfaces():
     grid = ul.Grid.covering([[-3.2, -2.2, -1.7], [3.2, 2.2, 1.7]], 0.15, dims=3)
     z, y, x = np.meshgrid(grid.z_m, grid.y_m, grid.x_m, indexing="ij")
