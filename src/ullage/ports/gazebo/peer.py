@@ -247,10 +247,9 @@ class Peer:
 
     def _join(self, pub: Any) -> None:
         """Connect, and let the publisher know, without which it sends nothing."""
-        behind = self._joined.setdefault(pub.address, set())
-        if not behind:
+        if pub.address not in self._joined:
             self._take.connect(pub.address)
-        behind.add(pub.process_uuid)
+        self._joined.setdefault(pub.address, set()).add(pub.process_uuid)
         ours = wire.gz().Publisher()
         ours.CopyFrom(pub)
         ours.process_uuid, ours.node_uuid, ours.msg_pub.ctrl = self.uuid, self._node, pub.process_uuid
@@ -261,12 +260,8 @@ class Peer:
         known = [key for key, pub in self._offers.items() if pub.process_uuid == process]
         for key in known:
             del self._offers[key]
-        for address, behind in [(a, b) for a, b in self._joined.items() if process in b]:
+        for behind in self._joined.values():  # left connected: libzmq may abort when cut off amid a message
             behind.discard(process)
-            if not behind:
-                self._joined.pop(address)
-                with contextlib.suppress(self._zmq.ZMQError):
-                    self._take.disconnect(address)
         if known:
             self._put(Gone(process))
 
