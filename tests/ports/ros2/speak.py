@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 
 import numpy as np
 
@@ -19,7 +18,6 @@ def main() -> None:
     frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), fidelity="thesis", seed=3)
     plane, volume = ul.Grid((-3.0, -2.0, 0.0), 0.1, (40, 60)), ul.Grid((-3.0, -2.0, -1.5), 0.5, (6, 8, 12))
     with sink(sys.argv[1]) as out:
-        time.sleep(1.0)  # so that those who wait have found us
         out.write(scene)
         for start in range(0, len(path), 5):
             out.write({part.sensor: part[start : start + 5] for part in sensors_of(frames)})

@@ -18,7 +18,7 @@ from ullage.ports import read_map
 from .network import Network, told
 
 pytestmark = pytest.mark.ros2
-SPEAK = "ros2:?pace=1&node=speaker"
+SPEAK = "ros2:?pace=1&node=speaker&listeners=1"
 
 
 def lines_until(
@@ -41,7 +41,7 @@ def test_mapping_on_topics_gives_what_the_flight_gives(network: Network, tmp_pat
     mapper = network.start("-m", "ullage", "run", address, "--out", tmp_path, "--to", "ros2:/mapped")
     listener = network.ready("hear.py", "/mapped/map=nav_msgs/msg/OccupancyGrid:latched")
     time.sleep(3.0)
-    speaker = network.start("speak.py", "ros2:?pace=0.25&node=speaker")
+    speaker = network.start("speak.py", "ros2:?pace=0.25&node=speaker&listeners=1")
     assert speaker.wait(120) == 0
     out, err = mapper.communicate(timeout=120)
     assert mapper.returncode == 0, out + err

@@ -36,7 +36,7 @@ FRAMES = 35
 @pytest.fixture(scope="module")
 def heard(network: Network) -> Any:
     listener = network.ready("hear.py", *TOPICS)
-    speaker = network.start("speak.py", "ros2:?pace=1&linger_s=1")
+    speaker = network.start("speak.py", "ros2:?pace=1&linger_s=1&listeners=1")
     out, err = speaker.communicate(timeout=120)
     assert speaker.returncode == 0, out + err
     assert "warning" not in err.lower()

@@ -31,7 +31,7 @@ def test_a_node_goes_through_its_states_and_refuses_what_it_cannot(network: Netw
 def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> None:
     node = network.start("-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-p", "reach_m:=5.0")
     listener = network.start("hear.py", "--all", "/map=nav_msgs/msg/OccupancyGrid:latched")
-    speaker = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker")
+    speaker = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker&listeners=1")
     got = told(listener)
     assert got["last"]["/map"]["info"]["width"] in (100, 101)
     node.send_signal(2)

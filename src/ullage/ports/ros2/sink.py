@@ -5,9 +5,11 @@ from __future__ import annotations
 import queue
 import threading
 import time
+import warnings
 from typing import Self
 
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
+from ullage.ports import messages as ros
 from ullage.ports.protocol import Item
 from ullage.ports.ros2 import encode
 from ullage.ports.ros2.middleware import Peer
@@ -20,6 +22,8 @@ LATE_S = 1.0
 """A maker that falls behind by more [s] is not made up for."""
 NOW_S = 86400.0
 """Stamps nearer to the present than this [s] are a real clock's, which needs no /clock."""
+SETTLE_S = 0.5
+"""Between finding a listener and its having found every topic [s]."""
 
 
 class Pace:
@@ -76,6 +80,7 @@ class Ros2Sink:
         self._spoken = threading.Condition()
         self._error: BaseException | None = None
         self._map_listeners, self._sent, self._late_s, self._told_s = 0, 0, 0.0, time.monotonic()
+        self._closing = threading.Event()
         self._thread: threading.Thread | None = threading.Thread(target=self._speak, name="ullage ros2", daemon=True)
         self._thread.start()
 
@@ -104,6 +109,7 @@ class Ros2Sink:
 
     def _speak(self) -> None:
         try:
+            self._await_listeners()
             while (note := self._notes.get()) is not None:
                 self._wait(note.t_ns)
                 self._tick(note.t_ns)
@@ -116,6 +122,19 @@ class Ros2Sink:
             with self._spoken:
                 self._error = error
                 self._spoken.notify_all()
+
+    def _await_listeners(self) -> None:
+        """As `ros2 topic pub --wait-matching-subscriptions`; who subscribes to /tf subscribes to the rest with it."""
+        wanted = self._options.listeners
+        if not wanted:
+            return
+        self._peer.publisher("/tf", ros.TRANSFORMS, "transforms")
+        said = time.monotonic()
+        while (found := self._peer.listeners("/tf")) < wanted and not self._closing.wait(0.05):
+            if time.monotonic() - said > 10.0:
+                warnings.warn(f"waiting for subscribers of /tf: {found} of {wanted}", UllageWarning, stacklevel=2)
+                said = time.monotonic()
+        self._closing.wait(SETTLE_S)
 
     def _wait(self, t_ns: int) -> None:
         """Until the stamp is due; meanwhile the clock goes on."""
@@ -156,6 +175,7 @@ class Ros2Sink:
         thread, self._thread = self._thread, None
         if thread is None:
             return
+        self._closing.set()
         try:
             for note in self._outgoing.rest():
                 self._notes.put(note)
