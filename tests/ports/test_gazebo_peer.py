@@ -2,7 +2,10 @@
 
 import socket
 import struct
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -78,6 +81,20 @@ def test_two_peers_find_each_other_whoever_comes_first(partition):
                     heard += [e for e in (listener.wait(0.05), late.wait(0.05)) if isinstance(e, Heard)]
                 assert gz().Clock.FromString(heard[-1].data).sim.sec == 7
         assert until(listener, Gone).process == speaker.uuid
+
+
+def test_a_speaker_may_leave_while_its_words_wait(partition):
+    script = Path(__file__).with_name("leave_gazebo.py")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "left False []\n"
+
+
+def test_what_was_not_advertised_is_not_said(partition):
+    with Peer() as peer:
+        with pytest.raises(InputError, match="publish: /clock was not advertised"):
+            peer.publish("/clock", gz().Clock())
+        assert peer._thread.is_alive()
 
 
 def test_another_partition_is_not_heard(partition):

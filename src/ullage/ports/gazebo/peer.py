@@ -79,6 +79,7 @@ class Peer:
         self._wanted: set[str] = set()
         self._mine: dict[str, str] = {}  # full topic to type
         self._joined: dict[str, set[str]] = {}  # address to processes behind it
+        self._parting: set[str] = set()  # addresses to let go of when nothing waits to be read
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._woken = socket.socketpair()
         self._closing = threading.Event()
@@ -87,6 +88,8 @@ class Peer:
             self._open()
         except BaseException:
             self._close_sockets()
+            self._wake.close()
+            self._woken.close()
             raise
         self._thread = threading.Thread(target=self._loop, name="gazebo-transport", daemon=True)
         self._thread.start()
@@ -108,7 +111,8 @@ class Peer:
     def advertise(self, topic: str, kind: str) -> None:
         """Offer a topic of this type of message, as `gz.msgs.Double`."""
         full = wire.full_topic(topic, self.partition)
-        self._do(lambda: self._advertise(full, kind))
+        self._mine[full] = kind
+        self._do(lambda: self._tell(wire.ADVERTISE, pub=self._offer(full)))
 
     def publish(self, topic: str, message: Any) -> None:
         """Say something on a topic that was advertised.
@@ -116,8 +120,11 @@ class Peer:
         Raises:
             InputError: it was not.
         """
-        full, data = wire.full_topic(topic, self.partition), message.SerializeToString()
-        self._do(lambda: self._say(full, data))
+        full = wire.full_topic(topic, self.partition)
+        if full not in self._mine:
+            raise InputError(f"{topic} was not advertised", where="publish", allowed="a topic that was")
+        parts = [full.encode(), self._address.encode(), message.SerializeToString(), self._mine[full].encode()]
+        self._do(lambda: self._give.send_multipart(parts))
 
     def request(self, topic: str, *, kinds: tuple[str, str], data: bytes = b"", timeout_s: float = 3.0) -> bytes | None:
         """Call a service and wait for its answer; None where none comes, or it refuses.
@@ -150,6 +157,8 @@ class Peer:
         self._closing.set()
         self._do(lambda: None)
         self._thread.join(timeout=5)
+        self._wake.close()  # not by the thread that reads it: another may be about to write
+        self._woken.close()
 
     def __enter__(self) -> Self:
         return self
@@ -193,7 +202,7 @@ class Peer:
     def _live(self) -> None:
         """Say that we live and what we offer; let go of those that fell silent."""
         self._tell(wire.HEARTBEAT)
-        for full in self._mine:
+        for full in tuple(self._mine):  # the caller's thread adds to them
             self._tell(wire.ADVERTISE, pub=self._offer(full))
         if self._requests.topics:
             for full in self._requests.topics:
@@ -250,6 +259,7 @@ class Peer:
         if pub.address not in self._joined:
             self._take.connect(pub.address)
         self._joined.setdefault(pub.address, set()).add(pub.process_uuid)
+        self._parting.discard(pub.address)
         ours = wire.gz().Publisher()
         ours.CopyFrom(pub)
         ours.process_uuid, ours.node_uuid, ours.msg_pub.ctrl = self.uuid, self._node, pub.process_uuid
@@ -260,8 +270,10 @@ class Peer:
         known = [key for key, pub in self._offers.items() if pub.process_uuid == process]
         for key in known:
             del self._offers[key]
-        for behind in self._joined.values():  # left connected: libzmq may abort when cut off amid a message
+        for address, behind in self._joined.items():
             behind.discard(process)
+            if not behind:
+                self._parting.add(address)
         if known:
             self._put(Gone(process))
 
@@ -270,9 +282,22 @@ class Peer:
             try:
                 parts = self._take.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
-                return
+                break
             if len(parts) >= 4:  # a fifth holds statistics
                 self._put(Heard(wire.short_topic(parts[0].decode(errors="replace")), parts[3].decode(), parts[2]))
+        self._part()
+
+    def _part(self) -> None:
+        """Disconnect from those that left: now, while no message is half read.
+
+        To see whether a SUB socket can be read, libzmq takes the first part of the next message off its pipe; the pipe
+        cut off after that, the process aborts at the second part (`!_more`, fq.cpp; issue 2163 of libzmq).
+        """
+        for address in self._parting:
+            del self._joined[address]
+            with contextlib.suppress(self._zmq.ZMQError):
+                self._take.disconnect(address)
+        self._parting.clear()
 
     def _put(self, event: Event) -> None:
         if isinstance(event, Heard) and self.events.qsize() >= MOST_WAITING:
@@ -289,21 +314,12 @@ class Peer:
         for pub in [pub for (topic, _), pub in self._offers.items() if topic == full]:
             self._join(pub)
 
-    def _advertise(self, full: str, kind: str) -> None:
-        self._mine[full] = kind
-        self._tell(wire.ADVERTISE, pub=self._offer(full))
-
     def _offer(self, full: str) -> Any:
         about = wire.gz().MessagePublisher(msg_type=self._mine[full], msgs_per_sec=2**64 - 1)
         return wire.gz().Publisher(
             topic=full, address=self._address, process_uuid=self.uuid, node_uuid=self._node, scope=wire.EVERYWHERE,
             msg_pub=about,
         )  # fmt: skip
-
-    def _say(self, full: str, data: bytes) -> None:
-        if full not in self._mine:
-            raise InputError(f"{wire.short_topic(full)} was not advertised", where="publish")
-        self._give.send_multipart([full.encode(), self._address.encode(), data, self._mine[full].encode()])
 
     def _ask(self, full: str, kinds: tuple[str, str], data: bytes, answer: queue.SimpleQueue[bytes | None]) -> None:
         self._requests.ask(full, kinds, data, answer)
@@ -312,6 +328,4 @@ class Peer:
     def _close_sockets(self) -> None:
         for sock, _ in self._group:
             sock.close()
-        self._wake.close()
-        self._woken.close()
         self._context.destroy(linger=200)

@@ -1,0 +1,32 @@
+"""Speakers flood a topic and leave while their words wait half read; apart, since libzmq may abort its process."""
+
+import time
+
+from ullage.ports.gazebo.peer import Gone, Heard, Peer
+from ullage.ports.gazebo.wire import gz
+
+TOPIC, LATE_S = "/flood", 0.02
+
+
+class Late(Peer):
+    """Busy for a moment between seeing that something waits and reading who left and what was said."""
+
+    def _serve(self) -> None:
+        time.sleep(LATE_S)
+        super()._serve()
+
+
+with Late() as listener:
+    listener.subscribe(TOPIC)
+    for _ in range(4):
+        with Peer() as speaker:
+            speaker.advertise(TOPIC, "gz.msgs.Float_V")
+            heard, end = 0, time.monotonic() + 5
+            while heard < 50 and time.monotonic() < end:
+                speaker.publish(TOPIC, gz().Float_V(data=[0.5] * 1000))
+                event = listener.wait(0.002)
+                heard += isinstance(event, Heard)
+        while not (isinstance(event := listener.wait(5.0), Gone) or event is None):
+            pass
+    time.sleep(4 * LATE_S)
+    print("left", listener._take.closed, sorted(listener._joined))
