@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ ENOUGH_LOOKS = 60
 NEAR_M = 0.08
 LOUDER = 4.0
 REMEMBERED = 400
+ONE_HEADING, ABEAM, SOME = 0.94, 0.6, 0.25
 
 
 class LevelFinder:
@@ -24,6 +27,9 @@ class LevelFinder:
     Each echo whose bearing allows a vertical way votes for a floor at z - R and a ceiling at z + R. A height that over
     half of the looks vote for is a level; its echoes are then left out of a map that is a plane. Walls at the same
     range in the beam are louder than a level at the beam's rim and stay.
+
+    A wall abeam of a straight flight keeps its range too. While sensors that look abeam flew one heading alone, a sheet
+    that echoes nearly as well as the best that is heard is taken for that wall: a level does not, at the beam's rim.
     """
 
     def __init__(self) -> None:
@@ -31,6 +37,8 @@ class LevelFinder:
         self._looks = 0
         self._base: float | None = None
         self._loud: dict[int, list[float]] = {}
+        self._strong: deque[float] = deque(maxlen=REMEMBERED)
+        self._headings, self._abeam = 0j, 0
 
     @property
     def ready(self) -> bool:
@@ -44,6 +52,7 @@ class LevelFinder:
         z = float(look.heard.position[2])
         self._base = z if self._base is None else self._base
         self._looks += 1
+        self._notice(look)
         for sign in (-1, 1):
             seen: set[int] = set()
             for echo in look.echoes[self._vertical(look, sign)]:
@@ -63,7 +72,22 @@ class LevelFinder:
                     height = self._base + k * BIN_M - REACH_M
                     if not any(s == sign and abs(h - height) < 3 * BIN_M for s, h in out):
                         out.append((sign, float(height)))
-        return out
+        return [level for level in out if not self._may_be_wall(*level)]
+
+    def _notice(self, look: Look) -> None:
+        """Take down where the look was flown, opposite headings alike, and how well its best echo reflects."""
+        ahead = complex(*look.track[:2])
+        self._headings += (ahead / max(abs(ahead), 1e-9)) ** 2
+        self._abeam += int(abs(look.heard.axes[:2, 0] @ [-ahead.imag, ahead.real]) > ABEAM * abs(ahead))
+        if len(look.echoes):
+            self._strong.append(float((look.echoes[:, 0] * look.echoes[:, 5]).max()))
+
+    def _may_be_wall(self, sign: int, height: float) -> bool:
+        """Whether a persistent sheet may stand upright: only while nothing but one way along it was flown."""
+        turned = abs(self._headings) < ONE_HEADING * self._looks
+        if turned or self._abeam < (1 - SOME) * self._looks or self._base is None:
+            return False
+        return abs(height - self._base) * self._usual(sign, height) * LOUDER > float(np.median(self._strong))
 
     def without_levels(self, look: Look) -> Look:
         """The look without its echoes of floor and ceiling."""

@@ -1,0 +1,51 @@
+"""What is floor or ceiling by its constancy, and what is a wall beside the way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ullage.processing.mapper_levels import LevelFinder
+from ullage.processing.mapper_looks import Heard, Look
+
+FLOOR_M, WALL_M, HEIGHT_M = 1.1, 3.0, 1.1
+
+
+def look(number: int, *, heading_rad: float, abeam: bool, wall: float) -> Look:
+    """A look that hears floor (1.4e-4 at 1 m) and, at as constant a range, something as loud as `wall` at 1 m."""
+    track = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
+    side = np.array([-track[1], track[0], 0.0])
+    ahead, left = (side, -track) if abeam else (track, side)
+    axes = np.column_stack([ahead, left, [0, 0, 1]])
+    position = 0.05 * number * track + [0, 0, HEIGHT_M]
+    heard = Heard(number, position, axes, 2, np.zeros(16), np.zeros(16), np.zeros(8, bool), None)
+    echoes = np.array(
+        [[FLOOR_M, 0.003, 0, 0.01, 1, 1.4e-4 / FLOOR_M], [WALL_M, 0.003, 0, 0.01, 1, wall / WALL_M]], float
+    )
+    return Look(heard, track, echoes, np.zeros((2, 5)))
+
+
+def left_of(looks: list[Look]) -> list[float]:
+    """Ranges left of the last look, once the levels are known from all."""
+    finder = LevelFinder()
+    for each in looks:
+        finder.hear(each)
+    assert finder.ready
+    return finder.without_levels(looks[-1]).echoes[:, 0].tolist()
+
+
+def test_wall_abeam_of_one_straight_flight_is_no_floor():
+    assert left_of([look(k, heading_rad=0.3, abeam=True, wall=2.5e-3) for k in range(80)]) == [WALL_M]
+
+
+def test_there_and_back_is_still_one_heading():
+    there = [look(k, heading_rad=0.3, abeam=True, wall=2.5e-3) for k in range(40)]
+    back = [look(k, heading_rad=0.3 + np.pi, abeam=True, wall=2.5e-3) for k in range(40)]
+    assert left_of([*there, *back]) == [WALL_M]
+
+
+def test_what_keeps_its_range_on_all_headings_is_a_level_however_loud():
+    assert left_of([look(k, heading_rad=0.05 * k, abeam=True, wall=2.5e-3) for k in range(80)]) == []
+
+
+def test_what_sensors_ahead_hear_square_to_the_way_is_a_level():
+    assert left_of([look(k, heading_rad=0.3, abeam=k % 2 == 0, wall=1.4e-4) for k in range(80)]) == []
