@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# byte code is kept: without it every start of a process compiles two thousand files first
+unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
 .PHONY: help demo test slow gazebo-classic lint docs bench check env dev lock ros2 clean
