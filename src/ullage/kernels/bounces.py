@@ -9,28 +9,37 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stand_ins(middle, pieces, owner, points, which, out):  # type: ignore[no-untyped-def]
+def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type: ignore[no-untyped-def]
     """One point (b, 3) on each beam's lit part to speak for it: the mirror point, or where the rim's path is least.
 
     Args:
         middle: (b, 3) a point well inside each lit part [m].
         pieces: (m, 12) pieces of rim, as `edges.cut` gives them.
         owner: (m) beam of each piece.
+        tips: (n, 9) ends of rim, as `edges.cut` gives them.
+        holders: (n) beam of each end.
         points: (k, 3) mirror points [m].
         which: (k) beam of each.
         out: (b, 3) gets the points, a hair inside the rim [m].
     """
     count = len(middle)
-    least = np.full(count, np.inf)
+    least, cut = np.full(count, np.inf), np.zeros(count, np.bool_)
     for i in range(count):
         for k in range(3):
             out[i, k] = middle[i, k]
     for j in range(len(pieces)):
         i, path = owner[j], pieces[j, 6] + pieces[j, 7]
+        cut[i] = True
         if path <= least[i]:
             least[i] = path
             for k in range(3):
                 out[i, k] = 0.5 * (pieces[j, k] + pieces[j, 3 + k])
+    for j in range(len(tips)):
+        i = holders[j]
+        if not cut[i] and 2 * tips[j, 3] <= least[i]:
+            least[i] = 2 * tips[j, 3]
+            for k in range(3):
+                out[i, k] = tips[j, k]
     for j in range(len(points)):
         for k in range(3):
             out[which[j], k] = points[j, k]
@@ -38,7 +47,7 @@ def stand_ins(middle, pieces, owner, points, which, out):  # type: ignore[no-unt
         square = 0.0
         for k in range(3):
             square += (middle[i, k] - out[i, k]) ** 2
-        share = min(0.02 / max(math.sqrt(square), 1e-9), 0.5)
+        share = min((0.02 if cut[i] else 0.1) / max(math.sqrt(square), 1e-9), 0.5)
         for k in range(3):
             out[i, k] += share * (middle[i, k] - out[i, k])
 

@@ -4,7 +4,7 @@ The Kirchhoff integral over a plane face equals the mirror image's wave where th
 the face, less a line integral along its rim [MiyamotoWolf1962]. With phi the angle around that line,
 the rim's share is -(1 / 4 pi) of the integral of e^{-jk(r + s)} K / (r s) dphi, K = 2 L rho^2 / ((r + s)^2 - L^2),
 which is smooth even where the line meets the rim. A piece of edge whose delay is nearly linear in phi has a closed
-form.
+form. Far from where an edge's path is shortest the integrand turns so fast that only its ends count.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _late, _lay, _reflection, _te_share, toward
-
 C0 = 299_792_458.0
+FAR = 0.1  # a rim is done by its ends where the second term there is no more of the first than this
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -60,8 +59,181 @@ def _turn(u, v, axis):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, pieces, owner, windings):  # type: ignore[no-untyped-def]
-    """Cuts the rims of faces within the gate until each piece's delay is nearly linear in phi.
+def _steep(u, along, source, image, axis, length, wave, out):  # type: ignore[no-untyped-def]
+    """What a rim that ends at a spot, far from where its path is shortest, adds there; gives the path's rate along it.
+
+    The integral of F e^{-jkP} dP ends in e^{-jkP} (jF / k)(1 - jy - 3 y^2 ...), with y = F' / (k F) and F the
+    integrand over the path's rate [BornWolf1999]; the third term is that of a path like a parabola.
+
+    Args:
+        u: the spot, as `_spot` gives it.
+        along: (3) unit vector along the rim.
+        source: (3) receiver, image: (3) of the transmitter [m].
+        axis: (3) unit vector from image to receiver, length [m] of that line.
+        wave: wave number [1/m].
+        out: (2) gets F / k and y.
+    """
+    r2, s2, r1, s1, swept, rho2 = 1e-12, 1e-12, 0.0, 0.0, 0.0, 1e-18
+    for k in range(3):
+        a, b = u[k] - image[k], u[k] - source[k]
+        r2, s2, r1, s1 = r2 + a * a, s2 + b * b, r1 + along[k] * a, s1 + along[k] * b
+        rho2 += u[5 + k] * u[5 + k]
+        i, j = (k + 1) % 3, (k + 2) % 3
+        swept += axis[k] * (u[5 + i] * along[j] - u[5 + j] * along[i])
+    r, s = math.sqrt(r2), math.sqrt(s2)
+    r1, s1 = r1 / r, s1 / s
+    rate = r1 + s1
+    bend = (1 - r1 * r1) / r + (1 - s1 * s1) / s
+    slow = rate if abs(rate) > 1e-9 else 1e-9
+    excess = max(u[3] * u[3] - length * length, 1e-12)
+    fade = -r1 / r - s1 / s - 2 * u[3] * rate / excess
+    out[0] = u[4] * swept / (rho2 * slow * wave)
+    out[1] = (fade - bend / slow) / (wave * slow)
+    return rate
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _slow_part(p, q, size, along, source, image, axis, length, wave, spot, term, out):  # type: ignore[no-untyped-def]
+    """Shares of the edge p-q between which its path is too near to its shortest for the rim to be done by its ends."""
+    za, zb, ha, hb = 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        a, b = image[k] - p[k], source[k] - p[k]
+        za, zb, ha, hb = za + along[k] * a, zb + along[k] * b, ha + a * a, hb + b * b
+    ha, hb = math.sqrt(max(ha - za * za, 1e-8)), math.sqrt(max(hb - zb * zb, 1e-8))
+    least = (za * hb + zb * ha) / (ha + hb)
+    ra, rb = math.sqrt(ha * ha + (least - za) ** 2), math.sqrt(hb * hb + (least - zb) ** 2)
+    step = math.sqrt(1 / (wave * FAR * (1 / ra + 1 / rb)))
+    for side in range(2):
+        sign = 2.0 * side - 1
+        gap = max(step, -least if side == 1 else least - size)
+        place = 0.0
+        for _ in range(8):
+            place = least + sign * gap
+            if place <= 0 or place >= size:
+                break
+            _spot(p, q, place / size, source, image, axis, length, spot)
+            _steep(spot, along, source, image, axis, length, wave, term)
+            if abs(term[1]) <= FAR:
+                break
+            gap *= 1.3
+        out[side] = min(max(place / size, 0.0), 1.0)
+    if out[0] * size < 0.5 * step:
+        out[0] = 0.0
+    if (1 - out[1]) * size < 0.5 * step:
+        out[1] = 1.0
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _end(u, along, normal, factor, term, tie, p, ends, holders, ties, opened, at):  # type: ignore[no-untyped-def]
+    """Writes the end of a rim, or adds it to the one at the same corner of the same face; gives how many there are."""
+    value = factor * term[0]
+    turned, straight = value * term[1], value * (1 - 3 * term[1] * term[1])
+    row = at
+    if tie < 0 and at <= len(ends):
+        for known in (at - 1, opened):
+            if (opened <= known < at and ties[known] < 0 and ends[known, 0] == u[0] and ends[known, 1] == u[1]
+                    and ends[known, 2] == u[2]):  # fmt: skip
+                row = known
+                break
+    if row == at:
+        if at >= len(ends):
+            return at + 1
+        holders[row], ties[row], ends[row, 3] = p, tie, u[3]
+        for k in range(3):
+            ends[row, k], ends[row, 6 + k] = u[k], 0.0
+        ends[row, 4], ends[row, 5] = 0.0, 0.0
+    ends[row, 4], ends[row, 5] = ends[row, 4] + turned, ends[row, 5] + straight
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        ends[row, 6 + k] += normal[i] * along[j] - normal[j] * along[i]
+    return at + 1 if row == at else at
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _before(p, normal, offset, sphere, here, gate, image, axis):  # type: ignore[no-untyped-def]
+    """Whether a face can echo within the gate; the transmitter's image and the unit axis from it go to the last two.
+
+    Gives the length of that axis, less than 0 where the face cannot echo.
+    """
+    ahead, behind, near, far = -offset, -offset, 0.0, 0.0
+    for k in range(3):
+        ahead += normal[k] * here[0, k]
+        behind += normal[k] * here[1, k]
+        near += (sphere[k] - here[0, k]) ** 2
+        far += (sphere[k] - here[1, k]) ** 2
+    r = 0.5 * (math.sqrt(near) + math.sqrt(far))
+    if r - sphere[3] > gate[1] or r + sphere[3] < gate[0]:
+        return -1.0
+    if ahead * behind <= 0 or min(abs(ahead), abs(behind)) < 1e-4:
+        return -1.0
+    mirror(here[0], normal, offset, image)
+    # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it
+    image[0], image[1], image[2] = image[0] + 3.1e-7, image[1] - 4.3e-7, image[2] + 2.7e-7
+    length = 0.0
+    for k in range(3):
+        axis[k] = here[1, k] - image[k]
+        length += axis[k] * axis[k]
+    length = math.sqrt(length)
+    for k in range(3):
+        axis[k] /= length
+    return length
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _pieces(a, b, size, source, image, axis, length, limit, most, wave, sign, p, stack, m, pieces, owner, count):  # type: ignore[no-untyped-def]
+    """Halves the rim between two spots until each piece's delay is nearly linear in phi.
+
+    Gives the count of pieces, and the turn of all of them around the axis.
+    """
+    winding = 0.0
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0.0, 1.0, _turn(a, b, axis)
+    for k in range(8):
+        stack[0, 3 + k], stack[0, 11 + k] = a[k], b[k]
+    top = 1
+    while top > 0:
+        top -= 1
+        s0, s1, turn = stack[top, 0], stack[top, 1], stack[top, 2]
+        u, v = stack[top, 3:11], stack[top, 11:]
+        long = (s1 - s0) * size
+        _spot(u, v, 0.5, source, image, axis, length, m)
+        if 0.5 * (m[3] - long) > limit or m[3] - long > length + most:
+            winding += turn
+            continue
+        early = _turn(u, m, axis)
+        part = early / turn if abs(turn) > 1e-15 else 0.5
+        bend = m[3] - u[3] - part * (v[3] - u[3])
+        wide = wave * abs(bend) > (0.1 if abs(turn) > 0.1 else 0.3) or long > 0.2 * m[3]
+        round_part = part * (1 - part)
+        if round_part < 0.04 and wave * abs(v[3] - u[3]) * abs(turn) > 0.03:
+            wide = True
+        if wide and abs(turn) > 2e-4 and top < 62 and min(u[3], v[3], m[3]) < length + most + 0.5:
+            half = 0.5 * (s0 + s1)
+            stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = s0, half, early
+            stack[top, 0], stack[top, 2] = half, turn - early
+            for k in range(8):
+                stack[top + 1, 3 + k], stack[top + 1, 11 + k] = u[k], m[k]
+                stack[top, 3 + k] = m[k]
+            top += 2
+            continue
+        winding += turn
+        if abs(turn) < 1e-5 or 0.5 * min(u[3], v[3]) > limit or min(u[3], v[3]) > length + most:
+            continue
+        if count < len(pieces):
+            for k in range(3):
+                pieces[count, k], pieces[count, 3 + k] = u[k], v[k]
+            pieces[count, 6], pieces[count, 7] = u[3], v[3]
+            pieces[count, 8], pieces[count, 9] = u[4], v[4]
+            pieces[count, 10] = sign * turn
+            pieces[count, 11] = bend / (6 * round_part) if round_part > 0.04 else 0.0
+            owner[count] = p
+        count += 1
+    return count, winding
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
+        tips, holders, ties, windings):  # fmt: skip
+    """Parts the rims of faces within the gate: where the path is near its shortest, into pieces; beyond, by their ends.
 
     Args:
         patches: (k) the faces to do.
@@ -75,249 +247,102 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
         gate: (2) least and greatest mean range [m].
         most: rim whose path exceeds the mirror path by more is left out [m].
         omega: carrier [rad/s].
+        whole: whether to cut all of the rim into pieces.
         pieces: (m, 12) gets start, end (6), path lengths (2), weights (2), angle, early delay as length.
         owner: (m) gets the face of each piece.
+        tips: (n, 9) gets of each end: place (3), path length, value (2), a vector into the face (3).
+        holders: (n) gets the face of each end.
+        ties: (n) gets the piece that goes on from there, whose shade it has; -1: none.
         windings: (k) gets the turns of the rim around the line image - receiver, 0 where there is no echo.
 
     Returns:
-        How many pieces there are; only the first m are written.
+        How many pieces and ends there are; only those that fit are written.
     """
-    count = 0
-    image, axis = np.empty(3), np.empty(3)
+    count, at = 0, 0
+    image, axis, along, term, share = np.empty(3), np.empty(3), np.empty(3), np.empty(2), np.empty(2)
     stack = np.empty((64, 19))  # of pieces of an edge: where they start and end, their turn, both ends' spots
-    m = np.empty(8)
+    spots = np.empty((5, 8))
     wave = omega / C0
     for i in range(len(patches)):
         p = patches[i]
         here = origins[p] if len(origins) > 1 else origins[0]
         windings[i] = 0.0
-        ahead, behind, near, far = -offsets[p], -offsets[p], 0.0, 0.0
-        for k in range(3):
-            ahead += normals[p, k] * here[0, k]
-            behind += normals[p, k] * here[1, k]
-            near += (spheres[p, k] - here[0, k]) ** 2
-            far += (spheres[p, k] - here[1, k]) ** 2
-        r = 0.5 * (math.sqrt(near) + math.sqrt(far))
-        if r - spheres[p, 3] > gate[1] or r + spheres[p, 3] < gate[0]:
+        n, source = normals[p], here[1]
+        length = _before(p, n, offsets[p], spheres[p], here, gate, image, axis)
+        if length < 0:
             continue
-        if ahead * behind <= 0 or min(abs(ahead), abs(behind)) < 1e-4:
-            continue
-        mirror(here[0], normals[p], offsets[p], image)
-        # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it
-        image[0], image[1], image[2] = image[0] + 3.1e-7, image[1] - 4.3e-7, image[2] + 2.7e-7
-        length = 0.0
+        facing, lead, square = 0.0, 0.0, 0.0
         for k in range(3):
-            axis[k] = here[1, k] - image[k]
-            length += axis[k] * axis[k]
-        length = math.sqrt(length)
-        facing, along, square = 0.0, 0.0, 0.0
-        for k in range(3):
-            axis[k] /= length
-            facing += axis[k] * normals[p, k]
-            along += (spheres[p, k] - image[k]) * axis[k]
+            facing += axis[k] * n[k]
+            lead += (spheres[p, k] - image[k]) * axis[k]
             square += (spheres[p, k] - image[k]) ** 2
         sign = 1.0 if facing > 0 else -1.0
-        round_axis = square - along * along <= 1.0001 * spheres[p, 3] * spheres[p, 3]
-        winding = 0.0
+        round_axis = square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
+        winding, opened = 0.0, at
+        farthest = min(2 * gate[1], length + most)
         for e in range(first[p], first[p + 1]):
             size = 0.0
             for k in range(3):
-                size += (ends[e, k] - starts[e, k]) ** 2
+                along[k] = ends[e, k] - starts[e, k]
+                size += along[k] * along[k]
             size = math.sqrt(size)
-            a, b = stack[0, 3:11], stack[0, 11:]
-            _spot(starts[e], ends[e], 0.0, here[1], image, axis, length, a)
-            _spot(starts[e], ends[e], 1.0, here[1], image, axis, length, b)
-            # the path over an edge is at least this: ends less half its length there and back
-            least = 0.5 * (a[3] + b[3]) - size
-            if not round_axis and (0.5 * least > gate[1] or least > length + most):
+            if size < 1e-9:
                 continue
-            stack[0, 0], stack[0, 1] = 0.0, 1.0
-            stack[0, 2] = _turn(a, b, axis)
-            top = 1
-            while top > 0:
-                top -= 1
-                s0, s1, turn = stack[top, 0], stack[top, 1], stack[top, 2]
-                a, b = stack[top, 3:11], stack[top, 11:]
-                half = 0.5 * (s0 + s1)
-                _spot(starts[e], ends[e], half, here[1], image, axis, length, m)
-                if 0.5 * (m[3] - (s1 - s0) * size) > gate[1] or m[3] - (s1 - s0) * size > length + most:
-                    winding += turn
-                    continue
-                early = _turn(a, m, axis)
-                part = early / turn if abs(turn) > 1e-15 else 0.5
-                bend = m[3] - a[3] - part * (b[3] - a[3])
-                wide = wave * abs(bend) > (0.1 if abs(turn) > 0.1 else 0.3) or (s1 - s0) * size > 0.2 * m[3]
-                round_part = part * (1 - part)
-                if round_part < 0.04 and wave * abs(b[3] - a[3]) * abs(turn) > 0.03:
-                    wide = True
-                if wide and abs(turn) > 2e-4 and top < 62 and min(a[3], b[3], m[3]) < length + most + 0.5:
-                    stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = s0, half, early
-                    stack[top, 0], stack[top, 2] = half, turn - early
-                    for k in range(8):
-                        stack[top + 1, 3 + k], stack[top + 1, 11 + k] = a[k], m[k]
-                        stack[top, 3 + k] = m[k]
-                    top += 2
-                    continue
-                winding += turn
-                if abs(turn) < 1e-5:
-                    continue
-                if 0.5 * min(a[3], b[3]) > gate[1] or min(a[3], b[3]) > length + most:
-                    continue
-                if count < len(pieces):
-                    for k in range(3):
-                        pieces[count, k], pieces[count, 3 + k] = a[k], b[k]
-                    pieces[count, 6], pieces[count, 7] = a[3], b[3]
-                    pieces[count, 8], pieces[count, 9] = a[4], b[4]
-                    pieces[count, 10] = sign * turn
-                    pieces[count, 11] = bend / (6 * round_part) if round_part > 0.04 else 0.0
-                    owner[count] = p
-                count += 1
+            for k in range(3):
+                along[k] /= size
+            a, b, c, d, m = spots[0], spots[1], spots[2], spots[3], spots[4]
+            _spot(starts[e], ends[e], 0.0, source, image, axis, length, a)
+            _spot(starts[e], ends[e], 1.0, source, image, axis, length, b)
+            # the path over an edge is at least this: ends less half its length there and back
+            if not round_axis and 0.5 * (a[3] + b[3]) - size > farthest:
+                continue
+            rate0 = _steep(a, along, source, image, axis, length, wave, term)
+            steep = abs(term[1]) <= FAR
+            start0, start1 = term[0], term[1]
+            rate1 = _steep(b, along, source, image, axis, length, wave, term)
+            share[0], share[1] = 0.0, 1.0
+            if not whole:
+                if steep and abs(term[1]) <= FAR and rate0 * rate1 > 0:
+                    share[0] = 1.0
+                else:
+                    _slow_part(starts[e], ends[e], size, along, source, image, axis, length, wave, m, term, share)
+            if share[0] >= share[1]:
+                winding += _turn(a, b, axis)
+                if b[3] <= farthest:
+                    at = _end(b, along, n, sign, term, -1, p, tips, holders, ties, opened, at)
+                if a[3] <= farthest:
+                    term[0], term[1] = start0, start1
+                    at = _end(a, along, n, -sign, term, -1, p, tips, holders, ties, opened, at)
+                continue
+            before = count
+            begins, stops = a, b
+            if share[0] > 0:
+                begins = c
+                _spot(starts[e], ends[e], share[0], source, image, axis, length, c)
+            if share[1] < 1:
+                stops = d
+                _spot(starts[e], ends[e], share[1], source, image, axis, length, d)
+            count, turned = _pieces(begins, stops, (share[1] - share[0]) * size, source, image, axis, length, gate[1],
+                                    most, wave, sign, p, stack, m, pieces, owner, count)  # fmt: skip
+            winding += turned
+            if share[0] > 0:
+                winding += _turn(a, c, axis)
+                if count > before and c[3] <= farthest:
+                    _steep(c, along, source, image, axis, length, wave, term)
+                    at = _end(c, along, n, sign, term, before, p, tips, holders, ties, opened, at)
+                if a[3] <= farthest:
+                    term[0], term[1] = start0, start1
+                    at = _end(a, along, n, -sign, term, -1, p, tips, holders, ties, opened, at)
+            if share[1] < 1:
+                winding += _turn(d, b, axis)
+                if count > before and d[3] <= farthest:
+                    _steep(d, along, source, image, axis, length, wave, term)
+                    at = _end(d, along, n, -sign, term, count - 1, p, tips, holders, ties, opened, at)
+                if b[3] <= farthest:
+                    _steep(b, along, source, image, axis, length, wave, term)
+                    at = _end(b, along, n, sign, term, -1, p, tips, holders, ties, opened, at)
         windings[i] = sign * winding / (2 * math.pi)
-    return count
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def look_at(pieces, owner, normals, inward, out, middles):  # type: ignore[no-untyped-def]
-    """Middles (m, 3) of pieces of rim, and points `inward` of them on the face, to look at [m]."""
-    for i in range(len(pieces)):
-        p, n = pieces[i], normals[owner[i]]
-        ex, ey, ez = p[3] - p[0], p[4] - p[1], p[5] - p[2]
-        x, y, z = n[1] * ez - n[2] * ey, n[2] * ex - n[0] * ez, n[0] * ey - n[1] * ex
-        scale = inward / max(math.sqrt(x * x + y * y + z * z), 1e-12)
-        for k in range(3):
-            middles[i, k] = 0.5 * (p[k] + p[3 + k])
-        out[i, 0], out[i, 1], out[i, 2] = (
-            middles[i, 0] + scale * x,
-            middles[i, 1] + scale * y,
-            middles[i, 2] + scale * z,
-        )
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _weight(p, mono, normal, origins, frames, fields, table, flat, gamma, stuff, tap):  # type: ignore[no-untyped-def]
-    """Antenna gains and reflection coefficient at a point of a face."""
-    dx, dy, dz = p[0] - origins[0, 0], p[1] - origins[0, 1], p[2] - origins[0, 2]
-    r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
-    ux, uy, uz = dx * r, dy * r, dz * r
-    cosine = abs(ux * normal[0] + uy * normal[1] + uz * normal[2])
-    share = _te_share(fields[0], ux, uy, uz, normal)
-    g = toward(table, flat, frames[0], ux, uy, uz)
-    if mono:
-        return g * g * _reflection(gamma, stuff, tap, cosine, share), cosine
-    dx, dy, dz = p[0] - origins[1, 0], p[1] - origins[1, 1], p[2] - origins[1, 2]
-    r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
-    ux, uy, uz = dx * r, dy * r, dz * r
-    cosine = 0.5 * (cosine + abs(ux * normal[0] + uy * normal[1] + uz * normal[2]))
-    g *= toward(table, flat, frames[1], ux, uy, uz)
-    return g * _reflection(gamma, stuff, tap, cosine, share), cosine
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _same(origins):  # type: ignore[no-untyped-def]
-    return origins[0, 0] == origins[1, 0] and origins[0, 1] == origins[1, 1] and origins[0, 2] == origins[1, 2]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):  # type: ignore[no-untyped-def]
-    """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
-
-    Phases are those of the mean line; the true phase leads it by bow (4 s (1 - s) - 2 / 3) at share s, to first order.
-    """
-    z = x1 - x0
-    y = 0.5 * z
-    y2 = y * y
-    scale = scale * (1 - 0.0444 * bow * bow)
-    mean, half = 0.5 * (w0 + w1), 0.5 * (w1 - w0)
-    if abs(z) < 0.9:
-        value = mean * (1 - y2 / 6 + y2 * y2 / 120 + 1j * bow * y2 * (2 / 45 - 0.00317 * y2))
-        value -= 1j * half * y / 3 * (1 - y2 / 10)
-        middle = 0.5 * (x0 + x1)
-        value *= scale * complex(math.cos(middle), -math.sin(middle))
-        _lay(bulk, 0.5 * (place0 + place1), value)
-        return value
-    i = 1j / z
-    slope = (w1 - w0) / (z * z)
-    odd = mean * bow * (1 / y2 - 1.0 / 3) / y
-    even = -1j * mean * bow / y2
-    at0 = scale * complex(math.cos(x0), -math.sin(x0)) * (-i * w0 - slope + even + odd)
-    at1 = scale * complex(math.cos(x1), -math.sin(x1)) * (i * w1 + slope + even - odd)
-    _lay(ends, place0, at0)
-    _lay(ends, place1, at1)
-    return at0 + at1
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-             gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
-    """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`."""
-    unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
-    last = t0 + grids.shape[1] * dt
-    weights, cosines = np.zeros(gamma.shape[1], np.complex128), np.zeros(gamma.shape[1])
-    known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
-    for k in range(len(pieces)):
-        echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
-            continue
-        p, n, stuff = pieces[k], normals[owner[k]], stuffs[owner[k]]
-        o = owner[k] if len(origins) > 1 else 0
-        scale = unit * factor[o]
-        mono = _same(origins[o])
-        follows = known == k - 1 and owner[known] == owner[k]
-        for j in range(3):
-            follows = follows and pieces[known, 3 + j] == p[j]
-        known = k
-        for tap in range(gamma.shape[1]):
-            if lag[stuff, tap, 0] < 0:
-                break
-            if follows:
-                w0, c0 = weights[tap], cosines[tap]
-            else:
-                w0, c0 = _weight(p[:3], mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
-            w1, c1 = _weight(p[3:6], mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
-            weights[tap], cosines[tap] = w1, c1
-            late = extra[k] + _late(lag, stuff, tap, 0.5 * (c0 + c1))
-            mean = (0.5 * (p[6] + p[7]) + p[11]) / C0 + late
-            landed = mean - math.floor((mean - t0) / fold) * fold
-            if tap == 0:
-                delay[k] = mean
-            shift = p[11] / C0 + late + landed - mean
-            bow = -1.5 * omega * p[11] / C0
-            while landed < last:
-                a, b = p[6] / C0 + shift, p[7] / C0 + shift
-                echo[k] += lay_line(grids[1], grids[2], p[8] * w0, p[9] * w1, omega * a, omega * b, bow,
-                                    (a - t0) / dt, (b - t0) / dt, scale * p[10] * shade[k])  # fmt: skip
-                landed += fold
-                shift += fold
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-                gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
-    """Lays the specular echoes of faces: unit image waves at (m, 3) points with (m) path lengths [m]."""
-    unit = (2 * math.pi * C0 / omega) / (4 * math.pi)
-    last = t0 + grids.shape[1] * dt
-    for k in range(len(points)):
-        echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
-            continue
-        n, stuff = normals[owner[k]], stuffs[owner[k]]
-        o = owner[k] if len(origins) > 1 else 0
-        scale = unit * factor[o]
-        mono = _same(origins[o])
-        for tap in range(gamma.shape[1]):
-            if lag[stuff, tap, 0] < 0:
-                break
-            w, cosine = _weight(points[k], mono, n, origins[o], frames[o], fields[o], table, flat, gamma, stuff, tap)
-            late = extra[k] + _late(lag, stuff, tap, cosine)
-            mean = lengths[k] / C0 + late
-            landed = mean - math.floor((mean - t0) / fold) * fold
-            if tap == 0:
-                delay[k] = mean
-            while landed < last:
-                value = scale * w * shade[k] / lengths[k] * complex(math.cos(omega * landed), -math.sin(omega * landed))
-                _lay(grids[1], (landed - t0) / dt, value)
-                landed += fold
-            echo[k] += value
+    return count, at
 
 
 @njit(cache=True, fastmath=True, nogil=True)

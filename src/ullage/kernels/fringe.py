@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.edges import lay_line
 from ullage.kernels.facets import toward
+from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.edges import lay_line
 from ullage.kernels.facets import _mean_range, toward
+from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ullage.errors import UllageWarning
 from ullage.geometry import C0
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.physical import Bench, Laid, View, lay_flats
+from ullage.radar.flats import lay_flats
+from ullage.radar.physical import Bench, Laid, View
 from ullage.specs import RadarSpec
 
 FOLDS = 2

@@ -8,16 +8,17 @@ A mirror that does not cover its Fresnel zone passes on only the part that it co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.kernels import beams as kernel
-from ullage.kernels import bounces
-from ullage.kernels import edges as rim
+from ullage.kernels import bounces, edges
+from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.physical import Bench, Laid, View, common, grown
+from ullage.radar.flats import lay_rim, parted
+from ullage.radar.physical import Bench, Laid, View, common
 from ullage.radar.visibility import between
 
 Floats = NDArray[np.float64]
@@ -135,15 +136,14 @@ def _lay(
                   ready.spec.wavelength_m, weights)  # fmt: skip
     weights = np.maximum(weights - FAINT, 0)
     which = np.flatnonzero(weights)
-    windings = np.empty(len(which))
-    pieces, owner = grown(8192, (12,), lambda out, of: rim.cut(
+    rim = parted(len(which), len(starts), lambda *room: edges.cut(
         which, spheres, normals, offsets, beams.first, starts, ends, origins, np.array(ready.gate), EXCESS_M,
-        ready.pulse.omega, out, of, windings))  # fmt: skip
+        ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = rim.crossings(which, windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
+    count = edges.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
     points, lengths, which = points[:count], lengths[:count], which[:count]
     lit = np.empty((len(beams), 3))
-    bounces.stand_ins(middles, pieces, owner, points, which, lit)
+    bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, lit)
     path = _through(flats, view, beams, lit)
     factor = np.where(clear(parts, path, weights), weights, 0) * view.factor
     frames, fields = np.empty((len(beams), 2, 3, 3)), np.empty((len(beams), 2, 3))
@@ -152,15 +152,16 @@ def _lay(
     plain = np.full(len(beams), len(ready.gamma) - 1, np.int32)
     _, _, _, table, flat, _, *rest = common(ready, view, grids)
     told = normals, plain, origins, frames, fields, table, flat, factor, *rest
-    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
-    rim.lay_rims(pieces, owner, (factor[owner] != 0).astype(complex), np.zeros(len(pieces)), *told, echo, delay)
+    open_ = (factor != 0).astype(complex)
+    piece, corner = open_[rim.owner], open_[rim.holders]
+    laid = lay_rim(rim, (piece, np.zeros(len(piece))), (corner, np.zeros(len(corner))), told)
     bright, when = np.empty(count, complex), np.empty(count)
-    rim.lay_images(points, which, lengths, np.ones(count, complex), np.zeros(count), *told, bright, when)
-    middle = (pieces[:, :3] + pieces[:, 3:6]) / 2
+    draw.lay_images(points, which, lengths, np.ones(count, complex), np.zeros(count), *told, bright, when)
     via = np.where(beams.chains >= 0, flats.stuffs[beams.chains], -1)
     end = flats.stuffs[on]
-    return [Laid(end[owner], middle, echo, delay, order, via[owner]),
-            Laid(end[which], points, bright, when, order, via[which])]  # fmt: skip
+    rims = [replace(part, stuffs=end[of], bounces=order, via=via[of])
+            for part, of in zip(laid, (rim.owner, rim.holders), strict=True)]  # fmt: skip
+    return [*rims, Laid(end[which], points, bright, when, order, via[which])]
 
 
 def _both_ways(flats: Flats, beams: Beams, order: int) -> Floats:
@@ -206,10 +207,10 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
         origins = np.stack([beams.images, np.broadcast_to(view.origins[1], beams.images.shape)], 1)
     normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
-    which, windings = np.arange(len(on), dtype=np.int64), np.empty(len(on))
-    grown(8192, (12,), lambda out, of: rim.cut(
-        which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega, out, of,
-        windings))  # fmt: skip
+    which = np.arange(len(on), dtype=np.int64)
+    rim = parted(len(on), len(starts), lambda *room: edges.cut(
+        which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
+        False, *room))  # fmt: skip
     points, lengths = np.empty((len(on), 3)), np.empty(len(on))
-    count = rim.crossings(which, windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
+    count = edges.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
     return np.sort(lengths[:count])

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.kernels import edges as rim
 from ullage.kernels import facets as kernel
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
 from ullage.radar.diffraction import Rims, nowhere, rims_of
-from ullage.radar.facets import Flats, Prepared, Surfaces, joined, prepare
+from ullage.radar.facets import Prepared, Surfaces, joined, prepare
 from ullage.radar.penetration import Curtains, curtains, reflection_tables
 from ullage.radar.pulse import Pulse, tabulate
 from ullage.radar.visibility import seen
@@ -81,6 +80,7 @@ class Bench:
     shift: int  # grid place of bin 0
     gate: tuple[float, float]  # ranges whose echoes can reach the frame [m]
     seed: int = 0  # of the fine structure of rough surfaces
+    whole_rims: bool = False  # rims of faces are cut all along, not done by their ends where those are all that counts
 
     @property
     def fold_s(self) -> float:
@@ -160,6 +160,7 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 
 def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids."""
+    from ullage.radar.flats import lay_flats
     from ullage.radar.folding import lay_folded
 
     parts = ready.world.parts(t_ns)
@@ -206,44 +207,6 @@ def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, 
     return Laid(part.stuffs[owner], middle, echo, delay)
 
 
-def lay_flats(
-    ready: Bench,
-    parts: list[Surfaces],
-    part: Surfaces,
-    view: View,
-    grids: Complexes,
-    which: NDArray[np.int64] | None = None,
-) -> tuple[Laid, Laid] | tuple[()]:
-    """Adds the echoes of flat faces, all or some, between the gate's ranges."""
-    flats = part.flats
-    which = np.arange(len(flats), dtype=np.int64) if which is None else which
-    if not len(which):
-        return ()
-    opaque = ~ready.sheets.thin[flats.stuffs]
-    which = which[~part.flat_backs.hidden(view.origins, opaque)[which]]
-    pieces, owner, windings = rims(ready, flats, view, which)
-    if ready.gate[0] > 0:
-        later = np.minimum(pieces[:, 6], pieces[:, 7]) > 2 * ready.gate[0]
-        pieces, owner = pieces[later], owner[later]
-    spots, middle = np.empty((len(pieces), 3)), np.empty((len(pieces), 3))
-    rim.look_at(pieces, owner, flats.normals, _NUDGE_M, spots, middle)
-    shade, extra = shading(ready, parts, view, spots)
-    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
-    rim.lay_rims(
-        pieces, owner, shade, extra, flats.normals, flats.stuffs, *_each(common(ready, view, grids)), echo, delay
-    )
-    points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = rim.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], np.array(ready.gate),
-                          points, lengths)  # fmt: skip
-    held = np.flatnonzero(lengths[:count] > 2 * ready.gate[0])
-    points, lengths, which, count = points[held], lengths[held], which[held], len(held)
-    shade, extra = _zone_shading(ready, parts, flats, view, points, which, lengths)
-    bright, when = np.empty(count, complex), np.empty(count)
-    told = _each(common(ready, view, grids))
-    rim.lay_images(points, which, lengths, shade, extra, flats.normals, flats.stuffs, *told, bright, when)
-    return Laid(flats.stuffs[owner], middle, echo, delay), Laid(flats.stuffs[which], points, bright, when)
-
-
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
     """What every kernel that lays echoes is told."""
     return (view.origins, view.frames, view.fields, ready.table, ready.spec.antenna.kind == "isotropic", view.factor,
@@ -251,7 +214,7 @@ def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
             grids)  # fmt: skip
 
 
-def _each(told: tuple[Any, ...]) -> tuple[Any, ...]:
+def each(told: tuple[Any, ...]) -> tuple[Any, ...]:
     """The same for kernels that can have another view for each face."""
     origins, frames, fields, table, flat, factor, *rest = told
     return (origins[None], frames[None], fields[None], table, flat, np.array([factor], complex), *rest)
@@ -277,15 +240,6 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
         KAPPA * ready.spec.wavelength_m, REACH, out, owner))  # fmt: skip
 
 
-def rims(ready: Bench, flats: Flats, view: View, which: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int32], Floats]:
-    """Pieces of rim within the gate (m, 12), the face of each, and how often each face's rim goes round the axis."""
-    windings = np.empty(len(which))
-    pieces, owner = grown(4096 + 4 * len(flats.starts), (12,), lambda out, of: rim.cut(
-        which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
-        view.origins[None], np.array(ready.gate), 1e9, ready.pulse.omega, out, of, windings))  # fmt: skip
-    return pieces, owner, windings
-
-
 def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
     """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
     factor, late = seen(parts, view.origins[0], points, ready.sheets)
@@ -293,41 +247,6 @@ def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> 
         return factor, late
     other, later = seen(parts, view.origins[1], points, ready.sheets)
     return np.sqrt(factor) * np.sqrt(other), (late + later) / 2
-
-
-def _zone_shading(
-    ready: Bench,
-    parts: list[Surfaces],
-    flats: Flats,
-    view: View,
-    points: Floats,
-    which: NDArray[np.int64],
-    lengths: Floats,
-) -> tuple[Complexes, Floats]:
-    """Mean factor over the first Fresnel zone around each mirror point, as far as it lies on the face."""
-    if not len(points):
-        return np.zeros(0, complex), np.zeros(0)
-    n = flats.normals[which]
-    u = np.cross(n, np.where(abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(n, u)
-    radius = np.sqrt(ready.spec.wavelength_m * lengths / 4)[:, None, None]
-    spread = _ZONE[None, :, :1] * u[:, None] + _ZONE[None, :, 1:] * v[:, None]
-    spots = (points[:, None] + radius * spread).reshape(-1, 3)
-    within = np.empty(len(spots), np.bool_)
-    rim.inside(spots, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
-    held = within.reshape(len(points), -1)
-    held[:, 0] = True
-    shade, extra = (a.reshape(held.shape) for a in shading(ready, parts, view, spots))
-    share = held.sum(1)
-    return (shade * held).sum(1) / share, (extra * held).sum(1) / share
-
-
-_NUDGE_M = 5e-3
-_RINGS = np.arange(6) * np.pi / 3
-_ZONE = np.concatenate(
-    [[[0.0, 0.0]], *(q * np.stack([np.cos(_RINGS + q), np.sin(_RINGS + q)], 1) for q in (0.4, 0.75))]
-)
 
 
 @lru_cache(maxsize=8)
