@@ -14,7 +14,7 @@ from collections import defaultdict
 import numpy as np
 
 import ullage as ul
-from ullage.kernels import beams, bounces, edges, facets, fringe, rims
+from ullage.kernels import beams, bounces, double_fringe, edges, facets, fringe, rims
 from ullage.radar import multipath, physical, visibility
 from ullage.radar.physical import echoes
 from ullage.world.library import WORLDS
@@ -95,7 +95,9 @@ def cores():
 
 STAGES = (
     (edges, "cut", "cut rims"), (rims, "lay_rims", "lay rims"), (rims, "lay_tips", "lay ends"),
-    (rims, "lay_images", "lay images"), (fringe, "lay_fringes", "edges"), (fringe, "lay_doubles", "edges"), (fringe, "audible", "edges"),
+    (rims, "lay_images", "lay images"),
+    (fringe, "lay_fringes", "conducting edges"), (fringe, "lay_tips", "conducting edges"),
+    (double_fringe, "lay_doubles", "conducting edges"), (fringe, "audible", "conducting edges"),
     (facets, "split", "split triangles"), (facets, "deposit", "lay triangles"), (facets, "convolve", "pulse"),
     (beams, "trace", "trace beams"), (bounces, "reflect", "follow paths"), (bounces, "legs", "follow paths"),
     (bounces, "stand_ins", "follow paths"), (bounces, "cover", "follow paths"), (physical, "seen", "rays, first"),

@@ -6,8 +6,9 @@ import pytest
 import ullage as ul
 from ullage.experiments.validate import radar
 from ullage.geometry import C0
+from ullage.radar.flats import lay_flats
 from ullage.radar.multipath import image_lengths
-from ullage.radar.physical import bench, lay_flats, view_of
+from ullage.radar.physical import bench, view_of
 from ullage.radar.pulse import envelope
 
 SIZE, AT = np.array([6.0, 4.0, 3.0]), np.array([0.31, -0.42, 0.17])
@@ -43,7 +44,7 @@ def test_a_rooms_walls_weigh_as_their_image_sources(images):
     ready = bench(ul.scenes.room(tuple(SIZE), material="pec"), radar())
     grids = np.zeros((3, ready.places), complex)
     parts = ready.world.parts(0)
-    _, mirrored = lay_flats(ready, parts, parts[0], view_of(radar(), AT, np.eye(3)), grids)
+    *_, mirrored = lay_flats(ready, parts, parts[0], view_of(radar(), AT, np.eye(3)), grids)
     rank = np.argsort(mirrored.delay_s)
     first = np.flatnonzero(orders == 1)
     first = first[np.argsort(far[first])]

@@ -7,7 +7,7 @@ from scipy.special import fresnel
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.kernels import fringe
+from ullage.kernels import double_fringe, fringe
 from ullage.radar.facets import prepare
 from ullage.radar.physical import path_gain_cw
 from ullage.world.scene import Scene
@@ -89,7 +89,7 @@ def test_transition_function():
     s, c = fresnel(np.sqrt(2 * x / np.pi))
     tail = np.sqrt(np.pi / 8) * (1 - 1j) - np.sqrt(np.pi / 2) * (c - 1j * s)
     want = 2j * np.sqrt(x) * np.exp(1j * x) * tail
-    ours = np.array([fringe.transition(float(v)) for v in x])
+    ours = np.array([double_fringe.transition(float(v)) for v in x])
     assert abs(ours - want).max() < 5e-3
 
 

@@ -124,7 +124,7 @@ def _slow_part(p, q, size, along, source, image, axis, length, wave, spot, term,
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _end(u, along, normal, factor, term, tie, p, ends, holders, ties, opened, at):  # type: ignore[no-untyped-def]
+def _end(u, along, into, normal, factor, term, tie, p, ends, holders, ties, opened, at):  # type: ignore[no-untyped-def]
     """Writes the end of a rim, or adds it to the one at the same corner of the same face; gives how many there are."""
     value = factor * term[0]
     turned, straight = value * term[1], value * (1 - 3 * term[1] * term[1])
@@ -145,7 +145,7 @@ def _end(u, along, normal, factor, term, tie, p, ends, holders, ties, opened, at
     ends[row, 4], ends[row, 5] = ends[row, 4] + turned, ends[row, 5] + straight
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
-        ends[row, 6 + k] += normal[i] * along[j] - normal[j] * along[i]
+        ends[row, 6 + k] += normal[i] * along[j] - normal[j] * along[i] + into * along[k]
     return at + 1 if row == at else at
 
 
@@ -309,10 +309,10 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
             if share[0] >= share[1]:
                 winding += _turn(a, b, axis)
                 if b[3] <= farthest:
-                    at = _end(b, along, n, sign, term, -1, p, tips, holders, ties, opened, at)
+                    at = _end(b, along, -1.0, n, sign, term, -1, p, tips, holders, ties, opened, at)
                 if a[3] <= farthest:
                     term[0], term[1] = start0, start1
-                    at = _end(a, along, n, -sign, term, -1, p, tips, holders, ties, opened, at)
+                    at = _end(a, along, 1.0, n, -sign, term, -1, p, tips, holders, ties, opened, at)
                 continue
             before = count
             begins, stops = a, b
@@ -329,18 +329,18 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
                 winding += _turn(a, c, axis)
                 if count > before and c[3] <= farthest:
                     _steep(c, along, source, image, axis, length, wave, term)
-                    at = _end(c, along, n, sign, term, before, p, tips, holders, ties, opened, at)
+                    at = _end(c, along, -1.0, n, sign, term, before, p, tips, holders, ties, opened, at)
                 if a[3] <= farthest:
                     term[0], term[1] = start0, start1
-                    at = _end(a, along, n, -sign, term, -1, p, tips, holders, ties, opened, at)
+                    at = _end(a, along, 1.0, n, -sign, term, -1, p, tips, holders, ties, opened, at)
             if share[1] < 1:
                 winding += _turn(d, b, axis)
                 if count > before and d[3] <= farthest:
                     _steep(d, along, source, image, axis, length, wave, term)
-                    at = _end(d, along, n, -sign, term, count - 1, p, tips, holders, ties, opened, at)
+                    at = _end(d, along, 1.0, n, -sign, term, count - 1, p, tips, holders, ties, opened, at)
                 if b[3] <= farthest:
                     _steep(b, along, source, image, axis, length, wave, term)
-                    at = _end(b, along, n, sign, term, -1, p, tips, holders, ties, opened, at)
+                    at = _end(b, along, -1.0, n, sign, term, -1, p, tips, holders, ties, opened, at)
         windings[i] = sign * winding / (2 * math.pi)
     return count, at
 

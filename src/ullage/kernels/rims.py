@@ -124,10 +124,10 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
 
 @njit(cache=True, fastmath=True, nogil=True)
 def look_at_tips(tips, inward, out):  # type: ignore[no-untyped-def]
-    """Points (n, 3) on the faces `inward` of the ends of rims (n, 9), to look at [m]."""
+    """Points (n, 3) on the faces, `inward` of both rims that meet at the ends of rims (n, 9), to look at [m]."""
     for i in range(len(tips)):
         x, y, z = tips[i, 6], tips[i, 7], tips[i, 8]
-        scale = inward / max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        scale = math.sqrt(2) * inward / max(math.sqrt(x * x + y * y + z * z), 0.1)
         for k in range(3):
             out[i, k] = tips[i, k] + scale * tips[i, 6 + k]
 

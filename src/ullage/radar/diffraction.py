@@ -132,11 +132,10 @@ def placed(edges: Edges, scene: Scene, t_ns: int) -> Edges:
     return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
 
 
-def facing(edges: Edges, sheets: NDArray[np.bool_], owner: Ints, pieces: Floats, origin: Floats) -> NDArray[np.bool_]:
-    """Which pieces (m, 2, 3) of edges have the point (3) in their open side; of a thin body, over its wide face."""
-    to = origin - pieces.mean(1)
-    lit = np.einsum("nfi,ni->nf", edges.normals[owner], to) > 0
-    return np.asarray(lit[:, 0] | (lit[:, 1] & ~sheets[owner]))
+def facing(edges: Edges, sheets: NDArray[np.bool_], origin: Floats) -> NDArray[np.bool_]:
+    """Which edges (w) have the point (3) in their open side; of a thin body, over its wide face."""
+    lit = np.einsum("nfi,ni->nf", edges.normals, origin - edges.starts) > 0
+    return np.asarray(lit[:, 0] | (lit[:, 1] & ~sheets))
 
 
 def _none() -> Edges:

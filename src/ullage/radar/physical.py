@@ -119,7 +119,9 @@ def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
     """The radar at a position (3) [m] with world_from_sensor rotation (3, 3)."""
     arm = turn[:, 1] * (spec.antenna_offset_m / 2)
     field = turn[:, 2] if spec.antenna.polarization == "vertical" else turn[:, 1]
-    return View(np.stack([position + arm, position - arm]), np.stack([turn.T, turn.T]), np.stack([field, field]))
+    return View(
+        np.stack([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), np.stack([field, field])
+    )
 
 
 def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int = 1, seed: int = 0) -> NDArray[Any]:

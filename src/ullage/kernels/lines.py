@@ -1,0 +1,134 @@
+"""Loops for straight lines that echo: which part of each must be integrated, and what the ends of the rest add."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ullage.kernels.edges import FAR
+
+C0 = 299_792_458.0
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-def]
+    """As `edges._steep`, at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
+    path, rate, bend, fade = 0.0, 0.0, 0.0, 0.0
+    for s in range(2):
+        square, run = 1e-8, 0.0
+        for k in range(3):
+            gap = start[k] + place * along[k] - origins[s, k]
+            square += gap * gap
+            run += gap * along[k]
+        r = math.sqrt(square)
+        run /= r
+        path, rate, bend, fade = path + r, rate + run, bend + (1 - run * run) / r, fade - run / r
+    slow = rate if abs(rate) > 1e-9 else 1e-9
+    out[0], out[1], out[2] = 1 / (wave * slow), (fade - bend / slow) / (wave * slow), path
+    return rate
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no-untyped-def]
+    """Between which distances from its start a line's path is too near to its shortest to be done by its ends."""
+    foot, off = np.empty(2), np.empty(2)
+    for s in range(2):
+        run, square = 0.0, 0.0
+        for k in range(3):
+            gap = origins[s, k] - start[k]
+            run += gap * along[k]
+            square += gap * gap
+        foot[s], off[s] = run, math.sqrt(max(square - run * run, 1e-8))
+    least = (foot[0] * off[1] + foot[1] * off[0]) / (off[0] + off[1])
+    bend = 0.0
+    for s in range(2):
+        bend += 1 / math.sqrt(off[s] * off[s] + (least - foot[s]) ** 2)
+    step = math.sqrt(1 / (wave * FAR * bend))
+    for side in range(2):
+        sign = 2.0 * side - 1
+        gap = max(step, -least if side == 1 else least - size)
+        place = 0.0
+        for _ in range(8):
+            place = least + sign * gap
+            if place <= 0 or place >= size:
+                break
+            _steep(start, along, place, origins, wave, term)
+            if abs(term[1]) <= FAR:
+                break
+            gap *= 1.3
+        out[side] = min(max(place, 0.0), size)
+    if out[0] < 0.5 * step:
+        out[0] = 0.0
+    if size - out[1] < 0.5 * step:
+        out[1] = size
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _tip(start, along, place, sign, line, side, origins, limit, wave, term, tips, holders, sides, at):  # type: ignore[no-untyped-def]
+    """Writes the end of a line's part that is done by its ends, if within the gate; gives how many there are."""
+    _steep(start, along, place, origins, wave, term)
+    if 0.5 * term[2] > limit:
+        return at
+    for k in range(3):
+        tips[at, k] = start[k] + place * along[k]
+    value, y = sign * term[0], term[1]
+    tips[at, 3], tips[at, 4] = value * y, value * (1 - 3 * y * y)
+    holders[at], sides[at] = line, side
+    return at + 1
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def part(starts, ends, origins, gate, wave, near, held, tips, holders, sides):  # type: ignore[no-untyped-def]
+    """Parts lines: near where the path is shortest there is something to integrate, of the rest only ends count.
+
+    Args:
+        starts: (w, 3) and ends: (w, 3) of the lines [m].
+        origins: (2, 3) transmitter and receiver [m].
+        gate: (2) least and greatest mean range [m].
+        wave: wave number [1/m].
+        near: (w, 2, 3) gets the ends of the part to integrate [m].
+        held: (w) gets whether there is such a part.
+        tips: (4 w, 5) gets place (3) and value (2) of each end, for an integrand of unit strength.
+        holders: (4 w) gets the line of each.
+        sides: (4 w) gets 0 or 1 where the part to integrate starts or stops there, -1 at the line's own ends.
+
+    Returns:
+        How many ends there are.
+    """
+    at = 0
+    along, term, share = np.empty(3), np.empty(3), np.empty(2)
+    for w in range(len(starts)):
+        size = 0.0
+        for k in range(3):
+            along[k] = ends[w, k] - starts[w, k]
+            size += along[k] * along[k]
+        size = math.sqrt(size)
+        held[w] = False
+        if size < 1e-9:
+            continue
+        for k in range(3):
+            along[k] /= size
+        rate = _steep(starts[w], along, 0.0, origins, wave, term)
+        steep = abs(term[1]) <= FAR
+        if rate * _steep(starts[w], along, size, origins, wave, term) > 0 and steep and abs(term[1]) <= FAR:
+            share[0], share[1] = size, size
+        else:
+            _slow_part(starts[w], along, size, origins, wave, term, share)
+        held[w] = share[0] < share[1]
+        for k in range(3):
+            near[w, 0, k], near[w, 1, k] = starts[w, k] + share[0] * along[k], starts[w, k] + share[1] * along[k]
+        if not held[w] or share[0] > 0:
+            at = _tip(starts[w], along, 0.0, -1.0, w, -1, origins, gate[1], wave, term, tips, holders, sides,
+                      at)  # fmt: skip
+        if not held[w] or share[1] < size:
+            at = _tip(starts[w], along, size, 1.0, w, -1, origins, gate[1], wave, term, tips, holders, sides,
+                      at)  # fmt: skip
+        if held[w] and share[0] > 0:
+            at = _tip(starts[w], along, share[0], 1.0, w, 0, origins, gate[1], wave, term, tips, holders, sides,
+                      at)  # fmt: skip
+        if held[w] and share[1] < size:
+            at = _tip(starts[w], along, share[1], -1.0, w, 1, origins, gate[1], wave, term, tips, holders, sides,
+                      at)  # fmt: skip
+    return at

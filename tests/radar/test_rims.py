@@ -1,0 +1,55 @@
+"""Rims done by their ends, against the same rims cut all along."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.geometry import quat_matrix
+from ullage.kernels import facets
+from ullage.radar import physical
+
+RADAR = ul.RadarSpec.preset("x4m05", noise=None)
+
+
+def both(scene, path, *, max_bounces=1):
+    """Frames by ends, and with rims cut all along."""
+    out = np.zeros((2, len(path), RADAR.bins), complex)
+    ready = physical.bench(scene, RADAR)
+    for whole in (False, True):
+        for i in range(len(path)):
+            grids = np.zeros((3, ready.places), complex)
+            view = physical.view_of(RADAR, path.position[i], quat_matrix(path.quat_xyzw)[i])
+            physical.lay(replace(ready, whole_rims=whole), view, int(path.t_ns[i]), max_bounces, grids)
+            facets.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[int(whole), i])
+    return out
+
+
+def apart_db(fast, exact):
+    """Largest difference, as path gain, and over the peak [dB]."""
+    worst = max(abs(fast - exact).max(), 1e-15)
+    return 20 * np.log10(worst), 20 * np.log10(worst / abs(exact).max())
+
+
+@pytest.mark.parametrize(("size", "bounces"), [((6, 4, 3), 1), ((6, 4, 3), 3), ((60, 7, 5), 1)])
+def test_a_room_by_the_ends_of_its_rims(size, bounces):
+    room = ul.scenes.room(size, material="concrete")
+    path = ul.Trajectory.line((0.1, 0.2, 0.1), (0.5, 0.3, 0.2), 0.5, 10)
+    gain, over = apart_db(*both(room, path, max_bounces=bounces))
+    assert gain < -110
+    assert over < -40
+
+
+@pytest.mark.parametrize("yaw", [0, 20, 45, 70])
+def test_a_tilted_plate_by_the_ends_of_its_rims_and_edges(yaw):
+    scene = ul.scenes.plate(width_m=0.5, height_m=0.5, distance_m=3.0, yaw_deg=yaw, material="pec")
+    path = ul.Trajectory.line((0, -0.3, 0.05), (0, 0.3, 0.1), 0.5, 10)
+    assert apart_db(*both(scene, path))[1] < -60
+
+
+@pytest.mark.parametrize(("length", "height", "yaw"), [(20.0, 0.3, 5), (40.0, 2.0, 60)])
+def test_a_long_girder_by_its_ends(length, height, yaw):
+    scene = ul.scenes.plate(width_m=length, height_m=height, distance_m=3.0, yaw_deg=yaw, material="pec")
+    path = ul.Trajectory.line((0, -0.3, 0.05), (0, 0.3, 0.1), 0.5, 10)
+    assert apart_db(*both(scene, path))[1] < -50
