@@ -104,6 +104,8 @@ def test_another_partition_is_not_heard(partition):
         for _ in range(20):
             other.publish("/clock", gz().Clock())
             assert one.wait(0.05) is None
+        other.close()
+        assert one.wait(0.2) is None  # nor is its going told
 
 
 def test_only_the_loopback_is_bound(partition):

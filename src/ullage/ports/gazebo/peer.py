@@ -246,11 +246,12 @@ class Peer:
         return not self.host.startswith("127.") or address.startswith("tcp://127.")
 
     def _met(self, pub: Any) -> None:
+        if not pub.topic.startswith(wire.full_topic("/x", self.partition)[:-1]):
+            return  # others' partitions are none of ours: neither their coming nor their going is told
         key = (pub.topic, pub.node_uuid)
         if key not in self._offers:
             self._offers[key] = pub
-            if pub.topic.startswith(wire.full_topic("/x", self.partition)[:-1]):
-                self._put(Came(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
+            self._put(Came(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
         if pub.topic in self._wanted:
             self._join(pub)
 
