@@ -183,3 +183,25 @@ for line in sys.stdin:
         input="\n".join(hexed for _, hexed in sent), timeout=60,
     )  # fmt: skip
     assert [tuple(line.split()) for line in told.stdout.splitlines()] == sent
+
+
+def test_pyimclsts_replays_the_file_itself(tmp_path: Path) -> None:
+    pytest.importorskip("pyimclsts")
+    written(tmp_path)
+    (tmp_path / "IMC.xml").write_bytes(gzip.decompress((tmp_path / "IMC.xml.gz").read_bytes()))
+    run = [sys.executable, "-m", "pyimclsts.extract"]
+    subprocess.run(run, cwd=tmp_path, check=True, capture_output=True, input=b"", timeout=60)
+    code = """
+import collections, pyimclsts.network as network, pyimc_generated as there
+count = collections.Counter()
+replay = network.subscriber(network.file_interface("Data.lsf"))
+for kind in ("EstimatedState", "DevDataBinary", "SonarData", "Distance", "EntityInfo"):
+    replay.subscribe_async(lambda message, send: count.update([type(message).__name__]), getattr(there.messages, kind))
+replay.run()
+print(*sorted(count.items()))
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60
+    )
+    want = {"DevDataBinary": 13, "Distance": 12, "EntityInfo": 2, "EstimatedState": 12, "SonarData": 12}
+    assert told.stdout.splitlines()[-1] == " ".join(map(str, want.items()))

@@ -1,7 +1,8 @@
 """IMC in ROS' own words, as the interpreter of the thesis had it [Billdal2018, 3.5.2]: a table of pairs.
 
 Each pair names one IMC message, the ROS messages that together hold every field of it, and the two conversions. ROS
-messages are plain dicts here, by topic, with those of their fields that are used. Axes are ENU and FLU on the ROS side.
+messages are plain dicts here, by topic, nested as the messages are, with those of their fields that are used. Axes are
+ENU and FLU on the ROS side.
 """
 
 from __future__ import annotations
@@ -57,31 +58,36 @@ def _state_out(m: Mapping[str, Any]) -> Ros:
     out: Ros = {
         "origin": {"latitude": math.degrees(m["lat"]), "longitude": math.degrees(m["lon"]), "altitude": m["height"]},
         "odom": {
-            "position": _point(SWAP @ _fields(m, "x y z")),
-            "orientation": _turned(SWAP, _fields(m, "phi theta psi")),
-            "linear": _point(FLIP @ _fields(m, "u v w")),
-            "angular": _point(FLIP @ _fields(m, "p q r")),
+            "pose": {
+                "pose": {
+                    "position": _point(SWAP @ _fields(m, "x y z")),
+                    "orientation": _turned(SWAP, _fields(m, "phi theta psi")),
+                }
+            },
+            "twist": {
+                "twist": {"linear": _point(FLIP @ _fields(m, "u v w")), "angular": _point(FLIP @ _fields(m, "p q r"))}
+            },
         },
     }
     if "vx" in m:
-        out["velocity"] = {"linear": _point(SWAP @ _fields(m, "vx vy vz"))}
+        out["velocity"] = {"twist": {"linear": _point(SWAP @ _fields(m, "vx vy vz"))}}
         return out | {"altitude": {"data": m["alt"]}, "depth": {"data": m["depth"]}}
-    return out | {"stream": {"linear": _point(SWAP @ _fields(m, "svx svy svz"))}}
+    return out | {"stream": {"twist": {"linear": _point(SWAP @ _fields(m, "svx svy svz"))}}}
 
 
 def _state_in(notes: Ros) -> dict[str, Any]:
-    fix, odom = notes["origin"], notes["odom"]
+    fix, pose, twist = notes["origin"], notes["odom"]["pose"]["pose"], notes["odom"]["twist"]["twist"]
     groups = {
-        "x y z": SWAP @ _numbers(odom["position"]),
-        "phi theta psi": _turned_back(SWAP, odom["orientation"]),
-        "u v w": FLIP @ _numbers(odom["linear"]),
-        "p q r": FLIP @ _numbers(odom["angular"]),
+        "x y z": SWAP @ _numbers(pose["position"]),
+        "phi theta psi": _turned_back(SWAP, pose["orientation"]),
+        "u v w": FLIP @ _numbers(twist["linear"]),
+        "p q r": FLIP @ _numbers(twist["angular"]),
     }
     if "velocity" in notes:
-        groups["vx vy vz"] = SWAP @ _numbers(notes["velocity"]["linear"])
+        groups["vx vy vz"] = SWAP @ _numbers(notes["velocity"]["twist"]["linear"])
         groups["alt depth"] = np.array([notes["altitude"]["data"], notes["depth"]["data"]])
     else:
-        groups["svx svy svz"] = SWAP @ _numbers(notes["stream"]["linear"])
+        groups["svx svy svz"] = SWAP @ _numbers(notes["stream"]["twist"]["linear"])
     out = {name: float(v) for names, values in groups.items() for name, v in zip(names.split(), values, strict=True)}
     place = {"lat": math.radians(fix["latitude"]), "lon": math.radians(fix["longitude"]), "height": fix["altitude"]}
     return place | out
