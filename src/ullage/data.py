@@ -112,9 +112,12 @@ class Trajectory:
         from scipy.spatial.transform import Slerp
 
         known, asked = (self.t_ns - self.t_ns[0]) * 1e-9, (want - self.t_ns[0]) * 1e-9
-        spline = CubicHermiteSpline(known, self.position, velocity)
-        quat = Slerp(known, rotations().from_quat(self.quat_xyzw))(asked).as_quat()
-        turn = np.stack([np.interp(asked, known, spin[:, k]) for k in range(3)], axis=1)
+        before = np.clip(np.searchsorted(known, asked) - 1, 0, len(known) - 2)
+        needed = np.union1d(before, before + 1)  # few times of a long path are asked for again and again
+        known = known[needed]
+        spline = CubicHermiteSpline(known, self.position[needed], velocity[needed])
+        quat = Slerp(known, rotations().from_quat(self.quat_xyzw[needed]))(asked).as_quat()
+        turn = np.stack([np.interp(asked, known, spin[needed, k]) for k in range(3)], axis=1)
         return Trajectory(want, spline(asked), quat, spline(asked, 1), turn)
 
     def resampled(self, rate_hz: float) -> Trajectory:

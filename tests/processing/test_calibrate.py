@@ -21,21 +21,30 @@ def uneven_track(n=3000, rate_hz=200.0):
     return ul.Trajectory(np.rint(t * 1e9).astype(np.int64), position, np.tile(rpy_quat(0, 0, 0), (n, 1)))
 
 
-def test_planted_offsets_are_found_without_knowing_the_targets():
+@pytest.fixture(scope="module")
+def planted():
+    """Frames of three points, 2.5 s late on the track's clock and 0.3 m too far."""
     track = uneven_track()
     when = np.rint((2.5 + np.arange(190) / 20.0) * 1e9).astype(np.int64)
     clean = frames_of_points([(2.5, 0.6, 1.0), (3.4, 1.3, 1.0), (1.8, 1.5, 1.0)], track.at(when), spec=SPEC, noise=0.05)
-    raw = ul.Frames(clean.samples, clean.range_m + 0.3, when - when[0], SPEC, track=track)
-    found = ul.calibrate(raw)
-    record = found.calibration
+    return ul.Frames(clean.samples, clean.range_m + 0.3, when - when[0], SPEC, track=track, unit="normalised")
+
+
+@pytest.fixture(scope="module")
+def focused(planted):
+    return ul.calibrate(planted)
+
+
+def test_planted_offsets_are_found_without_knowing_the_targets(focused):
+    record = focused.calibration
     assert record is not None
     assert record.t_offset_s == pytest.approx(2.5, abs=0.02)
     assert record.range_offset_m == pytest.approx(-0.3, abs=0.04)
     assert 0 < record.t_sigma_s < 0.1
     assert 0 < record.range_sigma_m < 0.1
     assert record.gain_db > 0
-    assert np.array_equal(found.believed.t_ns, found.t_ns)
-    image = ul.focus(found, ul.Grid((2.2, 0.3, 1.0), 0.02, (30, 30)))
+    assert np.array_equal(focused.believed.t_ns, focused.t_ns)
+    image = ul.focus(focused, ul.Grid((2.2, 0.3, 1.0), 0.02, (30, 30)))
     assert np.linalg.norm(image.peak_m - (2.5, 0.6, 1.0)) < 0.05
 
 
@@ -46,40 +55,30 @@ def test_a_standing_sensor_cannot_be_calibrated():
         ul.calibrate(frames)
 
 
-def planted(zero_m=0.3):
-    track = uneven_track()
-    when = np.rint((2.5 + np.arange(190) / 20.0) * 1e9).astype(np.int64)
-    clean = frames_of_points([(2.5, 0.6, 1.0), (3.4, 1.3, 1.0), (1.8, 1.5, 1.0)], track.at(when), spec=SPEC, noise=0.05)
-    return ul.Frames(
-        clean.samples, clean.range_m + zero_m, when - when[0], SPEC, track=track, sensor="radar", unit="normalised"
-    )
-
-
-def test_surveyed_reflectors_settle_both_offsets():
-    record = ul.calibrate(planted(), reflectors=[(2.5, 0.6, 1.0), (1.8, 1.5, 1.0)]).calibration
+def test_surveyed_reflectors_settle_both_offsets(planted):
+    record = ul.calibrate(planted, reflectors=[(2.5, 0.6, 1.0), (1.8, 1.5, 1.0)]).calibration
     assert record is not None
     assert record.t_offset_s == pytest.approx(2.5, abs=0.01)
     assert record.range_offset_m == pytest.approx(-0.3, abs=0.01)
     assert "surveyed" in record.method
 
 
-def test_a_measured_zero_is_weighed_with_the_focus_and_left_out_where_they_contradict():
-    raw = planted()
-    focus = ul.calibrate(raw).calibration
-    near = ul.calibrate(replace(raw, spec=SPEC.but(range_zero_m=0.32, range_zero_sigma_m=0.001))).calibration
+def test_a_measured_zero_is_weighed_with_the_focus_and_left_out_where_they_contradict(planted, focused):
+    focus = focused.calibration
+    near = ul.calibrate(replace(planted, spec=SPEC.but(range_zero_m=0.32, range_zero_sigma_m=0.001))).calibration
     assert focus is not None
     assert near is not None
     assert near.range_offset_m == pytest.approx(-0.32, abs=0.003)
     assert near.range_sigma_m <= 0.001
     assert "range_zero_m" in near.method
     with pytest.warns(ul.UllageWarning, match=r"sigma from the radar's range_zero_m of 2\.000 m, which is left out"):
-        far = ul.calibrate(replace(raw, spec=SPEC.but(range_zero_m=2.0))).calibration
+        far = ul.calibrate(replace(planted, spec=SPEC.but(range_zero_m=2.0))).calibration
     assert far == focus
 
 
-def test_places_that_are_none_are_refused():
+def test_places_that_are_none_are_refused(planted):
     with pytest.raises(ul.InputError, match=r"reflectors of shape \(1, 2\)"):
-        ul.calibrate(planted(), reflectors=[(1, 2)])
+        ul.calibrate(planted, reflectors=[(1, 2)])
 
 
 @pytest.mark.slow

@@ -85,14 +85,15 @@ def calibrate(
     spread = float(np.linalg.norm(np.ptp(track.position, axis=0)))
     if spread < _LEAST_TRACK_M:
         raise InputError(f"the track spans {spread:.2f} m", where="calibrate", allowed=f">= {_LEAST_TRACK_M} m")
+    places = None if reflectors is None else _places(reflectors)
     search = _Search.over(checked(frames), track, bounds)
     start = search.entropy(0.0, 0.0)
     clock = _clock_candidates(frames, track, t_span_s)
     best = search.coarse(clock, range_span_m)
     best, sigma, points = search.fine(best, range_span_m)
     method = "coherence of the strongest points"
-    if reflectors is not None:
-        best, sigma = search.surveyed(best, _places(reflectors))
+    if places is not None:
+        best, sigma = search.surveyed(best, places)
         method = "brightness of the surveyed reflectors"
     elif frames.spec.range_zero_m is not None and frames.unit == "normalised":
         best, sigma, method = search.with_zero(best, sigma, points, frames.spec)
