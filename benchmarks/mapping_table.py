@@ -6,6 +6,7 @@ python benchmarks/mapping_table.py [--seeds 5] [--figure map.png]
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -113,6 +114,7 @@ def main() -> None:
             omap = ul.map_occupancy(frames, grid, **how)
             got = ul.metrics.map_quality(omap, scene, frames)
             scores.setdefault(name, []).append({k: got[k].value for k in COLUMNS})
+            print(f"{seed} {name}: F1 {got['f1'].value:.3f}", file=sys.stderr, flush=True)
             if options.figure and seed == 0 and name.endswith("exact poses"):
                 draw(omap, scene, frames, options.figure)
     print("| method |", " | ".join(COLUMNS.values()), "|")

@@ -109,7 +109,7 @@ def share_echoes(
         none[k] = math.exp(none[k])
     for i in range(candidates):
         slot, cell, k = found[i, 0], found[i, 1], found[i, 2]
-        if arcs[k, 8] == 0:
+        if arcs[k, 8] != 1:
             tenths = 1 if hits[slot, cell] < 3 else 0
         else:
             others = none[k] / (1.0 - chance[i] * held_by[hits[slot, cell], found[i, 4]])
@@ -117,7 +117,7 @@ def share_echoes(
         if tenths > 0:
             pools.loud[slot] = 1
             hits[slot, cell] = min(hits[slot, cell] + tenths, MOST_HITS)
-            if arcs[k, 8] > 0 and tenths >= 5:
+            if arcs[k, 8] == 1 and tenths >= 5:
                 pools.facing[slot, cell] = found[i, 3]
 
 

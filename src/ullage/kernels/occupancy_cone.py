@@ -38,12 +38,14 @@ class Beam(NamedTuple):
 
 @njit(cache=True, fastmath=True)
 def cast_reach(
-    pools: Pools, step: float, edge: int, beam: Beam, ways: np.ndarray, shade: float, wall: int, haze: float
+    pools: Pools, step: float, edge: int, beam: Beam, ways: np.ndarray, walls: np.ndarray, wall: int, haze: float
 ) -> float:
     """How far each sector sees: to the first cell held occupied, into so much unknown, or to an echo's own shade.
 
-    Nothing is learned behind an echo of known bearing, even before the map holds it. Rows of `ways` (m, 4): direction
-    and range of a surface square to it, which shades to the angle of cosine `shade`. Returns the farthest.
+    Nothing is learned behind an echo of known bearing, even before the map holds it. Rows of `ways` (m, 5): direction
+    and range of a surface square to it, and the cosine of the angle to which it shades. Rows of `walls` (p, 8): normal
+    and distance of flat surfaces, centre and radius of where they stand; nothing is learned of them, nor behind.
+    Returns the farthest.
     """
     up, left = beam.reach.shape
     size, origin, axes, eye, arcs = pools.size, pools.origin, beam.axes, beam.eye, beam.arcs
@@ -69,8 +71,21 @@ def cast_reach(
                     limit = min(limit, arcs[k, 0] + slack)
             for k in range(len(ways)):
                 turn = dx * ways[k, 0] + dy * ways[k, 1] + dz * ways[k, 2]
-                if turn > shade:
+                if turn > ways[k, 4]:
                     limit = min(limit, ways[k, 3] / turn + slack)
+            for k in range(len(walls)):
+                turn = dx * walls[k, 0] + dy * walls[k, 1] + dz * walls[k, 2]
+                away = walls[k, 3] - eye[0] * walls[k, 0] - eye[1] * walls[k, 1] - eye[2] * walls[k, 2]
+                if away < 0.0:
+                    turn, away = -turn, -away
+                if turn * limit <= away:
+                    continue
+                way = away / turn
+                u = eye[0] + way * dx - walls[k, 4]
+                v = eye[1] + way * dy - walls[k, 5]
+                w = eye[2] + way * dz - walls[k, 6]
+                if u * u + v * v + w * w < walls[k, 7] * walls[k, 7]:
+                    limit = max(way - step / max(turn, 0.2), 0.0)
             fog, r = 0.0, 0.0
             while r < limit and fog < 1.0:
                 r += step

@@ -14,30 +14,36 @@ from ullage.kernels.occupancy import EMPTY, MOST_HITS, SCALE, Pools, cell_index,
 def lay_strip(
     pools: Pools, step: float, edge: int, foot: np.ndarray, way: np.ndarray, sigma: float, half: float, gain: float
 ) -> None:
-    """Add up to `gain` [nat] to the cells of a plane map within `half` of the foot, less the farther off the strip.
+    """Add up to `gain` [nat] to the cells within `half` of the foot square to the way, less the farther off.
 
-    `way` is the level unit vector from the sensor to the foot of the perpendicular; `sigma` the doubt in range [m].
+    `way` is the unit vector from the sensor to the foot of the perpendicular, level on a plane; `sigma` the doubt in
+    range [m].
     """
     reach = half + 3.0 * sigma + step
-    low_x = max(math.floor((foot[0] - reach - pools.origin[0]) / step), 0)
-    low_y = max(math.floor((foot[1] - reach - pools.origin[1]) / step), 0)
-    high_x = min(math.floor((foot[0] + reach - pools.origin[0]) / step), pools.size[0] - 1)
-    high_y = min(math.floor((foot[1] + reach - pools.origin[1]) / step), pools.size[1] - 1)
-    side = side_of(-way[0], -way[1], 0.0, True)
-    for iy in range(low_y, high_y + 1):
-        dy = pools.origin[1] + (iy + 0.5) * step - foot[1]
-        for ix in range(low_x, high_x + 1):
-            dx = pools.origin[0] + (ix + 0.5) * step - foot[0]
-            deep = (dx * way[0] + dy * way[1]) / sigma
-            if abs(dx * way[1] - dy * way[0]) > half or abs(deep) > 2.5:
-                continue
-            tenths = int(gain * math.exp(-0.5 * deep * deep) * SCALE + 0.5)
-            if tenths < 1:
-                continue
-            slot = pools.slots[0, iy // edge, ix // edge]
-            if slot == EMPTY:
-                slot = take_block(pools, 0, iy // edge, ix // edge)
-            cell = cell_index(ix, iy, 0, edge, 1)
-            pools.loud[slot] = 1
-            pools.hits[slot, cell] = min(pools.hits[slot, cell] + tenths, MOST_HITS)
-            pools.facing[slot, cell] = side
+    flat = pools.size[2] == 1
+    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for d in range(2 if flat else 3):
+        low[d] = max(math.floor((foot[d] - reach - pools.origin[d]) / step), 0)
+        high[d] = min(math.floor((foot[d] + reach - pools.origin[d]) / step), pools.size[d] - 1)
+    side = side_of(-way[0], -way[1], -way[2], flat)
+    for iz in range(low[2], high[2] + 1):
+        dz = 0.0 if flat else pools.origin[2] + (iz + 0.5) * step - foot[2]
+        for iy in range(low[1], high[1] + 1):
+            dy = pools.origin[1] + (iy + 0.5) * step - foot[1]
+            for ix in range(low[0], high[0] + 1):
+                dx = pools.origin[0] + (ix + 0.5) * step - foot[0]
+                off = dx * way[0] + dy * way[1] + dz * way[2]
+                deep = off / sigma
+                if dx * dx + dy * dy + dz * dz - off * off > half * half or abs(deep) > 2.5:
+                    continue
+                tenths = int(gain * math.exp(-0.5 * deep * deep) * SCALE + 0.5)
+                if tenths < 1:
+                    continue
+                bz, by, bx = 0 if flat else iz // edge, iy // edge, ix // edge
+                slot = pools.slots[bz, by, bx]
+                if slot == EMPTY:
+                    slot = take_block(pools, bz, by, bx)
+                cell = cell_index(ix, iy, iz, edge, pools.size[2])
+                pools.loud[slot] = 1
+                pools.hits[slot, cell] = min(pools.hits[slot, cell] + tenths, MOST_HITS)
+                pools.facing[slot, cell] = side

@@ -17,11 +17,11 @@ PRIOR = -3.5
 FREE_NATS = np.array([0, 0.3, 0.7, 1.2, 2.0, 2.7] + [3.5] * 11)
 WALL_TENTHS = 20
 HAZE_PER_M = 0.12
-SHADE_DEG = 25.0
 STRIDE = {2: 1, 3: 4}
 MOST_FOUND = 60_000
 COLLAPSED_EVERY = 64
 RAY_TENTHS = 20
+NO_WALLS = np.zeros((0, 8))
 
 
 class Blocks:
@@ -62,18 +62,17 @@ class Blocks:
         self._found, self._chance = np.zeros((MOST_FOUND, 5), np.int32), np.zeros(MOST_FOUND)
         self._turn = 0
 
-    def insert(self, beam: Beam, ways: NDArray[np.float64]) -> None:
+    def insert(self, beam: Beam, ways: NDArray[np.float64], walls: NDArray[np.float64] = NO_WALLS) -> None:
         """Add one look.
 
         Args:
             beam: the sensor, its echoes and its silence; `reach` is filled in.
-            ways: (m, 4) direction and range of surfaces known to lie square to the look.
+            ways: (m, 5) direction and range of surfaces known to lie square to the look, and how far they shade.
+            walls: (p, 8) normal, distance, centre and radius of flat surfaces that nothing is learned of.
         """
         step, stride = self.grid.step_m, STRIDE[self.grid.dims]
         self._turn += 1
-        farthest = cast_reach(
-            self.pools, step, self.edge, beam, ways, np.cos(np.radians(SHADE_DEG)), WALL_TENTHS, HAZE_PER_M * step
-        )
+        farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, WALL_TENTHS, HAZE_PER_M * step)
         rows = survey_blocks(self.pools, step, self.edge, beam, min(farthest + step, beam.far), self._turn, stride)
         self.reserve(int(np.count_nonzero(self.pools.slots[rows[:, 0], rows[:, 1], rows[:, 2]] == EMPTY)))
         found = hear_blocks(
@@ -84,15 +83,15 @@ class Blocks:
             self.collapse()
 
     def lay(self, foot: NDArray[np.float64], way: NDArray[np.float64], strip: tuple[float, float, float]) -> None:
-        """Add an echo's evidence to the strip of surface, square to its way, that made it (planes only).
+        """Add an echo's evidence to the strip or disc of surface, square to its way, that made it.
 
         Args:
             foot: (3) foot of the perpendicular [m].
-            way: (3) level unit vector to it.
+            way: (3) unit vector to it, level on a plane.
             strip: doubt in range [m], half length [m], gain on the strip [nat].
         """
         sigma, half, gain = strip
-        self.reserve(int(2 * (half + 3 * sigma) / (self.edge * self.grid.step_m) + 3) ** 2)
+        self.reserve(int(2 * (half + 3 * sigma) / (self.edge * self.grid.step_m) + 3) ** self.grid.dims)
         lay_strip(self.pools, self.grid.step_m, self.edge, foot, way, sigma, half, gain)
 
     def clear(self, position: NDArray[np.float64], radius_m: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,10 @@ from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways
+from ullage.processing.mapper_tracks import EchoTracks, Foot
 
 Floats = NDArray[np.float64]
+Weighed = tuple[Floats, Floats, Floats]
 
 DETECTION = 0.9
 ENOUGH_SIDES = 4
@@ -33,6 +36,9 @@ FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
 FRESNEL_SHARE, LOOK_SHARE, FLAT_SHARE = 0.85, 0.4, 0.9
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
+SHADE = float(np.cos(np.radians(25.0)))
+AHEAD = 24
+RING = 2.0  # of an arc in a volume: its bearing names no place
 
 
 class UllageMapper:
@@ -59,6 +65,8 @@ class UllageMapper:
         self._levels = LevelFinder()
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
+        self._tracks = EchoTracks()
+        self._late: deque[tuple[str, Look, Floats, NDArray[np.bool_]]] = deque()
         self._waiting: list[tuple[int, str, Look]] = []
         self._flown: dict[tuple[int, ...], None] = {}
 
@@ -102,16 +110,33 @@ class UllageMapper:
                 self._insert_waiting(self._levels)
         if last:
             self._insert_waiting(self._levels)
+            while self._late:
+                self._insert(*self._late.popleft())
 
     def _insert_waiting(self, levels: LevelFinder) -> None:
         for _, name, look in self._waiting:
-            self._insert(name, self._lobes.without_sidelobes(name, levels.without_levels(look)))
+            if self.grid.dims == 2:
+                kept = self._lobes.without_sidelobes(name, levels.without_levels(look))
+                self._insert(name, kept, *self._arcs(kept, self._weigh(kept)))
+            else:
+                self._tracks.believe(levels.levels(), look.heard.position)
+                self._follow(name, self._lobes.without_sidelobes(name, look))
         self._waiting.clear()
 
-    def _insert(self, name: str, look: Look) -> None:
+    def _follow(self, name: str, look: Look) -> None:
+        """In a volume, silence waits until the walls around are known from how their echoes went on."""
+        weighed = self._weigh(look)
+        if weighed is not None:
+            for foot in self._tracks.follow(name, look, *weighed, self._lobe[name][0][0]):
+                self._lay_disc(foot)
+        self._late.append((name, look, *self._arcs(look, weighed)))
+        if len(self._late) > AHEAD * len(self._axis):
+            self._insert(*self._late.popleft())
+
+    def _insert(self, name: str, look: Look, arcs: Floats, flat: NDArray[np.bool_]) -> None:
         start, bin_m, far = self._axis[name]
         hit, free = self._lobe[name]
-        heard, (arcs, flat) = look.heard, self._arcs(look)
+        heard = look.heard
         self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
         self._flown[tuple(np.rint(heard.position / self.grid.step_m).astype(int).tolist())] = None
         quiet = np.concatenate([[0], np.cumsum(heard.quiet)])
@@ -129,8 +154,8 @@ class UllageMapper:
             quiet,
             arcs,
         )
-        ways = [(*way, arc[0]) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc, hit[0])]
-        self.blocks.insert(beam, np.array(ways).reshape(-1, 4))
+        ways = [(*way, arc[0], SHADE) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc, hit[0])]
+        self.blocks.insert(beam, np.array(ways).reshape(-1, 5), self._tracks.walls)
         if self.grid.dims == 2:
             self._lay_strips(beam, arcs, flat, hit[0])
 
@@ -151,7 +176,19 @@ class UllageMapper:
                 gain = LOOK_SHARE * np.log((1 - arc[9]) / arc[9]) * half / np.hypot(half, blur)
                 self.blocks.lay(beam.eye + arc[0] * way, way, (float(arc[1]), float(half), float(gain)))
 
-    def _arcs(self, look: Look) -> tuple[Floats, NDArray[np.bool_]]:
+    def _lay_disc(self, foot: Foot) -> None:
+        """The same in a volume, for an echo whose direction its track told."""
+        echo = foot.echo
+        false = float(np.clip(1 - echo.trust, LEAST_FALSE, 0.95))
+        if false < 0.5:
+            half = np.sqrt(self._wavelength_m * echo.range_m / 2) if foot.flat else 0.75 * self.grid.step_m
+            gain = LOOK_SHARE * np.log((1 - false) / false)
+            self.blocks.lay(foot.at, foot.way, (0.35 * self.grid.step_m, float(half), float(gain)))
+
+    def _weigh(self, look: Look) -> Weighed | None:
+        return self._judge.weigh(look) if look.track.any() else None
+
+    def _arcs(self, look: Look, weighed: Weighed | None) -> tuple[Floats, NDArray[np.bool_]]:
         """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false.
 
         With them, whether each may be off a smooth surface: focused at least nearly as well as a wall as as a point.
@@ -161,16 +198,18 @@ class UllageMapper:
         arcs[:, 0] = echoes[:, 0]
         arcs[:, 1] = np.maximum(echoes[:, 1], 0.35 * step)
         arcs[:, 2:5] = look.track
-        if not look.track.any():
+        if weighed is None:
             arcs[:, 6], arcs[:, 7], arcs[:, 9] = 1e3, 0.5, 0.5
             return arcs, np.zeros(len(arcs), bool)
-        cosine, sigma, trust = self._judge.weigh(look)
+        cosine, sigma, trust = weighed
         blur = 0.35 * step / np.maximum(echoes[:, 0], 0.1)
         arcs[:, 5] = np.clip(cosine, -1, 1)
         arcs[:, 6] = np.sqrt(sigma**2 + blur**2 + LEAST_TURN**2)
         arcs[:, 7], arcs[:, 8], arcs[:, 9] = DETECTION, 1, np.clip(1 - trust, LEAST_FALSE, 0.95)
         heard = trust >= LEAST_TRUST
         flat = look.sharp[:, 3] >= FLAT_SHARE * look.sharp[:, 4]
+        if self.grid.dims == 3:
+            arcs[:, 8] = RING
         return arcs[heard], flat[heard]
 
     def _ways(self, axes: Floats, arc: Floats, least: float) -> list[Floats]:

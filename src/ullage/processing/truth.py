@@ -64,7 +64,7 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     """
     parts = sensors_of(frames)
     plane = grid.at_height(float(np.mean(np.concatenate([true_path(p).position[:, 2] for p in parts]))))
-    spacing = min(0.025, grid.step_m / 2) if spacing_m is None else spacing_m
+    spacing = (min(0.025, grid.step_m / 2) if grid.dims == 2 else grid.step_m / 2) if spacing_m is None else spacing_m
     points, normals, owner = (_slice if grid.dims == 2 else _volume)(scene, plane, spacing)
     _, inside = plane.index(points)
     points, normals, owner = points[inside], normals[inside], owner[inside]

@@ -1,0 +1,253 @@
+"""Where an echo comes from in a volume: its range, followed along a track that also rises and turns, gives all of it.
+
+The range of a flat surface falls along the track with the cosine of the angle to its normal, which leaves a ring of
+directions. Over a metre or two the track itself bends, mostly by changing height, and each stretch has another ring:
+the normal is where they cross. What one straight stretch leaves open, the length of the normal and the beam settle or
+leave open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.processing.mapper_looks import Look
+
+Floats = NDArray[np.float64]
+
+LINK_M, LINK_PATH_M, LINK_NS = 0.05, 0.25, 1_000_000_000
+LINK_COSINE, LOUDER = 0.25, 5.0
+FOLLOWED = 48
+LEAST_LOOKS, FIT_EVERY = 8, 3
+RANGE_SIGMA_M, COSINE_SIGMA = 0.03, 0.06
+SCATTER_M, TURN_SIGMA = 0.015, 0.12
+TOLD_APART, SAME_WAY = 9.0, 0.28
+SAME_WALL, SAME_WALL_M, BEYOND_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 1.0, 96, 15
+FITS_M, FITS_COSINE, LEVEL_M = 0.04, 0.08, 12.0
+POST_BETTER, LEAST_SCATTER_M = 0.6, 0.004
+
+
+@dataclass(slots=True, eq=False)
+class Traced:
+    """One echo of one look."""
+
+    t_ns: int
+    position: Floats  # (3) of the sensor
+    track: Floats  # (3) unit vector along the way
+    range_m: float
+    cosine: float
+    height: float
+    sigma: float
+    trust: float
+    laid: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class Followed:
+    """The echoes of one reflector, look after look, and its direction once that is known."""
+
+    echoes: list[Traced] = field(default_factory=list)
+    normal: Floats | None = None
+    post: Floats | None = None  # (2) where it stands, if it is an upright edge or pole [m]
+    count: int = 0
+
+    def way(self, echo: Traced) -> tuple[Floats, bool]:
+        """Unit vector (3) to what made an echo, and whether that is flat."""
+        if self.post is None or self.normal is None:
+            return np.zeros(3) if self.normal is None else self.normal, True
+        level = np.array([*(self.post - echo.position[:2]), 0.0])
+        return level / max(float(np.linalg.norm(level)), 1e-9), False
+
+    def miss(self, echo: Traced) -> float:
+        """By how much an echo's range misses what this one's is by now, infinite where it cannot be the same [m]."""
+        last = self.echoes[-1]
+        step = echo.position - last.position
+        if abs(echo.cosine * np.sign(echo.track @ last.track) - last.cosine) > LINK_COSINE + 2 * echo.sigma:
+            return np.inf
+        if not 1 / LOUDER < echo.height / max(last.height, 1e-30) < LOUDER:
+            return np.inf
+        slope = last.cosine * (last.track @ step) if self.normal is None else self.normal @ step
+        return abs(echo.range_m - last.range_m + float(slope))
+
+
+class EchoTracks:
+    """Follows the echoes of each sensor and tells their directions."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, list[Followed]] = {}
+        self._walls: list[Floats] = []
+        self._held: list[list[Foot]] = []
+        self._levels = np.zeros((0, 8))
+
+    @property
+    def walls(self) -> Floats:
+        """Flat surfaces so far (p, 8): normal and distance, centre and radius of where echoes place them [m]."""
+        rows = np.array(self._walls).reshape(-1, 9)
+        out = rows[rows[:, 8] >= SURE_FEET, :8]
+        out[:, 7] += BEYOND_M
+        return np.concatenate([self._levels, out])
+
+    def believe(self, levels: list[tuple[int, float]], position: Floats) -> None:
+        """Take floor (-1) and ceiling (1) at these heights for walls around a place [m]."""
+        self._levels = np.array([[0, 0, sign, sign * z, *position[:2], z, LEVEL_M] for sign, z in levels]).reshape(
+            -1, 8
+        )
+
+    def _known(self, echo: Traced) -> Floats | None:
+        """Normal of the one known wall that range and bearing of an echo fit."""
+        if not len(walls := self.walls):
+            return None
+        normal = walls[:, :3]
+        foot = echo.position + echo.range_m * normal
+        miss = abs(walls[:, 3] - normal @ echo.position - echo.range_m) / FITS_M
+        turn = abs(normal @ echo.track - echo.cosine) / (FITS_COSINE + echo.sigma)
+        fits = np.hypot(miss, turn) + 9 * (np.linalg.norm(foot - walls[:, 4:7], axis=1) > walls[:, 7])
+        best = int(np.argmin(fits))
+        other = fits[normal @ normal[best] < 0.9]
+        return normal[best] if fits[best] < 1 and (not len(other) or other.min() > 2) else None
+
+    def _remember(self, foot: Foot) -> list[Foot]:
+        """Add a foot to its wall; the feet that are to be told, all of a wall's once it has enough."""
+        at, normal = foot.at, foot.way
+        for k, wall in enumerate(self._walls):
+            if normal @ wall[:3] > SAME_WALL and abs(at @ wall[:3] - wall[3]) < SAME_WALL_M:
+                apart = at - wall[4:7]
+                far = float(np.linalg.norm(apart))
+                if far < wall[7] + 2 * BEYOND_M:
+                    wall[8] += 1
+                    grow = max(far - wall[7], 0.0) / 2
+                    wall[4:7] += grow / max(far, 1e-9) * apart
+                    wall[7] += grow
+                    if wall[8] < SURE_FEET:
+                        self._held[k].append(foot)
+                        return []
+                    out, self._held[k] = [*self._held[k], foot], []
+                    return out
+        self._walls.append(np.array([*normal, at @ normal, *at, 0.0, 1.0]))
+        self._held.append([foot])
+        del self._walls[:-MOST_WALLS], self._held[:-MOST_WALLS]
+        return []
+
+    def follow(self, name: str, look: Look, cosine: Floats, sigma: Floats, trust: Floats, least: float) -> list[Foot]:
+        """Add a look's echoes; the feet of perpendiculars that are now known and were not told before.
+
+        Args:
+            name: of the sensor.
+            look: its look, with a track.
+            cosine: to the track (k).
+            sigma: its doubt (k).
+            trust: chance that the bearing is true (k).
+            least: cosine to boresight in which echoes are looked for.
+        """
+        here, now = look.heard.position, look.heard.t_ns
+        held = [
+            one
+            for one in self._open.get(name, [])
+            if now - one.echoes[-1].t_ns < LINK_NS and np.linalg.norm(here - one.echoes[-1].position) < LINK_PATH_M
+        ]
+        free, feet = list(held), []
+        for k in np.argsort(-trust):
+            echo = Traced(
+                now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
+                float(sigma[k]), float(trust[k]),
+            )  # fmt: skip
+            misses = [one.miss(echo) for one in free]
+            if misses and min(misses) < LINK_M:
+                one = free.pop(int(np.argmin(misses)))
+            else:
+                one = Followed()
+                held.append(one)
+            one.echoes.append(echo)
+            del one.echoes[:-FOLLOWED]
+            one.count += 1
+            if one.count >= LEAST_LOOKS and one.count % FIT_EVERY == 0:
+                one.normal = normal_of(one.echoes, look.heard.axes[:, 0], least)
+                one.post = None if one.normal is None else post_of(one.echoes, one.normal)
+            if one.normal is not None:
+                fresh = [Foot(e, *one.way(e)) for e in one.echoes if not e.laid]
+                for foot in fresh:
+                    foot.echo.laid = True
+                    feet += self._remember(foot) if foot.flat else [foot]
+            elif not echo.laid and (way := self._known(echo)) is not None:
+                echo.laid = True
+                feet.append(Foot(echo, way, True))
+        self._open[name] = held
+        return feet
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foot:
+    """An echo whose direction is known."""
+
+    echo: Traced
+    way: Floats  # (3) unit vector to the surface
+    flat: bool  # a wall, not an edge or a pole
+
+    @property
+    def at(self) -> Floats:
+        """Where it is (3) [m]."""
+        return np.asarray(self.echo.position + self.echo.range_m * self.way)
+
+
+def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | None:
+    """Unit vector (3) to a flat surface from the ranges along a bent track; None while that is not known.
+
+    Range and cosine are linear in the normal. Its two best known components come by least squares, the third by its
+    unit length with a sign that the beam or the third component's own data tell.
+    """
+    at = np.array([e.position for e in echoes])
+    reach = np.array([e.range_m for e in echoes])
+    track = np.array([e.track for e in echoes])
+    turn = np.array([e.cosine for e in echoes])
+    weigh = 1 / (COSINE_SIGMA**2 + np.array([e.sigma for e in echoes]) ** 2)
+    apart, gone = (at - at.mean(0)) / RANGE_SIGMA_M, (reach - reach.mean()) / RANGE_SIGMA_M
+    matrix = apart.T @ apart + (track * weigh[:, None]).T @ track
+    right = -apart.T @ gone + (track * weigh[:, None]).T @ turn
+    strength, axes = np.linalg.eigh(matrix)
+    along = (axes.T @ right) / np.maximum(strength, 1e-9)
+    rest = 1 - along[1] ** 2 - along[2] ** 2
+    if rest < -0.1:
+        return None
+    third = np.sqrt(max(rest, 0.0))
+    both = [sign * third * axes[:, 0] + along[1] * axes[:, 1] + along[2] * axes[:, 2] for sign in (-1.0, 1.0)]
+    lit = [k for k in (0, 1) if both[k] @ ahead > least]
+    if third < SAME_WAY:
+        level = along[1] * axes[:, 1] + along[2] * axes[:, 2]
+        return _settled(level, matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+    if not lit:
+        return None
+    if len(lit) == 2:
+        cost = [strength[0] * (sign * third - along[0]) ** 2 for sign in (-1.0, 1.0)]
+        if abs(cost[0] - cost[1]) < TOLD_APART:
+            return None
+        lit = [int(np.argmin(cost))]
+    return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+
+
+def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
+    """Place (2) of an upright edge or pole, where that explains the ranges much better than a wall does [m]."""
+    at, reach = np.array([e.position for e in echoes]), np.array([e.range_m for e in echoes])
+    off = reach - reach.mean() + (at - at.mean(0)) @ normal
+    post = (at[-1] + reach[-1] * normal)[:2]
+    miss = off
+    for _ in range(6):
+        gap = post - at[:, :2]
+        away = np.maximum(np.linalg.norm(gap, axis=1), 1e-3)
+        miss = reach - away
+        post = post + np.linalg.lstsq(gap / away[:, None], miss, rcond=1e-3)[0]
+    return post if np.sqrt(np.mean(miss**2)) < POST_BETTER * max(float(np.std(off)), LEAST_SCATTER_M) else None
+
+
+def _settled(normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone: Floats) -> Floats | None:
+    """The normal improved on the sphere, or None where it is vague or ranges miss a plane."""
+    for _ in range(3):
+        normal = normal / np.linalg.norm(normal)
+        side = np.linalg.svd(normal[None])[2][1:].T
+        inside = side.T @ matrix @ side
+        normal = normal + side @ np.linalg.solve(inside + 1e-9 * np.eye(2), side.T @ (right - matrix @ normal))
+    normal = normal / np.linalg.norm(normal)
+    doubt = 1 / np.sqrt(max(float(np.linalg.eigvalsh(inside)[0]), 1e-9))
+    scatter = float(np.std(gone + apart @ normal))
+    return np.asarray(normal) if doubt < TURN_SIGMA and scatter < SCATTER_M else None

@@ -1,0 +1,90 @@
+"""The direction of an echo from its ranges along a bent track, in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ullage.processing.mapper_looks import Heard, Look
+from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of
+
+AHEAD = np.array([0.0, 1.0, 0.0])
+LEAST = float(np.cos(np.radians(40)))
+
+
+def waving(count: int = 40, *, rise_m: float = 0.3) -> np.ndarray:
+    x = 0.05 * np.arange(count)
+    return np.column_stack([x, 0 * x, rise_m * np.sin(2.5 * x)])
+
+
+def traced(at: np.ndarray, reach: np.ndarray, rng: np.random.Generator) -> list[Traced]:
+    track = np.gradient(at, axis=0)
+    track /= np.linalg.norm(track, axis=1)[:, None]
+    cosine = -np.gradient(reach) / np.linalg.norm(np.gradient(at, axis=0), axis=1)
+    cosine = cosine + rng.normal(0, 0.02, len(at))
+    return [Traced(10**8 * i, at[i], track[i], reach[i], cosine[i], 1e-3, 0.02, 0.9) for i in range(len(at))]
+
+
+def off_wall(normal, distance: float, at: np.ndarray, rng) -> list[Traced]:
+    return traced(at, distance - at @ np.asarray(normal, float) + rng.normal(0, 0.004, len(at)), rng)
+
+
+@pytest.mark.parametrize("elevation_deg", [-30, 0, 25])
+def test_a_track_that_rises_and_sinks_tells_how_a_wall_leans(elevation_deg):
+    rng = np.random.default_rng(1)
+    up = np.radians(elevation_deg)
+    normal = np.array([0.2 * np.cos(up), np.sqrt(0.96) * np.cos(up), np.sin(up)])
+    found = normal_of(off_wall(normal, 3.0, waving(), rng), AHEAD, LEAST)
+    assert found is not None
+    assert found @ normal > np.cos(np.radians(5))
+
+
+def test_a_straight_level_track_leaves_it_open():
+    rng = np.random.default_rng(2)
+    normal = np.array([0.1, 0.95, 0.3]) / np.linalg.norm([0.1, 0.95, 0.3])
+    assert normal_of(off_wall(normal, 3.0, waving(rise_m=0.0), rng), AHEAD, LEAST) is None
+
+
+def test_a_pole_is_no_wall_and_a_wall_no_pole():
+    rng = np.random.default_rng(4)
+    at, place = waving(), np.array([1.0, 2.0])
+    echoes = traced(at, np.linalg.norm(place - at[:, :2], axis=1) + rng.normal(0, 0.003, len(at)), rng)
+    found = post_of(echoes, AHEAD)
+    assert found is not None
+    np.testing.assert_allclose(found, place, atol=0.05)
+    assert post_of(off_wall(AHEAD, 3.0, at, rng), AHEAD) is None
+
+
+def follow_all(at: np.ndarray, reach: np.ndarray, *, levels: tuple = ()) -> tuple[EchoTracks, list]:
+    tracks, feet = EchoTracks(), []
+    tracks.believe(list(levels), at[0])
+    axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
+    for echo in traced(at, reach, np.random.default_rng(5)):
+        heard = Heard(echo.t_ns, echo.position, axes, 1, np.zeros(16), np.zeros(16), np.zeros(8, bool), None)
+        look = Look(heard, echo.track, np.array([[echo.range_m, 0.003, echo.cosine, 0.02, 1, 1e-3]]), np.zeros((1, 5)))
+        feet += tracks.follow("front", look, np.array([echo.cosine]), np.array([0.02]), np.array([0.9]), LEAST)
+    return tracks, feet
+
+
+def test_every_echo_of_a_wall_is_told_once_it_is_sure_and_none_twice():
+    at = waving(60)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1])
+    assert len(feet) >= 55
+    assert len({foot.echo.t_ns for foot in feet}) == len(feet)
+    assert max(abs(foot.at[1] - 3.0) for foot in feet) < 0.03
+    (wall,) = tracks.walls
+    assert wall[3] == pytest.approx(3.0, abs=0.03)
+
+
+def test_a_dozen_echoes_make_no_wall():
+    at = waving(14)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1])
+    assert not feet
+    assert not len(tracks.walls)
+
+
+def test_an_echo_of_a_known_floor_is_told_at_once():
+    at = waving(6)
+    _, feet = follow_all(at, at[:, 2] + 1.5, levels=((-1, -1.5),))
+    assert len(feet) == 6
+    assert max(abs(foot.at[2] + 1.5) for foot in feet) < 0.03
