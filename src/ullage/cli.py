@@ -136,8 +136,8 @@ def warm_up(source: str, options: list[str]) -> None:
     if compiled(parts):
         return
     console.print(f"compiling kernels for {', '.join(parts)} (once after installation)")
-    with console.status("compiling"):
-        compile_kernels(parts)
+    with console.status("compiling") as line:
+        compile_kernels(parts, tell=lambda what: line.update(f"compiling {what}"))
 
 
 def _say(text: str) -> None:

@@ -12,7 +12,7 @@ from ullage.kernels.edges import mirror
 MOST = 96  # corners of a clipped outline
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _clip(points, count, plane, out):  # type: ignore[no-untyped-def]
     """Keeps the part of a closed outline where plane . (x, 1) >= 0 (Sutherland-Hodgman); gives the corner count."""
     kept = 0
@@ -34,7 +34,7 @@ def _clip(points, count, plane, out):  # type: ignore[no-untyped-def]
     return kept
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _walls(apex, outline, count, normal, offset, planes):  # type: ignore[no-untyped-def]
     """Planes of the beam from an image through a convex outline, on the side where it comes out; gives their count."""
     cx, cy, cz = 0.0, 0.0, 0.0
@@ -62,7 +62,7 @@ def _walls(apex, outline, count, normal, offset, planes):  # type: ignore[no-unt
     return made + 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _reached(sphere, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
     """Whether a face's sphere meets the beam and can echo within the gate."""
     for i in range(made):
@@ -76,7 +76,7 @@ def _reached(sphere, planes, made, apex, receiver, gate):  # type: ignore[no-unt
     return 0.5 * (math.sqrt(a) + math.sqrt(b)) - sphere[3] <= gate
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, at):  # type: ignore[no-untyped-def]
     """Writes the clipped outline of a face as edges (m, 2, 3) from `at` on; gives where it ends."""
     for loop in range(loop_of[target], loop_of[target + 1]):
@@ -102,7 +102,7 @@ def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, a
     return at
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
           targets, apexes, chains, ends_on, first, edges):  # fmt: skip
     """Every beam of `order` bounces: over one or two mirrors, then on the face it ends on.
@@ -182,6 +182,6 @@ def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offs
     return beams, at
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gap(point, normal, offset):  # type: ignore[no-untyped-def]
     return abs(normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)

@@ -13,7 +13,7 @@ from ullage.kernels.rims import lay_line
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def transition(x):  # type: ignore[no-untyped-def]
     """The transition function F(x) of uniform diffraction, 1 far from the shadow's border [KouyoumjianPathak1974]."""
     if x > 12:
@@ -31,7 +31,7 @@ def transition(x):  # type: ignore[no-untyped-def]
     return 2j * s * complex(math.cos(x), math.sin(x)) * tail
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _graze(p, open_angle, inward, normal, wave, width, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """One edge of a pair: diffraction along the face, with gains over ranges; out gets hz of both ends and path."""
     u = np.zeros(3)
@@ -71,7 +71,7 @@ def _graze(p, open_angle, inward, normal, wave, width, origins, frames, fields, 
     return g * d * transition(2 * wave * width * half * half)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _twice(p, gap, width, angles, inward, normal, sheet, wave, origins, frames, fields, table, flat, out, other):  # type: ignore[no-untyped-def]
     """Strength per length of the wave that runs over the face from edge to edge; path length goes to out[2]."""
     q = np.empty(3)
@@ -88,7 +88,7 @@ def _twice(p, gap, width, angles, inward, normal, sheet, wave, origins, frames, 
     return -faces * both * spread * first * second * complex(math.sqrt(0.5), -math.sqrt(0.5))
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
                 flat, factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of waves that cross a face between two parallel edges, there and back.

@@ -18,7 +18,7 @@ C0 = 299_792_458.0
 FAR = 0.1  # a rim is done by its ends where the second term there is no more of the first than this
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
     """The mirror image of a point in the plane normal . x = offset."""
     gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
@@ -26,7 +26,7 @@ def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = point[k] - gap * normal[k]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _spot(p, q, share, source, image, axis, length, out):  # type: ignore[no-untyped-def]
     """Point at `share` of the edge p-q: its place, path length, weight K / (r s) and offset from the axis."""
     along, r2, s2 = 0.0, 0.0, 0.0
@@ -47,7 +47,7 @@ def _spot(p, q, share, source, image, axis, length, out):  # type: ignore[no-unt
     out[4] = weight / (r * s)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _turn(u, v, axis):  # type: ignore[no-untyped-def]
     """Angle from u to v around the axis."""
     cross = (
@@ -58,7 +58,7 @@ def _turn(u, v, axis):  # type: ignore[no-untyped-def]
     return math.atan2(cross, u[5] * v[5] + u[6] * v[6] + u[7] * v[7])
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _steep(u, along, source, image, axis, length, wave, out):  # type: ignore[no-untyped-def]
     """What a rim that ends at a spot, far from where its path is shortest, adds there; gives the path's rate along it.
 
@@ -92,7 +92,7 @@ def _steep(u, along, source, image, axis, length, wave, out):  # type: ignore[no
     return rate
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _slow_part(p, q, size, along, source, image, axis, length, wave, spot, term, out):  # type: ignore[no-untyped-def]
     """Shares of the edge p-q between which its path is too near to its shortest for the rim to be done by its ends."""
     za, zb, ha, hb = 0.0, 0.0, 0.0, 0.0
@@ -123,21 +123,35 @@ def _slow_part(p, q, size, along, source, image, axis, length, wave, spot, term,
         out[1] = 1.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _end(u, along, into, normal, factor, term, tie, p, ends, holders, ties, opened, at):  # type: ignore[no-untyped-def]
-    """Writes the end of a rim, or adds it to the one at the same corner of the same face; gives how many there are."""
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _end(u, along, into, normal, factor, term, tie, p, ends, holders, ties, at):  # type: ignore[no-untyped-def]
+    """Writes the end of a rim, or adds it to the one at the same corner of the same face.
+
+    Args:
+        u: the spot, as `_spot` gives it.
+        along: (3) unit vector along the rim, which leads `into` (1 or -1) times so from there.
+        normal: (3) of the face.
+        factor: 1 where the rim ends, -1 where it begins, by the sign of the face.
+        term: (2) as `_steep` gives it.
+        tie: piece that goes on from there; negative: none.
+        p: the face.
+        ends, holders, ties: as in `cut`.
+        at: (4) how many ends there are in at[1], the face's first in at[2].
+    """
     value = factor * term[0]
     turned, straight = value * term[1], value * (1 - 3 * term[1] * term[1])
-    row = at
-    if tie < 0 and at <= len(ends):
-        for known in (at - 1, opened):
-            if (opened <= known < at and ties[known] < 0 and ends[known, 0] == u[0] and ends[known, 1] == u[1]
+    row = at[1]
+    if tie < 0 and row <= len(ends):
+        known = at[1] - 1
+        for _ in range(2):
+            if (at[2] <= known < at[1] and ties[known] < 0 and ends[known, 0] == u[0] and ends[known, 1] == u[1]
                     and ends[known, 2] == u[2]):  # fmt: skip
                 row = known
-                break
-    if row == at:
-        if at >= len(ends):
-            return at + 1
+            known = at[2]
+    if row == at[1]:
+        at[1] += 1
+        if row >= len(ends):
+            return
         holders[row], ties[row], ends[row, 3] = p, tie, u[3]
         for k in range(3):
             ends[row, k], ends[row, 6 + k] = u[k], 0.0
@@ -146,10 +160,9 @@ def _end(u, along, into, normal, factor, term, tie, p, ends, holders, ties, open
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         ends[row, 6 + k] += normal[i] * along[j] - normal[j] * along[i] + into * along[k]
-    return at + 1 if row == at else at
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _before(p, normal, offset, sphere, here, gate, image, axis):  # type: ignore[no-untyped-def]
     """Whether a face can echo within the gate; the transmitter's image and the unit axis from it go to the last two.
 
@@ -179,11 +192,11 @@ def _before(p, normal, offset, sphere, here, gate, image, axis):  # type: ignore
     return length
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _pieces(a, b, size, source, image, axis, length, limit, most, wave, sign, p, stack, m, pieces, owner, count):  # type: ignore[no-untyped-def]
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def _pieces(a, b, size, source, image, axis, length, limit, most, wave, sign, p, stack, m, pieces, owner, at):  # type: ignore[no-untyped-def]
     """Halves the rim between two spots until each piece's delay is nearly linear in phi.
 
-    Gives the count of pieces, and the turn of all of them around the axis.
+    Gives the turn of all of them around the axis; at[0] counts the pieces.
     """
     winding = 0.0
     stack[0, 0], stack[0, 1], stack[0, 2] = 0.0, 1.0, _turn(a, b, axis)
@@ -218,6 +231,8 @@ def _pieces(a, b, size, source, image, axis, length, limit, most, wave, sign, p,
         winding += turn
         if abs(turn) < 1e-5 or 0.5 * min(u[3], v[3]) > limit or min(u[3], v[3]) > length + most:
             continue
+        count = at[0]
+        at[0] += 1
         if count < len(pieces):
             for k in range(3):
                 pieces[count, k], pieces[count, 3 + k] = u[k], v[k]
@@ -226,11 +241,10 @@ def _pieces(a, b, size, source, image, axis, length, limit, most, wave, sign, p,
             pieces[count, 10] = sign * turn
             pieces[count, 11] = bend / (6 * round_part) if round_part > 0.04 else 0.0
             owner[count] = p
-        count += 1
-    return count, winding
+    return winding
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
         tips, holders, ties, windings):  # fmt: skip
     """Parts the rims of faces within the gate: where the path is near its shortest, into pieces; beyond, by their ends.
@@ -258,7 +272,8 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
     Returns:
         How many pieces and ends there are; only those that fit are written.
     """
-    count, at = 0, 0
+    at = np.zeros(4, np.int64)  # pieces, ends, first end of the face, none
+    at[3] = -1
     image, axis, along, term, share = np.empty(3), np.empty(3), np.empty(3), np.empty(2), np.empty(2)
     stack = np.empty((64, 19))  # of pieces of an edge: where they start and end, their turn, both ends' spots
     spots = np.empty((5, 8))
@@ -278,7 +293,8 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
             square += (spheres[p, k] - image[k]) ** 2
         sign = 1.0 if facing > 0 else -1.0
         round_axis = square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
-        winding, opened = 0.0, at
+        winding = 0.0
+        at[2] = at[1]
         farthest = min(2 * gate[1], length + most)
         for e in range(first[p], first[p + 1]):
             size = 0.0
@@ -309,12 +325,12 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
             if share[0] >= share[1]:
                 winding += _turn(a, b, axis)
                 if b[3] <= farthest:
-                    at = _end(b, along, -1.0, n, sign, term, -1, p, tips, holders, ties, opened, at)
+                    _end(b, along, -1.0, n, sign, term, at[3], p, tips, holders, ties, at)
                 if a[3] <= farthest:
                     term[0], term[1] = start0, start1
-                    at = _end(a, along, 1.0, n, -sign, term, -1, p, tips, holders, ties, opened, at)
+                    _end(a, along, 1.0, n, -sign, term, at[3], p, tips, holders, ties, at)
                 continue
-            before = count
+            before = at[0]
             begins, stops = a, b
             if share[0] > 0:
                 begins = c
@@ -322,72 +338,23 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
             if share[1] < 1:
                 stops = d
                 _spot(starts[e], ends[e], share[1], source, image, axis, length, d)
-            count, turned = _pieces(begins, stops, (share[1] - share[0]) * size, source, image, axis, length, gate[1],
-                                    most, wave, sign, p, stack, m, pieces, owner, count)  # fmt: skip
-            winding += turned
+            winding += _pieces(begins, stops, (share[1] - share[0]) * size, source, image, axis, length, gate[1],
+                                    most, wave, sign, p, stack, m, pieces, owner, at)  # fmt: skip
             if share[0] > 0:
                 winding += _turn(a, c, axis)
-                if count > before and c[3] <= farthest:
+                if at[0] > before and c[3] <= farthest:
                     _steep(c, along, source, image, axis, length, wave, term)
-                    at = _end(c, along, -1.0, n, sign, term, before, p, tips, holders, ties, opened, at)
+                    _end(c, along, -1.0, n, sign, term, before, p, tips, holders, ties, at)
                 if a[3] <= farthest:
                     term[0], term[1] = start0, start1
-                    at = _end(a, along, 1.0, n, -sign, term, -1, p, tips, holders, ties, opened, at)
+                    _end(a, along, 1.0, n, -sign, term, at[3], p, tips, holders, ties, at)
             if share[1] < 1:
                 winding += _turn(d, b, axis)
-                if count > before and d[3] <= farthest:
+                if at[0] > before and d[3] <= farthest:
                     _steep(d, along, source, image, axis, length, wave, term)
-                    at = _end(d, along, 1.0, n, -sign, term, count - 1, p, tips, holders, ties, opened, at)
+                    _end(d, along, 1.0, n, -sign, term, at[0] - 1, p, tips, holders, ties, at)
                 if b[3] <= farthest:
                     _steep(b, along, source, image, axis, length, wave, term)
-                    at = _end(b, along, -1.0, n, sign, term, -1, p, tips, holders, ties, opened, at)
+                    _end(b, along, -1.0, n, sign, term, at[3], p, tips, holders, ties, at)
         windings[i] = sign * winding / (2 * math.pi)
-    return count, at
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def crossings(patches, windings, normals, offsets, origins, gate, points, lengths):  # type: ignore[no-untyped-def]
-    """Where the lines from image to receiver cross the faces that hold them: points (k, 3) and lengths (k) [m].
-
-    Those whose mean range lies beyond the gate's end are left out, as their rims are.
-
-    Returns:
-        How many there are; `patches` is compacted to match, in place.
-    """
-    count = 0
-    image = np.empty(3)
-    for i in range(len(patches)):
-        if not windings[i] > 0.5:
-            continue
-        p = patches[i]
-        here = origins[p] if len(origins) > 1 else origins[0]
-        mirror(here[0], normals[p], offsets[p], image)
-        ahead, behind, square = -offsets[p], offsets[p], 1e-300
-        for k in range(3):
-            ahead += normals[p, k] * here[1, k]
-            behind -= normals[p, k] * image[k]
-            square += (here[1, k] - image[k]) ** 2
-        if square > 4 * gate[1] * gate[1]:
-            continue
-        share = behind / (ahead + behind)
-        for k in range(3):
-            points[count, k] = image[k] + share * (here[1, k] - image[k])
-        lengths[count] = math.sqrt(square)
-        patches[count] = p
-        count += 1
-    return count
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
-    """Whether each point (m, 3) lies within the rim of its face (m)."""
-    for i in range(len(points)):
-        p = owner[i]
-        n = normals[p]
-        turn = 0.0
-        for e in range(first[p], first[p + 1]):
-            ux, uy, uz = starts[e, 0] - points[i, 0], starts[e, 1] - points[i, 1], starts[e, 2] - points[i, 2]
-            vx, vy, vz = ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1], ends[e, 2] - points[i, 2]
-            cross = n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
-            turn += math.atan2(cross, ux * vx + uy * vy + uz * vz)
-        out[i] = abs(turn) > math.pi
+    return at[0], at[1]

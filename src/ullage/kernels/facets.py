@@ -15,7 +15,7 @@ from numba import njit
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, leaves, owner):  # type: ignore[no-untyped-def]
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
@@ -65,14 +65,14 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
     return count
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _mean_range(x, y, z, origins):  # type: ignore[no-untyped-def]
     a = math.sqrt((x - origins[0, 0]) ** 2 + (y - origins[0, 1]) ** 2 + (z - origins[0, 2]) ** 2)
     b = math.sqrt((x - origins[1, 0]) ** 2 + (y - origins[1, 1]) ** 2 + (z - origins[1, 2]) ** 2)
     return 0.5 * (a + b)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-def]
     """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
     cx, cy, cz = (
@@ -101,7 +101,7 @@ def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-
     return -1
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
     a, b, c = edge, (edge + 1) % 3, (edge + 2) % 3
     for k in range(3):
@@ -111,7 +111,7 @@ def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
         stack[top + 1, 0, k], stack[top + 1, 1, k], stack[top + 1, 2, k] = middle, pb, pc
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lookup(table, x, y, z):  # type: ignore[no-untyped-def]
     """One-way amplitude gain towards (x, y, z), in the sensor's frame, from a (6, m, m) cube of directions."""
     ax, ay, az = abs(x), abs(y), abs(z)
@@ -131,7 +131,7 @@ def lookup(table, x, y, z):  # type: ignore[no-untyped-def]
     return low * (1 - u) + high * u
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _lay(grid, place, value):  # type: ignore[no-untyped-def]
     """Adds an impulse at a fractional grid place, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
@@ -145,7 +145,7 @@ def _lay(grid, place, value):  # type: ignore[no-untyped-def]
     grid[i + 2] += value * (u * u * u / 6)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Echo of one triangle: unit area, complex amplitude `w` and phase `x` [rad] at its corners, both linear between.
 
@@ -177,7 +177,7 @@ def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Corners nearly at one delay: the moment series to sixth order."""
     middle = (x[0] + x[1] + x[2]) / 3
@@ -193,7 +193,7 @@ def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     """Corners b and c nearly at one delay, a far from it: strips parallel to bc, integrated exactly along the rest."""
     z = 0.5 * (x[b] + x[c]) - x[a]
@@ -220,7 +220,7 @@ def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     return at_a + edge + rest
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _reflection(gamma, stuff, tap, cosine, across):  # type: ignore[no-untyped-def]
     """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
     n = gamma.shape[3] - 1
@@ -232,7 +232,7 @@ def _reflection(gamma, stuff, tap, cosine, across):  # type: ignore[no-untyped-d
     return across * te + (1 - across) * tm
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _late(lag, stuff, tap, cosine):  # type: ignore[no-untyped-def]
     """Delay of an inner echo from the table over cos(incidence) [s]."""
     n = lag.shape[2] - 1
@@ -241,7 +241,7 @@ def _late(lag, stuff, tap, cosine):  # type: ignore[no-untyped-def]
     return lag[stuff, tap, i] * (1 - u + i) + lag[stuff, tap, i + 1] * (u - i)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _te_share(e, ux, uy, uz, n):  # type: ignore[no-untyped-def]
     """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
     sx, sy, sz = uy * n[2] - uz * n[1], uz * n[0] - ux * n[2], ux * n[1] - uy * n[0]
@@ -253,7 +253,7 @@ def _te_share(e, ux, uy, uz, n):  # type: ignore[no-untyped-def]
     return min(es * es / square, 1.0)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def toward(table, flat, f, ux, uy, uz):  # type: ignore[no-untyped-def]
     """One-way amplitude gain along u in the world, for a sensor_from_world rotation f."""
     if flat:
@@ -266,7 +266,7 @@ def toward(table, flat, f, ux, uy, uz):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _corners(p, n, origins, frames, fields, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
     """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
     mono = origins[0, 0] == origins[1, 0] and origins[0, 1] == origins[1, 1] and origins[0, 2] == origins[1, 2]
@@ -300,7 +300,7 @@ def _corners(p, n, origins, frames, fields, table, flat, base, cosine, tau):  # 
     return bulge / 24, area, share
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
             gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echo of every piece on the delay grids.
@@ -357,7 +357,7 @@ def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, field
                 landed += fold
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
     """Bins from delay grids: out[m] = sum over kinds and places of taps * grid, `every` places per bin.
 

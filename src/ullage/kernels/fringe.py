@@ -18,7 +18,7 @@ from ullage.kernels.rims import lay_line
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     """Fringe current of one face of a wedge, integrated from the edge: along it (soft) and across it (hard).
 
@@ -45,7 +45,7 @@ def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     out[1] = ratio / (n * gap) - lit / plain
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def fringe(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     """As `excess`, also where exact and optical current grow without bound together."""
     if phi < math.pi and abs(math.cos(phi) + mu) < 0.03:
@@ -60,7 +60,7 @@ def fringe(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     excess(open_angle, phi, mu, out)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def face(open_angle, inward, normal, u, e0, e1, out):  # type: ignore[no-untyped-def]
     """One face's share of an edge's strength straight back, times the wave number.
 
@@ -100,7 +100,7 @@ def face(open_angle, inward, normal, u, e0, e1, out):  # type: ignore[no-untyped
     return seen_along * along + seen_across * across
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def strength(p, open_angle, inward, normal, sheet, origins, frames, fields, table, flat, rows, out):  # type: ignore[no-untyped-def]
     """Antenna gains over ranges times the edge's strength at point p; path length and its bend go to out[2:4]."""
     u, e0, e1 = rows[0], rows[1], rows[2]
@@ -146,14 +146,14 @@ def strength(p, open_angle, inward, normal, sheet, origins, frames, fields, tabl
     return g * total
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _along(e, p, origin):  # type: ignore[no-untyped-def]
     """Share of the field that lies along the way to p."""
     x, y, z = p[0] - origin[0], p[1] - origin[1], p[2] - origin[2]
     return (e[0] * x + e[1] * y + e[2] * z) ** 2 / max(x * x + y * y + z * z, 1e-9)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def audible(starts, ends, factors, across, origins, frames, fields, table, flat, wave, gate, least, out):  # type: ignore[no-untyped-def]
     """Whether each edge (w, 3)-(w, 3) can return more than `least`, by the most its strength and length allow.
 
@@ -205,12 +205,12 @@ def audible(starts, ends, factors, across, origins, frames, fields, table, flat,
         out[w] = 1.5 * factors[w] * strong > least
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _meet(p, q):  # type: ignore[no-untyped-def]
     return p[0] == q[0] and p[1] == q[1] and p[2] == q[2]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_fringes(pieces, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
                 factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of edge (m, 2, 3) on the delay grids.
@@ -265,7 +265,7 @@ def lay_fringes(pieces, owner, shade, extra, angles, inward, normals, sheets, or
             shift += fold
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_tips(tips, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
              omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the ends of edges (n, 5), as `lines.part` gives them; arguments as in `lay_fringes`."""

@@ -12,7 +12,7 @@ from ullage.kernels.facets import _lay, _te_share, toward
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
              factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of scatterers on the delay grids.
@@ -66,7 +66,7 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
         delay[k] = total / max(first[k + 1] - first[k], 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def lobe(roughness, length, sine, terms):  # type: ignore[no-untyped-def]
     """Spectrum of exp(j phase) of a rough surface less its mean, per area, at 2 k sine [the area of its correlation].
 

@@ -7,12 +7,13 @@ import math
 import numpy as np
 from numba import njit
 
+from ullage.kernels.edges import mirror
 from ullage.kernels.facets import _late, _lay, _reflection, _te_share, toward
 
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def look_at(pieces, owner, normals, inward, out):  # type: ignore[no-untyped-def]
     """Points (m, 3) on the faces `inward` of the middles of pieces of rim, to look at [m]."""
     for i in range(len(pieces)):
@@ -25,7 +26,7 @@ def look_at(pieces, owner, normals, inward, out):  # type: ignore[no-untyped-def
         out[i, 2] = 0.5 * (p[2] + p[5]) + scale * z
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _weight(p, mono, normal, origins, frames, fields, table, flat, gamma, stuff, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point of a face."""
     dx, dy, dz = p[0] - origins[0, 0], p[1] - origins[0, 1], p[2] - origins[0, 2]
@@ -44,12 +45,12 @@ def _weight(p, mono, normal, origins, frames, fields, table, flat, gamma, stuff,
     return g * _reflection(gamma, stuff, tap, cosine, share), cosine
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _same(origins):  # type: ignore[no-untyped-def]
     return origins[0, 0] == origins[1, 0] and origins[0, 1] == origins[1, 1] and origins[0, 2] == origins[1, 2]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):  # type: ignore[no-untyped-def]
     """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
 
@@ -78,7 +79,7 @@ def lay_line(bulk, ends, w0, w1, x0, x1, bow, place0, place1, scale):  # type: i
     return at0 + at1
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
              gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of rim on the delay grids; arguments as in `facets.deposit`."""
@@ -122,7 +123,7 @@ def lay_rims(pieces, owner, shade, extra, normals, stuffs, origins, frames, fiel
                 shift += fold
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def look_at_tips(tips, inward, out):  # type: ignore[no-untyped-def]
     """Points (n, 3) on the faces, `inward` of both rims that meet at the ends of rims (n, 9), to look at [m]."""
     for i in range(len(tips)):
@@ -132,7 +133,7 @@ def look_at_tips(tips, inward, out):  # type: ignore[no-untyped-def]
             out[i, k] = tips[i, k] + scale * tips[i, 6 + k]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_tips(tips, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
              gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of the ends of rims (n, 9), as `edges.cut` gives them; arguments as in `facets.deposit`."""
@@ -161,7 +162,7 @@ def lay_tips(tips, owner, shade, extra, normals, stuffs, origins, frames, fields
                 landed += fold
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
                 gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the specular echoes of faces: unit image waves at (m, 3) points with (m) path lengths [m]."""
@@ -189,3 +190,51 @@ def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, f
                 _lay(grids[1], (landed - t0) / dt, value)
                 landed += fold
             echo[k] += value
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def crossings(patches, windings, normals, offsets, origins, gate, points, lengths):  # type: ignore[no-untyped-def]
+    """Where the lines from image to receiver cross the faces that hold them: points (k, 3) and lengths (k) [m].
+
+    Those whose mean range lies beyond the gate's end are left out, as their rims are.
+
+    Returns:
+        How many there are; `patches` is compacted to match, in place.
+    """
+    count = 0
+    image = np.empty(3)
+    for i in range(len(patches)):
+        if not windings[i] > 0.5:
+            continue
+        p = patches[i]
+        here = origins[p] if len(origins) > 1 else origins[0]
+        mirror(here[0], normals[p], offsets[p], image)
+        ahead, behind, square = -offsets[p], offsets[p], 1e-300
+        for k in range(3):
+            ahead += normals[p, k] * here[1, k]
+            behind -= normals[p, k] * image[k]
+            square += (here[1, k] - image[k]) ** 2
+        if square > 4 * gate[1] * gate[1]:
+            continue
+        share = behind / (ahead + behind)
+        for k in range(3):
+            points[count, k] = image[k] + share * (here[1, k] - image[k])
+        lengths[count] = math.sqrt(square)
+        patches[count] = p
+        count += 1
+    return count
+
+
+@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
+    """Whether each point (m, 3) lies within the rim of its face (m)."""
+    for i in range(len(points)):
+        p = owner[i]
+        n = normals[p]
+        turn = 0.0
+        for e in range(first[p], first[p + 1]):
+            ux, uy, uz = starts[e, 0] - points[i, 0], starts[e, 1] - points[i, 1], starts[e, 2] - points[i, 2]
+            vx, vy, vz = ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1], ends[e, 2] - points[i, 2]
+            cross = n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
+            turn += math.atan2(cross, ux * vx + uy * vy + uz * vz)
+        out[i] = abs(turn) > math.pi

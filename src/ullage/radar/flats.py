@@ -88,7 +88,7 @@ def lay_flats(
         rim = rim.after(ready.gate[0])
     told = flats.normals, flats.stuffs, *each(common(ready, view, grids))
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = kernel.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], np.array(ready.gate),
+    count = draw.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], np.array(ready.gate),
                              points, lengths)  # fmt: skip
     held = np.flatnonzero(lengths[:count] > 2 * ready.gate[0])
     points, lengths, which, count = points[held], lengths[held], which[held], len(held)
@@ -134,7 +134,7 @@ def _looks(
     spread = _ZONE[None, :, :1] * u[:, None] + _ZONE[None, :, 1:] * v[:, None]
     zone = (points[:, None] + radius * spread).reshape(-1, 3)
     within = np.empty(len(zone), np.bool_)
-    kernel.inside(zone, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
+    draw.inside(zone, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
     held = within.reshape(len(points), len(_ZONE))
     held[:, 0] = True
     return [spots, corners, zone], held

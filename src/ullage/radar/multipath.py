@@ -140,7 +140,7 @@ def _lay(
         which, spheres, normals, offsets, beams.first, starts, ends, origins, np.array(ready.gate), EXCESS_M,
         ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = edges.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
+    count = draw.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
     points, lengths, which = points[:count], lengths[:count], which[:count]
     lit = np.empty((len(beams), 3))
     bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, lit)
@@ -212,5 +212,5 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
         which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
         False, *room))  # fmt: skip
     points, lengths = np.empty((len(on), 3)), np.empty(len(on))
-    count = edges.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
+    count = draw.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
     return np.sort(lengths[:count])

@@ -168,7 +168,9 @@ def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes)
     parts = ready.world.parts(t_ns)
     out: list[Laid] = []
     for part in parts:
-        out += [_lay_small(ready, parts, part, view, grids), *lay_flats(ready, parts, part, view, grids)]
+        if len(part.corners):
+            out.append(_lay_small(ready, parts, part, view, grids))
+        out += lay_flats(ready, parts, part, view, grids)
     out += lay_folded(ready, parts, view, grids)
     if len(ready.lines):
         out.append(_lay_wires(ready, parts, view, t_ns, grids))
