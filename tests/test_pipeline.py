@@ -56,6 +56,25 @@ def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None
     assert np.array_equal(outcome.results[-1].percent, whole.percent)
 
 
+@pytest.mark.parametrize("method", ["elfes", "ullage"])
+def test_a_live_flight_may_leave_the_grid_and_come_back(method: str) -> None:
+    """The map is that of what was seen from inside; that it goes out is said once each time."""
+    there = np.concatenate([np.linspace(0, 1, 25), np.linspace(1, 0, 25), np.linspace(0, 1, 25)])
+    path = ul.Trajectory(
+        np.arange(75) * 66_000_000, np.array([[0.5 + x, 0, 0] for x in there]), np.tile([0, 0, 0, 1.0], (75, 1))
+    )
+    frames = ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
+    grid = ul.Grid.covering([[-4, -3, 0], [1.0, 3, 1]], 0.1)
+    with pytest.raises(ul.InputError, match="does not hold the flight"):
+        ul.run(Held(frames, size=7), stages=[MapStage(grid, method)])
+    with pytest.warns(ul.UllageWarning, match=r"left the map \(x -4\.0") as said:
+        outcome = ul.run(Held(frames, size=7), stages=[MapStage(grid, method, live=True)])
+    inside = frames[grid.index(frames.believed.position)[1]]
+    assert 0 < len(inside) < len(frames)
+    assert np.array_equal(outcome.results[-1].percent, ul.map_occupancy(inside, grid, method=method).percent)
+    assert len([note for note in said if "left the map" in str(note.message)]) == 2
+
+
 def test_detections_count_frames_from_the_start_of_the_recording() -> None:
     frames = thesis_frames()
     kept = Kept()

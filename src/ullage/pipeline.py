@@ -5,6 +5,7 @@ Simulated, recorded and live frames come through here alike, piece by piece, so 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, sensors_of
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.grids import Grid, Image, OccupancyMap
 
 if TYPE_CHECKING:
@@ -191,12 +192,18 @@ class DetectStage:
 
 @dataclass(slots=True)
 class MapStage:
-    """An occupancy map that grows with each piece, given whole every so often and at the end."""
+    """An occupancy map that grows with each piece, given whole every so often and at the end.
+
+    A flight that leaves the grid is refused, unless it is told of as it happens: then the grid could not be chosen for
+    it, and what is seen from outside is left out until it is back.
+    """
 
     grid: Grid
     method: MapMethod = "ullage"
     threshold: float | None = None
     every_s: float = 1.0
+    live: bool = False
+    _away: bool = False
     _mapper: Any = None
     _given_ns: int | None = None
 
@@ -204,6 +211,8 @@ class MapStage:
         """The map so far, once per `every_s` of recording."""
         from ullage.processing.occupancy import Mapper
 
+        if self.live and not (chunk := self._inside(chunk)):
+            return
         if self._mapper is None:
             own = self.threshold is not None and self.method == "elfes"  # the other has its own level for every profile
             options = {"threshold": self.threshold} if own else {}
@@ -213,6 +222,21 @@ class MapStage:
         if self._given_ns is None or now - self._given_ns >= self.every_s * 1e9:
             self._given_ns = now
             yield self._mapper.map()
+
+    def _inside(self, chunk: Chunk) -> Chunk:
+        """What was seen from within the grid; that something is left out is said once for each time that it begins."""
+        inside = {name: self.grid.index(part.believed.position)[1] for name, part in chunk.items()}
+        if all(row.all() for row in inside.values()):
+            self._away = False
+            return chunk
+        if not self._away:
+            left, right, bottom, top = self.grid.extent_m
+            text = (
+                f"the flight has left the map (x {left:.1f}..{right:.1f}, y {bottom:.1f}..{top:.1f} m); what is seen "
+            )
+            warnings.warn(text + "from outside is left out (a larger reach_m holds more)", UllageWarning, stacklevel=2)
+        self._away = True
+        return {name: chunk[name][row] for name, row in inside.items() if row.any()}
 
     def finish(self) -> Iterable[OccupancyMap]:
         """The final map."""

@@ -64,7 +64,7 @@ def map_frames(source: Any, peer: Peer, options: Spec) -> None:
     if placed:
         reach = options.reach_m + options.margin_m
         grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
-        stages.append(MapStage(grid))
+        stages.append(MapStage(grid, live=True))
     sink: Sink = Ros2Sink("", SinkOptions(pace=0, clock="off", node=options.node), peer=peer)
     resumed: Source = Resumed(first, pieces)
     run(resumed, stages=stages, sinks=[sink])

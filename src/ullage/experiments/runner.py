@@ -122,7 +122,7 @@ def _stages(job: Run) -> list[Stage]:
         out.append(job.detect)
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=plan.map.margin_m)
-        out.append(MapStage(grid, plan.map.method, plan.detect.threshold))
+        out.append(MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live))
     if "image" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.image.step_m, z_m=_height(job), margin_m=plan.map.margin_m)
         out.append(ImageStage(grid, plan.image.method, plan.image.sensor))

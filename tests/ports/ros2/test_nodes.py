@@ -38,3 +38,21 @@ def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> 
     _, err = node.communicate(timeout=30)
     assert node.returncode == 0, err
     assert speaker.poll() in (None, 0)
+
+
+def test_the_mapping_node_outlives_a_flight_that_leaves_its_map(network: Network) -> None:
+    node = network.start("-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-p", "reach_m:=0.5")
+    listener = network.ready(
+        "hear.py", "/map=nav_msgs/msg/OccupancyGrid:latched", "/rosout=rcl_interfaces/msg/Log:stream"
+    )
+    speaker = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker&listeners=1")
+    assert speaker.wait(120) == 0
+    again = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker&listeners=1")  # it begins anew, inside
+    assert again.wait(120) == 0
+    got = told(listener, stop=True)
+    assert got["last"]["/map"]["info"]["width"] in (10, 11)
+    node.send_signal(2)
+    _, err = node.communicate(timeout=30)
+    assert node.returncode == 0, err
+    assert "the flight has left the map" in err
+    assert "does not hold the flight" not in err
