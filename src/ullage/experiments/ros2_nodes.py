@@ -91,6 +91,57 @@ NODES: dict[str, tuple[type[NodeOptions], Callable[..., Any], Callable[..., None
 NOT_PARAMETERS = {"domain", "node", "host"}
 
 
+class Work:
+    """A source and the thread in which its frames flow; what a managed node does, without the node.
+
+    Args:
+        name: of `NODES`.
+        node: whose parameters are the options.
+    """
+
+    def __init__(self, name: str, node: Any) -> None:
+        self._name, self._node = name, node
+        self._thread: threading.Thread | None = None
+        self._source: Any = None
+
+    def prepare(self) -> bool:
+        """Make the source; whether the parameters allow it, else the reason is logged."""
+        kind, make, _ = NODES[self._name]
+        try:
+            self._options = read(self._node, kind)
+            self._peer = Peer("", self._options, node=self._node)
+            self._source = make(self._peer, self._options, self._node.get_logger().info)
+        except UllageError as error:
+            self._node.get_logger().error(str(error))
+            return False
+        return True
+
+    def begin(self) -> None:
+        """Let frames flow."""
+        self._thread = threading.Thread(target=self._flow, name=self._name, daemon=True)
+        self._thread.start()
+
+    def _flow(self) -> None:
+        try:
+            NODES[self._name][2](self._source, self._peer, self._options)
+        except UllageError as error:
+            self._node.get_logger().error(str(error))
+        except Exception as error:
+            if self._node.context.ok():
+                self._node.get_logger().error(f"{type(error).__name__}: {error}")
+
+    def halt(self) -> None:
+        """Stop the stream and close the source."""
+        if self._source is not None:
+            self._source.stop()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+            self._thread = None
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+
 def make_node(name: str) -> Any:
     """The managed node of this name.
 
@@ -100,70 +151,32 @@ def make_node(name: str) -> Any:
     need("rclpy", extra="ros2")
     from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-    kind, make, work = NODES[name]
     fine, refused = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
     class Managed(LifecycleNode):  # type: ignore[misc]
-        """Runs a source in a thread while it is active."""
+        """Does its work while it is active; after deactivation, configure anew."""
 
         def __init__(self) -> None:
             super().__init__(name)
-            declare(self, kind)
-            self._thread: threading.Thread | None = None
-            self._source: Any = None
-            self._peer: Any = None
+            declare(self, NODES[name][0])
+            self.work = Work(name, self)
 
         def on_configure(self, state: Any) -> Any:
-            """Make the source."""
-            try:
-                self._options = read(self, kind)
-                self._peer = Peer("", self._options, node=self)
-                self._source = make(self._peer, self._options, self.get_logger().info)
-            except UllageError as error:
-                self.get_logger().error(str(error))
-                return refused
-            return fine
+            return fine if self.work.prepare() else refused
 
         def on_activate(self, state: Any) -> Any:
-            """Let frames flow."""
-            self._thread = threading.Thread(target=self._work, name=name, daemon=True)
-            self._thread.start()
+            self.work.begin()
             return super().on_activate(state)
 
-        def _work(self) -> None:
-            try:
-                work(self._source, self._peer, self._options)
-            except UllageError as error:
-                self.get_logger().error(str(error))
-            except Exception as error:
-                if self.context.ok():
-                    self.get_logger().error(f"{type(error).__name__}: {error}")
-
         def on_deactivate(self, state: Any) -> Any:
-            """Stop them; to go on, configure anew."""
-            self.halt()
+            self.work.halt()
             return super().on_deactivate(state)
 
         def on_cleanup(self, state: Any) -> Any:
-            """Let go."""
-            self.halt()
+            self.work.halt()
             return fine
 
-        def on_shutdown(self, state: Any) -> Any:
-            """Let go."""
-            self.halt()
-            return fine
-
-        def halt(self) -> None:
-            """Stop the stream and close the source."""
-            if self._source is not None:
-                self._source.stop()
-            if self._thread is not None:
-                self._thread.join(timeout=5.0)
-                self._thread = None
-            if self._source is not None:
-                self._source.close()
-                self._source = None
+        on_shutdown = on_cleanup
 
     return Managed()
 
@@ -202,15 +215,15 @@ def main(name: str, words: list[str] | None = None) -> int:
 
     rclpy.init(args=words)
     node = make_node(name)
-    if node.get_parameter("autostart").value:
-        node.trigger_configure()
-        node.trigger_activate()
     try:
+        if node.get_parameter("autostart").value:
+            node.trigger_configure()
+            node.trigger_activate()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        node.halt()
+        node.work.halt()
         if rclpy.ok():
             node.destroy_node()
             rclpy.shutdown()

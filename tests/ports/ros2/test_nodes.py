@@ -40,6 +40,7 @@ def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> 
     assert speaker.poll() in (None, 0)
 
 
+@pytest.mark.slow
 def test_the_mapping_node_outlives_a_flight_that_leaves_its_map(network: Network) -> None:
     node = network.start("-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-p", "reach_m:=0.5")
     listener = network.ready(

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 import ullage as ul
 from ullage.errors import MissingExtra
 from ullage.experiments.catalog import scenario_names
+from ullage.experiments.ros2_nodes import NODES
 from ullage.ports import messages as ros
 from ullage.ports.ros2.build import PARTS, build, package_files
 from ullage.ports.ros2.encode import CLOCK, DIAGNOSTICS, PATH, PICTURE, RANGE
@@ -61,6 +62,29 @@ def test_launch_files_start_what_there_is() -> None:
         assert all(name in scenario_names() for name in names)
         assert names or file.name == "radars.launch.py"
     assert "ntnu-room" in WORLDS  # the default of radars.launch.py
+
+
+def test_the_launched_nodes_know_their_parameters() -> None:
+    """No wheel holds `launch`, so the file is read: its nodes exist, and what it tells them are options of theirs."""
+    tree = ast.parse((PACKAGES / "ullage_ros/launch/radars.launch.py").read_text())
+    assigned = {n.targets[0].id: n.value for n in ast.walk(tree) if isinstance(n, ast.Assign)}  # type: ignore[attr-defined]
+    arguments = {key.value for key in assigned["ARGUMENTS"].keys}  # type: ignore[attr-defined]
+    told_ = {
+        key.value: value.args[0].value
+        for key, value in zip(assigned["simulator"].keys, assigned["simulator"].values, strict=True)
+    }  # type: ignore[attr-defined]
+    assert told_.keys() <= NODES["radar_simulator"][0].model_fields.keys()
+    used = {n.args[0].value for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "of"}  # type: ignore[attr-defined]
+    assert used == arguments
+    started = [
+        {word.arg: word.value.value for word in n.keywords if isinstance(word.value, ast.Constant)}
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "Node"
+    ]
+    ours = {node["executable"] for node in started if node["package"] == "ullage_ros"}
+    assert ours == NODES.keys()
+    entry = (PACKAGES / "ullage_ros/setup.py").read_text()
+    assert all(f"{name} = " in entry for name in ours)
 
 
 def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
