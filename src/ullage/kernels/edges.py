@@ -277,6 +277,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
     image, axis, along, term, share = np.empty(3), np.empty(3), np.empty(3), np.empty(2), np.empty(2)
     stack = np.empty((64, 19))  # of pieces of an edge: where they start and end, their turn, both ends' spots
     spots = np.empty((5, 8))
+    a, b, c, d, m = spots[0], spots[1], spots[2], spots[3], spots[4]
     wave = omega / C0
     for i in range(len(patches)):
         p = patches[i]
@@ -303,11 +304,15 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
                 size += along[k] * along[k]
             size = math.sqrt(size)
             if size < 1e-9:
+                b[0] = 1e300
                 continue
             for k in range(3):
                 along[k] /= size
-            a, b, c, d, m = spots[0], spots[1], spots[2], spots[3], spots[4]
-            _spot(starts[e], ends[e], 0.0, source, image, axis, length, a)
+            if e == first[p] or b[0] != starts[e, 0] or b[1] != starts[e, 1] or b[2] != starts[e, 2]:
+                _spot(starts[e], ends[e], 0.0, source, image, axis, length, a)
+            else:
+                for k in range(8):
+                    a[k] = b[k]
             _spot(starts[e], ends[e], 1.0, source, image, axis, length, b)
             # the path over an edge is at least this: ends less half its length there and back
             if not round_axis and 0.5 * (a[3] + b[3]) - size > farthest:

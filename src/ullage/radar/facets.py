@@ -45,6 +45,7 @@ class Flats:
     sizes: Ints  # (c) corners of each
     flat_of: Ints  # (c) face of each
     widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
+    across: Floats  # (p, 2, 3) two unit vectors in each, at right angles
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -166,7 +167,14 @@ def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int
     spheres = _spheres(np.stack([a, b], 1), first)
     mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
     return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of,
-                 _widths(normal, first, a, b))  # fmt: skip
+                 _widths(normal, first, a, b), _across(normal))  # fmt: skip
+
+
+def _across(normals: Floats) -> Floats:
+    """Two unit vectors (p, 2, 3) at right angles to each normal and to each other."""
+    u = np.cross(normals, np.where(abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return np.stack([u, np.cross(normals, u)], 1)
 
 
 def _widths(normals: Floats, first: Ints, starts: Floats, ends: Floats) -> Floats:
@@ -265,7 +273,7 @@ def joined(parts: Sequence[Flats]) -> Flats:
                  strung("first", "starts"), loose("starts"), loose("ends"),
                  np.concatenate(loop_of).astype(np.int32), np.concatenate(loops).astype(np.int32), loose("mirrors"),
                  loose("sizes").astype(np.int32), np.concatenate(flat_of).astype(np.int32),
-                 loose("widths"))  # fmt: skip
+                 loose("widths"), loose("across"))  # fmt: skip
 
 
 def _clusters(centres: Floats, sizes: Floats) -> tuple[NDArray[np.int64], Ints]:

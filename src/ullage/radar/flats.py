@@ -82,6 +82,8 @@ def lay_flats(
         return ()
     opaque = ~ready.sheets.thin[flats.stuffs]
     which = which[~part.flat_backs.hidden(view.origins, opaque)[which]]
+    if not len(which):
+        return ()
     rim = rims(ready, flats, view, which)
     windings = rim.windings
     if ready.gate[0] > 0:
@@ -126,12 +128,8 @@ def _looks(
     spots, corners = np.empty((len(rim.pieces), 3)), np.empty((len(rim.tips), 3))
     draw.look_at(rim.pieces, rim.owner, flats.normals, _NUDGE_M, spots)
     draw.look_at_tips(rim.tips, _NUDGE_M, corners)
-    n = flats.normals[which]
-    u = np.cross(n, np.where(abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(n, u)
     radius = np.sqrt(ready.spec.wavelength_m * lengths / 4)[:, None, None]
-    spread = _ZONE[None, :, :1] * u[:, None] + _ZONE[None, :, 1:] * v[:, None]
+    spread = _ZONE @ flats.across[which]
     zone = (points[:, None] + radius * spread).reshape(-1, 3)
     within = np.empty(len(zone), np.bool_)
     draw.inside(zone, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)

@@ -27,12 +27,12 @@ FOLDS = 2
 
 def lay_folded(ready: Bench, parts: list[Surfaces], view: View, grids: NDArray[np.complex128]) -> Iterator[Laid]:
     """Adds the echoes of walls beyond the gate at one pose to the delay grids."""
-    interval, last = ready.fold_s * C0 / 2, ready.gate[1]
-    for fold in range(FOLDS):
-        gate = (last + fold * interval, last + (fold + 1) * interval)
-        beyond = replace(ready, gate=gate)
-        for part in parts:
-            yield from lay_flats(beyond, parts, part, view, grids, _mirrors(part.flats, view, gate))
+    gate = (ready.gate[1], ready.gate[1] + FOLDS * ready.fold_s * C0 / 2)
+    beyond = replace(ready, gate=gate)
+    for part in parts:
+        which = _mirrors(part.flats, view, gate)
+        if len(which):
+            yield from lay_flats(beyond, parts, part, view, grids, which)
 
 
 def _mirrors(flats: Flats, view: View, gate: tuple[float, float]) -> NDArray[np.int64]:
@@ -41,7 +41,7 @@ def _mirrors(flats: Flats, view: View, gate: tuple[float, float]) -> NDArray[np.
     gap = flats.normals @ origin - flats.offsets
     far = np.flatnonzero((abs(gap) > gate[0] - 0.5) & (abs(gap) < gate[1]))
     foot = origin - gap[far, None] * flats.normals[far]
-    beside = np.linalg.norm(foot - flats.spheres[far, :3], axis=1) < flats.spheres[far, 3] + 0.5
+    beside = ((foot - flats.spheres[far, :3]) ** 2).sum(1) < (flats.spheres[far, 3] + 0.5) ** 2
     return np.asarray(far[beside], np.int64)
 
 

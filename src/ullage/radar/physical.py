@@ -246,11 +246,14 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
 
 def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
     """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
-    factor, late = seen(parts, view.origins[0], points, ready.sheets)
-    if np.array_equal(view.origins[0], view.origins[1]):
-        return factor, late
-    other, later = seen(parts, view.origins[1], points, ready.sheets)
-    return np.sqrt(factor) * np.sqrt(other), (late + later) / 2
+    one, other = view.origins
+    if ((one - other) ** 2).sum() < _ONE_EYE_M**2:
+        return seen(parts, (one + other) / 2, points, ready.sheets)
+    (factor, late), (back, later) = (seen(parts, eye, points, ready.sheets) for eye in (one, other))
+    return np.sqrt(factor) * np.sqrt(back), (late + later) / 2
+
+
+_ONE_EYE_M = 0.1  # antennas nearer to each other than this see the same, as seen from between them
 
 
 @lru_cache(maxsize=8)
