@@ -43,7 +43,7 @@ def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: N
             task.do(say)
         tell(len(tasks), "done")
         return
-    left.sort(key=lambda task: -task.experiment.weight)
+    left.sort(key=lambda task: -(task.experiment.small if task.quick else task.experiment.weight))
     running: dict[str, tuple[Task, BaseProcess]] = {}
     try:
         while left or running:

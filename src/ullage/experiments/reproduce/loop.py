@@ -9,7 +9,7 @@ from pathlib import Path
 from ullage.experiments.folder import write_json
 from ullage.experiments.reproduce.crew import Tell, carry_out
 from ullage.experiments.reproduce.plan import Experiment
-from ullage.experiments.reproduce.task import Chapter, Task
+from ullage.experiments.reproduce.task import Chapter, Task, code_now
 
 RECORDINGS = Path("../shared/data")
 """Where the real recordings lie beside a checkout."""
@@ -70,7 +70,8 @@ def reproduce(
         InputError: the folder cannot be written.
     """
     root = out / ("quick" if quick else "whole")
-    tasks = [Task(experiment, root, recordings, quick) for experiment in wanted]
+    code = code_now()
+    tasks = [Task(experiment, root, recordings, quick, code) for experiment in wanted]
     if fresh:
         for task in tasks:
             task.forget()

@@ -8,7 +8,6 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import ullage
@@ -40,6 +39,7 @@ class Task:
     root: Path
     recordings: Path
     quick: bool
+    code: str  # that does it; known to the processes that do, so that code which changes meanwhile does not count
 
     @property
     def folder(self) -> Path:
@@ -59,7 +59,7 @@ class Task:
     @property
     def inputs(self) -> str:
         """Stands for all that its result hangs on."""
-        text = hashlib.sha256(json.dumps([self.experiment.name, self.quick, ullage.__version__, _code()]).encode())
+        text = hashlib.sha256(json.dumps([self.experiment.name, self.quick, ullage.__version__, self.code]).encode())
         for path in self.experiment.reads(self.recordings):
             text.update(f"{path.name}:{path.stat().st_size if path.exists() else None}\n".encode())
         return text.hexdigest()[:16]
@@ -92,8 +92,7 @@ class Task:
         return Chapter(self.experiment, self.folder, findings, tuple(judged), tree["took_s"], tree["cpu_s"])
 
 
-@cache
-def _code() -> str:
+def code_now() -> str:
     """Stands for this code, its scenarios and worlds."""
     text, here = hashlib.sha256(), Path(ullage.__file__).parent
     for path in sorted(p for kind in ("*.py", "*.yaml", "*.sdf", "*.obj") for p in here.rglob(kind)):
