@@ -12,13 +12,11 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from mapping_table import SIZE, believed
+from mapping_table import SIZE, believed, told
 from mapping_table import route as level_route
 
 import ullage as ul
-from ullage.data import Frames, Trajectory
-from ullage.grids import OccupancyMap, Tiles
-from ullage.processing.truth import spaced_looks, surface_of
+from ullage.data import Trajectory
 
 COLUMNS = {
     "f1": "F1",
@@ -41,24 +39,6 @@ def route(seed: int, *, rise_m: float = RISE_M) -> Trajectory:
     position = flat.position.copy()
     position[:, 2] += rise_m * np.sin(2 * np.pi * way / WAVE_M + seed)
     return Trajectory(flat.t_ns, position, flat.quat_xyzw)
-
-
-def told(scene: ul.Scene, frames: dict[str, Frames], grid: ul.Grid) -> OccupancyMap:
-    """Cells of the surface that lies within the first Fresnel zone of a foot of the perpendicular."""
-    surface = surface_of(scene, grid, frames)
-    heard = np.flatnonzero(surface.looks > 0)
-    points, normals = surface.points[heard], surface.normals[heard]
-    keep = np.zeros(len(heard), bool)
-    for part in frames.values():
-        for i in spaced_looks(part.believed):
-            ray = part.believed.position[i] - points
-            away = np.sum(ray * normals, axis=1)
-            aside = np.linalg.norm(ray - away[:, None] * normals, axis=1)
-            keep |= aside < np.sqrt(part.spec.wavelength_m * abs(away) / 2)
-    percent = np.full(grid.shape, -1, np.int8)
-    cell, _ = grid.index(points[keep] + 1e-3 * normals[keep])
-    percent[tuple(np.clip(cell, 0, np.array(grid.shape) - 1).T)] = 99
-    return OccupancyMap(grid, Tiles.of(percent, shape=grid.shape, corner=(0, 0, 0)), "told")
 
 
 def main() -> None:

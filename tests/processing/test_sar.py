@@ -68,3 +68,40 @@ def test_sensors_add_in_power_or_in_phase():
     phase = ul.focus([frames, frames], grid, combine="coherent")
     assert power.values == pytest.approx(np.sqrt(2) * one.amplitude, rel=1e-5)
     assert phase.values == pytest.approx(one.values, rel=1e-4)
+
+
+def test_pieces_of_the_way_are_as_sharp_as_their_length():
+    path = ul.Trajectory.line((0, -1.0, 0), (0, 1.0, 0), 0.17, 17)
+    frames = frames_of_points([(3.0, 0, 0)], path, spec=SPEC)
+    grid = ul.Grid((2.995, -0.4, 0), 0.005, (160, 1))
+    whole, halves = ul.focus(frames, grid), ul.focus(frames, grid, subaperture_m=0.5)
+    assert np.abs(whole.values).max() == pytest.approx(np.abs(halves.values).max(), rel=0.05)
+    width = image_quality(halves)["width_y_3db"].value / image_quality(whole)["width_y_3db"].value
+    assert 3.3 < width < 4.6  # a quarter of the aperture; the outer pieces look askance
+    one = ul.focus(frames, grid, subaperture_m=5.0)
+    np.testing.assert_allclose(one.values, np.abs(whole.values), rtol=1e-5)
+
+
+def test_pieces_bear_a_bend_in_the_poses_that_the_whole_does_not():
+    path = ul.Trajectory.line((0, -1.0, 0), (0, 1.0, 0), 0.17, 17)
+    bend = 0.012 * np.cos(np.linspace(0, 4 * np.pi, len(path)))[:, None] * [1, 0, 0]
+    believed = ul.Trajectory(path.t_ns, path.position + bend, path.quat_xyzw)
+    frames = frames_of_points([(3.0, 0, 0)], path, spec=SPEC, believed=believed)
+    grid = ul.Grid((2.8, -0.4, 0), 0.02, (40, 20))
+    whole, pieces = (ul.focus(frames, grid, subaperture_m=m) for m in (None, 0.25))
+    assert pieces.coherence.max() > 0.9 > 0.6 > whole.coherence.max()
+    assert np.abs(pieces.values).max() > 1.3 * np.abs(whole.values).max()
+
+
+def test_carriers_that_differ_are_never_added_in_phase():
+    path = ul.Trajectory.line((0, -0.2, 0), (0, 0.2, 0), 0.2, 17)
+    low, high = SPEC, SPEC.but(center_hz=8.748e9)
+    grid = ul.Grid((2.5, -0.5, 0), 0.05, (20, 20))
+    frames = {n: frames_of_points([(3, 0, 0)], path, spec=spec) for n, spec in (("low", low), ("high", high))}
+    assert ul.focus(frames, grid).peak_m[0] == pytest.approx(3.0, abs=0.06)
+    with pytest.raises(ul.InputError, match=r"8\.748 GHz after one of 7\.290 GHz .*in power"):
+        ul.focus(frames, grid, combine="coherent")
+    with pytest.raises(ul.InputError, match="several sensors in phase"):
+        ul.focus(frames, grid, combine="coherent", subaperture_m=0.1)
+    with pytest.raises(ul.InputError, match="subaperture_m is 0"):
+        ul.focus(frames["low"], grid, subaperture_m=0)

@@ -91,16 +91,24 @@ class Backprojector:
         self.grid, self.antenna, self.min_weight = grid, antenna, min_weight
         self.threads = threads or os.cpu_count() or 1
         self.frames = 0
-        self._weight = 0.0
+        self._weight, self._wavelength_m = 0.0, 0.0
         self._sums = np.zeros((grid.size // grid.shape[-1], 5, grid.shape[-1]), np.float32)
 
     def update(self, frames: Frames, *, weights: Floats | None = None) -> None:
         """Adds frames, each with a weight (None: 1).
 
         Raises:
-            InputError: the frames have no poses or phase, or a sample is not finite.
+            InputError: the frames have no poses or phase, a sample is not finite, or their carrier is another than
+                that of frames before: their phases have nothing in common.
         """
         path, spec = frames.believed, frames.spec
+        if abs(spec.wavelength_m - (self._wavelength_m or spec.wavelength_m)) > 1e-6 * spec.wavelength_m:
+            raise InputError(
+                f"a carrier of {C0 / spec.wavelength_m / 1e9:.3f} GHz after one of {C0 / self._wavelength_m / 1e9:.3f} GHz",
+                where=frames.sensor,
+                allowed="one carrier in a sum in phase; several sensors in power",
+            )
+        self._wavelength_m = spec.wavelength_m
         self.grid = self.grid.at_height(float(path.position[:, 2].mean()))
         bin_m = float(np.diff(frames.range_m).mean())
         factor = oversampling(spec, bin_m)

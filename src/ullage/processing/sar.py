@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ def focus(
     window: Window = "path",
     antenna: bool = True,
     combine: Literal["incoherent", "coherent"] = "incoherent",
+    subaperture_m: float | None = None,
     threads: int = 0,
 ) -> Image:
     """An image of what stood where, from the frames of one sensor or several and their believed poses.
@@ -38,10 +40,14 @@ def focus(
             nothing; "none" all alike; "hann" and "taylor" (-35 dB) lower the side lobes of one straight pass.
         antenna: weigh cells with the two-way antenna pattern.
         combine: whether several sensors are added in phase; in power otherwise.
+        subaperture_m: length of track that is summed in phase [m]; the images of such pieces are added in power, each
+            by its share of the way. Coarser, but what is seen from a part of the way is not drowned, and slow errors of
+            the poses blur no more than a piece. None: all of the way.
         threads: 0 takes every core.
 
     Raises:
-        InputError: unknown method, no poses, no phase, a sample that is not finite, or a grid too large for memory.
+        InputError: unknown method, no poses, no phase, a sample that is not finite, a grid too large for memory, or
+            sensors of different frequency to be added in phase.
     """
     parts = sensors_of(frames)
     if method == "summation":
@@ -49,15 +55,57 @@ def focus(
     if method != "backprojection":
         raise InputError(f"no method {method!r}", where="focus", allowed="backprojection, summation")
     grid = grid.at_height(float(np.concatenate([p.believed.position[:, 2] for p in parts]).mean()))
-    together = combine == "coherent" or len(parts) == 1
-    images = [Backprojector(grid, antenna=antenna, threads=threads) for _ in (parts[:1] if together else parts)]
-    for k, part in enumerate(parts):
-        images[0 if together else k].update(part, weights=frame_weights(part, window))
-    if together:
-        return images[0].image()
+    settings: dict[str, Any] = {"window": window, "antenna": antenna, "threads": threads}
+    if combine == "coherent" or len(parts) == 1:
+        if subaperture_m is not None and len(parts) > 1:
+            raise InputError(
+                "pieces of track of several sensors in phase", where="subaperture_m", allowed='combine="incoherent"'
+            )
+        return (
+            _in_phase(parts, grid, **settings)
+            if subaperture_m is None
+            else _piecewise(parts[0], grid, subaperture_m, **settings)
+        )
+    images = [focus(part, grid, subaperture_m=subaperture_m, **settings) for part in parts]
     power = np.sqrt(np.sum([np.abs(i.values) ** 2 for i in images], axis=0))
     coherence = np.max([i.coherence for i in images], axis=0)
     return Image(grid, power.astype(np.float32), coherence, "backprojection")
+
+
+def _in_phase(parts: list[Frames], grid: Grid, *, window: Window, antenna: bool, threads: int) -> Image:
+    """One coherent image of all frames."""
+    image = Backprojector(grid, antenna=antenna, threads=threads)
+    for part in parts:
+        image.update(part, weights=frame_weights(part, window))
+    return image.image()
+
+
+def _piecewise(frames: Frames, grid: Grid, length_m: float, **settings: Any) -> Image:
+    """The power of coherent images of pieces of the track, each by its share of the frames' weight."""
+    pieces = subapertures(frames, length_m)
+    share = np.array([frame_weights(frames)[piece].sum() for piece in pieces])
+    power, coherence = np.zeros(grid.shape), np.zeros(grid.shape, np.float32)
+    for piece, part in zip(pieces, share / share.sum(), strict=True):
+        image = _in_phase([frames[piece]], grid, **settings)
+        power += part * np.abs(image.values) ** 2
+        coherence = np.maximum(coherence, image.coherence)
+    return Image(grid, np.sqrt(power).astype(np.float32), coherence, "backprojection")
+
+
+def subapertures(frames: Frames, length_m: float) -> list[slice]:
+    """The frames cut into runs of equal way, as near to a length as that allows.
+
+    Raises:
+        InputError: the length is not above zero.
+    """
+    if not (np.isfinite(length_m) and length_m > 0):
+        raise InputError(f"subaperture_m is {length_m}", where="focus", allowed="> 0")
+    step = np.linalg.norm(np.diff(frames.believed.position, axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(step)])
+    count = max(1, round(float(way[-1]) / length_m))
+    cuts = np.searchsorted(way, way[-1] * np.arange(1, count) / count)
+    edges = np.unique([0, *cuts.tolist(), len(frames)])
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def frame_weights(frames: Frames, window: Window = "path") -> Floats:
