@@ -103,8 +103,9 @@ class Backprojector:
         """
         path, spec = frames.believed, frames.spec
         if abs(spec.wavelength_m - (self._wavelength_m or spec.wavelength_m)) > 1e-6 * spec.wavelength_m:
+            before, now = (C0 / w / 1e9 for w in (self._wavelength_m, spec.wavelength_m))
             raise InputError(
-                f"a carrier of {C0 / spec.wavelength_m / 1e9:.3f} GHz after one of {C0 / self._wavelength_m / 1e9:.3f} GHz",
+                f"a carrier of {now:.3f} GHz after one of {before:.3f} GHz",
                 where=frames.sensor,
                 allowed="one carrier in a sum in phase; several sensors in power",
             )

@@ -103,22 +103,21 @@ def detect(
     if threshold is not None and not threshold > 0:
         raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
     sigma = noise_sigma(checked(frames))
-    values = np.asarray(envelope(frames), np.float64)
     least_m = _blind_m(frames) if min_range_m is None else min_range_m
     if method == "track":
         frame, place, height, snr = tracked(frames, sigma, pfa=pfa, window_m=window_m, min_range_m=least_m)
         return replace(_detections(frames, frame, place, height, sigma), snr_db=snr)
+    values = np.asarray(envelope(frames), np.float64)
     far = frames.range_m >= least_m
-    level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
-    if method == "clean":
-        return _cleaned(frames, far, level, sigma, max_echoes)
-    over: NDArray[np.bool_]
     if method in ("cfar", "os-cfar"):
         settings: dict[str, Any] = {"pfa": pfa, "guard": guard, "train": train, "correlation": correlation}
         over = values > cfar_threshold(frames, ordered=method == "os-cfar", **settings)
-    else:
-        over = values > level
-    frame, bin_ = np.nonzero(peaks(values) & over & far)
+        frame, bin_ = np.nonzero(peaks(values) & over & far)
+        return _at_peaks(frames, values, frame, bin_, sigma)
+    level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
+    if method == "clean":
+        return _cleaned(frames, far, level, sigma, max_echoes)
+    frame, bin_ = np.nonzero(peaks(values) & (values > level) & far)
     if method == "first_peak":
         frame, first = np.unique(frame, return_index=True)
         bin_ = bin_[first]

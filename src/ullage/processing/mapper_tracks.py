@@ -53,6 +53,15 @@ class Followed:
     post: Floats | None = None  # (2) where it stands, if it is an upright edge or pole [m]
     count: int = 0
 
+    def add(self, echo: Traced, ahead: Floats, least: float) -> None:
+        """Go on with an echo; every few of them, find the direction anew."""
+        self.echoes.append(echo)
+        del self.echoes[:-FOLLOWED]
+        self.count += 1
+        if self.count >= LEAST_LOOKS and self.count % FIT_EVERY == 0:
+            self.normal = normal_of(self.echoes, ahead, least)
+            self.post = None if self.normal is None else post_of(self.echoes, self.normal)
+
     def way(self, echo: Traced) -> tuple[Floats, bool]:
         """Unit vector (3) to what made an echo, and whether that is flat."""
         if self.post is None or self.normal is None:
@@ -159,22 +168,23 @@ class EchoTracks:
             else:
                 one = Followed()
                 held.append(one)
-            one.echoes.append(echo)
-            del one.echoes[:-FOLLOWED]
-            one.count += 1
-            if one.count >= LEAST_LOOKS and one.count % FIT_EVERY == 0:
-                one.normal = normal_of(one.echoes, look.heard.axes[:, 0], least)
-                one.post = None if one.normal is None else post_of(one.echoes, one.normal)
-            if one.normal is not None:
-                fresh = [Foot(e, *one.way(e)) for e in one.echoes if not e.laid]
-                for foot in fresh:
-                    foot.echo.laid = True
-                    feet += self._remember(foot) if foot.flat else [foot]
-            elif not echo.laid and (way := self._known(echo)) is not None:
-                echo.laid = True
-                feet.append(Foot(echo, way, True))
+            one.add(echo, look.heard.axes[:, 0], least)
+            feet += self._told(one, echo)
         self._open[name] = held
         return feet
+
+    def _told(self, one: Followed, echo: Traced) -> list[Foot]:
+        """The feet that one reflector's latest echo makes known."""
+        if one.normal is not None:
+            fresh = [Foot(e, *one.way(e)) for e in one.echoes if not e.laid]
+            for foot in fresh:
+                foot.echo.laid = True
+            return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
+        way = None if echo.laid else self._known(echo)
+        if way is None:
+            return []
+        echo.laid = True
+        return [Foot(echo, way, True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

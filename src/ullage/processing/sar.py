@@ -62,22 +62,22 @@ def focus(
                 "pieces of track of several sensors in phase", where="subaperture_m", allowed='combine="incoherent"'
             )
         return (
-            _in_phase(parts, grid, **settings)
+            _in_phase(parts, grid, **settings).image()
             if subaperture_m is None
             else _piecewise(parts[0], grid, subaperture_m, **settings)
         )
     images = [focus(part, grid, subaperture_m=subaperture_m, **settings) for part in parts]
     power = np.sqrt(np.sum([np.abs(i.values) ** 2 for i in images], axis=0))
-    coherence = np.max([i.coherence for i in images], axis=0)
+    coherence = np.max([i.coherence for i in images if i.coherence is not None], axis=0)
     return Image(grid, power.astype(np.float32), coherence, "backprojection")
 
 
-def _in_phase(parts: list[Frames], grid: Grid, *, window: Window, antenna: bool, threads: int) -> Image:
+def _in_phase(parts: list[Frames], grid: Grid, *, window: Window, antenna: bool, threads: int) -> Backprojector:
     """One coherent image of all frames."""
     image = Backprojector(grid, antenna=antenna, threads=threads)
     for part in parts:
         image.update(part, weights=frame_weights(part, window))
-    return image.image()
+    return image
 
 
 def _piecewise(frames: Frames, grid: Grid, length_m: float, **settings: Any) -> Image:
