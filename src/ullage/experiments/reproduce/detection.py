@@ -52,10 +52,9 @@ def run(bench: Bench) -> None:
 
 
 def target(bench: Bench, world: str) -> dict[str, Flown]:
-    """One target, every way; in small only the plate is flown by hand, and echoes bounce once."""
-    less = ["sensing.max_bounces=1"] if bench.quick else []
+    """One target, every way; in small only the plate is flown by hand."""
     ways = {way: tail for way, tail in WAYS.items() if world == "ntnu-plate" or not bench.quick or "hand" not in way}
-    return {way: bench.fly(world + tail, less if "physical" in tail else []) for way, tail in ways.items()}
+    return {way: bench.fly(world + tail) for way, tail in ways.items()}
 
 
 def show_profiles(bench: Bench, world: str, ways: dict[str, Flown]) -> None:
