@@ -142,6 +142,42 @@ def simulator_rate(fidelity: str, seconds: float = 6.0) -> float:
     return count / seconds
 
 
+def node_rate(fidelity: str, seconds: float = 8.0) -> float:
+    """Frames a second that the node publishes when it is asked for more than it can, by the frames' own numbers."""
+    import rclpy
+
+    from ullage.ports.ros2.middleware import message_class, profile
+
+    there = dict(os.environ) | {"PYTHONPATH": str(ROOT / "src")}
+    words = ["simulate:=ntnu-room", "pose:=/robot/odom", f"fidelity:={fidelity}", "rate_hz:=250.0"]
+    node = [sys.executable, "-m", "ullage.experiments.ros2_nodes", "radar_simulator", "--ros-args"]
+    started = [
+        subprocess.Popen([sys.executable, ROOT / "tests/ports/ros2/move.py"], env=there, stdin=-1, stdout=-3, stderr=-3),
+        subprocess.Popen([*node, *(part for word in words for part in ("-p", word))], env=there, stderr=-3),
+    ]
+    seen: dict[str, list[tuple[float, int]]] = {}
+    rclpy.init()
+    hearing = rclpy.create_node("bench_hearing")
+    kind = message_class(ros.FRAME)
+    for name in ("front", "left", "back", "right"):
+        take = seen.setdefault(name, [])
+        how = profile("sensor", depth=100)
+        hearing.create_subscription(
+            kind, f"/radar/{name}/frame", lambda m, take=take: take.append((time.monotonic(), m.index)), how
+        )
+    while not all(seen.values()):
+        rclpy.spin_once(hearing, timeout_sec=0.2)
+    begin = time.monotonic() + 2.0  # what waited while it got ready is worked off
+    while time.monotonic() < begin + seconds:
+        rclpy.spin_once(hearing, timeout_sec=0.2)
+    for child in started:
+        child.terminate()
+        child.wait()
+    rclpy.shutdown()
+    cut = [[moment for moment in took if moment[0] > begin] for took in seen.values()]
+    return sum((took[-1][1] - took[0][1]) / (took[-1][0] - took[0][0]) for took in cut)
+
+
 def main() -> None:
     """Every case; in the environment with the ROS 2 wheels if this one has none."""
     try:
@@ -165,6 +201,7 @@ def main() -> None:
     print("\n| simulator in the room, four radars | frames a second |\n|---|---|")
     for fidelity in ("thesis", "physical"):
         print(f"| {fidelity} | {simulator_rate(fidelity):.0f} |", flush=True)
+        print(f"| {fidelity}, as a node with its listener | {node_rate(fidelity):.0f} |", flush=True)
 
 
 if __name__ == "__main__":

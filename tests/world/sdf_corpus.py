@@ -1,8 +1,10 @@
 """Worlds that use the frames of SDF in all ways, and where ullage puts their collisions."""
 
 import numpy as np
+import trimesh
 
 from ullage.world.sdf_frames import ScopeFrames
+from ullage.world.sdf_geometry import GeometryReader
 from ullage.world.sdf_parse import read_pose
 from ullage.world.sdf_resolve import Resolver
 from ullage.world.sdf_tree import TreeReader
@@ -78,7 +80,24 @@ OLD = f"""<sdf version="1.4"><world name="w">
     <joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz></axis></joint>
   </model></world></sdf>"""
 
-CORPUS = {"frames": FRAMES, "nested": NESTED, "includes": INCLUDES, "old": OLD}
+SHAPES = {
+    "box": "<box><size>0.5 1.25 2</size></box>",
+    "cylinder": "<cylinder><radius>0.3</radius><length>1.5</length></cylinder>",
+    "sphere": "<sphere><radius>0.7</radius></sphere>",
+    "capsule": "<capsule><radius>0.2</radius><length>0.9</length></capsule>",
+    "ellipsoid": "<ellipsoid><radii>0.2 0.4 0.9</radii></ellipsoid>",
+    "plane": "<plane><normal>0 0 1</normal><size>3 5</size></plane>",
+    "tilted": "<plane><normal>1 0 0</normal><size>3 5</size></plane>",
+    "mesh": "<mesh><uri>model://thing/meshes/b.stl</uri></mesh>",
+    "scaled": "<mesh><uri>model://thing/meshes/b.stl</uri><scale>2 0.5 -1</scale></mesh>",
+}
+ALL_SHAPES = (
+    '<sdf version="1.9"><world name="w"><model name="m"><link name="l">'
+    + "".join(f'<collision name="{name}"><geometry>{text}</geometry></collision>' for name, text in SHAPES.items())
+    + "</link></model></world></sdf>"
+)
+
+CORPUS = {"frames": FRAMES, "nested": NESTED, "includes": INCLUDES, "old": OLD, "shapes": ALL_SHAPES}
 
 
 def write_corpus(folder, name):
@@ -89,24 +108,40 @@ def write_corpus(folder, name):
     (models / "thing" / "model.config").write_text(
         '<model><name>thing</name><sdf version="1.9">model.sdf</sdf></model>'
     )
+    (models / "thing" / "meshes").mkdir(exist_ok=True)
+    trimesh.creation.box((1, 2, 3)).export(models / "thing" / "meshes" / "b.stl")
     path = folder / f"{name}.sdf"
     path.write_text(CORPUS[name])
     return path, models
 
 
+def shapes_of(path, search_path=()):
+    """Name and shape, as it is read, of each collision; and the file of its mesh, if it is one."""
+    resolver = Resolver(path, search_path)
+    reader, out = GeometryReader(resolver), {}
+    for outer, link, node, _ in collisions(ScopeFrames(TreeReader(resolver).read(path))):
+        mesh = node.need("geometry").child("mesh")
+        file = None if mesh is None else resolver.find(mesh.need("uri").text, at=mesh.place)
+        out["::".join([*outer, link.name, node.name])] = (reader.read(node), file)
+    return out
+
+
 def poses_of(path, search_path=()):
     """Name and world pose (4, 4) of each collision."""
     out = {}
-
-    def walk(frames, outer, here):
-        for link in frames.scope.links:
-            for node in link.node.children("collision"):
-                pose = here @ frames.scope_from_pose(read_pose(node), link.name, at=node.place)
-                out["::".join([*outer, link.name, node.name])] = pose
-        for inner in frames.inner.values():
-            model = inner.scope
-            walk(inner, outer if model.merged else [*outer, model.name], inner.world_from_scope())
-
-    frames = ScopeFrames(TreeReader(Resolver(path, search_path)).read(path))
-    walk(frames, [], np.eye(4))
+    for outer, link, node, around in collisions(ScopeFrames(TreeReader(Resolver(path, search_path)).read(path))):
+        frames, here = around
+        pose = here @ frames.scope_from_pose(read_pose(node), link.name, at=node.place)
+        out["::".join([*outer, link.name, node.name])] = pose
     return out
+
+
+def collisions(frames, outer=(), here=None):
+    """The names around each collision, its link, itself, and the frames it lies in with their place in the world."""
+    here = np.eye(4) if here is None else here
+    for link in frames.scope.links:
+        for node in link.node.children("collision"):
+            yield outer, link, node, (frames, here)
+    for inner in frames.inner.values():
+        model = inner.scope
+        yield from collisions(inner, outer if model.merged else (*outer, model.name), inner.world_from_scope())

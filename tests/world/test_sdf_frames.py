@@ -6,12 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from sdf_corpus import CORPUS, poses_of, shape, write_corpus
+from sdf_corpus import CORPUS, poses_of, shape, shapes_of, write_corpus
 
 from ullage.errors import InputError, UllageWarning
+from ullage.world.library import WORLDS
+from ullage.world.sdf_geometry import Rod
+
+SHIPPED = {name: Path(world.path) for name, world in WORLDS.items()}
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +41,7 @@ def ask(program, path, models=""):
     )
     poses = {}
     for line in out.stdout.splitlines():
-        name, numbers = line.split("\t")
+        name, numbers, _ = line.split("\t")
         values = np.array(numbers.split(), float)
         poses[name] = np.eye(4)
         poses[name][:3, 3] = values[:3]
@@ -58,6 +63,40 @@ def test_the_real_parser_agrees_on_poses(name, oracle, tmp_path):
     assert out.returncode == 0, out.stderr
     assert len(theirs) >= 2
     assert_same(poses_of(path, [models]), theirs)
+
+
+def extent_of(said, file):
+    """How far a shape that the real parser tells of reaches along x, y and z."""
+    kind, *words = said.split()
+    v = np.array(words[:5] if kind == "plane" else words[:3], float)
+    if kind == "mesh":
+        return np.abs(v) * np.ptp(trimesh.load(file).vertices, axis=0)
+    if kind == "plane":
+        return np.array([*v[3:], 0]) if v[2] else None
+    around = {"cylinder": [2, 2, 0], "capsule": [2, 2, 2], "sphere": [2, 2, 2]}
+    if kind not in around:
+        return v * {"box": 1, "ellipsoid": 2}[kind]
+    return v[0] * np.array(around[kind]) + np.array([0, 0, v[1] if len(v) > 1 else 0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*CORPUS, *SHIPPED])
+def test_the_real_parser_agrees_on_shapes(name, oracle, tmp_path):
+    """Kind, sizes, scale and file of each collision's shape, as the mesh that was made of it shows them."""
+    path, models = write_corpus(tmp_path, name) if name in CORPUS else (SHIPPED[name], SHIPPED[name].parent)
+    words = subprocess.run([oracle, path, models], capture_output=True, text=True, check=True).stdout.splitlines()
+    theirs = {line.split("\t")[0]: line.split("\t")[2] for line in words}
+    ours = shapes_of(path, [models])
+    assert set(ours) == set(theirs)
+    for key, said in theirs.items():
+        made, file = ours[key]
+        assert (file is not None) == said.startswith("mesh"), key
+        if file is not None:
+            assert str(file).endswith(said.split()[-1].split("://")[-1]), key
+        reach = [2 * made.radius_m] * 2 + [made.length_m] if isinstance(made, Rod) else np.ptp(made[0], axis=0)
+        want = extent_of(said, file)
+        if want is not None:
+            np.testing.assert_allclose(reach, want, rtol=2e-3, atol=1e-6, err_msg=f"{key}: {said}")
 
 
 def plain(x, y, z, roll, pitch, yaw):
