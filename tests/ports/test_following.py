@@ -191,6 +191,9 @@ class Kept(PacedSink):
     def give(self, frames):
         self.kept.append((frames.sensor, int(frames.t_ns[0])))
 
+    def close(self):
+        pass
+
 
 def test_a_sink_is_given_frames_in_order_of_time():
     path = ul.Trajectory.stationary(n=3, rate_hz=10)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -312,7 +313,7 @@ class PaceOptions(Spec):
     host: str = Field("127.0.0.1", description="address of the interface to use")
 
 
-class PacedSink:
+class PacedSink(ABC):
     """Gives frames at the pace of their own clock, one moment after the other; everything else passes by.
 
     Args:
@@ -339,13 +340,14 @@ class PacedSink:
             time.sleep(max(0.0, self._start[0] + (t_ns - self._start[1]) * 1e-9 / self._pace - now))
         self.tick(t_ns)
 
-    def tick(self, t_ns: int) -> None:
+    def tick(self, t_ns: int) -> None:  # noqa: B027 (not every simulator takes a clock)
         """Told the frames' time before each is given."""
 
+    @abstractmethod
     def give(self, frames: Frames) -> None:
         """Hand some frames on."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Finish."""
 
