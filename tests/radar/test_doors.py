@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 import ullage as ul
-from ullage.errors import UllageWarning
-from ullage.radar.physical import echoes
+from ullage.errors import InputError, UllageWarning
+from ullage.radar.physical import echoes, path_gain_cw
 from ullage.world.scene import Scene
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
@@ -90,3 +90,24 @@ def test_a_wall_across_both_ranges_counts_once():
     long = RADAR.but(bins=700, prf_div=200)
     near = echoes(wall, HERE, RADAR)[0]
     assert abs(near - echoes(wall, HERE, long)[0][:188]).max() < 1e-3 * abs(near).max()
+
+
+@pytest.mark.parametrize(
+    ("world", "radar", "words"),
+    [
+        (ul.scenes.wire(radius_m=5e-5, length_m=1.0, distance_m=2.0), RADAR, "radius of 0.05 mm .*at least 0.1 mm"),
+        (ul.scenes.sphere(0.1, 2.0), RADAR.but(bandwidth_hz=2e7, bins=20), "the pulse is 8.53 m wide, the frame only"),
+    ],
+)
+def test_what_the_radar_cannot_do_is_refused(world, radar, words):
+    with pytest.raises(InputError, match=words):
+        ul.simulate(world, HERE, radar)
+
+
+@pytest.mark.parametrize("thick_m", [0.0005, 0.0019, 0.003])
+def test_a_thin_closed_plate_echoes_once(thick_m):
+    body = trimesh.creation.box((thick_m, 0.5, 0.5))
+    closed = scene(body.vertices + np.array([3 + thick_m / 2, 0, 0]), body.faces.copy())
+    sheet = ul.scenes.plate(width_m=0.5, height_m=0.5, distance_m=3.0, material="steel")
+    gain = [20 * np.log10(abs(path_gain_cw(world, HERE, RADAR)[0])) for world in (closed, sheet)]
+    assert gain[0] == pytest.approx(gain[1], abs=0.1)
