@@ -25,8 +25,8 @@ class Backs:
 
     def hidden(self, origins: Floats, opaque: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which faces (n) turn their backs to all of the places (k, 3) outside their bodies, where opaque (n)."""
-        out = opaque & (self.outward != 0).any(1)
-        for origin in origins:
+        out = opaque & self.outward[:, :3].any(1)
+        for origin in origins[:1] if (origins == origins[0]).all() else origins:
             away = ((origin < self.boxes[:, 0] - _CLEAR_M) | (origin > self.boxes[:, 1] + _CLEAR_M)).any(1)
             out &= away & (self.outward[:, :3] @ origin + self.outward[:, 3] < 0)
         return np.asarray(out)
