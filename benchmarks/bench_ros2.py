@@ -152,7 +152,9 @@ def node_rate(fidelity: str, seconds: float = 8.0) -> float:
     words = ["simulate:=ntnu-room", "pose:=/robot/odom", f"fidelity:={fidelity}", "rate_hz:=250.0"]
     node = [sys.executable, "-m", "ullage.experiments.ros2_nodes", "radar_simulator", "--ros-args"]
     started = [
-        subprocess.Popen([sys.executable, ROOT / "tests/ports/ros2/move.py"], env=there, stdin=-1, stdout=-3, stderr=-3),
+        subprocess.Popen(
+            [sys.executable, ROOT / "tests/ports/ros2/move.py"], env=there, stdin=-1, stdout=-3, stderr=-3
+        ),
         subprocess.Popen([*node, *(part for word in words for part in ("-p", word))], env=there, stderr=-3),
     ]
     seen: dict[str, list[tuple[float, int]]] = {}

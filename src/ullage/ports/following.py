@@ -96,7 +96,43 @@ def tell(text: str) -> None:
     warnings.warn(text, UllageWarning, stacklevel=3)
 
 
-class FollowSource:
+class Endless(ABC):
+    """A live source: it has no path or map of its own, and says what a person should know, but not too often.
+
+    Args:
+        say: told it; None: it becomes a warning.
+    """
+
+    def __init__(self, say: Say | None) -> None:
+        self._say, self._told = say or tell, dict[str, float]()
+
+    def trajectory(self) -> Trajectory | None:
+        """None: the path is not over."""
+        return None
+
+    def map(self) -> None:
+        """None: simulators hold no maps."""
+        return None
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of sockets and threads."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _tell(self, text: str, *, kind: str = "") -> None:
+        """Say it, but the same no more often than every few seconds."""
+        now = time.monotonic()
+        if now - self._told.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
+            self._told[kind or text] = now
+            self._say(text)
+
+
+class FollowSource(Endless):
     """Frames of radars on a simulator's model, simulated as its poses come.
 
     Frames depend on the poses and their times alone. Where the simulator's clock jumps back, as on a reset, the radars
@@ -115,7 +151,8 @@ class FollowSource:
     ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
-        self._options, self._say = options, say or tell
+        super().__init__(say)
+        self._options = options
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
             rate_hz=options.rate_hz,
@@ -125,7 +162,6 @@ class FollowSource:
         self._newest_ns, self._offset_ns = 0, 0  # of the simulator's clock, and what is added to it
         self._first_ns: int | None = None
         self._done_ns = -1  # nothing yet
-        self._told: dict[str, float] = {}
         self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits for us
         self._radars.reset()
         self._feed = join()
@@ -171,24 +207,10 @@ class FollowSource:
                 parts.setdefault(name, []).append(part)
         return one_or_all({name: joined(some) for name, some in parts.items()}, sensor)
 
-    def trajectory(self) -> Trajectory | None:
-        """None: the path is not over."""
-        return None
-
-    def map(self) -> None:
-        """None: simulators hold no maps."""
-        return None
-
     def close(self) -> None:
         """Let go of sockets and threads."""
         self._feed.close()
         self._radars.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _over(self) -> bool:
         length = self._options.duration_s
@@ -234,13 +256,6 @@ class FollowSource:
                 "(fidelity=thesis, fewer radars or a lower rate_hz cost less)",
                 kind="behind",
             )
-
-    def _tell(self, text: str, *, kind: str = "") -> None:
-        """Say it, but the same no more often than every few seconds."""
-        now = time.monotonic()
-        if now - self._told.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
-            self._told[kind or text] = now
-            self._say(text)
 
 
 def world_of(name: str, *, where: str) -> Scene:

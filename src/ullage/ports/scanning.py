@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
 from ullage.data import Floats, Frames, Trajectory, joined
 from ullage.errors import InputError
-from ullage.ports.following import LATE_NS, PATIENCE_S, FollowOptions, Note, Say, tell
+from ullage.ports.following import LATE_NS, Endless, FollowOptions, Note, Say
 from ullage.ports.protocol import one_or_all
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.scan import echoes_of_scans
@@ -64,7 +63,7 @@ def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
     return radar.but(thesis=fan)
 
 
-class ScanSource:
+class ScanSource(Endless):
     """Frames made of a simulator's own rays, one of each scan.
 
     Args:
@@ -85,10 +84,10 @@ class ScanSource:
         say: Say | None = None,
     ) -> None:
         self.scene = scene
-        self._radar, self._options, self._say = radar, options, say or tell
+        super().__init__(say)
+        self._radar, self._options = radar, options
         self._first_ns: int | None = None
         self._last_ns, self._offset_ns, self._count = -1, 0, 0
-        self._told: dict[str, float] = {}
         self._feed = join()
 
     @property
@@ -122,23 +121,9 @@ class ScanSource:
         name = self._options.rays
         return one_or_all({name: joined([piece[name] for piece in self.stream()])}, sensor)
 
-    def trajectory(self) -> Trajectory | None:
-        """None: the path is not over."""
-        return None
-
-    def map(self) -> None:
-        """None: simulators hold no maps."""
-        return None
-
     def close(self) -> None:
         """Let go of the sockets."""
         self._feed.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _over(self) -> bool:
         length = self._options.duration_s
@@ -168,9 +153,3 @@ class ScanSource:
         self._count += 1
         pose = Trajectory(np.array([self._last_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
         return Frames(samples, spec.range_m, pose.t_ns, spec, pose, pose, name, "thesis")
-
-    def _tell(self, text: str) -> None:
-        now = time.monotonic()
-        if now - self._told.get(text, -PATIENCE_S) >= PATIENCE_S:
-            self._told[text] = now
-            self._say(text)
