@@ -262,7 +262,9 @@ class UllageMapper:
             seen = np.zeros(len(suspects), bool)
             deep = [np.pad(v.astype(float), ((0, 0), (3 - free.ndim, 0))) for v in (suspects, eyes)]
             in_view(solid.reshape((-1, *solid.shape[-2:])), *deep, HIDE_M / self.grid.step_m, seen)
-            percent[tuple(suspects[~seen].T)] = AMBIGUOUS
+            groups, _ = label(solid, ball)
+            alone = (np.bincount(groups.ravel()) == 1)[groups[tuple(suspects.T)]]
+            percent[tuple(suspects[~seen | alone].T)] = AMBIGUOUS
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""
