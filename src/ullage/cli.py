@@ -11,6 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from ullage.experiments.runner import Report
+    from ullage.experiments.sweep import Sweep
 
 app = typer.Typer(
     name="ullage",
@@ -300,6 +301,62 @@ def reproduce(
         raise typer.Exit(130)
     if done.broken:
         raise typer.Exit(1)
+
+
+@app.command()
+def sweep(
+    scenario: Annotated[str, typer.Argument(help="Scenario name or scenario.yaml.")],
+    over: Annotated[
+        list[str] | None, typer.Option("--over", help="A setting and its values", metavar="KEY=V1,V2")
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each combination.")] = 1,
+    metric: Annotated[list[str] | None, typer.Option("--metric", help="To show, of those measured.")] = None,
+    option: Options = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the runs and of sweep.csv.", metavar="DIR")] = Path(
+        "sweep"
+    ),
+    force: Annotated[bool, typer.Option("--force", help="Run again what is there.")] = False,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many runs at a time.")] = 2,
+) -> None:
+    """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
+    import shutil
+
+    from ullage.experiments import sweep as sweeps
+    from ullage.view.progress import console, progress_bar
+
+    axes = dict(sweeps.axis_of(text) for text in over or [])
+    points = sweeps.plan(scenario, axes, seeds=seeds, options=option or [], out=out)
+    for point in points if force else ():
+        shutil.rmtree(point.folder, ignore_errors=True)
+    warm_up(scenario, list(points[0].options))
+    with progress_bar(f"{len(points)} runs", total=float(len(points))) as bar:
+
+        def tell(done: int, text: str) -> None:
+            bar.say(text)
+            bar(done)
+
+        done = sweeps.sweep(points, out=out, jobs=jobs, tell=tell)
+    if done.done:
+        shown = [name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics]
+        _tabulate(done, metric or shown)
+    console.print(f"{len(done.done)} of {len(points)} runs; table: {done.table}", highlight=False)
+    if done.interrupted:
+        console.print("[yellow]interrupted[/]: run the same command again to go on")
+        raise typer.Exit(130)
+
+
+def _tabulate(done: Sweep, metrics: list[str]) -> None:
+    from rich.table import Table
+
+    from ullage.view.progress import console
+
+    found = {name: done.summary(name) for name in metrics}
+    table = Table(*(key for key, _ in done.points[0].settings), "seeds", *metrics, box=None)
+    for settings in dict.fromkeys(point.settings for point in done.done):
+        cells = [found[name].get(settings, (0, float("nan"), 0.0)) for name in metrics]
+        values = (f"{mean:.4g} ± {spread:.2g}" if count > 1 else f"{mean:.4g}" for count, mean, spread in cells)
+        table.add_row(*(value for _, value in settings), str(max(count for count, _, _ in cells)), *values)
+    console.print(table)
 
 
 @app.command()

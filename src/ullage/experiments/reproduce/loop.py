@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ullage.experiments.crew import Tell, carry_out
 from ullage.experiments.folder import write_json
-from ullage.experiments.reproduce.crew import Tell, carry_out
 from ullage.experiments.reproduce.plan import Experiment
 from ullage.experiments.reproduce.task import Chapter, Task, code_now
 

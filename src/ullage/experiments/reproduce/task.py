@@ -42,9 +42,24 @@ class Task:
     code: str  # that does it; known to the processes that do, so that code which changes meanwhile does not count
 
     @property
+    def name(self) -> str:
+        """The experiment's."""
+        return self.experiment.name
+
+    @property
+    def title(self) -> str:
+        """The experiment's."""
+        return self.experiment.title
+
+    @property
+    def cost(self) -> float:
+        """How long it takes, beside the others."""
+        return self.experiment.small if self.quick else self.experiment.weight
+
+    @property
     def folder(self) -> Path:
         """Where its results go."""
-        return self.root / self.experiment.name
+        return self.root / self.name
 
     @property
     def mark(self) -> Path:

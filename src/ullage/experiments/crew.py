@@ -1,4 +1,4 @@
-"""Does several experiments at a time, each in a process of its own, and tells how far each is."""
+"""Does several pieces of work at a time, each in a process of its own, and tells how far each is."""
 
 from __future__ import annotations
 
@@ -9,15 +9,42 @@ import time
 from collections.abc import Callable, Sequence
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Protocol
 
 from ullage.errors import UllageError
 from ullage.experiments.folder import write_text
-from ullage.experiments.reproduce.task import Task
 
 Tell = Callable[[int, str], None]
 STATUS, FAILED = "status.txt", "failed.txt"
 LOOK_S, GRACE_S = 0.3, 20.0
 """Time between looks, and that given to finish what it is at after Ctrl-C [s]."""
+
+
+class Task(Protocol):
+    """A piece of work that leaves a folder and knows when it is done."""
+
+    @property
+    def name(self) -> str:
+        """Unlike any other's."""
+
+    @property
+    def title(self) -> str:
+        """What people read."""
+
+    @property
+    def cost(self) -> float:
+        """How long it takes, beside the others."""
+
+    @property
+    def folder(self) -> Path:
+        """Where its results go."""
+
+    @property
+    def done(self) -> bool:
+        """Whether they are there."""
+
+    def do(self, say: Callable[[str], None]) -> None:
+        """Does it anew, telling how far it is."""
 
 
 def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: None) -> None:
@@ -37,23 +64,23 @@ def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: N
     if jobs < 2:
         for number, task in enumerate(left, before):
 
-            def say(text: str, number: int = number, title: str = task.experiment.title) -> None:
+            def say(text: str, number: int = number, title: str = task.title) -> None:
                 tell(number, f"{title}: {text}")
 
             task.do(say)
         tell(len(tasks), "done")
         return
-    left.sort(key=lambda task: -(task.experiment.small if task.quick else task.experiment.weight))
+    left.sort(key=lambda task: -task.cost)
     running: dict[str, tuple[Task, BaseProcess]] = {}
     try:
         while left or running:
             while left and len(running) < jobs:
                 task = left.pop(0)
-                running[task.experiment.name] = task, _start(task)
+                running[task.name] = task, _start(task)
             time.sleep(LOOK_S)
             for name in [name for name, (_, process) in running.items() if not process.is_alive()]:
                 _judge(*running.pop(name))
-            words = [f"{task.experiment.title}: {_read(task.folder / STATUS)}" for task, _ in running.values()]
+            words = [f"{task.title}: {_read(task.folder / STATUS)}" for task, _ in running.values()]
             tell(len(tasks) - len(left) - len(running), "; ".join(words) or "done")
     finally:
         _end([process for _, process in running.values()])
@@ -79,6 +106,7 @@ def work(task: Task) -> None:
     try:
         task.do(say)
     except UllageError as error:
+        task.folder.mkdir(parents=True, exist_ok=True)
         write_text(task.folder / FAILED, str(error))
         raise SystemExit(2) from None
     except KeyboardInterrupt:
@@ -91,7 +119,7 @@ def _judge(task: Task, process: BaseProcess) -> None:
         raise KeyboardInterrupt
     if process.exitcode != 0:
         what = _read(task.folder / FAILED) or f"ended with code {process.exitcode}"
-        raise UllageError(f"{task.experiment.title}: {what}")
+        raise UllageError(f"{task.title}: {what}")
 
 
 def _read(path: Path) -> str:
