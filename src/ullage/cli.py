@@ -337,7 +337,9 @@ def sweep(
 
         done = sweeps.sweep(points, out=out, jobs=jobs, tell=tell)
     if done.done:
-        shown = [name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics]
+        shown: list[str] = [
+            name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics
+        ]
         _tabulate(done, metric or shown)
     console.print(f"{len(done.done)} of {len(points)} runs; table: {done.table}", highlight=False)
     if done.interrupted:
