@@ -22,7 +22,8 @@ demo: $(VENV)/.run
 	$(BIN)/ullage run cargo-hold --force
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	@$(BIN)/python -c "from ullage.experiments import warmup; warmup.compiled() or warmup.compile_kernels(tell=print)"
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow

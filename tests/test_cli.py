@@ -90,6 +90,7 @@ def test_a_run_is_measured_against_its_bounds(place: Path) -> None:
     (place / "runs" / "latest").symlink_to(first.name)
 
 
+@pytest.mark.slow
 def test_a_recording_replays_to_the_same_map(place: Path) -> None:
     grid = ("-o", "map.method=elfes", "-o", "map.margin_m=1")
     done = ullage("run", "runs/latest/frames.mcap", "--do", "map", *grid, "--out", "replayed", cwd=place)

@@ -43,6 +43,7 @@ def test_tail_belongs_to_waves(rows, found):
     assert -60 < found["tail physical"] < -35
 
 
+@pytest.mark.slow
 def test_figure_is_written(rows, found, tmp_path):
     draw_laws(tmp_path / "laws.png", rows, found)
     assert (tmp_path / "laws.png").stat().st_size > 50_000

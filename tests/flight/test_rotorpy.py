@@ -138,6 +138,7 @@ def test_a_step_of_one_metre_rises_and_overshoots_as_in_rotorpy():
     assert -0.01 <= over < 0.06
 
 
+@pytest.mark.slow
 def test_a_figure_of_eight_is_tracked_as_by_rotorpy_and_better_with_jerk_feedforward():
     track = _eight()
     blind = track.copy()

@@ -29,7 +29,10 @@ def drift():
     return np.stack([0.02 * np.sin(5 * phase), 0.01 * np.cos(4 * phase), 0 * phase], axis=1)
 
 
-@pytest.mark.parametrize(("error", "regained"), [(white(0.003), 0.2), (drift(), 0.5)], ids=["white", "drift"])
+@pytest.mark.parametrize(
+    ("error", "regained"),
+    [pytest.param(white(0.003), 0.2, id="white", marks=pytest.mark.slow), pytest.param(drift(), 0.5, id="drift")],
+)
 def test_autofocus_sharpens_what_pose_errors_blurred(error, regained):
     frames = frames_of_points(POINTS, TRUE, spec=SPEC, noise=0.05, believed=moved(error))
     ideal = sharpness(frames_of_points(POINTS, TRUE, spec=SPEC, noise=0.05))

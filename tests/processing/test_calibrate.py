@@ -55,6 +55,7 @@ def test_a_standing_sensor_cannot_be_calibrated():
         ul.calibrate(frames)
 
 
+@pytest.mark.slow
 def test_surveyed_reflectors_settle_both_offsets(planted):
     record = ul.calibrate(planted, reflectors=[(2.5, 0.6, 1.0), (1.8, 1.5, 1.0)]).calibration
     assert record is not None

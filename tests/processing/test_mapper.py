@@ -68,7 +68,7 @@ def test_range_alone_carries_the_map_where_there_is_no_phase(flight):
     assert got["accuracy_p90"] <= 0.22
 
 
-@pytest.mark.parametrize(("noise_m", "least"), [(0.003, 0.85), (0.01, 0.72)])
+@pytest.mark.parametrize(("noise_m", "least"), [pytest.param(0.003, 0.85, marks=pytest.mark.slow), (0.01, 0.72)])
 def test_noisy_poses_cost_little(flight, noise_m, least):
     rng = np.random.default_rng(3)
     shift = rng.normal(0, noise_m, (len(flight["front"]), 3))

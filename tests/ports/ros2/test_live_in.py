@@ -36,6 +36,7 @@ def lines_until(
     raise AssertionError(f"never came; heard {out[-5:]}")
 
 
+@pytest.mark.slow
 def test_mapping_on_topics_gives_what_the_flight_gives(network: Network, tmp_path: Path) -> None:
     address = "ros2:?poses=tf&idle_s=8&node=mapper"
     mapper = network.start("-m", "ullage", "run", address, "--out", tmp_path, "--to", "ros2:/mapped")
@@ -70,6 +71,7 @@ def flight() -> dict[str, ul.Frames]:
     return frames
 
 
+@pytest.mark.slow
 def test_radars_follow_a_robot_and_each_may_die_and_come_back(network: Network) -> None:
     address = "ros2:/robot?simulate=ntnu-room&fidelity=thesis&node=radars"
     listener = network.ready(
