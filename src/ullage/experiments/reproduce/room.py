@@ -90,7 +90,7 @@ def _statements(
             "Elfes: at 0.5 m most features are gone (F1 within half a cell at 0.5 m under F1 at 0.1 m)",
             "7.2",
             worse,
-            low=-0.3,
+            low=0.1,
         )
         false = {step: scored["elfes", step]["false_occupied"] * step**2 for step in (0.2, 0.1)}
         hold("Elfes: 0.2 m gives more falsely occupied area than 0.1 m", "7.2", false[0.2] - false[0.1], "m2", low=0)
