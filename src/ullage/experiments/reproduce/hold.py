@@ -10,7 +10,7 @@ from ullage.experiments.reproduce.maps import HEAD, row_of, show_world, walls_of
 from ullage.grids import Grid
 from ullage.processing.metrics import map_cost
 from ullage.processing.occupancy import Mapper, Method
-from ullage.radar.simulate import simulate
+from ullage.radar.simulate import Fidelity, simulate
 from ullage.specs import Rig
 from ullage.view.thesis_maps import Panel, draw_panels
 from ullage.world import scenes
@@ -70,11 +70,12 @@ def _far(bench: Bench, flown: Flown) -> None:
     rows = []
     methods: tuple[tuple[Method, str], ...] = (("elfes", "Elfes"), ("ullage", "ullage"))
     for method, name in methods:
-        costs = []
-        for scene in (shifted, Scene.empty()):
-            frames = simulate(scene, track, rig, fidelity="thesis" if method == "elfes" else "physical", seed=7)
-            spent = map_cost(Mapper(grid, method=method), frames)
-            costs.append(spent["cpu_mean"].value)
+        law: Fidelity = "thesis" if method == "elfes" else "physical"
+        heard = [simulate(scene, track, rig, fidelity=law, seed=7) for scene in (shifted, Scene.empty())]
+        taken = [
+            [map_cost(Mapper(grid, method=method), frames)["cpu_mean"].value for frames in heard] for _ in range(5)
+        ]
+        costs = np.min(taken, axis=0)  # by turns, the least of five: other work on the machine only adds
         rows.append((name, f"{costs[0]:.3f}", f"{costs[1]:.3f}", f"{costs[1] / costs[0]:.2f}"))
         bench.findings.numbers[f"{method} far over near"] = costs[1] / costs[0]
     bench.findings.tabulate(
