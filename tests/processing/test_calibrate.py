@@ -109,3 +109,38 @@ def test_focus_alone_agrees_with_the_zero_within_its_own_doubt():
     assert record is not None
     doubt = np.hypot(record.range_sigma_m, raw.spec.range_zero_sigma_m)
     assert abs(record.range_offset_m + raw.spec.range_zero_m) < 3 * doubt  # at which the zero would be left out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not RAIL.exists(), reason="the real rail recordings are not here")
+def test_the_pulson_zero_is_what_surveyed_reflectors_of_the_other_rail_say():
+    """The preset's zero is an instrument's constant: measured anew here, from a recording that shares nothing else."""
+    kept = np.load(RAIL.parent / "rail_b_decoded.npz")
+    track = ul.Trajectory(_ns(kept["t_mocap_s"]), _enu(kept["pos_m"]), _turned(kept["quat_xyzw"]))
+    preset = ul.RadarSpec.preset("pulson440")
+    spec = preset.but(bins=kept["range_m"].size, range_start_m=float(kept["range_m"][0]), range_zero_m=None)
+    scans = kept["scans"].astype(float)
+    raw = ul.Frames(scans, kept["range_m"], _ns(kept["t_radar_s"]), spec, track=track, unit="normalised")
+    places = _enu(kept["reflectors_m"])
+    both = ul.calibrate(raw, reflectors=places)
+    strong = ul.calibrate(raw, reflectors=places[:1]).calibration
+    assert preset.range_zero_m is not None
+    assert both.calibration is not None
+    assert strong is not None
+    for record in (both.calibration, strong):
+        assert -record.range_offset_m == pytest.approx(preset.range_zero_m, abs=preset.range_zero_sigma_m)
+    image = ul.focus(both, ul.Grid.covering([places[0] - 0.6, places[0] + 0.6], 0.02, z_m=float(places[0, 2])))
+    assert np.linalg.norm(image.peak_m - places[0]) < 0.04
+
+
+def _ns(seconds):
+    return np.rint(seconds * 1e9).astype(np.int64)
+
+
+def _enu(y_up):
+    """Motive's (X, Y up, Z) as (X, -Z, Y)."""
+    return np.stack([y_up[..., 0], -y_up[..., 2], y_up[..., 1]], axis=-1)
+
+
+def _turned(quat_xyzw):
+    return np.concatenate([_enu(quat_xyzw[:, :3]), quat_xyzw[:, 3:]], axis=1)
