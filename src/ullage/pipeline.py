@@ -122,8 +122,11 @@ def run(
         Counts, and what the stages gave when they finished.
     """
     count, interrupted = _Count(), False
+    passing = getattr(source, "passing", None)  # of a live port: messages that are no frames
     try:
         try:
+            if passing is not None:
+                passing.to(lambda item: _give(item, sinks))
             for chunk in source.stream():
                 count.add(chunk)
                 _give(chunk, sinks)

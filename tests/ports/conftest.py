@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.ports.imc.codec import Message
 
 IGN_TOPIC = Path("/usr/libexec/ignition/transport11/ign-transport-topic")
 """Debian's tool of Gazebo Transport."""
@@ -91,3 +92,19 @@ def ign_topic(partition):
         process.kill()
         process.wait()
         process.stdout.close()
+
+
+def same_message(one: Message, other: Message) -> None:
+    """Both messages say the same, to what a quaternion and 32 bits keep."""
+    assert one.name == other.name
+    assert one.values.keys() == other.values.keys()
+    for key, value in one.values.items():
+        got = other[key]
+        if isinstance(value, tuple):
+            assert len(value) == len(got)
+            for a, b in zip(value, got, strict=True):
+                same_message(a, b)
+        elif isinstance(value, float):
+            assert got == pytest.approx(value, rel=1e-9, abs=1e-6), key
+        else:
+            assert got == value, key

@@ -15,6 +15,7 @@ from ullage.experiments.folder import make_folder
 from ullage.experiments.runner import Run, of_scenario
 from ullage.experiments.simulated import prepare
 from ullage.ports.live import LISTED, Address
+from ullage.ports.protocol import Passing
 
 
 def make_run(
@@ -97,16 +98,18 @@ def _of_recording(
 
 
 class _Begun:
-    """A live source whose first piece has come: it is given first, then the rest."""
+    """A live source, closed at its end; where its first piece is waited for, that is given first, then the rest."""
 
-    def __init__(self, source: Any) -> None:
+    def __init__(self, source: Any, *, wait: bool) -> None:
         self._source, self._rest = source, source.stream()
-        self.first: dict[str, Frames] = next(self._rest, {})
+        self.passing: Passing | None = getattr(source, "passing", None)
+        self.first: dict[str, Frames] = next(self._rest, {}) if wait else {}
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """Every piece, once."""
         try:
-            yield self.first
+            if self.first:
+                yield self.first
             yield from self._rest
         finally:
             self._source.close()
@@ -119,17 +122,23 @@ def _of_live(
     out: Path | None,
     say: Callable[[str], None],
 ) -> Run:
-    """Listen until the first frames come: they say what radars there are and where the map should lie."""
+    """Listen until the first frames come: they say what radars there are and where the map should lie.
+
+    Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
+    """
     source: Any = address.source()
     try:
-        say(f"waiting for the first frames from {address.scheme}:{address.place} (Ctrl-C ends)")
-        begun = _Begun(source)
-        if not begun.first:
+        wait = tasks != ()
+        what = "waiting for the first frames from" if wait else "passing on what comes from"
+        say(f"{what} {address.scheme}:{address.place} (Ctrl-C ends)")
+        begun = _Begun(source, wait=wait)
+        if wait and not begun.first:
             raise InputError("no frames came", where=f"{address.scheme}:{address.place}")
         flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
         usual: tuple[Task, ...] = ("detect",) if flown is None else ("detect", "map")
+        usual = usual if tasks is None else tasks
         now = datetime.now(UTC)
-        tree: dict[str, Any] = {"name": f"{address.scheme}-{now:%Y%m%d-%H%M%S}", "do": tasks or usual}
+        tree: dict[str, Any] = {"name": f"{address.scheme}-{now:%Y%m%d-%H%M%S}", "do": usual}
         tree["title"] = f"Live from {address.scheme}:{address.place}"
         scenario = make_scenario(tree, options=options)
         folder = make_folder(scenario.name, scenario.digest, root=out)

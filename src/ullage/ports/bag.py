@@ -23,7 +23,7 @@ from ullage.grids import Image, OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.messages import topic_name
-from ullage.ports.protocol import Item, write_whole
+from ullage.ports.protocol import Item, Passed, write_whole
 from ullage.world.scene import Scene
 
 FLUSH_NS = 500_000_000
@@ -152,6 +152,8 @@ class McapSink:
         elif isinstance(item, Scene):
             channel = self._channel("/world", ros.MARKERS, LATCHED)
             yield self._last_ns, channel, conversions.scene_note(item, self._last_ns)
+        elif isinstance(item, Passed):
+            yield item.t_ns, self._channel(f"/{item.topic}", item.kind), item.data
         elif not isinstance(item, Image):  # an image lies beside the recording, as a picture
             raise InputError(f"cannot record a {type(item).__name__}", where=self.path, allowed="frames, maps, ...")
 

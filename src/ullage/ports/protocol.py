@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol, Self, runtime_checkable
 
@@ -20,7 +22,40 @@ from ullage.world.scene import Scene
 Chunk = Mapping[str, Frames]
 """A piece of a recording: frames of each sensor by name."""
 
-Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | Scene | Image
+
+@dataclass(frozen=True, slots=True)
+class Passed:
+    """A ROS message that one port heard and another may say: nothing that a radar measured."""
+
+    t_ns: int  # of what it tells
+    topic: str  # without the namespace
+    kind: str  # `package/msg/Name`
+    data: bytes  # CDR
+
+
+class Passing:
+    """What a live source hears beside frames, given on as it comes once somebody takes it."""
+
+    def __init__(self) -> None:
+        self._take: Callable[[Passed], None] | None = None
+        self._waiting: deque[Callable[[], Iterable[Passed]]] = deque(maxlen=1000)
+
+    def to(self, take: Callable[[Passed], None]) -> None:
+        """From now on to this one; first what waits."""
+        self._take = take
+        while self._waiting:
+            self.give(self._waiting.popleft())
+
+    def give(self, make: Callable[[], Iterable[Passed]]) -> None:
+        """Pass on what this makes; it is not made where nobody takes it."""
+        if self._take is None:
+            self._waiting.append(make)
+            return
+        for item in make():
+            self._take(item)
+
+
+Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | Scene | Image | Passed
 """Whatever a sink may be handed; what it has no place for, it passes over."""
 
 

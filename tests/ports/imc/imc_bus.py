@@ -1,6 +1,7 @@
 """A peer that stands for DUNE: a TCP server that packs its own bytes, flies a line, and keeps all it is sent.
 
-Run as a process: `python imc_bus.py PORT SECONDS FILE`; PORT 0 takes a free one. The port is the first line it prints.
+Run as a process: `python imc_bus.py PORT SECONDS FILE [ALSO]`; PORT 0 takes a free one. The port is the first line it
+prints. ALSO holds packets, little endian, that are sent beside the poses, 40 a second.
 """
 
 from __future__ import annotations
@@ -80,12 +81,23 @@ def heartbeat(t_s: float) -> bytes:
     return packed(150, b"", t_s=t_s)
 
 
-def serve(port: int, seconds: float, kept: Path) -> None:
+def split(data: bytes) -> list[bytes]:
+    """Packets that lie one after the other."""
+    out = []
+    while data:
+        size = 22 + struct.unpack_from("<H", data, 4)[0]
+        out.append(data[:size])
+        data = data[size:]
+    return out
+
+
+def serve(port: int, seconds: float, kept: Path, also: bytes = b"") -> None:
     """Fly north from the origin for so long, 20 poses a second, in the time of the packets and of the wall."""
     server = socket.create_server(("127.0.0.1", port))
     print(server.getsockname()[1], flush=True)
     client, _ = server.accept()
     began, sent, got = time.time(), 0, bytearray()
+    others, gone = split(also), 0
     with suppress(OSError):  # the client may leave first
         while (now := time.time()) < began + seconds:
             due = int((now - began) * 20)
@@ -94,6 +106,8 @@ def serve(port: int, seconds: float, kept: Path) -> None:
                 if k % 20 == 0:
                     client.sendall(heartbeat(now) + announce(now))
             sent = due + 1
+            gone, before = int((now - began) * 40), gone
+            client.sendall(b"".join(others[before:gone]))
             if select.select([client], [], [], 0.02)[0]:
                 got += client.recv(1 << 16)
         client.shutdown(socket.SHUT_WR)
@@ -105,4 +119,4 @@ def serve(port: int, seconds: float, kept: Path) -> None:
 
 
 if __name__ == "__main__":
-    serve(int(sys.argv[1]), float(sys.argv[2]), Path(sys.argv[3]))
+    serve(int(sys.argv[1]), float(sys.argv[2]), Path(sys.argv[3]), b"".join(Path(p).read_bytes() for p in sys.argv[4:]))

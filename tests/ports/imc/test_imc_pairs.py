@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import same_message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -61,21 +62,6 @@ def sensible(name: str) -> st.SearchStrategy:
     return messages_of(own().by_name[name]).filter(whole).flatmap(tamed)
 
 
-def same(one: Message, other: Message) -> None:
-    assert one.name == other.name
-    assert one.values.keys() == other.values.keys()
-    for key, value in one.values.items():
-        got = other[key]
-        if isinstance(value, tuple):
-            assert len(value) == len(got)
-            for a, b in zip(value, got, strict=True):
-                same(a, b)
-        elif isinstance(value, float):
-            assert got == pytest.approx(value, rel=1e-9, abs=1e-6), key
-        else:
-            assert got == value, key
-
-
 ROS = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -126,8 +112,8 @@ def test_the_interpreter_loses_no_field(name: str) -> None:
         }
         assert set(notes) <= kinds.keys() or "Desired" in name
         back = imc_of(name, heard)
-        same(message, back)
-        same(back, imc_of(name, interpreted(back)))
+        same_message(message, back)
+        same_message(back, imc_of(name, interpreted(back)))
 
     check()
 

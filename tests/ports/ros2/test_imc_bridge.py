@@ -7,21 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import same_message
 
 import ullage as ul
-from ullage.ports.imc.codec import Packet, Parser
+from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.gather import Gatherer, Track
+from ullage.ports.imc.interpreter import PAIRS
 from ullage.ports.imc.places import Geodetic
+from ullage.ports.imc.teller import BODY
 
 from .network import ROOT, Network, told
 
 pytestmark = pytest.mark.ros2
 BUS = ROOT / "tests/ports/imc/imc_bus.py"
+OTHER = 0x0804  # not the vehicle whose poses are followed
 
 
-def bus(network: Network, seconds: float, kept: Path) -> tuple[subprocess.Popen[str], str]:
-    """A process that stands for DUNE: what it is sent ends up in `kept`."""
-    started = network.start(BUS, "0", str(seconds), kept)
+def bus(network: Network, seconds: float, kept: Path, *also: Path) -> tuple[subprocess.Popen[str], str]:
+    """A process that stands for DUNE: what it is sent ends up in `kept`; it says what is in `also`."""
+    started = network.start(BUS, "0", str(seconds), kept, *also)
     assert started.stdout is not None
     return started, f"tcp://127.0.0.1:{started.stdout.readline().strip()}"
 
@@ -80,3 +84,64 @@ def test_a_vehicle_goes_to_ros_and_from_ros_to_a_bus_without_losing_a_bit(networ
         assert frames.unit == flown[name].unit
         np.testing.assert_array_equal(frames.poses.position, flown[name].poses.position[rows])
         np.testing.assert_array_equal(frames.poses.quat_xyzw, flown[name].poses.quat_xyzw[rows])
+
+
+def every_pair(count: int) -> list[Packet]:
+    """Messages of every kind that the table has words for, in turn, none like the one before."""
+    out = []
+    for k in range(count):
+        name = list(PAIRS)[k % len(PAIRS)]
+        blank = make(name).values
+        fields = {key: (8 * (k % 41) + n) / 1024 for n, (key, v) in enumerate(blank.items()) if isinstance(v, float)}
+        if name == "Distance":
+            fields["location"] = (make("DeviceState", x=0.125 * k, psi=0.5),)
+        if name == "SonarData":
+            fields |= {"data": bytes(range(k % 250)), "bits_per_point": 8, "frequency": k, "max_range": 9}
+        for unit in {"z_units", "speed_units"} & blank.keys():
+            fields[unit] = k // len(PAIRS) % 3
+        if "description" in blank:
+            fields["description"] = f"state {k}"
+        out.append(Packet(make(name, **fields), 1.7e9 + k, OTHER, 9))
+    return out
+
+
+def test_what_is_said_on_a_bus_is_said_on_ros_and_on_another_bus_and_what_ros_wants_too(
+    network: Network, tmp_path: Path
+) -> None:
+    said = every_pair(440)
+    (tmp_path / "said.bin").write_bytes(b"".join(map(encode, said)))
+    listener = network.ready(
+        "hear.py", "/dune/imc/desired/heading=std_msgs/msg/Float64:stream",
+        "/dune/imc/packet=diagnostic_msgs/msg/DiagnosticStatus:stream",
+    )  # fmt: skip
+    ground, where = bus(network, 60.0, tmp_path / "ground.bin")
+    back = network.start(
+        "-m", "ullage", "run", "ros2:/dune?idle_s=4&node=back", "--do", "", "--out", tmp_path / "back",
+        "--to", f"imc:{where}?pace=0",
+    )  # fmt: skip
+    wishes = network.start("wish.py", "/dune/desired/height=4.25", "/dune/desired/speed=0.5")
+    dune, place = bus(network, 12.0, tmp_path / "dune.bin", tmp_path / "said.bin")
+    there = network.start(
+        "-m", "ullage", "run", f"imc:{place}?reconnect=false", "--do", "", "--out", tmp_path / "there",
+        "--to", "ros2:/dune?linger_s=2",
+    )  # fmt: skip
+    told(wishes, timeout=120)
+    for process in (there, back):
+        out, err = process.communicate(timeout=120)
+        assert process.returncode == 0, out + err
+    ground.communicate(timeout=60)
+    dune.communicate(timeout=60)
+    count = told(listener, stop=True)["count"]
+    assert min(count.values()) > 20
+
+    got = heard(tmp_path / "ground.bin")
+    part = next(p["id"] for p in got if p.name == "EntityInfo" and p["label"] == f"{OTHER:#06x}/9")
+    came = [p for p in got if p.src_ent == part and p.name in PAIRS and p.t_s < 1.7001e9]
+    first = next(k for k, p in enumerate(said) if p.t_s == came[0].t_s)
+    assert len(came) > 250  # what was said before its topic was found is gone
+    assert [p.t_s for p in came] == [p.t_s for p in said[-len(came) :]]
+    assert {p.name for p in came} == set(PAIRS)
+    for one, other in zip(said[first:], came, strict=True):
+        same_message(one.message, other.message)
+    wanted = {(p.name, p["value"]) for p in got if p.src_ent == BODY and p.name.startswith("Desired")}
+    assert wanted == {("DesiredZ", 4.25), ("DesiredSpeed", 0.5)}

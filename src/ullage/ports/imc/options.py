@@ -90,6 +90,7 @@ class SourceOptions(PlaceOptions):
     mission: str = Field(
         "", description="lead the vehicle along x,y,z;x,y,z... [m], or along the world's own waypoints: world"
     )
+    relay: bool = Field(True, description="pass on in ROS' words what the table of pairs has words for")
     speed_m_s: float = Field(0.5, gt=0, le=50)
     near_m: float = Field(1.0, gt=0, le=1000, description="a waypoint this near is reached")
     z: Literal["height", "altitude", "depth"] = Field("height", description="how heights are told to the vehicle")

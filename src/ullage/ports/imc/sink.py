@@ -9,10 +9,13 @@ from typing import Self
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.reach import open_link
+from ullage.ports.imc.relay import Joiner, Told
 from ullage.ports.imc.source import warn
 from ullage.ports.imc.teller import BODY, Note, Teller
-from ullage.ports.protocol import Item
+from ullage.ports.protocol import Item, Passed
 
+FIRST_RELAYED = 100
+"""Number of the first entity for whom we speak; radars have those from 10."""
 EPOCH_S = 1e9
 """Times earlier than 2001 count from the start of a flight, not from 1970."""
 
@@ -38,11 +41,15 @@ class ImcSink:
         self._pace = options.pace
         self._link: Link = open_link(place, options, me, say=say)
         self._teller = Teller(options, home, self._link.enter)
+        self._joiner, self._relayed = Joiner(options.system_id, say), dict[str, int]()
         self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
         self._epoch_s = 0.0
 
     def write(self, item: Item) -> None:
-        """Give frames, chunks of them, or the body's path; everything else passes by."""
+        """Give frames, chunks of them, the body's path, or messages in ROS' words; everything else passes by."""
+        if isinstance(item, Passed):
+            for told in self._joiner.take(item):
+                self._relay(told)
         for note in self._teller.notes(item):
             self._send(note)
 
@@ -57,6 +64,16 @@ class ImcSink:
             if (wait := due - time.monotonic()) > 0:
                 time.sleep(min(wait, 60.0))
         self._link.send(note.message, entity=note.entity, t_s=self._epoch_s + t_s)
+
+    def _relay(self, told: Told) -> None:
+        """Send at once; each part of another system that we speak for is an entity of ours."""
+        entity = self._relayed.get(told.part)
+        if entity is None:
+            entity = BODY if not told.part else min(FIRST_RELAYED + len(self._relayed), 254)
+            self._relayed[told.part] = entity
+            if told.part:
+                self._link.enter(Entity(entity, told.part, "ullage.relay"))
+        self._link.send(told.message, entity=entity, t_s=told.t_s)
 
     def close(self) -> None:
         """Send what is queued, if the peer takes it, and let go of the sockets."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -17,7 +18,8 @@ from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SourceOptions, scene_path
 from ullage.ports.imc.places import TRONDHEIM, Pose
 from ullage.ports.imc.reach import open_link
-from ullage.ports.protocol import one_or_all
+from ullage.ports.imc.relay import passed
+from ullage.ports.protocol import Passing, one_or_all
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ class ImcSource:
         self._options, self._say = options, say
         self.scene: Scene | None = None
         self.home: Trajectory | None = None
+        self.passing = Passing()
         self._radars: Any = None
         self._seen: list[str] = []
         self._behind = False
@@ -165,6 +168,9 @@ class ImcSource:
                 poses.clear()
             if pose is not None:
                 poses.append(pose)
+            if self._options.relay and packet.src != self._options.system_id:
+                known = self._track.poses
+                self.passing.give(partial(passed, packet, known[-1].t_ns if known else time.time_ns()))
             if self._radars is None:
                 self._gather.take(packet)
             if self._backseat is not None:

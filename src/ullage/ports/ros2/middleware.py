@@ -24,6 +24,7 @@ HOW = {
     "stream": (50, True, False),
     "transforms": (100, True, False),  # as tf2_ros' DynamicBroadcasterQoS
     "latched": (1, True, True),  # as nav2's and map_server's maps, and tf2_ros' StaticBroadcasterQoS
+    "relayed": (1000, True, False),  # several messages say one thing together: none may be missing
 }
 TAKEN: set[str] = set()
 """Topics that something in this program listens to: what came in there must not go out there again."""

@@ -16,13 +16,13 @@ from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.conversions import BODY, WORLD
 from ullage.ports.messages import topic_name
-from ullage.ports.protocol import Item
+from ullage.ports.protocol import Item, Passed
 from ullage.ports.ros2 import encode
 from ullage.world.scene import Scene
 
 ODOM = "odom"
-Quality = Literal["sensor", "stream", "transforms", "latched"]
-"""How a topic is sent: best effort; reliable; reliable and deep; reliable and kept for those who come late."""
+Quality = Literal["sensor", "stream", "transforms", "latched", "relayed"]
+"""How a topic is sent: best effort; reliable; reliable and deep; reliable and kept for those who come late; deeper."""
 PATH_STEP_M, PATH_POINTS = 0.05, 4000
 
 
@@ -92,6 +92,8 @@ class Outgoing:
         """Messages of one item in order of time."""
         if isinstance(item, Frames | Mapping):
             return self._of_frames(sensors_of(item))
+        if isinstance(item, Passed):
+            return [Note(item.t_ns, item.topic, item.kind, "relayed", item.data)]
         if not self._begun:
             self._waiting.append(item)
             return []

@@ -97,7 +97,7 @@ class Ros2Sink:
     def _put(self, notes: list[Note]) -> None:
         for note in notes:
             self._notes.put(note)
-        if notes:
+        if notes and notes[-1].quality != "relayed":
             with self._spoken:
                 self._spoken.wait_for(lambda: self._near(notes[-1].t_ns))
         if self._error is not None:
@@ -111,6 +111,9 @@ class Ros2Sink:
         try:
             self._await_listeners()
             while (note := self._notes.get()) is not None:
+                if note.quality == "relayed":  # has no pace of its own
+                    self._sent += self._peer.send(note)
+                    continue
                 self._wait(note.t_ns)
                 self._tick(note.t_ns)
                 self._sent += self._peer.send(note, reliable=self._options.reliable or None)

@@ -11,7 +11,7 @@ from typing import Any, Self
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.ports import messages as ros
-from ullage.ports.protocol import one_or_all
+from ullage.ports.protocol import Passed, Passing, one_or_all
 from ullage.ports.ros2 import encode
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.middleware import Peer, Say, tell
@@ -23,6 +23,8 @@ LOOK_S = 0.5
 """How often the graph is asked for new topics [s]."""
 PATIENCE_S = 5.0
 """Time between two complaints of the same kind [s]."""
+RELAYED = ("imc/", "desired/")
+"""Beneath the namespace: what is passed on as it comes."""
 POSE = "geometry_msgs/msg/PoseStamped"
 
 
@@ -44,13 +46,14 @@ class Ros2Source:
         self, namespace: str, options: SourceOptions, *, say: Say | None = None, peer: Peer | None = None
     ) -> None:
         self.scene: Scene | None = None
+        self.passing = Passing()
         self._options, self._say, self._told = options, say or tell, dict[str, float]()
         self._incoming = Incoming(options, self._tell)
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
         self._messages: queue.SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]]] = queue.SimpleQueue()
         self._heard: set[str] = set()
-        self._closed = False
+        self._closed = self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
         self._looked_s = self._reported_s = 0.0
@@ -148,6 +151,12 @@ class Ros2Source:
         for topic in self._wanted(there):
             if topic not in self._heard:
                 self._listen(topic, there[topic])
+        above = self._namespace.rstrip("/") + "/"
+        for topic in there if self._options.relay else ():
+            if topic.startswith(above) and topic[len(above) :].startswith(RELAYED) and topic not in self._heard:
+                self._heard.add(topic)
+                taker = self._taker(self._pass, topic[len(above) :], there[topic])
+                self._peer.listen(topic, there[topic], "relayed", taker)
         odom = self._options.odom and self._peer.resolved(self._options.odom)
         if odom in there and odom not in self._heard:
             self._heard.add(odom)
@@ -156,6 +165,12 @@ class Ros2Source:
             if there[odom] not in takers:
                 raise InputError(f"{odom} carries {there[odom]}", where="odom", allowed=", ".join(takers))
             self._peer.listen(odom, there[odom], "sensor", self._taker(takers[there[odom]]), depth=200)
+
+    def _pass(self, topic: str, kind: str, data: bytes) -> None:
+        self._given_s = time.monotonic()
+        self._passed = True
+        t_ns = self._last_ns or time.time_ns()  # on the clock of the frames
+        self.passing.give(lambda: [Passed(t_ns, topic, kind, data)])
 
     def _wanted(self, there: dict[str, str]) -> list[str]:
         named = [self._peer.resolved(name) for name in self._options.topics.split(",") if name]
@@ -187,7 +202,8 @@ class Ros2Source:
 
     def _over(self) -> bool:
         length, idle = self._options.duration_s, self._options.idle_s
-        if idle is not None and self._first_ns is not None and time.monotonic() - self._given_s > idle:
+        begun = self._first_ns is not None or self._passed
+        if idle is not None and begun and time.monotonic() - self._given_s > idle:
             return True
         return length is not None and self._first_ns is not None and self._last_ns - self._first_ns >= length * 1e9
 
