@@ -12,7 +12,7 @@ from ullage.errors import InputError
 
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.gazebo_classic.peer import ClassicPeer, Heard, Lost, Met
+from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
 from ullage.ports.gazebo_classic.source import source_of
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
 
@@ -58,7 +58,8 @@ def test_an_address_that_is_none_is_refused():
 class Server:
     """A master that knows one world, and itself publishes the clock on the same port."""
 
-    def __init__(self, port=0):
+    def __init__(self, port=0, deaf=0, mute=False):
+        self.deaf, self.mute = deaf, mute  # how many of the first to come are never read, and whether told anything
         self.door = socket.create_server(("127.0.0.1", port))
         self.port = self.door.getsockname()[1]
         self.heard, self.lines = [], []
@@ -74,14 +75,21 @@ class Server:
             return
 
     def _talk(self, sock):
+        deaf = len(self.lines) <= self.deaf
+        if deaf and self.mute:
+            return
         sock.sendall(packet("version_init", gz().GzString(data="gazebo 11.1.0")))
         sock.sendall(packet("topic_namepaces_init", gz().GzString_V(data=["w", "/gazebo"])))
         sock.sendall(packet("publishers_init", gz().Publishers()))
+        if deaf:
+            return
         stream = Stream()
         while raw := sock.recv(65536):
             for data in stream.take(raw):
                 said = gz().Packet.FromString(data)
                 self.heard.append(said)
+                if said.type == "request" and gz().Request.FromString(said.serialized_data).request.endswith("spaces"):
+                    sock.sendall(packet("get_topic_namespaces_response", gz().GzString_V(data=["w"])))
                 if said.type == "subscribe":
                     want = gz().Subscribe.FromString(said.serialized_data)
                     offer = gz().Publish(topic=want.topic, msg_type=want.msg_type, host="127.0.0.1", port=self.port)
@@ -150,6 +158,49 @@ def test_a_server_that_went_is_found_again_and_told_anew():
             time.sleep(0.05)
         assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
         server.close()
+
+
+@pytest.mark.parametrize("mute", [False, True])
+def test_a_master_that_accepts_and_never_reads_is_joined_anew(mute, monkeypatch):
+    monkeypatch.setattr("ullage.ports.gazebo_classic.peer.ASK_S", 0.1)
+    monkeypatch.setattr("ullage.ports.gazebo_classic.peer.DEAF_S", 0.4)
+    server = Server(deaf=2, mute=mute)
+    with ClassicPeer(("127.0.0.1", server.port)) as peer:
+        peer.subscribe("/gazebo/w/world_stats", "gazebo.msgs.WorldStatistics")
+        peer.advertise("/gazebo/w/x", "gazebo.msgs.GzString")
+        until(peer, Deaf)
+        until(peer, Deaf)
+        until(peer, Met)
+        end = time.monotonic() + 3
+        while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.heard}:
+            time.sleep(0.05)
+        assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
+        time.sleep(1.0)
+        assert len(server.lines) == 4  # two that were never read, one that is, and one to the publisher
+    server.close()
+
+
+def test_a_publisher_that_cannot_be_joined_at_once_is_tried_again(monkeypatch):
+    monkeypatch.setattr("ullage.ports.gazebo_classic.peer.ASK_S", 0.1)
+    refused, connect = [], socket.create_connection
+
+    def twice(address, *words, **more):
+        if address[1] == server.port and peer._main is not None and len(refused) < 2:
+            refused.append(address)
+            raise ConnectionRefusedError
+        return connect(address, *words, **more)
+
+    server = Server()
+    with ClassicPeer(("127.0.0.1", server.port)) as peer:
+        until(peer, Met)
+        monkeypatch.setattr(socket, "create_connection", twice)
+        peer.subscribe("/gazebo/w/world_stats", "gazebo.msgs.WorldStatistics")
+        end = time.monotonic() + 3
+        while time.monotonic() < end and "sub" not in {p.type for p in server.heard}:
+            time.sleep(0.05)
+        assert len(refused) == 2
+        assert "sub" in {p.type for p in server.heard}
+    server.close()
 
 
 def test_somebody_who_speaks_nonsense_is_let_go():

@@ -20,7 +20,15 @@ from ullage.errors import InputError
 from ullage.ports.gazebo_classic.wire import Stream, framed, full_type, gz, packet
 
 AGAIN_S = 1.0
-"""How often a master that is not there is looked for."""
+"""How often a master that is not there is looked for, and publishers that could not be joined are tried again."""
+ASK_S, DEAF_S = 1.0, 3.0
+"""How often the master is asked something, and how long an answer may take.
+
+A gzserver that is joined while it starts now and then accepts, says what it has, and never reads that connection (what
+was said lay unread in its socket, while whoever came later was answered).
+"""
+MOST_PATIENT_S = 60.0
+"""Each silence doubles the next one's limit, up to this: a server that is stopped in a debugger is not overrun."""
 MOST_UNSENT = 64 * 2**20
 """Bytes that may wait for a slow reader before it is let go."""
 
@@ -45,7 +53,12 @@ class Lost:
     """The master went."""
 
 
-Event = Heard | Met | Lost
+@dataclass(frozen=True, slots=True)
+class Deaf:
+    """The master did not answer for a while, and is joined anew."""
+
+
+Event = Heard | Met | Lost | Deaf
 
 
 @dataclass(slots=True, eq=False)
@@ -77,11 +90,14 @@ class ClassicPeer:
         self.events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._wanted: dict[str, str] = {}  # topic to type
         self._mine: dict[str, str] = {}
+        self._offers: dict[tuple[str, str, int], Any] = {}  # of others, on what is wanted
         self._publishers: dict[tuple[str, str, int], _Line] = {}
         self._readers: dict[str, set[_Line]] = {}
         self._lines: set[_Line] = set()
         self._main: _Line | None = None
         self._retry_s = 0.0
+        self._asked_s = self._heard_s = 0.0  # when the master was asked last, and when it last answered
+        self._patience_s = DEAF_S
         self._closing = threading.Event()
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._woken = socket.socketpair()
@@ -146,6 +162,7 @@ class ClassicPeer:
         try:
             while not self._closing.is_set():
                 self._look_for_master()
+                self._look_after_master()
                 for key, mask in self._selector.select(0.25):
                     self._serve(key, mask)
                 while not self._jobs.empty():
@@ -202,6 +219,7 @@ class ClassicPeer:
         self._publishers = {key: one for key, one in self._publishers.items() if one is not line}
         if line is self._main:
             self._main = None
+            self._offers.clear()
             self.events.put(Lost())
 
     def _send(self, line: _Line, data: bytes) -> None:
@@ -231,34 +249,58 @@ class ClassicPeer:
         except OSError:
             return
         self._main = self._add(sock, self._on_master)
+        self._heard_s = self._asked_s = now
         for topic, kind in self._mine.items():
             self._tell_offer(topic, kind)
         for topic, kind in self._wanted.items():
             self._tell_want(topic, kind)
 
+    def _look_after_master(self) -> None:
+        """Ask whether it still hears us, leave it if it does not, and try publishers again that could not be joined."""
+        now = time.monotonic()
+        if self._main is None or now - self._asked_s < ASK_S:
+            return
+        if now - self._heard_s > self._patience_s:
+            self._patience_s = min(2 * self._patience_s, MOST_PATIENT_S)
+            deaf, self._main = self._main, None  # not lost: it is there
+            self._drop(deaf)
+            self._offers.clear()
+            self.events.put(Deaf())
+            return
+        self._asked_s = now
+        self._send(self._main, packet("request", gz().Request(id=0, request="get_topic_namespaces", data="")))
+        for pub in list(self._offers.values()):
+            self._join(pub)
+
     def _on_master(self, line: _Line, data: bytes) -> None:
+        if line is not self._main:
+            return
         said = gz().Packet.FromString(data)
+        if said.type == "get_topic_namespaces_response":
+            self._heard_s, self._patience_s = time.monotonic(), DEAF_S
         if said.type == "topic_namepaces_init":
             self.events.put(Met(tuple(gz().GzString_V.FromString(said.serialized_data).data)))
         elif said.type == "topic_namespace_add":
             self.events.put(Met((gz().GzString.FromString(said.serialized_data).data,)))
         elif said.type in ("publisher_subscribe", "publisher_advertise"):
-            self._join(gz().Publish.FromString(said.serialized_data))
+            pub = gz().Publish.FromString(said.serialized_data)
+            if pub.topic in self._wanted and (pub.host, pub.port) != (self.host, self.port):
+                self._offers[_key(pub)] = pub
+                self._join(pub)
         elif said.type == "unadvertise":
-            gone = gz().Publish.FromString(said.serialized_data)
-            left = self._publishers.get((gone.topic, gone.host, gone.port))
-            if left is not None:
-                self._drop(left)
+            key = _key(gz().Publish.FromString(said.serialized_data))
+            self._offers.pop(key, None)
+            if key in self._publishers:
+                self._drop(self._publishers[key])
 
     def _join(self, pub: Any) -> None:
-        key = (pub.topic, pub.host, pub.port)
-        if pub.topic not in self._wanted or key in self._publishers or (pub.host, pub.port) == (self.host, self.port):
+        if _key(pub) in self._publishers:
             return
         try:
             sock = socket.create_connection((pub.host, pub.port), timeout=1.0)
         except OSError:
             return
-        line = self._publishers[key] = self._add(sock, self._on_topic, pub.topic)
+        line = self._publishers[_key(pub)] = self._add(sock, self._on_topic, pub.topic)
         self._send(line, packet("sub", self._want(pub.topic, pub.msg_type)))
 
     def _on_topic(self, line: _Line, data: bytes) -> None:
@@ -295,6 +337,10 @@ class ClassicPeer:
     def _say(self, topic: str, data: bytes) -> None:
         for line in list(self._readers.get(topic, ())):
             self._send(line, data)
+
+
+def _key(pub: Any) -> tuple[str, str, int]:
+    return pub.topic, pub.host, pub.port
 
 
 def type_of(name: str) -> str:

@@ -22,7 +22,7 @@ from ullage.ports.following import (
     options_of,
     radar_of,
 )
-from ullage.ports.gazebo_classic.peer import ClassicPeer, Heard, Lost, Met, type_of
+from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Event, Heard, Lost, Met, type_of
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
 from ullage.ports.scanning import Scan, ScanSource
@@ -64,12 +64,9 @@ class ClassicFeed:
             if found is not None:
                 return found
 
-    def _take(self, event: Heard | Met | Lost) -> Sighting | Scan | Note | None:
-        if isinstance(event, Met):
-            return self._met(event)
-        if isinstance(event, Lost):
-            self._there = False
-            return Note("gzserver has gone; waiting for it to come back (Ctrl-C ends)")
+    def _take(self, event: Event) -> Sighting | Scan | Note | None:
+        if not isinstance(event, Heard):
+            return self._master(event)
         self._last_s = time.monotonic()
         what = event.topic.rpartition("/")[2]
         if what == "scan":
@@ -80,6 +77,14 @@ class ClassicFeed:
             return self._status(event)
         told = gz().Response.FromString(event.data)
         return self._answer(told) if told.id == self._number else None
+
+    def _master(self, event: Met | Lost | Deaf) -> Note | None:
+        if isinstance(event, Met):
+            return self._met(event)
+        if isinstance(event, Deaf):
+            return Note("gzserver does not answer: joining it anew")
+        self._there = False
+        return Note("gzserver has gone; waiting for it to come back (Ctrl-C ends)")
 
     def _met(self, event: Met) -> Note | None:
         worlds = [name for name in event.worlds if name and not name.startswith("/")]
