@@ -35,8 +35,9 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 # Gazebo Classic 11 lives on in Debian 11 only: a chroot of 1.3 GB, five minutes, as root; the tests take two more.
+# It lies in /var/tmp/ullage-gazebo-classic, or where ULLAGE_GAZEBO_CLASSIC=DIRECTORY says.
 gazebo-classic: $(VENV)/.dev
-	sh tests/ports/classic/chroot.sh
+	sh tests/ports/classic/chroot.sh $(ULLAGE_GAZEBO_CLASSIC)
 	$(BIN)/python -m pytest -m gazebo_classic tests/ports
 
 docs: $(VENV)/.dev
