@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways
+from ullage.processing.mapper_runs import EchoRuns, Run, edges_among
 from ullage.processing.mapper_tracks import EchoTracks, Foot
 
 Floats = NDArray[np.float64]
@@ -37,7 +39,7 @@ LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
 FRESNEL_SHARE, LOOK_SHARE, FLAT_SHARE = 0.85, 0.4, 0.9
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 SHADE = float(np.cos(np.radians(25.0)))
-AHEAD = 24
+AHEAD = {2: 12, 3: 24}
 RING = 2.0  # of an arc in a volume: its bearing names no place
 
 
@@ -67,6 +69,8 @@ class UllageMapper:
         self._judge = EchoJudge(phase=phase)
         self._tracks = EchoTracks()
         self._late: deque[tuple[str, Look, Floats, NDArray[np.bool_]]] = deque()
+        self._runs = EchoRuns()
+        self._pending: deque[tuple[str, Look, Weighed | None, list[Run]]] = deque()
         self._waiting: list[tuple[int, str, Look]] = []
         self._flown: dict[tuple[int, ...], None] = {}
 
@@ -112,12 +116,18 @@ class UllageMapper:
             self._insert_waiting(self._levels)
             while self._late:
                 self._insert(*self._late.popleft())
+            while self._pending:
+                self._insert_pending()
 
     def _insert_waiting(self, levels: LevelFinder) -> None:
         for _, name, look in self._waiting:
             if self.grid.dims == 2:
                 kept = self._lobes.without_sidelobes(name, levels.without_levels(look))
-                self._insert(name, kept, *self._arcs(kept, self._weigh(kept)))
+                weighed = self._weigh(kept)
+                runs = [] if weighed is None else self._runs.follow(name, kept, *weighed)
+                self._pending.append((name, kept, weighed, runs))
+                if len(self._pending) > AHEAD[2] * len(self._axis):
+                    self._insert_pending()
             else:
                 self._tracks.believe(levels.levels(), look.heard.position)
                 self._follow(name, self._lobes.without_sidelobes(name, look))
@@ -130,8 +140,19 @@ class UllageMapper:
             for foot in self._tracks.follow(name, look, *weighed, self._lobe[name][0][0]):
                 self._lay_disc(foot)
         self._late.append((name, look, *self._arcs(look, weighed)))
-        if len(self._late) > AHEAD * len(self._axis):
+        if len(self._late) > AHEAD[3] * len(self._axis):
             self._insert(*self._late.popleft())
+
+    def _insert_pending(self) -> None:
+        """On a plane, looks wait a little until it shows which of their echoes go on as those of an edge do."""
+        name, look, weighed, runs = self._pending.popleft()
+        if weighed is None:
+            self._insert(name, look, *self._arcs(look, weighed))
+            return
+        weighed, edge = edges_among(look, weighed, runs, self._lobe[name][0][0])
+        look = replace(look, sharp=look.sharp.copy())
+        look.sharp[edge, 3:] = 0, 1
+        self._insert(name, look, *self._arcs(look, weighed))
 
     def _insert(self, name: str, look: Look, arcs: Floats, flat: NDArray[np.bool_]) -> None:
         start, bin_m, far = self._axis[name]
