@@ -146,11 +146,13 @@ def test_a_closed_hull_around_the_whole_flight_is_a_tank():
     vertices, faces = box((4, 4, 4))
     outward = Scene.of_mesh(vertices, faces, name="tank")
     with pytest.warns(ul.UllageWarning, match="inside tank"):
-        ul.fly([(0, 0, 0), (0.5, 0, 0)], scene=outward)
+        path = ul.fly([(0, 0, 0), (0.5, 0, 0)], scene=outward)
+    assert path.position[-1] == pytest.approx([0.5, 0, 0], abs=0.05)
     inward = Scene.of_mesh(vertices, faces[:, ::-1], name="tank")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ul.fly([(0, 0, 0), (0.5, 0, 0)], scene=inward)
+        same = ul.fly([(0, 0, 0), (0.5, 0, 0)], scene=inward)
+    np.testing.assert_array_equal(same.position, path.position)
 
 
 def test_solids_hold_what_is_inside_them_and_open_shells_hold_nothing():

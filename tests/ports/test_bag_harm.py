@@ -141,7 +141,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_cut_anywhere(whole: bytes, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
     path.write_bytes(whole[: data.draw(st.integers(0, len(whole)))])
-    read_or_refuse(path)
+    assert right_or_refused(path)
 
 
 @settings(deadline=None, max_examples=60)
@@ -154,20 +154,18 @@ def test_damaged_anywhere(whole: bytes, tmp_path_factory: pytest.TempPathFactory
     damaged[at : at + len(junk)] = junk
     path = tmp_path_factory.mktemp("damaged") / "a.mcap"
     path.write_bytes(damaged)
-    read_or_refuse(path)
+    assert right_or_refused(path)
 
 
-def read_or_refuse(path: Path) -> None:
-    """What is read is right, and what is not read is said in one line."""
+def right_or_refused(path: Path) -> bool:
+    """Whether what is read is right, and what is not read is said in one line."""
     want = some_frames(60)
     try:
         got = ul.open(path).frames()
     except ul.InputError as error:
-        said = str(error)
-        assert "\n" not in said
-        return
+        return "\n" not in str(error)
     rows = np.searchsorted(want.t_ns, got.t_ns)
-    np.testing.assert_array_equal(got.samples, want.samples[rows])
+    return bool(np.array_equal(got.samples, want.samples[rows]))
 
 
 def test_damaged_chunk_costs_only_itself(whole: bytes, tmp_path: Path) -> None:

@@ -137,7 +137,8 @@ def test_wrong_count_ends_the_recording_with_a_warning(tmp_path: Path) -> None:
 def test_cut_says_where(tmp_path: Path) -> None:
     (tmp_path / "a.dat").write_bytes(datafloat(9)[0][:-3])
     with pytest.warns(ul.UllageWarning, match="cut within frame 8"):
-        ul.open(tmp_path / "a.dat", fps=17, range_start_m=0)
+        source = ul.open(tmp_path / "a.dat", fps=17, range_start_m=0)
+    assert len(source.frames()) == 8
 
 
 def test_counter_that_jumps_back_keeps_every_frame(tmp_path: Path) -> None:

@@ -52,12 +52,13 @@ def test_a_mission_leads_a_vehicle_through_its_waypoints() -> None:
 
 def test_a_vehicle_that_does_not_follow_says_why() -> None:
     vehicle = Follower(refuses=b"no such maneuver")
-    with (
-        Peer(react=vehicle.react, tick=vehicle.tick) as peer,
-        pytest.warns(UllageWarning, match="does not follow: no such maneuver"),
-        ul.open(f"imc:{peer.place}?mission=9,0,0") as source,
-    ):
-        list(source.stream())
+    with Peer(react=vehicle.react, tick=vehicle.tick) as peer:
+        place = f"imc:{peer.place}?mission=9,0,0"
+        with pytest.warns(UllageWarning, match="does not follow: no such maneuver"), ul.open(place) as source:
+            list(source.stream())
+        time.sleep(0.2)
+        led = [packet for packet in peer.heard if packet.name == "Reference"]
+    assert len(led) <= 2  # not led on after its answer
 
 
 class HeightController:
