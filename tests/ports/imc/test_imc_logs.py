@@ -15,7 +15,7 @@ from imc_bus import estimated_state, packed, text
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.imc.codec import Parser, encode
-from ullage.ports.imc.definition import to_xml
+from ullage.ports.imc.definition import BITFIELDS, ENUMERATIONS, own_values, to_xml
 from ullage.ports.imc.table import from_xml, own
 
 
@@ -138,6 +138,8 @@ def test_unknown_options_are_said(tmp_path: Path) -> None:
 def test_the_definition_that_is_written_is_our_table(tmp_path: Path) -> None:
     (tmp_path / "IMC.xml").write_bytes(to_xml(own()))
     assert from_xml(tmp_path / "IMC.xml").by_id == own().by_id
+    named = {f"{kind.name}.{field.name}" for kind in own().by_id.values() for field in kind.fields}
+    assert own_values().keys() <= named
     (tmp_path / "other.xml").write_text("<messages version='6.0.0'/>")
     with pytest.raises(InputError, match=r"version 6.0.0.*IMC 5.x"):
         from_xml(tmp_path / "other.xml")
@@ -162,6 +164,20 @@ def test_imcpy_reads_every_message_of_a_log_and_writes_the_same_bytes(tmp_path: 
         assert type(there).__name__ == packet.name
         assert bytes(there.serialize()) == encode(packet)
     assert parser.garbage == 0
+
+
+def test_numbers_have_the_names_that_dune_gives_them() -> None:
+    imcpy = pytest.importorskip("imcpy", reason="imcpy, which holds DUNE's own codec, is not installed")
+
+    def members(holder: type) -> list[dict[str, int]]:
+        kinds = [kind for kind in vars(holder).values() if hasattr(kind, "__members__")]
+        return [{name.lstrip("_"): int(value) for name, value in kind.__members__.items()} for kind in kinds]
+
+    for where, (_, values) in own_values().items():
+        assert values in members(getattr(imcpy, where.partition(".")[0])), where
+    for name, (_, values) in (ENUMERATIONS | BITFIELDS).items():
+        there = getattr(imcpy, name).__members__.items()
+        assert values == {key: int(value) for key, value in there}, name
 
 
 def test_pyimclsts_reads_a_log_by_the_definition_beside_it(tmp_path: Path) -> None:
@@ -205,3 +221,4 @@ print(*sorted(count.items()))
     )
     want = {"DevDataBinary": 13, "Distance": 12, "EntityInfo": 2, "EstimatedState": 12, "SonarData": 12}
     assert told.stdout.splitlines()[-1] == " ".join(map(str, want.items()))
+    assert told.stderr == ""  # it asks for the list of entities by the name of that operation
