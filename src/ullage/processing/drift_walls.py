@@ -1,0 +1,239 @@
+"""Flat walls and one smooth offset of the track, fitted together so that every range fits its wall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+KNOT_S = 1.0
+LEAST_LOOKS = 6
+SAME_WALL_RAD, SAME_WALL_M, OTHER_WALL_M = 0.3, 0.45, 0.08
+RANGE_SIGMA_M, SHARED_LOOKS = 0.02, 2
+SQUARE_RAD, SQUARE_SIGMA_RAD = 0.17, 0.02
+ROUNDS, SPLIT_ROUND = 12, 5
+LEAST_WALLS = 2
+SURE_ECHOES, WINDOW_S, IN_SIGHT = 15, 1.5, 0.5
+ONE_WALL_RAD, ONE_WALL_M = 0.1, 0.1
+# How far a peak may lie from what a wall's range should be, how well those of one window agree, and their sigma [m].
+NEARER = ((0.45, 0.05, 0.03), (0.3, 0.05, 0.02), (0.15, 0.04, 0.01), (0.08, 0.03, 0.005), (0.04, 0.03, 0.003))
+STEPS = 4
+MOST_ROWS = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatEchoes:
+    """Echoes off flat walls, in order of time, each with the run of echoes that it belongs to."""
+
+    t_s: Floats  # (n)
+    position: Floats  # (n, 2) of the sensor [m]
+    way: Floats  # (n, 2) unit vectors to the wall
+    range_m: Floats  # (n)
+    track: Ints  # (n)
+
+    def only(self, keep: NDArray[np.bool_]) -> FlatEchoes:
+        """Those of them to keep."""
+        return FlatEchoes(self.t_s[keep], self.position[keep], self.way[keep], self.range_m[keep], self.track[keep])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peaks:
+    """All peaks of all looks, whatever made them, in order of time."""
+
+    t_s: Floats  # (n)
+    position: Floats  # (n, 2) of the sensor [m]
+    ahead: Floats  # (n, 2) its boresight
+    range_m: Floats  # (n)
+
+
+class WallFit:
+    """One smooth offset of the track and all walls, fitted together.
+
+    First by the echoes whose bearings tell their wall; then every peak near the range that a wall should have, in
+    whatever direction it was flown, counts for that wall: so that the walls ahead and behind tell of the way along.
+
+    Args:
+        heard: echoes off flat walls.
+        drift_m: sigma of the drift, of each axis [m].
+        time_s: its correlation time [s].
+    """
+
+    def __init__(self, heard: FlatEchoes, drift_m: float, time_s: float) -> None:
+        self._heard = heard
+        first, last = heard.t_s[0], heard.t_s[-1]
+        self._knots = np.linspace(first, max(last, first + KNOT_S), max(4, math.ceil((last - first) / KNOT_S) + 1))
+        count = len(self._knots)
+        self._basis = self._basis_at(heard.t_s)
+        apart = (self._knots[:, None] - self._knots) / time_s
+        since = np.eye(count)
+        since[:, 0] -= 1  # the offset counts from the flight's first moment
+        covariance = since @ (drift_m**2 * np.exp(-0.5 * apart**2)) @ since.T
+        self._prior = np.linalg.inv(covariance + 1e-4 * drift_m**2 * np.eye(count))
+        self._offset = np.zeros((count, 2))
+        self._wall = self._grouped()
+        self._start()
+
+    def solve(self, peaks: Peaks) -> CubicSpline | None:
+        """The offset over time (2) [m], or None where walls in too few directions speak."""
+        if not self._heard_crosswise():
+            return None
+        for turn in range(ROUNDS):
+            miss = self._improve(RANGE_SIGMA_M * (4 if turn < 3 else 1))
+            if turn == SPLIT_ROUND:
+                self._split(miss)
+        for reach, agree, sigma in NEARER:
+            if not self._observe(peaks, reach, agree):
+                break
+            for _ in range(STEPS):
+                self._improve(sigma)
+        return CubicSpline(self._knots, self._offset)
+
+    def _basis_at(self, t_s: Floats) -> Floats:
+        inside = np.clip(t_s, self._knots[0], self._knots[-1])
+        return np.asarray(CubicSpline(self._knots, np.eye(len(self._knots)))(inside))
+
+    def _grouped(self) -> Ints:
+        """Runs of echoes whose walls nearly coincide as heard are of one wall."""
+        heard, wall = self._heard, np.zeros(len(self._heard.t_s), np.int64)
+        walls: list[tuple[float, list[Floats]]] = []
+        for track in np.unique(heard.track):
+            mine = heard.track == track
+            way = heard.way[mine].mean(0)
+            foot = (heard.position[mine] + heard.range_m[mine, None] * heard.way[mine]).mean(0)
+            angle, best, least = math.atan2(way[1], way[0]), -1, SAME_WALL_M
+            for k, (other, feet) in enumerate(walls):
+                if abs(math.remainder(angle - other, 2 * math.pi)) < SAME_WALL_RAD:
+                    gap = abs((np.mean(feet, axis=0) - foot) @ [math.cos(other), math.sin(other)])
+                    if gap < least:
+                        best, least = k, float(gap)
+            if best < 0:
+                best = len(walls)
+                walls.append((angle, []))
+            walls[best][1].append(foot)
+            wall[mine] = best
+        return wall
+
+    def _start(self) -> None:
+        """Walls as the echoes' own bearings give them."""
+        heard, count = self._heard, int(self._wall.max()) + 1
+        at = heard.position + self._basis @ self._offset
+        self._angle, self._distance = np.zeros(count), np.zeros(count)
+        for k in range(count):
+            mine = self._wall == k
+            if mine.any():
+                way = heard.way[mine].sum(0)
+                self._angle[k] = math.atan2(way[1], way[0])
+                normal = np.array([math.cos(self._angle[k]), math.sin(self._angle[k])])
+                self._distance[k] = np.median(at[mine] @ normal + heard.range_m[mine])
+
+    def _heard_crosswise(self) -> bool:
+        """Whether walls in two directions speak: one alone cannot tell where along it the drone is."""
+        count = np.bincount(self._wall)
+        axis = self._angle[count >= LEAST_LOOKS] * 2
+        if len(axis) < LEAST_WALLS:
+            return False
+        return bool(np.max(abs(np.sin((axis[:, None] - axis) / 2))) > 0.5)
+
+    def _improve(self, sigma: float) -> Floats:
+        """One Gauss-Newton step; returns what each echo's range missed its wall by."""
+        heard, wall, m, k = self._heard, self._wall, len(self._knots), len(self._angle)
+        normal = np.column_stack([np.cos(self._angle[wall]), np.sin(self._angle[wall])])
+        at = heard.position + self._basis @ self._offset
+        miss = heard.range_m - self._distance[wall] + (normal * at).sum(1)
+        weight = 1 / (1 + (miss / (3 * sigma)) ** 2) ** 2 / (SHARED_LOOKS * sigma**2)
+        matrix, right = np.zeros((2 * (m + k), 2 * (m + k))), np.zeros(2 * (m + k))
+        for start in range(0, len(miss), MOST_ROWS):  # a long flight's slopes at once would not fit in memory
+            rows = slice(start, start + MOST_ROWS)
+            slope = self._slope(self._basis[rows], normal[rows], at[rows], wall[rows])
+            matrix += (slope * weight[rows, None]).T @ slope
+            right += (slope * weight[rows, None]).T @ miss[rows]
+        for axis in (0, 1):
+            part = slice(axis * m, (axis + 1) * m)
+            matrix[part, part] += self._prior
+            right[part] -= self._prior @ self._offset[:, axis]
+            matrix[axis * m, axis * m] += 1e6
+        matrix[np.arange(2 * m, 2 * (m + k)), np.arange(2 * m, 2 * (m + k))] += 1e-3
+        self._square_up(matrix, right, 2 * m)
+        step = np.linalg.solve(matrix, right)
+        self._offset = self._offset + step[: 2 * m].reshape(2, m).T
+        self._angle = self._angle + np.clip(step[2 * m : 2 * m + k], -0.2, 0.2)
+        self._distance = self._distance + step[2 * m + k :]
+        return np.asarray(miss, np.float64)
+
+    def _slope(self, basis: Floats, normal: Floats, at: Floats, wall: Ints) -> Floats:
+        """How each range's misfit falls with the offset's knots, and with angles and distances of the walls."""
+        m, k, row = basis.shape[1], len(self._angle), np.arange(len(at))
+        slope = np.zeros((len(at), 2 * (m + k)))
+        slope[:, :m], slope[:, m : 2 * m] = -basis * normal[:, :1], -basis * normal[:, 1:]
+        slope[row, 2 * m + wall] = normal[:, 1] * at[:, 0] - normal[:, 0] * at[:, 1]
+        slope[row, 2 * m + k + wall] = 1
+        return slope
+
+    def _square_up(self, matrix: Floats, right: Floats, first: int) -> None:
+        """Walls nearly square or parallel to the one heard most are taken to be so."""
+        count = np.bincount(self._wall, minlength=len(self._angle))
+        main = int(np.argmax(count))
+        for k in np.flatnonzero(count):
+            off = math.remainder(self._angle[k] - self._angle[main], math.pi / 2)
+            if k != main and abs(off) < SQUARE_RAD:
+                pull = np.zeros(len(right))
+                pull[first + k], pull[first + main] = 1 / SQUARE_SIGMA_RAD, -1 / SQUARE_SIGMA_RAD
+                matrix += np.outer(pull, pull)
+                right -= pull * off / SQUARE_SIGMA_RAD
+
+    def _split(self, miss: Floats) -> None:
+        """Runs of echoes that do not fit their wall get one of their own; then all walls start anew."""
+        count = int(self._wall.max()) + 1
+        for track in np.unique(self._heard.track):
+            mine = self._heard.track == track
+            if abs(np.median(miss[mine])) > OTHER_WALL_M:
+                self._wall[mine], count = count, count + 1
+        self._start()
+
+    def _observe(self, peaks: Peaks, reach: float, agree: float) -> bool:
+        """Take the peaks that fit the walls for their echoes; whether there are any.
+
+        A wall's peaks miss it by nearly the same all through a window, those of all else by anything: where most agree
+        is the wall's, though the track be wrong by far more than they agree to.
+        """
+        at = peaks.position + self._basis_at(peaks.t_s) @ self._offset
+        turn = np.floor((peaks.t_s - peaks.t_s[0]) / WINDOW_S).astype(int)
+        rows, walls = [], []
+        for k in self._sure_walls():
+            normal = np.array([math.cos(self._angle[k]), math.sin(self._angle[k])])
+            miss = peaks.range_m + at @ normal - self._distance[k]
+            near = np.flatnonzero((abs(miss) < reach) & (peaks.ahead @ normal > IN_SIGHT))
+            for window in np.split(near, np.flatnonzero(np.diff(turn[near])) + 1):
+                off = miss[window]
+                votes = np.exp(-0.5 * ((off[:, None] - off) / (agree / 2)) ** 2).sum(1)
+                votes *= np.exp(-0.5 * (off / (0.5 * reach)) ** 2)
+                mine = window[abs(off - off[np.argmax(votes)]) < agree] if len(window) else window
+                if len(mine) >= LEAST_LOOKS:
+                    rows.append(mine)
+                    walls.append(np.full(len(mine), k))
+        if not rows:
+            return False
+        row, wall = np.concatenate(rows), np.concatenate(walls)
+        way = np.column_stack([np.cos(self._angle[wall]), np.sin(self._angle[wall])])
+        self._heard = FlatEchoes(peaks.t_s[row], peaks.position[row], way, peaks.range_m[row], wall)
+        self._wall, self._basis = wall, self._basis_at(peaks.t_s[row])
+        return True
+
+    def _sure_walls(self) -> list[int]:
+        """The walls that enough echoes make, the most first; one of those that fell together."""
+        count, kept = np.bincount(self._wall, minlength=len(self._angle)), list[int]()
+        for k in np.argsort(-count, kind="stable"):
+            twin = any(
+                abs(math.remainder(self._angle[k] - self._angle[j], 2 * math.pi)) < ONE_WALL_RAD
+                and abs(self._distance[k] - self._distance[j]) < ONE_WALL_M
+                for j in kept
+            )
+            if count[k] >= SURE_ECHOES and not twin:
+                kept.append(int(k))
+        return kept
