@@ -1,5 +1,6 @@
 """The real gzserver of Gazebo Classic 11, in the chroot that `make gazebo-classic` makes."""
 
+import contextlib
 import os
 import shutil
 import socket
@@ -158,7 +159,7 @@ def test_a_model_that_stands_still_is_seen(gazebo):
         np.testing.assert_allclose(piece["front"].poses.position[0], [2, 0.5, 1.2], atol=1e-9)
 
 
-def test_what_happens_to_the_server_is_said_and_survived(gazebo):
+def test_a_pause_and_a_reset_are_said_and_survived(gazebo):
     gazebo.start(WORLD)
     said = []
     with source(gazebo, said, rig="single") as live:
@@ -170,14 +171,42 @@ def test_what_happens_to_the_server_is_said_and_survived(gazebo):
         assert "gzserver is paused" in said
         gazebo.tool("world", "-r")
         until(pieces, lambda piece: any(text.startswith("time jumped back") for text in said))
-        gazebo.tool("model", "-m", "x3", "-d")
-        feed_until(live, lambda: any("has gone from gzserver" in text for text in said))
+        assert len(until(pieces, lambda piece: True)["front"]) >= 1
+
+
+def test_a_deleted_model_and_a_killed_server_are_said_and_survived(gazebo):
+    said = []
+    gazebo.start(WORLD)
+    with source(gazebo, said, rig="single") as live:
+        pieces = live.stream()
+        until(pieces, lambda piece: True)
+        delete(gazebo, live, pieces, said)
         gazebo.stop()
         feed_until(live, lambda: any(text.startswith("gzserver has gone") for text in said))
+        met = said.count("gzserver runs the world 'side_by_side'")
         gazebo.start(WORLD)
         last = until(pieces, lambda piece: True)["front"]
-        assert said.count("gzserver runs the world 'side_by_side'") == 2
+        assert said.count("gzserver runs the world 'side_by_side'") == met + 1
         assert len(last) >= 1
+
+
+def delete(gazebo, live, pieces, said):
+    """Delete the model and wait until that is said; on another server where gzserver itself has come to a stop.
+
+    It does so now and then when a model goes: once in 40 times with Gazebo's own tools alone, which it then does not
+    answer any more.
+    """
+    for _ in range(3):
+        gazebo.tool("model", "-m", "x3", "-d")
+        with contextlib.suppress(TimeoutError):
+            feed_until(live, lambda: any("has gone from gzserver" in text for text in said))
+            return
+        assert not gazebo.tool("model", "-m", "ball", "-p"), "the server lives, and nothing was said"
+        assert any("says nothing" in text for text in said)
+        gazebo.stop()
+        gazebo.start(WORLD)
+        until(pieces, lambda piece: True)
+    raise TimeoutError
 
 
 def feed_until(live, good, limit_s=20):

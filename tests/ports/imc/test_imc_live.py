@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -87,3 +89,33 @@ def test_a_bus_is_given_what_the_radars_saw(tmp_path: Path) -> None:
     assert near[0]["location"][0]["x"] == pytest.approx(0.1)
     announced = next(packet for packet in found if packet.name == "Announce")
     assert (announced["lat"], announced["lon"]) == pytest.approx((LAT, LON))
+
+
+def test_a_vehicle_of_imcpy_and_ullage_find_each_other_by_multicast(tmp_path: Path) -> None:
+    pytest.importorskip("imcpy", reason="imcpy, which holds DUNE's own codec, is not installed")
+    alone = ["unshare", "-n", "sh", "-c"]  # a network of its own: nobody else's announcements
+    there_is = all(map(shutil.which, ("unshare", "ip")))
+    if not there_is or subprocess.run([*alone, "ip link set lo up"], check=False).returncode:
+        pytest.skip("no network of its own can be had here (unshare, ip)")
+    there = "imc:?world=ntnu-room&fidelity=thesis&duration_s=2"
+    script = f"""
+ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo
+{sys.executable} {BUS.parent / "imcpy_vehicle.py"} 4 > vehicle.json &
+{sys.executable} -m ullage run '{there}' --do '' --to 'imc:?pace=0' --out .
+wait
+"""
+    ran = subprocess.run([*alone, script], check=False, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "also uses the address" not in ran.stderr
+    told = json.loads((tmp_path / "vehicle.json").read_text())
+    assert told["speakers"] == [0x9001]
+    assert told["listed"] == "ullage=1;front=10;left=11;back=12;right=13"
+    flown = ul.open(next(tmp_path.glob("imc-*/frames.mcap"))).frames()
+    n = sum(map(len, flown.values()))
+    assert n >= 4 * (2 * 17 - 2)
+    assert (told["count"]["Distance"], told["count"]["SonarData"], told["count"]["DevDataBinary"]) == (n, n, n + 4)
+    assert "EstimatedState" not in told["count"]  # what it said itself is not said to it again
+    front = flown["front"]
+    speed = np.diff(front.poses.position[[0, -1]], axis=0)[0] / (np.ptp(front.t_ns) * 1e-9)
+    np.testing.assert_allclose(speed, [0, 0.5, 0], atol=0.02)
+    np.testing.assert_allclose(front.poses.position[:, 2], 1.5, atol=1e-3)

@@ -131,12 +131,15 @@ class Link:
         me: who we are.
         table: the messages.
         say: told of what others should know: that we wait, that a peer has gone.
+        listens: whether anybody here will `receive`.
     """
 
     def __init__(
-        self, wire: Wire, me: Identity, *, table: Table | None = None, say: Callable[[str], None] | None = None
-    ):
+        self, wire: Wire, me: Identity, *, table: Table | None = None, say: Callable[[str], None] | None = None,
+        listens: bool = True,
+    ):  # fmt: skip
         self.wire, self.me, self.table = wire, me, table or own()
+        self.listens = listens
         self._say = say or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
         self.out = Outbox()
         self._in: deque[Packet] = deque()
@@ -169,6 +172,15 @@ class Link:
         self.me.entities = [*self.me.entities, entity]
         for data in (self._pack(self.me.entity_list(self.table)), self._info(entity), self._state(entity)):
             self.out.put(data)
+
+    def join(self, me: Identity, *, listens: bool) -> None:
+        """Somebody else of this program uses the link too, under the same name and number."""
+        if (me.lat_rad, me.lon_rad, me.height_m) != (0.0, 0.0, 0.0):
+            self.me.lat_rad, self.me.lon_rad, self.me.height_m = me.lat_rad, me.lon_rad, me.height_m
+        for entity in me.entities:
+            if entity not in self.me.entities:
+                self.enter(entity)
+        self.listens = self.listens or listens
 
     def receive(self, timeout_s: float = 0.25) -> list[Packet]:
         """What has come since the last call; waits for something at most so long."""
@@ -248,6 +260,8 @@ class Link:
     def _take(self, packets: list[Packet]) -> None:
         for packet in packets:
             self._answer(packet)
+        if not self.listens:
+            return
         with self._lock:
             self._in.extend(packets)
             while len(self._in) > INBOX:

@@ -1,32 +1,84 @@
-"""Opens links by their place; within one program everything that names one place shares one link."""
+"""Opens links by their place; a source and a sink of one program that name one place share one link.
+
+To others a system has one address: of two that announce the same one with different ports, they hear the last.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Literal
 
 from ullage.ports.imc.link import Identity, Link, Wire
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.tcp import TcpWire
 
+Role = Literal["source", "sink", "vehicle"]
 
-def open_link(place: str, options: LinkOptions, me: Identity, *, say: Callable[[str], None]) -> Link:
-    """A link to a place.
+
+@dataclass(slots=True)
+class _Held:
+    """An open link, and who uses it."""
+
+    link: Link
+    roles: set[Role] = field(default_factory=set)
+
+
+_open: dict[Hashable, _Held] = {}
+_lock = threading.Lock()
+
+
+def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, say: Callable[[str], None]) -> Link:
+    """A link to a place; to be left by `leave`.
+
+    Args:
+        place: `tcp://host:port`, `udp://host:port`, or nothing.
+        options: how; where the link is open already they stand as it was opened.
+        me: who we are.
+        role: a source and a sink share a link; a vehicle, which takes another's address, has its own.
+        say: told of waiting and of peers that go.
 
     Raises:
         InputError: the place cannot be understood.
     """
-    kind, host, port = endpoint(place)
+    where = endpoint(place)
+    key = (where, me.system_id, me.name, options.interface, options.port, options.xml)
+    with _lock:
+        held = _open.get(key)
+        if held is not None and role != "vehicle" and role not in held.roles and not held.link.finished:
+            held.roles.add(role)
+            held.link.join(me, listens=role == "source")
+            return held.link
+    link = Link(_wire(where, options, me, say), me, table=options.table(), say=say, listens=role != "sink")
+    with _lock:
+        if role != "vehicle":
+            _open[key] = _Held(link, {role})
+    return link
+
+
+def leave(link: Link, role: Role) -> None:
+    """Close the link, unless the other one of a source and a sink uses it still."""
+    with _lock:
+        for key, held in list(_open.items()):
+            if held.link is link:
+                held.roles.discard(role)
+                if held.roles:
+                    return
+                del _open[key]
+    link.close()
+
+
+def _wire(where: tuple[str, str, int], options: LinkOptions, me: Identity, say: Callable[[str], None]) -> Wire:
+    kind, host, port = where
     table = options.table()
-    wire: Wire
     if kind == "tcp":
-        wire = TcpWire(
+        return TcpWire(
             host, port, table=table, silence_s=options.silence_s, reconnect=options.reconnect, say=say
         )  # fmt: skip
-    else:
-        from ullage.ports.imc.udp import UdpWire
+    from ullage.ports.imc.udp import UdpWire
 
-        wire = UdpWire(
-            (host, port) if kind else None, table=table, own=me, interface=options.interface, port=options.port,
-            silence_s=options.silence_s, reconnect=options.reconnect, say=say,
-        )  # fmt: skip
-    return Link(wire, me, table=table, say=say)
+    return UdpWire(
+        (host, port) if kind else None, table=table, own=me, interface=options.interface, port=options.port,
+        silence_s=options.silence_s, reconnect=options.reconnect, say=say,
+    )  # fmt: skip

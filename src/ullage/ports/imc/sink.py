@@ -8,7 +8,7 @@ from typing import Self
 
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SinkOptions
-from ullage.ports.imc.reach import open_link
+from ullage.ports.imc.reach import leave, open_link
 from ullage.ports.imc.relay import Joiner, Told
 from ullage.ports.imc.source import warn
 from ullage.ports.imc.teller import BODY, Note, Teller
@@ -39,7 +39,7 @@ class ImcSink:
             lon_rad=home.lon_rad, height_m=home.height_m,
         )  # fmt: skip
         self._pace = options.pace
-        self._link: Link = open_link(place, options, me, say=say)
+        self._link: Link = open_link(place, options, me, role="sink", say=say)
         self._teller = Teller(options, home, self._link.enter)
         self._joiner, self._relayed = Joiner(options.system_id, say), dict[str, int]()
         self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
@@ -47,7 +47,7 @@ class ImcSink:
 
     def write(self, item: Item) -> None:
         """Give frames, chunks of them, the body's path, or messages in ROS' words; everything else passes by."""
-        if isinstance(item, Passed):
+        if isinstance(item, Passed) and not self._link.listens:  # else it was said on this very bus
             for told in self._joiner.take(item):
                 self._relay(told)
         for note in self._teller.notes(item):
@@ -77,7 +77,7 @@ class ImcSink:
 
     def close(self) -> None:
         """Send what is queued, if the peer takes it, and let go of the sockets."""
-        self._link.close()
+        leave(self._link, "sink")
 
     def __enter__(self) -> Self:
         return self

@@ -17,7 +17,7 @@ from ullage.ports.imc.gather import Gatherer, Track
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SourceOptions, scene_path
 from ullage.ports.imc.places import TRONDHEIM, Pose
-from ullage.ports.imc.reach import open_link
+from ullage.ports.imc.reach import Role, leave, open_link
 from ullage.ports.imc.relay import passed
 from ullage.ports.protocol import Passing, one_or_all
 from ullage.world.scene import Scene
@@ -64,7 +64,8 @@ class ImcSource:
             self._build()
         vehicle = self._vehicle(start) if options.fly else None
         me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
-        self._link: Link = open_link(place, options, me, say=say)
+        self._role: Role = "vehicle" if vehicle is not None else "source"
+        self._link: Link = open_link(place, options, me, role=self._role, say=say)
         self._flight = self._take_off(vehicle) if vehicle is not None else None
         self._backseat = self._take_wheel(points) if points else None
 
@@ -217,7 +218,7 @@ class ImcSource:
         """Let go of sockets and threads."""
         if self._flight is not None:
             self._flight.close()
-        self._link.close()
+        leave(self._link, self._role)
         if self._radars is not None:
             self._radars.close()
 
