@@ -180,12 +180,17 @@ def test_numbers_have_the_names_that_dune_gives_them() -> None:
         assert values == {key: int(value) for key, value in there}, name
 
 
-def test_pyimclsts_reads_a_log_by_the_definition_beside_it(tmp_path: Path) -> None:
+def learnt(folder: Path) -> None:
+    """A log, and beside it what pyimclsts makes of its definition."""
     pytest.importorskip("pyimclsts")
-    written(tmp_path)
-    (tmp_path / "IMC.xml").write_bytes(gzip.decompress((tmp_path / "IMC.xml.gz").read_bytes()))
+    written(folder)
+    (folder / "IMC.xml").write_bytes(gzip.decompress((folder / "IMC.xml.gz").read_bytes()))
     run = [sys.executable, "-m", "pyimclsts.extract"]
-    subprocess.run(run, cwd=tmp_path, check=True, capture_output=True, input=b"", timeout=60)
+    subprocess.run(run, cwd=folder, check=True, capture_output=True, input=b"", timeout=60)
+
+
+def test_pyimclsts_reads_a_log_by_the_definition_beside_it(tmp_path: Path) -> None:
+    learnt(tmp_path)
     code = """
 import sys, pyimclsts.network as network
 for line in sys.stdin:
@@ -202,11 +207,7 @@ for line in sys.stdin:
 
 
 def test_pyimclsts_replays_the_file_itself(tmp_path: Path) -> None:
-    pytest.importorskip("pyimclsts")
-    written(tmp_path)
-    (tmp_path / "IMC.xml").write_bytes(gzip.decompress((tmp_path / "IMC.xml.gz").read_bytes()))
-    run = [sys.executable, "-m", "pyimclsts.extract"]
-    subprocess.run(run, cwd=tmp_path, check=True, capture_output=True, input=b"", timeout=60)
+    learnt(tmp_path)
     code = """
 import collections, pyimclsts.network as network, pyimc_generated as there
 count = collections.Counter()
