@@ -119,3 +119,16 @@ wait
     speed = np.diff(front.poses.position[[0, -1]], axis=0)[0] / (np.ptp(front.t_ns) * 1e-9)
     np.testing.assert_allclose(speed, [0, 0.5, 0], atol=0.02)
     np.testing.assert_allclose(front.poses.position[:, 2], 1.5, atol=1e-3)
+
+
+def test_a_source_and_a_sink_on_one_bus_are_one_system(tmp_path: Path) -> None:
+    asked = "world=ntnu-room&fidelity=thesis&duration_s=0.5"
+    with bus(tmp_path, 2.0) as (place, kept), ul.open(f"imc:{place}?{asked}") as source:
+        with ul.sink(f"imc:{place}?pace=0") as sink:
+            for part in source.stream():
+                sink.write(part)
+        list(source.stream())  # the sink has gone, the link has not
+    found = [packet for packet in heard(kept) if packet.name == "Announce"]
+    systems = {packet["services"].partition("/uid/")[2][:16] for packet in found}
+    assert len(systems) == 1
+    assert any(packet.name == "DevDataBinary" for packet in heard(kept))
