@@ -1,6 +1,8 @@
 // What gz-sim's server says of a world, on the real library of Gazebo Transport: poses, statistics, a scan, the scene.
-// Started as PROGRAM WORLD MODEL; takes words on its standard input: pause, go, reset, delete, back, quit.
+// Started as PROGRAM WORLD MODEL; takes words on its standard input: pause, go, reset, delete, back, push, quit.
+// After push the wall comes nearer by half a metre a second, as far as x = 2.
 // Prints what it hears on the range topic of the model's front radar.
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cmath>
@@ -13,7 +15,7 @@
 
 namespace msgs = ignition::msgs;
 std::atomic<bool> paused{false}, gone{false}, done{false};
-std::atomic<long> step{0};
+std::atomic<long> step{0}, pushed{-1};
 
 void box(msgs::Model *model, const std::string &name, double x, double size_x, double size_y)
 {
@@ -59,6 +61,7 @@ int main(int, char **argv)
       if (word == "reset") step = 0;
       if (word == "delete") gone = true;
       if (word == "back") gone = false;
+      if (word == "push") pushed = step.load();
       if (word == "quit") done = true;
     }
     done = true;
@@ -73,6 +76,8 @@ int main(int, char **argv)
     all.mutable_header()->mutable_stamp()->set_nsec(now % 50 * 20000000);
     auto *other = all.add_pose();
     other->set_name("wall");
+    other->mutable_position()->set_x(pushed < 0 ? 4 : std::max(2.0, 4 - 0.01 * (now - pushed)));
+    other->mutable_orientation()->set_w(1);
     if (!gone)
     {
       auto *own = all.add_pose();

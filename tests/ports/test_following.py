@@ -9,15 +9,14 @@ import ullage as ul
 from ullage.ports.following import (
     FollowOptions,
     FollowSource,
-    Note,
     PacedSink,
-    Sighting,
     nearest,
     opened,
     options_of,
     rig_of,
     world_of,
 )
+from ullage.ports.sightings import Note, Sighting
 
 RIG = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", fps=10), "left": ul.RadarSpec.preset("x4m05", fps=20)})
 WALL = ul.scenes.plate(width_m=2, height_m=2, distance_m=3.0)

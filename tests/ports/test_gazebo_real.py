@@ -159,6 +159,33 @@ def test_a_model_that_stands_still_is_seen(gazebo):
         np.testing.assert_allclose(piece["front"].poses.position[0], [2, 0.5, 1.2], atol=1e-9)
 
 
+def test_other_models_are_seen_where_they_fall_and_are_put(gazebo):
+    gazebo.start(WORLD.with_name("falling.world"))
+    said = []
+    with source(gazebo, said, world=str(WORLD.with_name("falling.world"))) as live:
+        pieces = live.stream()
+
+        def sees(range_m):
+            def good(piece):
+                frames = piece["front"]
+                return abs(frames.range_m[np.argmax(frames.amplitude[-1])] - range_m) < 0.15
+
+            return good
+
+        until(pieces, sees(2.6))  # the box has fallen, before we came or since
+        assert sum("'box'" in text for text in said) == 1
+        gazebo.tool("model", "-m", "box", "-x", "2", "-y", "0", "-z", "4")
+        until(pieces, sees(1.6))  # it falls again, nearer
+        gazebo.tool("model", "-m", "box", "-d")
+        until(pieces, sees(4.95))
+        assert "'box' has gone from the world" in said
+        gazebo.tool("model", "-m", "wall", "-x", "3.5", "-y", "0", "-z", "1")  # static, and moved all the same
+        until(pieces, sees(3.45))
+        assert "'wall' moves: it is followed" in said
+        gazebo.tool("model", "-m", "sphere", "-f", "/ullage/world/sphere.sdf")
+        until(pieces, lambda piece: any(text.startswith("'sphere' is new") for text in said))
+
+
 def test_a_pause_and_a_reset_are_said_and_survived(gazebo):
     gazebo.start(WORLD)
     said = []

@@ -95,6 +95,19 @@ def test_the_world_comes_from_the_scene_service_and_the_frames_go_back(server):
 
 
 @pytest.mark.slow
+def test_another_model_that_moves_is_seen_where_it_is(server):
+    said = []
+    with source(said) as live:
+        pieces = live.stream()
+        start_ns = until(pieces, lambda f: True).t_ns[0]
+        server.say("push")
+        frames = until(pieces, lambda f: f.t_ns[-1] > start_ns + 6e9)
+        nearest = frames.range_m[np.argmax(frames.amplitude[-1])] + frames.poses.position[-1, 0]
+        assert nearest == pytest.approx(1.9, abs=0.15)
+        assert said.count("'wall' moves: it is followed") == 1
+
+
+@pytest.mark.slow
 def test_what_happens_to_the_server_is_said_and_survived(server):
     said = []
     with source(said) as live:

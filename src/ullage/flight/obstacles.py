@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.data import Trajectory
-from ullage.world.scene import Scene
+from ullage.world.scene import Motion, Scene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,7 +25,7 @@ class Body:
     wires: Floats  # (w, 2, 3) ends [m]
     wire_radius: Floats  # (w) [m]
     wire_owner: Ints  # (w) object of each wire
-    motion: Trajectory | None = None  # world_from_body; None: stands still
+    motion: Motion | None = None  # world_from_body; None: stands still
 
     @cached_property
     def _balls(self) -> tuple[Floats, Floats]:

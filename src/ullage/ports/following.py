@@ -6,9 +6,9 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +16,8 @@ from pydantic import Field
 from ullage.data import Floats, Frames, Trajectory, joined
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.protocol import Item, one_or_all
+from ullage.ports.sightings import Feed, Note, Others, Sighting
+from ullage.ports.surroundings import Surroundings
 from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
@@ -62,35 +64,6 @@ def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Optio
     return kind(**values)
 
 
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """Where the model was seen."""
-
-    t_ns: int
-    position: tuple[float, float, float]
-    quat_xyzw: tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Note:
-    """Something that a person should know: the server has gone, the model is not there."""
-
-    text: str
-
-
-class Feed(Protocol):
-    """Tells where the model is."""
-
-    def next(self, timeout_s: float) -> Sighting | Note | None:
-        """The next thing that came, None if nothing did for so long."""
-
-    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Hand frames back; their time less the offset is the simulator's."""
-
-    def close(self) -> None:
-        """Let go of the sockets."""
-
-
 def tell(text: str) -> None:
     """How things are said unless somebody else listens."""
     warnings.warn(text, UllageWarning, stacklevel=3)
@@ -135,8 +108,9 @@ class Endless(ABC):
 class FollowSource(Endless):
     """Frames of radars on a simulator's model, simulated as its poses come.
 
-    Frames depend on the poses and their times alone. Where the simulator's clock jumps back, as on a reset, the radars
-    begin anew and the frames' own clock goes on, so that time rises in every recording.
+    Frames depend on the poses and their times alone, those of the world's other models among them. Where the
+    simulator's clock jumps back, as on a reset, the radars begin anew and the frames' own clock goes on, so that time
+    rises in every recording.
 
     Args:
         join: begins to listen and gives what tells where the model is; called when the radars are ready.
@@ -158,7 +132,9 @@ class FollowSource(Endless):
             rate_hz=options.rate_hz,
         )  # fmt: skip
         self._fastest_hz = options.rate_hz or max(spec.fps for spec in rig.sensors.values())
-        self._waiting: list[Sighting] = []
+        self._around = Surroundings(scene)
+        self._waiting: list[Sighting | Others] = []
+        self._early: list[Others] = []  # from beyond a jump of the clock that the model's own pose has yet to tell of
         self._newest_ns, self._offset_ns = 0, 0  # of the simulator's clock, and what is added to it
         self._first_ns: int | None = None
         self._done_ns = -1  # nothing yet
@@ -184,6 +160,7 @@ class FollowSource(Endless):
                     [pose.quat_xyzw for pose in poses],
                 )
                 self._done_ns = poses[-1].t_ns + self._offset_ns
+                self._around.forget(self._done_ns)
                 self._complain_if_behind()
                 if found:
                     if self._options.publish:
@@ -227,6 +204,12 @@ class FollowSource(Endless):
             if isinstance(found, Note):
                 self._tell(found.text)
                 continue
+            if isinstance(found, Others):
+                if poses and self._around.changed_by(found):  # what came before it is seen in the world as it was
+                    self._waiting.append(found)
+                    break
+                self._take_in(found)
+                continue
             if found.t_ns < self._newest_ns and self._first_ns is not None:
                 if self._newest_ns - found.t_ns < LATE_NS:
                     continue
@@ -239,13 +222,30 @@ class FollowSource(Endless):
             if self._first_ns is None:
                 self._first_ns = found.t_ns
             self._newest_ns = found.t_ns
+            self._around.stand_until(found.t_ns + self._offset_ns)
             poses.append(found)
         return poses
+
+    def _take_in(self, told: Others) -> None:
+        """What other models do."""
+        if self._first_ns is not None and told.t_ns < self._newest_ns - LATE_NS:
+            self._early = [*self._early[-99:], told]
+            return
+        if self._around.changed_by(told):
+            for text in self._around.change(told):
+                self._say(text)
+            self._radars.look_at(self._around.scene)
+        self._around.see(told, self._offset_ns)
 
     def _begin_anew(self, found: Sighting) -> None:
         self._say(f"time jumped back {(self._newest_ns - found.t_ns) * 1e-9:.3g} s: the radars begin anew")
         self._radars.reset()
         self._offset_ns = self._done_ns + round(1e9 / self._fastest_hz) - found.t_ns
+        self._newest_ns = found.t_ns
+        self._around.begin_anew()
+        early, self._early = self._early, []
+        for told in early:
+            self._take_in(told)
 
     def _complain_if_behind(self) -> None:
         newest = getattr(self._feed, "newest_ns", 0)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from ullage.data import Floats, Frames, Trajectory, joined
 from ullage.errors import InputError
-from ullage.ports.following import LATE_NS, Endless, FollowOptions, Note, Say
+from ullage.ports.following import LATE_NS, Endless, FollowOptions, Say
 from ullage.ports.protocol import one_or_all
+from ullage.ports.sightings import Note, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.scan import echoes_of_scans
 from ullage.radar.simulate import sensor_seed
@@ -31,6 +33,21 @@ class Scan:
     max_range_m: float
     position: tuple[float, float, float]  # of the sensor in the world
     quat_xyzw: tuple[float, float, float, float]
+
+
+def scan_of(told: Any, time: Any, pose: Pose) -> Scan:
+    """The scan in a message of either Gazebo.
+
+    Args:
+        told: its `LaserScan`.
+        time: when.
+        pose: of the sensor in the world.
+    """
+    shape = (max(int(told.vertical_count), 1), int(told.count))
+    return Scan(
+        stamp_ns(time), np.array(told.ranges).reshape(shape), np.array(told.intensities).reshape(shape),
+        math.degrees(told.angle_max - told.angle_min), told.range_min, told.range_max, *pose,
+    )  # fmt: skip
 
 
 class ScanFeed(Protocol):

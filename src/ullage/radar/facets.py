@@ -312,6 +312,7 @@ class Prepared:
         self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
         self.still = gather(scene, ~self.moving)
         self.materials = tuple(o.material for o in scene.objects)
+        self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
         self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self.edges = sharp_edges(scene, self.still.rays)
 
@@ -319,7 +320,16 @@ class Prepared:
         """Everything there is at one time: what stands still, then what moves."""
         if not self.moving.any():
             return [self.still]
-        return [self.still, gather(self.scene, self.moving, t_ns)]
+        where = self._where(t_ns)
+        known = self._moved
+        if known is None or known[0] != where:  # what came to rest, or is seen by several radars at once, is kept
+            known = self._moved = (where, gather(self.scene, self.moving, t_ns))
+        return [self.still, known[1]]
+
+    def _where(self, t_ns: int) -> bytes:
+        """Poses of everything that moves, to the last bit."""
+        paths = [o.motion for o in self.scene.objects if o.motion is not None]
+        return b"".join(path.at(np.clip(t_ns, *path.t_ns[[0, -1]])).world_from_body.tobytes() for path in paths)
 
 
 _LOCK = threading.Lock()

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ullage.data import Floats, Frames, Times, Trajectory
+from ullage.data import Floats, Frames, Times
 from ullage.errors import InputError
-from ullage.geometry import rotations
 from ullage.radar.simulate import Fidelity, Receiving
 from ullage.specs import RadarSpec, Rig
+from ullage.world.moving import between
 from ullage.world.scene import Scene
 
 
@@ -53,6 +52,13 @@ class LiveRadars:
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self.reset()
 
+    def look_at(self, scene: Scene) -> None:
+        """See another world from the next frame on; clock and noise go on."""
+        old = self._work
+        self._work = Receiving(
+            scene, Rig(sensors=self.sensors), fidelity=old.fidelity, max_bounces=old.max_bounces, seed=old.seed
+        )
+
     def reset(self) -> None:
         """Begin anew, as after a clock that jumped: the next pose is the first."""
         self._first_ns: int | None = None
@@ -81,7 +87,7 @@ class LiveRadars:
             due = self._due(name, int(poses[0][-1]))
             if len(due):
                 self._given[name] = first + len(due)
-                jobs[name] = self._pool.submit(self._work.frames, name, spec, _between(poses, due), first_frame=first)
+                jobs[name] = self._pool.submit(self._work.frames, name, spec, between(poses, due), first_frame=first)
         return {name: job.result() for name, job in jobs.items()}
 
     def close(self) -> None:
@@ -108,20 +114,3 @@ class LiveRadars:
         number = np.arange(self._given[name], max(count, self._given[name]), dtype=np.int64)
         times: NDArray[np.int64] = start + np.rint(number * (1e9 / rate)).astype(np.int64)
         return np.asarray(times[times <= now_ns], np.int64)
-
-
-def _between(poses: tuple[Times, Floats, Floats], t_ns: NDArray[np.int64]) -> Trajectory:
-    """Poses at other times: straight lines in position, great arcs in attitude, whatever came before or after."""
-    known, position, quat = poses
-    if len(known) == 1:
-        still = np.zeros((len(t_ns), 3))
-        return Trajectory(t_ns, np.repeat(position, len(t_ns), 0), np.repeat(quat, len(t_ns), 0), still, still)
-    row = np.clip(np.searchsorted(known, t_ns, side="right") - 1, 0, len(known) - 2)
-    step_s = (known[row + 1] - known[row]) * 1e-9
-    share = ((t_ns - known[row]) * 1e-9 / step_s)[:, None]
-    turn = (rotations().from_quat(quat[row]).inv() * rotations().from_quat(quat[row + 1])).as_rotvec()
-    attitude: Any = rotations().from_quat(quat[row]) * rotations().from_rotvec(share * turn)
-    moved = position[row + 1] - position[row]
-    return Trajectory(
-        t_ns, position[row] + share * moved, attitude.as_quat(), moved / step_s[:, None], turn / step_s[:, None]
-    )

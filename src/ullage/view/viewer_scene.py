@@ -56,7 +56,7 @@ def log_scene(rec: Any, scene: Scene) -> None:
         if wires.any():
             rec.log(f"{path}/wires", _wires(scene, wires), static=True)
         if thing.motion is not None:
-            log_poses(rec, path, thing.motion)
+            log_poses(rec, path, thing.motion.at(thing.motion.t_ns))
 
 
 def _hull(scene: Scene) -> NDArray[np.bool_]:

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.kernels.rays import aim, refine_faces, refine_wires
-from ullage.world.scene import Scene
+from ullage.world.scene import Motion, Scene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -127,7 +126,7 @@ _FAR = 1e30
 class _Body:
     """What moves together: an Embree scene about `centre`, and the exact geometry behind it."""
 
-    motion: Trajectory | None
+    motion: Motion | None
     tree: Any
     centre: Floats  # (3) subtracted before float32, so that far coordinates keep their precision
     corner: Floats  # (k, 3) one corner of each face
@@ -179,7 +178,7 @@ def _bodies(scene: Scene, *, wires: bool) -> Iterator[_Body]:
     moves = np.array([thing.motion is not None for thing in scene.objects], bool)
     face_moves = moves[scene.face_object] if len(scene.face_object) else np.zeros(0, bool)
     wire_moves = moves[scene.wires.object_id] if len(scene.wires) else np.zeros(0, bool)
-    groups: list[tuple[Trajectory | None, NDArray[np.bool_], NDArray[np.bool_]]] = [(None, ~face_moves, ~wire_moves)]
+    groups: list[tuple[Motion | None, NDArray[np.bool_], NDArray[np.bool_]]] = [(None, ~face_moves, ~wire_moves)]
     groups += [
         (scene.objects[index].motion, scene.face_object == index, scene.wires.object_id == index)
         for index in np.flatnonzero(moves)
@@ -190,7 +189,7 @@ def _bodies(scene: Scene, *, wires: bool) -> Iterator[_Body]:
             yield body
 
 
-def _body(scene: Scene, motion: Trajectory | None, faces: NDArray[Any], wires: NDArray[Any]) -> _Body | None:
+def _body(scene: Scene, motion: Motion | None, faces: NDArray[Any], wires: NDArray[Any]) -> _Body | None:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 

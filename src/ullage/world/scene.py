@@ -4,17 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ullage.data import Trajectory
+from ullage.data import Times, Trajectory
 from ullage.errors import InputError
+from ullage.geometry import apply, invert
 from ullage.specs import Rig
 from ullage.world.materials import Material, material
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+
+class Motion(Protocol):
+    """Where a thing is over time: a whole `Trajectory`, or one that grows as it is watched."""
+
+    @property
+    def t_ns(self) -> Times:
+        """Times that it is known at (n) [ns]."""
+
+    def at(self, t_ns: ArrayLike) -> Trajectory:
+        """world_from_object at times (m) between the first and the last of those [ns]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +36,7 @@ class SceneObject:
 
     name: str
     material: Material
-    motion: Trajectory | None = None  # world_from_object; None: static, geometry already in the world frame
+    motion: Motion | None = None  # world_from_object; None: static, geometry already in the world frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +63,7 @@ class Scene:
     wires: Wires = field(default_factory=Wires)
     name: str = "scene"
     rigs: Mapping[str, Rig] = field(default_factory=dict)  # radars that a world file declares, by the model's name
+    models: Mapping[str, Floats] = field(default_factory=dict)  # world_from_model (4, 4) of a world file's models
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, np.float64).reshape(-1, 3)
@@ -73,7 +87,8 @@ class Scene:
         points = [self.corners().reshape(-1, 3)]
         if len(self.wires):
             r = self.wires.radius_m[:, None]
-            points += [self.wires.start - r, self.wires.start + r, self.wires.end - r, self.wires.end + r]
+            ends = self._placed(np.stack([self.wires.start, self.wires.end], 1), self.wires.object_id, None)
+            points += [(ends - r[:, None]).reshape(-1, 3), (ends + r[:, None]).reshape(-1, 3)]
         cloud = np.concatenate(points)
         if not len(cloud):
             return np.zeros((2, 3))
@@ -81,14 +96,17 @@ class Scene:
 
     def corners(self, t_ns: int | None = None) -> Floats:
         """Corners (f, 3, 3) of all faces in the world, moving objects where they are at `t_ns` (None: their start)."""
-        out = self.vertices[self.faces]
+        return self._placed(self.vertices[self.faces], self.face_object, t_ns)
+
+    def _placed(self, points: Floats, owner: Ints, t_ns: int | None) -> Floats:
+        """Points (n, k, 3) of objects (n) in the world, moving ones where they are at `t_ns`; changes `points`."""
         for index, thing in enumerate(self.objects):
             if thing.motion is not None:
-                mine = self.face_object == index
+                mine = owner == index
                 when = int(np.clip(thing.motion.t_ns[0] if t_ns is None else t_ns, *thing.motion.t_ns[[0, -1]]))
                 pose = thing.motion.at(when).world_from_body[0]
-                out[mine] = out[mine] @ pose[:3, :3].T + pose[:3, 3]
-        return out
+                points[mine] = points[mine] @ pose[:3, :3].T + pose[:3, 3]
+        return points
 
     def object(self, name: str) -> int:
         """Index of the object with this name.
@@ -116,7 +134,7 @@ class Scene:
 
     def without(self, model: str) -> Scene:
         """The scene less one model and what belongs to it, as the body that carries the radars."""
-        gone = np.array([o.name == model or o.name.startswith(f"{model}::") for o in self.objects], bool)
+        gone = self._of(model)
         if not gone.any():
             return self
         number = (np.cumsum(~gone) - 1).astype(np.int32)
@@ -129,6 +147,42 @@ class Scene:
         return replace(
             self, faces=self.faces[face], face_object=number[self.face_object[face]], objects=kept, wires=wires
         )
+
+    def has(self, model: str) -> bool:
+        """Whether anything that can be met belongs to this model."""
+        return bool(self._of(model).any())
+
+    def driven(self, model: str, motion: Motion) -> Scene:
+        """The scene with one model of the world file moving as it is told, all its parts rigidly together.
+
+        Args:
+            model: its name; what of it moves already, as an actor, goes on as it did.
+            motion: world_from_model.
+
+        Raises:
+            InputError: there is no such model.
+        """
+        if model not in self.models:
+            raise InputError(f"no model {model!r}", where=self.name, allowed=", ".join(self.models))
+        mine = self._of(model) & np.array([o.motion is None for o in self.objects], bool)
+        model_from_world = invert(self.models[model])
+        face, wire = mine[self.face_object], mine[self.wires.object_id]
+        faces = self.faces.copy()
+        used, number = np.unique(faces[face], return_inverse=True)
+        faces[face] = (len(self.vertices) + number).reshape(-1, 3)  # corners of its own: others may share the old ones
+        start, end = self.wires.start.copy(), self.wires.end.copy()
+        start[wire], end[wire] = apply(model_from_world, start[wire]), apply(model_from_world, end[wire])
+        return replace(
+            self,
+            vertices=np.concatenate([self.vertices, apply(model_from_world, self.vertices[used])]),
+            faces=faces,
+            objects=tuple(replace(o, motion=motion) if my else o for o, my in zip(self.objects, mine, strict=True)),
+            wires=replace(self.wires, start=start, end=end),
+        )
+
+    def _of(self, model: str) -> NDArray[np.bool_]:
+        """Which objects (o) belong to a model."""
+        return np.array([o.name == model or o.name.startswith(f"{model}::") for o in self.objects], bool)
 
     @classmethod
     def empty(cls, name: str = "empty") -> Scene:

@@ -52,7 +52,8 @@ def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
     if walk.unseen and geometry == "collision":
         names = ", ".join(walk.unseen[:5]) + ", ..." * (len(walk.unseen) > 5)
         world.node.place.warn(f"only visuals, so not seen: {names} (geometry='visual' reads them)")
-    return replace(walk.builder.scene(world.name), rigs=rigs_of(frames))
+    models = {name: inner.world_from_scope() for name, inner in frames.inner.items() if not inner.scope.merged}
+    return replace(walk.builder.scene(world.name), rigs=rigs_of(frames), models=models)
 
 
 @dataclass(slots=True)

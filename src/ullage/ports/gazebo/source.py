@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import time
 from typing import Any
@@ -13,26 +12,20 @@ from pydantic import Field
 from ullage.data import Floats, Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
-from ullage.ports.following import (
-    PATIENCE_S,
-    FollowOptions,
-    FollowSource,
-    Note,
-    Say,
-    Sighting,
-    opened,
-    options_of,
-    radar_of,
-)  # fmt: skip
-from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
+from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, opened, options_of, radar_of
+from ullage.ports.gazebo.peer import Came, Event, Gone, Heard, Peer
 from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
-from ullage.ports.scanning import Scan, ScanSource
+from ullage.ports.scanning import Scan, ScanSource, scan_of
+from ullage.ports.sightings import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
 from ullage.world.scene import Scene
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")
 STATS = re.compile(r"/world/([^/]+)/stats")
+SCENE = re.compile(r"/world/([^/]+)/scene/info")
+GLANCE_S = 0.2
+"""How often the poses of what stands still are looked at, where the model is among those of what moves."""
 
 
 class GazeboOptions(FollowOptions):
@@ -43,11 +36,25 @@ class GazeboOptions(FollowOptions):
     partition: str | None = Field(None, description="none: GZ_PARTITION, or this host and user")
 
 
-class PoseFeed:
-    """Poses of one model from Gazebo's stream, and what becomes of the server."""
+class PoseFeed(EventFeed[Event]):
+    """Poses of one model from Gazebo's stream, those of others beside it, and what becomes of the server.
 
-    def __init__(self, peer: Peer, options: GazeboOptions, world: str, mount: Floats) -> None:
+    Args:
+        peer: speaks to Gazebo.
+        options: which model, and how.
+        world: Gazebo's name of it; empty: the first that gives poses.
+        mount: model_from_sensor (4, 4) of its rays.
+        others: names of the world's other models.
+    """
+
+    def __init__(
+        self, peer: Peer, options: GazeboOptions, world: str, mount: Floats, others: frozenset[str] = frozenset()
+    ) -> None:
+        super().__init__(peer)
         self._peer, self._options, self.world = peer, options, world
+        self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
+        self._roaming: set[str] = set()  # those that were among what moves
+        self._glance_s = 0.0
         self.package = "gz.msgs"
         self.newest_ns = 0
         self._servers: set[str] = set()  # processes that give poses
@@ -62,26 +69,16 @@ class PoseFeed:
         if options.topic:
             peer.subscribe(options.topic)
 
-    def next(self, timeout_s: float) -> Any:
-        """The next pose of the model or scan of its rays, or something to say."""
-        end = time.monotonic() + timeout_s
-        while True:
-            event = self._peer.wait(max(0.0, end - time.monotonic()))
-            if event is None:
-                return self._silence() if timeout_s else None
-            found = self._take(event)
-            if found is not None:
-                return found
-
-    def _take(self, event: Heard | Came | Gone) -> Sighting | Scan | Note | None:
+    def _take(self, event: Event) -> Sighting | Others | Scan | Note | None:
         if isinstance(event, Came):
             return self._met(event)
         if isinstance(event, Gone):
             return self._lost(event)
-        if STATS.fullmatch(event.topic):
-            return self._status(event)
         if event.topic == self._scan_topic:
             return self._scan(event)
+        for pattern, read in ((STATS, self._status), (SCENE, self._news)):
+            if pattern.fullmatch(event.topic):
+                return read(event)
         found = self._pose(event)
         if self._options.rays and isinstance(found, Sighting):
             self._at = found
@@ -93,14 +90,9 @@ class PoseFeed:
         told = _read("LaserScan", event)
         if told is None or self._at is None:
             return None
-        shape = (max(int(told.vertical_count), 1), int(told.count))
-        stamp = told.header.stamp
         mounted = transform_of(self._at) @ self._mount
-        return Scan(
-            stamp.sec * 10**9 + stamp.nsec, np.array(told.ranges).reshape(shape),
-            np.array(told.intensities).reshape(shape), math.degrees(told.angle_max - told.angle_min),
-            told.range_min, told.range_max, tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])),
-        )  # fmt: skip
+        pose = (tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])))
+        return scan_of(told, told.header.stamp, pose)
 
     def _met(self, event: Came) -> Note | None:
         if self._options.rays and self._is_scan(event.topic):
@@ -115,6 +107,8 @@ class PoseFeed:
         if found is not None:
             self.world = found[1]
             self._peer.subscribe(f"/world/{found[1]}/stats")
+            if self._others:
+                self._peer.subscribe(f"/world/{found[1]}/scene/info")
         self.package = event.kind.rpartition(".")[0] or self.package
         fresh = not self._servers
         self._servers.add(event.process)
@@ -140,22 +134,50 @@ class PoseFeed:
 
     def _pose(self, event: Heard) -> Sighting | Note | None:
         dynamic = event.topic.endswith("/dynamic_pose/info")
-        if self._dynamic and not dynamic:
+        if self._dynamic and not dynamic and not self._glance():
             return None
         poses = _read("Pose_V", event)
         if poses is None:
             return Note(f"{event.topic} holds {event.kind} that cannot be read as poses")
         self._last_s = time.monotonic()
-        own = next((pose for pose in poses.pose if pose.name == self._options.model), None)
-        if own is None:
+        t_ns = stamp_ns(poses.header.stamp)
+        told = {pose.name: pose for pose in reversed(poses.pose)}  # models come first, and may share names with links
+        if self._others:
+            self._ready.append(self._around(event.topic, t_ns, told))
+        if self._dynamic and not dynamic:
+            return None
+        if self._options.model not in told:
             return self._missing(poses, dynamic)
         self._missed_s, self._seen, self._dynamic = None, True, self._dynamic or dynamic
-        stamp = poses.header.stamp
-        t_ns = stamp.sec * 10**9 + stamp.nsec
         self.newest_ns = t_ns
-        at, turn = own.position, own.orientation
-        quat = (turn.x, turn.y, turn.z, turn.w)
-        return Sighting(t_ns, (at.x, at.y, at.z), quat if any(quat) else (0.0, 0.0, 0.0, 1.0))
+        return Sighting(t_ns, *pose_of(told[self._options.model]))
+
+    def _glance(self) -> bool:
+        """Whether it is time to look at the poses of what stands still."""
+        due = bool(self._others) and time.monotonic() - self._glance_s > GLANCE_S
+        if due:
+            self._glance_s = time.monotonic()
+        return due
+
+    def _around(self, topic: str, t_ns: int, told: dict[str, Any]) -> Others:
+        """Where others are, and who of them is no longer where it was told of."""
+        poses = {name: pose_of(told[name]) for name in self._others & told.keys()}
+        found = POSES.fullmatch(topic)
+        if found is None:  # a topic of somebody's own may tell of some only
+            return Others(t_ns, poses)
+        if found[2] == "dynamic_pose":
+            gone = frozenset(self._roaming - poses.keys())
+            self._roaming |= poses.keys()
+            return Others(t_ns, poses, gone)
+        return Others(t_ns, poses, self._others - poses.keys())
+
+    def _news(self, event: Heard) -> Others | None:
+        """What was put into the world."""
+        told = _read("Scene", event)
+        if told is None:
+            return None
+        names = frozenset(model.name for model in told.model)
+        return Others(self.newest_ns, new=names - self._others - {self._options.model})
 
     def _missing(self, poses: Any, dynamic: bool) -> Note | None:
         now = time.monotonic()
@@ -184,10 +206,6 @@ class PoseFeed:
             self._topics = RadarTopics(self._peer, self._options.model, self.package)
         for frames in chunk.values():
             self._topics.write(frames, offset_ns)
-
-    def close(self) -> None:
-        """Say goodbye."""
-        self._peer.close()
 
 
 def transform_of(found: Sighting) -> Floats:
@@ -224,7 +242,7 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
         mount = rig.sensors[chosen.rays].mount.body_from_sensor()
 
     def join() -> PoseFeed:
-        return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mount)
+        return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mount, frozenset(scene.models))
 
     if chosen.rays:
         return ScanSource(join, radar_of(rig, chosen.rays), chosen, scene=scene, say=say)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from typing import Any
 
-import numpy as np
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.following import (
-    PATIENCE_S,
-    FollowOptions,
-    FollowSource,
-    Note,
-    Say,
-    Sighting,
-    opened,
-    options_of,
-    radar_of,
-)
+from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, opened, options_of, radar_of
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Event, Heard, Lost, Met, type_of
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
-from ullage.ports.scanning import Scan, ScanSource
+from ullage.ports.scanning import Scan, ScanSource, scan_of
+from ullage.ports.sightings import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
 
 ASK_S = 0.5
 """How often the server is asked for the model while no pose of it comes: it tells of what moves only."""
@@ -39,11 +28,21 @@ class ClassicOptions(FollowOptions):
     gazebo_world: str = Field("", description="the server's name of its world; none: the first that it tells")
 
 
-class ClassicFeed:
-    """Poses of one model from a gzserver, or scans of its rays, and what becomes of the server."""
+class ClassicFeed(EventFeed[Event]):
+    """Poses of one model from a gzserver and those of others beside it, or scans of its rays, and the server's fate.
 
-    def __init__(self, peer: ClassicPeer, options: ClassicOptions) -> None:
+    Args:
+        peer: speaks to the server.
+        options: which model, and how.
+        others: names of the world's other models.
+    """
+
+    def __init__(self, peer: ClassicPeer, options: ClassicOptions, others: frozenset[str] = frozenset()) -> None:
+        super().__init__(peer)
         self._peer, self._options, self.world = peer, options, options.gazebo_world
+        self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
+        self._look_around = False  # before anything moves, the server is asked where everything is
+        self._looked_ns: int | None = None
         self.newest_ns = 0
         self._known = False  # the model was there
         self._number = int.from_bytes(os.urandom(4), "big") >> 1  # of our questions
@@ -53,29 +52,24 @@ class ClassicFeed:
         self._told_s = 0.0
         self._topics: RadarTopics | None = None
 
-    def next(self, timeout_s: float) -> Any:
-        """The next pose of the model or scan of its rays, or something to say."""
-        end = time.monotonic() + timeout_s
-        while True:
-            event = self._peer.wait(max(0.0, end - time.monotonic()))
-            if event is None:
-                return self._silence() if timeout_s else None
-            found = self._take(event)
-            if found is not None:
-                return found
-
-    def _take(self, event: Event) -> Sighting | Scan | Note | None:
+    def _take(self, event: Event) -> Sighting | Others | Scan | Note | None:
         if not isinstance(event, Heard):
             return self._master(event)
         self._last_s = time.monotonic()
-        what = event.topic.rpartition("/")[2]
-        if what == "scan":
-            return scan_of(gz().LaserScanStamped.FromString(event.data))
-        if what == "info":
-            return self._poses(event)
-        if what == "world_stats":
-            return self._status(event)
+        reads = {
+            "/scan": self._scan, "/pose/info": self._poses, "/world_stats": self._status, "/response": self._response,
+            "/model/info": self._came, "/request": self._asked,
+        }  # fmt: skip
+        return next((read(event) for end, read in reads.items() if event.topic.endswith(end)), None)
+
+    def _scan(self, event: Heard) -> Scan:
+        told = gz().LaserScanStamped.FromString(event.data)
+        return scan_of(told.scan, told.time, pose_of(told.scan.world_pose))
+
+    def _response(self, event: Heard) -> Sighting | Others | Note | None:
         told = gz().Response.FromString(event.data)
+        if told.id == self._number + 1:
+            return self._everything(told)
         return self._answer(told) if told.id == self._number else None
 
     def _master(self, event: Met | Lost | Deaf) -> Note | None:
@@ -90,11 +84,13 @@ class ClassicFeed:
         worlds = [name for name in event.worlds if name and not name.startswith("/")]
         if self._there or not worlds or (self.world and self.world not in worlds):
             return None
-        self._there, self.world = True, self.world or worlds[0]
+        self._there, self.world, self._look_around = True, self.world or worlds[0], bool(self._others)
         root = f"/gazebo/{self.world}"
         kinds = {"world_stats": "WorldStatistics", "response": "Response"}
         if not self._options.rays:
             kinds["pose/info"] = "PosesStamped"
+        if self._others:
+            kinds |= {"model/info": "Model", "request": "Request"}
         for name, kind in kinds.items():
             self._peer.subscribe(f"{root}/{name}", type_of(kind))
         self._peer.advertise(f"{root}/request", type_of("Request"))
@@ -102,30 +98,64 @@ class ClassicFeed:
 
     def _poses(self, event: Heard) -> Sighting | None:
         told = gz().PosesStamped.FromString(event.data)
-        own = next((pose for pose in told.pose if pose.name == self._options.model), None)
+        t_ns, own = stamp_ns(told.time), None
+        moved = {}
+        for pose in told.pose:
+            if pose.name == self._options.model:
+                own = pose
+            elif pose.name in self._others:
+                moved[pose.name] = pose_of(pose)
+        if moved:
+            self._ready.append(Others(t_ns, moved))
         if own is None:
             return None
         self._ask_s, self._asked_ns, self._known = time.monotonic(), None, True
-        return self._seen(told.time.sec * 10**9 + told.time.nsec, own)
+        return self._seen(t_ns, own)
 
     def _seen(self, t_ns: int, pose: Any) -> Sighting:
         self.newest_ns = t_ns
-        at, turn = pose.position, pose.orientation
-        return Sighting(t_ns, (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        return Sighting(t_ns, *pose_of(pose))
+
+    def _came(self, event: Heard) -> Others | None:
+        """A model was put into the world, or changed: where is everything now?"""
+        name, self._look_around = gz().Model.FromString(event.data).name, True
+        return Others(self.newest_ns, new=frozenset({name})) if self._strange(name) else None
+
+    def _asked(self, event: Heard) -> Others | None:
+        """Somebody asked the server for something: that a model be deleted?"""
+        told = gz().Request.FromString(event.data)
+        deleted = told.request == "entity_delete" and told.data in self._others
+        return Others(self.newest_ns, gone=frozenset({told.data})) if deleted else None
+
+    def _strange(self, name: str) -> bool:
+        return name != self._options.model and name not in self._others
+
+    def _everything(self, told: Any) -> Others | None:
+        """Where everything is, by the server's scene."""
+        asked_ns, self._looked_ns = self._looked_ns, None
+        if asked_ns is None:
+            return None
+        poses = {model.name: pose_of(model.pose) for model in gz().Scene.FromString(told.serialized_data).model}
+        new = frozenset(name for name in poses if self._strange(name))
+        ours = {name: pose for name, pose in poses.items() if name in self._others}
+        return Others(asked_ns, ours, self._others - poses.keys(), new)
 
     def _status(self, event: Heard) -> Note | None:
         stats = gz().WorldStatistics.FromString(event.data)
         if time.monotonic() - self._ask_s > ASK_S:
             self._ask_s = time.monotonic()
-            self._asked_ns = stats.sim_time.sec * 10**9 + stats.sim_time.nsec
+            self._asked_ns = stamp_ns(stats.sim_time)
             self._ask("entity_info", self._options.model)
+        if self._look_around:
+            self._look_around, self._looked_ns = False, stamp_ns(stats.sim_time)
+            self._ask("scene_info", "", number=self._number + 1)
         if stats.paused == self._paused:
             return None
         self._paused = stats.paused
         return Note("gzserver is paused" if self._paused else "gzserver goes on")
 
-    def _ask(self, what: str, data: str) -> None:
-        ask = gz().Request(id=self._number, request=what, data=data)
+    def _ask(self, what: str, data: str, *, number: int | None = None) -> None:
+        ask = gz().Request(id=self._number if number is None else number, request=what, data=data)
         self._peer.publish(f"/gazebo/{self.world}/request", ask)
 
     def _answer(self, told: Any) -> Sighting | Note | None:
@@ -176,22 +206,6 @@ class ClassicFeed:
         for frames in chunk.values():
             self._topics.write(frames, offset_ns)
 
-    def close(self) -> None:
-        """Let go of the sockets."""
-        self._peer.close()
-
-
-def scan_of(told: Any) -> Scan:
-    """The scan in a message."""
-    scan, at, turn = told.scan, told.scan.world_pose.position, told.scan.world_pose.orientation
-    shape = (max(int(scan.vertical_count), 1), int(scan.count))
-    return Scan(
-        told.time.sec * 10**9 + told.time.nsec,
-        np.array(scan.ranges).reshape(shape), np.array(scan.intensities).reshape(shape),
-        math.degrees(scan.angle_max - scan.angle_min), scan.range_min, scan.range_max,
-        (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
-    )  # fmt: skip
-
 
 def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource | ScanSource:
     """Frames of radars on a model of a running gzserver: `gazebo-classic:HOST:PORT?model=NAME`.
@@ -210,7 +224,7 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
     master = master_of(address)
 
     def join() -> ClassicFeed:
-        return ClassicFeed(ClassicPeer(master, chosen.host), chosen)
+        return ClassicFeed(ClassicPeer(master, chosen.host), chosen, frozenset(scene.models))
 
     if chosen.rays:
         return ScanSource(join, radar_of(rig, chosen.rays), chosen, scene=scene, say=say)

@@ -12,13 +12,14 @@ from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
-from ullage.ports.following import PATIENCE_S, FollowSource, Sighting, rig_of, world_of
-from ullage.ports.following import Note as Said
+from ullage.ports.following import PATIENCE_S, FollowSource, rig_of, world_of
 from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer, Say, tell
 from ullage.ports.ros2.options import SimulateOptions
 from ullage.ports.ros2.outgoing import Outgoing, shifted
 from ullage.ports.ros2.transforms import Transforms
+from ullage.ports.sightings import Note as Said
+from ullage.ports.sightings import Sighting
 from ullage.world.scene import Scene
 
 POSE = "geometry_msgs/msg/PoseStamped"
