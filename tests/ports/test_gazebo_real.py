@@ -179,7 +179,7 @@ def test_other_models_are_seen_where_they_fall_and_are_put(gazebo):
         gazebo.tool("model", "-m", "box", "-d")
         until(pieces, sees(4.95))
         assert "'box' has gone from the world" in said
-        gazebo.tool("model", "-m", "wall", "-x", "3.5", "-y", "0", "-z", "1")  # static, and moved all the same
+        gazebo.tool("model", "-m", "wall", "-x", "3.5", "-y", "0", "-z", "0.4")  # static, and moved all the same
         until(pieces, sees(3.45))
         assert "'wall' moves: it is followed" in said
         gazebo.tool("model", "-m", "sphere", "-f", "/ullage/world/sphere.sdf")

@@ -57,15 +57,6 @@ def test_a_pose_that_came_late_counts_unless_a_later_one_is_known():
     assert motion.t_ns.tolist() == [100, 150]
 
 
-def test_after_a_jump_of_the_clock_it_stands_where_it_stood():
-    motion = LiveMotion((0, 0, 0), AHEAD)
-    motion.see(900, (4, 0, 0), AHEAD)
-    motion.begin_anew()
-    motion.stand_until(10)
-    motion.see(20, (6, 0, 0), AHEAD)
-    np.testing.assert_allclose(motion.at([10, 15, 20]).position[:, 0], [4, 5, 6])
-
-
 @given(st.lists(st.integers(0, 1000), min_size=1, max_size=20, unique=True), st.integers(0, 1000))
 def test_what_is_forgotten_is_not_missed(times, now):
     motion = LiveMotion((0, 0, 0), AHEAD)

@@ -242,7 +242,6 @@ class FollowSource(Endless):
         self._radars.reset()
         self._offset_ns = self._done_ns + round(1e9 / self._fastest_hz) - found.t_ns
         self._newest_ns = found.t_ns
-        self._around.begin_anew()
         early, self._early = self._early, []
         for told in early:
             self._take_in(told)

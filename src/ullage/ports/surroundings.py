@@ -69,12 +69,6 @@ class Surroundings:
         for motion in self._moving.values():
             motion.stand_until(t_ns)
 
-    def begin_anew(self) -> None:
-        """The clock jumped: what moves stands where it stood until it is told of."""
-        self._now_ns = None
-        for motion in self._moving.values():
-            motion.begin_anew()
-
     def forget(self, t_ns: int) -> None:
         """Nothing before this time is asked for any more [ns]."""
         for motion in self._moving.values():

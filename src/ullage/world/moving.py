@@ -55,11 +55,6 @@ class LiveMotion:
         if not self._times or t_ns > self._times[-1]:
             self._add(t_ns, self._poses[-1] if self._poses else self._rest)
 
-    def begin_anew(self) -> None:
-        """The clock jumped: it stands where it stood until it is seen again, whatever the time."""
-        self._rest = self._poses[-1] if self._poses else self._rest
-        self._times, self._poses, self._seen_ns, self._known = [], [], None, None
-
     def forget(self, t_ns: int) -> None:
         """Let go of what lies before a time [ns], save the last two poses: what comes out keeps its bits."""
         first = max(int(np.searchsorted(self._times, t_ns)) - 2, 0)

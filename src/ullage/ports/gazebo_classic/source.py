@@ -43,6 +43,7 @@ class ClassicFeed(EventFeed[Event]):
         self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
         self._look_around = False  # before anything moves, the server is asked where everything is
         self._looked_ns: int | None = None
+        self._look_s = 0.0
         self.newest_ns = 0
         self._known = False  # the model was there
         self._number = int.from_bytes(os.urandom(4), "big") >> 1  # of our questions
@@ -132,7 +133,7 @@ class ClassicFeed(EventFeed[Event]):
 
     def _everything(self, told: Any) -> Others | None:
         """Where everything is, by the server's scene."""
-        asked_ns, self._looked_ns = self._looked_ns, None
+        asked_ns, self._looked_ns, self._look_around = self._looked_ns, None, False
         if asked_ns is None:
             return None
         poses = {model.name: pose_of(model.pose) for model in gz().Scene.FromString(told.serialized_data).model}
@@ -146,8 +147,8 @@ class ClassicFeed(EventFeed[Event]):
             self._ask_s = time.monotonic()
             self._asked_ns = stamp_ns(stats.sim_time)
             self._ask("entity_info", self._options.model)
-        if self._look_around:
-            self._look_around, self._looked_ns = False, stamp_ns(stats.sim_time)
+        if self._look_around and time.monotonic() - self._look_s > ASK_S:  # until it answers: the first may be lost
+            self._look_s, self._looked_ns = time.monotonic(), stamp_ns(stats.sim_time)
             self._ask("scene_info", "", number=self._number + 1)
         if stats.paused == self._paused:
             return None
