@@ -15,6 +15,7 @@ from pydantic import Field
 
 from ullage.data import Floats, Frames, Trajectory, joined
 from ullage.errors import InputError, UllageWarning
+from ullage.ports.pace import Pace
 from ullage.ports.protocol import Item, one_or_all
 from ullage.ports.sightings import Feed, Note, Others, Sighting
 from ullage.ports.surroundings import Surroundings
@@ -335,8 +336,7 @@ class PacedSink(ABC):
     """
 
     def __init__(self, pace: float) -> None:
-        self._pace = pace
-        self._start: tuple[float, int] | None = None
+        self._pace = Pace(pace)
 
     def write(self, item: Item) -> None:
         """Take frames."""
@@ -348,10 +348,7 @@ class PacedSink(ABC):
 
     def _wait(self, t_ns: int) -> None:
         now = time.monotonic()
-        if self._start is None:
-            self._start = (now, t_ns)
-        if self._pace:
-            time.sleep(max(0.0, self._start[0] + (t_ns - self._start[1]) * 1e-9 / self._pace - now))
+        time.sleep(max(0.0, self._pace.due_s(t_ns, now) - now))
         self.tick(t_ns)
 
     def tick(self, t_ns: int) -> None:  # noqa: B027 (not every simulator takes a clock)

@@ -18,7 +18,7 @@ from ullage.errors import MissingExtra
 from ullage.experiments.catalog import scenario_names
 from ullage.experiments.ros2_nodes import NODES
 from ullage.ports import messages as ros
-from ullage.ports.ros2.build import PARTS, build, package_files
+from ullage.ports.ros2.build import PARTS, build, foreign, main, package_files
 from ullage.ports.ros2.encode import CLOCK, DIAGNOSTICS, PATH, PICTURE, RANGE
 from ullage.world.library import WORLDS
 
@@ -137,3 +137,12 @@ def test_rclpy_knows_the_same_hashes_and_reads_our_recordings(network: Network, 
     assert got["hashes"] == hashes
     assert got["same"], got["differ"]
     assert set(PARTS) == {"ullage_msgs", "tf2_msgs", "map_msgs"}
+
+
+def test_a_folder_that_holds_no_package_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "package.xml").write_text("<package/>")
+    assert not foreign(str(tmp_path))
+    assert main([str(tmp_path)]) == 2
+    assert "or a folder with package.xml and CMakeLists.txt" in capsys.readouterr().err
+    (tmp_path / "CMakeLists.txt").write_text("")
+    assert foreign(str(tmp_path))

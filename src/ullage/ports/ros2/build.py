@@ -1,7 +1,8 @@
 """Message packages for the ROS 2 wheels, built with cmake and g++: those that no wheel holds.
 
-`python -m ullage.ports.ros2.build` builds them into the environment it runs in, where the `ros-*` wheels lie. In a
-real ROS 2 workspace colcon does this, with the same package from `integrations/ros2`.
+`python -m ullage.ports.ros2.build` builds them into the environment it runs in, where the `ros-*` wheels lie; with the
+folder of somebody else's message package, that one. In a real ROS 2 workspace colcon does this, with the same package
+from `integrations/ros2`.
 """
 
 from __future__ import annotations
@@ -127,11 +128,16 @@ def missing() -> list[str]:
     return [package for package in PARTS if importlib.util.find_spec(package) is None]
 
 
+def foreign(package: str) -> bool:
+    """Whether this is the folder of an ament package."""
+    return Path(package, "package.xml").is_file() and Path(package, "CMakeLists.txt").is_file()
+
+
 def build(packages: list[str], *, prefix: Path | None = None) -> None:
     """Build message packages and install them beside the wheels.
 
     Args:
-        packages: of `PARTS`.
+        packages: of `PARTS`, or folders of ament packages.
         prefix: where the wheels lie and the packages go; None: this environment.
 
     Raises:
@@ -150,10 +156,10 @@ def build(packages: list[str], *, prefix: Path | None = None) -> None:
         there = {"AMENT_PREFIX_PATH": str(wheels), "CMAKE_PREFIX_PATH": str(wheels), "LD_LIBRARY_PATH": libraries}
         there |= {"PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}"}
         for package in packages:
-            source = write_package(package, Path(work))
+            source = Path(package).resolve() if foreign(package) else write_package(package, Path(work))
             options = [f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}"]
             options += ["-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "-Wno-dev"]
-            target = str(Path(work, f"build-{package}"))
+            target = str(Path(work, f"build-{source.name}"))
             _call([cmake, "-S", str(source), "-B", target, *options], there)
             _call([cmake, "--build", target, "--parallel", "2", "--target", "install"], there)
 
@@ -165,15 +171,21 @@ def _call(command: list[str], there: dict[str, str]) -> None:
         raise UllageError(f"{' '.join(command[:2])} failed:\n{said}")
 
 
-def main() -> int:
-    """Build what is missing, or with `--needs` say which wheels that needs."""
-    if sys.argv[1:] == ["--needs"]:
+def main(words: list[str] | None = None) -> int:
+    """Build what is missing, or with `--needs` say which wheels that needs.
+
+    Args:
+        words: of the command line; None: this program's.
+    """
+    words = sys.argv[1:] if words is None else words
+    if words == ["--needs"]:
         sys.stdout.write(" ".join(WHEELS) + "\n")
         return 0
-    wanted = sys.argv[1:] or missing()
+    wanted = words or missing()
     for package in wanted:
-        if package not in PARTS:
-            sys.stderr.write(f"ullage: no message package {package!r} (allowed: {', '.join(PARTS)})\n")
+        if package not in PARTS and not foreign(package):
+            allowed = f"{', '.join(PARTS)}, or a folder with package.xml and CMakeLists.txt"
+            sys.stderr.write(f"ullage: no message package {package!r} (allowed: {allowed})\n")
             return 2
         try:
             build([package])

@@ -10,6 +10,7 @@ from typing import Self
 
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import messages as ros
+from ullage.ports.pace import LATE_S, Pace
 from ullage.ports.protocol import Item
 from ullage.ports.ros2 import encode
 from ullage.ports.ros2.middleware import Peer
@@ -18,41 +19,10 @@ from ullage.ports.ros2.outgoing import Note, Outgoing
 
 AHEAD_S = 2.0
 """How far the maker of frames may run ahead of what was published [s of stream]."""
-LATE_S = 1.0
-"""A maker that falls behind by more [s] is not made up for."""
 NOW_S = 86400.0
 """Stamps nearer to the present than this [s] are a real clock's, which needs no /clock."""
 SETTLE_S = 0.5
 """Between finding a listener and its having found every topic [s]."""
-
-
-class Pace:
-    """When each stamp is due on this machine's clock.
-
-    Args:
-        rate: seconds of stream a second; 0: at once.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._anchor: tuple[int, float] | None = None  # a stamp, and when it was due
-
-    def due_s(self, t_ns: int, now_s: float) -> float:
-        """When a stamp is due [s, monotonic]; the pace starts anew after a jump back, and after falling far behind."""
-        if not self._rate:
-            return now_s
-        if self._anchor is not None:
-            due = self._anchor[1] + (t_ns - self._anchor[0]) * 1e-9 / self._rate
-            if t_ns >= self._anchor[0] and now_s - due <= LATE_S:
-                return due
-        self._anchor = (t_ns, now_s)
-        return now_s
-
-    def stamp_at(self, now_s: float) -> int | None:
-        """The stamp that is due now [ns]."""
-        if self._anchor is None:
-            return None
-        return self._anchor[0] + round((now_s - self._anchor[1]) * 1e9 * self._rate)
 
 
 class Ros2Sink:
