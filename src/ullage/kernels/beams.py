@@ -13,38 +13,48 @@ MOST = 96  # corners of a clipped outline
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _clip(points, count, plane, out):  # type: ignore[no-untyped-def]
-    """Keeps the part of a closed outline where plane . (x, 1) >= 0 (Sutherland-Hodgman); gives the corner count."""
-    kept = 0
-    if count == 0:
-        return 0
-    px, py, pz = points[count - 1, 0], points[count - 1, 1], points[count - 1, 2]
-    before = plane[0] * px + plane[1] * py + plane[2] * pz + plane[3]
-    for i in range(count):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        now = plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
-        if (now >= 0) != (before >= 0) and kept < MOST - 2:
-            s = before / (before - now)
-            out[kept, 0], out[kept, 1], out[kept, 2] = px + s * (x - px), py + s * (y - py), pz + s * (z - pz)
-            kept += 1
-        if now >= 0 and kept < MOST - 2:
-            out[kept, 0], out[kept, 1], out[kept, 2] = x, y, z
-            kept += 1
-        px, py, pz, before = x, y, z, now
-    return kept
+def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
+    """Keeps the part of a closed outline where plane . (x, 1) >= 0 for every plane (Sutherland-Hodgman).
+
+    The outline is outlines[at] or, as it goes to and fro between them, the one after an even `at`.
+
+    Returns:
+        Corner count, less than 3 where nothing is left, and which outline holds them.
+    """
+    for w in range(made):
+        if count < 3:
+            break
+        kept, to = 0, at ^ 1
+        px, py, pz = outlines[at, count - 1, 0], outlines[at, count - 1, 1], outlines[at, count - 1, 2]
+        before = planes[w, 0] * px + planes[w, 1] * py + planes[w, 2] * pz + planes[w, 3]
+        for i in range(count):
+            x, y, z = outlines[at, i, 0], outlines[at, i, 1], outlines[at, i, 2]
+            now = planes[w, 0] * x + planes[w, 1] * y + planes[w, 2] * z + planes[w, 3]
+            if (now >= 0) != (before >= 0) and kept < MOST - 2:
+                s = before / (before - now)
+                outlines[to, kept, 0], outlines[to, kept, 1] = px + s * (x - px), py + s * (y - py)
+                outlines[to, kept, 2] = pz + s * (z - pz)
+                kept += 1
+            if now >= 0 and kept < MOST - 2:
+                outlines[to, kept, 0], outlines[to, kept, 1], outlines[to, kept, 2] = x, y, z
+                kept += 1
+            px, py, pz, before = x, y, z, now
+        count, at = kept, to
+    return count, at
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walls(apex, outline, count, normal, offset, planes):  # type: ignore[no-untyped-def]
-    """Planes of the beam from an image through a convex outline, on the side where it comes out; gives their count."""
+def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ignore[no-untyped-def]
+    """Planes of the beam from an image through outlines[at] in face p, on the side where it comes out; their count."""
     cx, cy, cz = 0.0, 0.0, 0.0
     for i in range(count):
-        cx, cy, cz = cx + outline[i, 0] / count, cy + outline[i, 1] / count, cz + outline[i, 2] / count
+        cx, cy, cz = cx + outlines[at, i, 0], cy + outlines[at, i, 1], cz + outlines[at, i, 2]
+    cx, cy, cz = cx / count, cy / count, cz / count
     made = 0
     for i in range(count):
-        j = (i + 1) % count
-        ax, ay, az = outline[i, 0] - apex[0], outline[i, 1] - apex[1], outline[i, 2] - apex[2]
-        bx, by, bz = outline[j, 0] - apex[0], outline[j, 1] - apex[1], outline[j, 2] - apex[2]
+        j = i + 1 if i + 1 < count else 0
+        ax, ay, az = outlines[at, i, 0] - apex[0], outlines[at, i, 1] - apex[1], outlines[at, i, 2] - apex[2]
+        bx, by, bz = outlines[at, j, 0] - apex[0], outlines[at, j, 1] - apex[1], outlines[at, j, 2] - apex[2]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         size = math.sqrt(nx * nx + ny * ny + nz * nz)
         if size < 1e-12:
@@ -54,30 +64,28 @@ def _walls(apex, outline, count, normal, offset, planes):  # type: ignore[no-unt
             size = -size
         planes[made, 0], planes[made, 1], planes[made, 2], planes[made, 3] = nx / size, ny / size, nz / size, d / size
         made += 1
-    behind = normal[0] * apex[0] + normal[1] * apex[1] + normal[2] * apex[2] - offset
+    behind = normals[p, 0] * apex[0] + normals[p, 1] * apex[1] + normals[p, 2] * apex[2] - offsets[p]
     sign = -1.0 if behind > 0 else 1.0
     for k in range(3):
-        planes[made, k] = sign * normal[k]
-    planes[made, 3] = -sign * offset
+        planes[made, k] = sign * normals[p, k]
+    planes[made, 3] = -sign * offsets[p]
     return made + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _reached(sphere, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
-    """Whether a face's sphere meets the beam and can echo within the gate."""
+def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
+    """Whether the sphere of face p meets the beam and can echo within the gate."""
+    x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
     for i in range(made):
-        gap = planes[i, 0] * sphere[0] + planes[i, 1] * sphere[1] + planes[i, 2] * sphere[2] + planes[i, 3]
-        if gap < -sphere[3]:
+        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z + planes[i, 3] < -radius:
             return False
-    a, b = 0.0, 0.0
-    for k in range(3):
-        a += (sphere[k] - apex[k]) ** 2
-        b += (sphere[k] - receiver[k]) ** 2
-    return 0.5 * (math.sqrt(a) + math.sqrt(b)) - sphere[3] <= gate
+    a = (x - apex[0]) ** 2 + (y - apex[1]) ** 2 + (z - apex[2]) ** 2
+    b = (x - receiver[0]) ** 2 + (y - receiver[1]) ** 2 + (z - receiver[2]) ** 2
+    return 0.5 * (math.sqrt(a) + math.sqrt(b)) - radius <= gate
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, at):  # type: ignore[no-untyped-def]
+def _emit(target, planes, made, loop_of, loops, starts, outlines, edges, at):  # type: ignore[no-untyped-def]
     """Writes the clipped outline of a face as edges (m, 2, 3) from `at` on; gives where it ends."""
     for loop in range(loop_of[target], loop_of[target + 1]):
         count = loops[loop + 1] - loops[loop]
@@ -85,31 +93,55 @@ def _emit(target, apex, planes, made, loop_of, loops, starts, old, new, edges, a
             continue
         for i in range(count):
             for k in range(3):
-                old[i, k] = starts[loops[loop] + i, k]
-        for i in range(made):
-            count = _clip(old, count, planes[i], new)
-            old, new = new, old
-            if count < 3:
-                break
+                outlines[0, i, k] = starts[loops[loop] + i, k]
+        count, lit = _clipped(outlines, 0, count, planes, made)
         if count < 3:
             continue
         for i in range(count):
-            j = (i + 1) % count
+            j = i + 1 if i + 1 < count else 0
             if at < len(edges):
                 for k in range(3):
-                    edges[at, 0, k], edges[at, 1, k] = old[i, k], old[j, k]
+                    edges[at, 0, k], edges[at, 1, k] = outlines[lit, i, k], outlines[lit, j, k]
             at += 1
     return at
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
+def _ends(apex, planes, made, a, b, skip, receiver, gate, targets, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
+          outlines, apexes, chains, ends_on, first, edges, at):  # fmt: skip
+    """Writes the beams from an image through `made` planes to every face they may end on.
+
+    Args:
+        apex: (3) the transmitter's image [m].
+        planes: (made, 4) of the beam.
+        a, b: mirrors that it came over, -1 for none; skip: the face of the last.
+        outlines: (4, MOST, 3) scratch.
+        at: (2) how many beams and edges there are; the rest as in `trace`.
+    """
+    for t in targets:
+        if t == skip or _gap(apex, normals, offsets, t) < 1e-3:
+            continue
+        if not _reached(spheres, t, planes, made, apex, receiver, gate):
+            continue
+        end = _emit(t, planes, made, loop_of, loops, starts, outlines, edges, at[1])
+        if end == at[1]:
+            continue
+        if at[0] < len(ends_on) and end <= len(edges):
+            for k in range(3):
+                apexes[at[0], k] = apex[k]
+            chains[at[0], 0], chains[at[0], 1] = a, b
+            ends_on[at[0]], first[at[0] + 1] = t, end
+        at[0], at[1] = at[0] + 1, end
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
           targets, apexes, chains, ends_on, first, edges):  # fmt: skip
-    """Every beam of `order` bounces: over one or two mirrors, then on the face it ends on.
+    """Every beam of two or three bounces: over one or two mirrors, then on the face it ends on.
 
     Args:
         origins: (2, 3) transmitter and receiver [m].
-        order: 2 or 3.
+        most: bounces, 2 or 3.
         gate: largest mean range [m].
         mirrors: (q) convex mirrors to use.
         outlines: (c, 12, 3) corners of each convex mirror [m].
@@ -124,64 +156,41 @@ def trace(origins, order, gate, mirrors, outlines, sizes, flat_of, normals, offs
     Returns:
         How many beams and edges there are; only those that fit are written.
     """
-    one, two = np.empty(3), np.empty(3)
-    planes1, planes2 = np.empty((16, 4)), np.empty((MOST + 2, 4))
-    old, new = np.empty((MOST, 3)), np.empty((MOST, 3))
-    lit, spare = np.empty((MOST, 3)), np.empty((MOST, 3))
-    beams, at = 0, 0
+    one, two, none = np.empty(3), np.empty(3), -1
+    planes1, planes2 = np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4))
+    clipped, at = np.empty((4, MOST, 3)), np.zeros(2, np.int64)
     first[0] = 0
     for a in mirrors:
         p = flat_of[a]
-        if _gap(origins[0], normals[p], offsets[p]) < 1e-3:
+        if _gap(origins[0], normals, offsets, p) < 1e-3:
             continue
         mirror(origins[0], normals[p], offsets[p], one)
-        made = _walls(one, outlines[a], sizes[a], normals[p], offsets[p], planes1)
-        nexts = targets if order == 2 else mirrors
-        for b in nexts:
-            q = b if order == 2 else flat_of[b]
-            if q == p or _gap(one, normals[q], offsets[q]) < 1e-3:
+        for i in range(sizes[a]):
+            for k in range(3):
+                clipped[2, i, k] = outlines[a, i, k]
+        made = _walls(one, clipped, 2, sizes[a], normals, offsets, p, planes1)
+        _ends(one, planes1, made, a, none, p, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
+              starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
+        for b in mirrors:
+            q = flat_of[b]
+            if most < 3 or q == p or _gap(one, normals, offsets, q) < 1e-3:
                 continue
-            if not _reached(spheres[q], planes1, made, one, origins[1] if order == 2 else one, gate):
+            if not _reached(spheres, q, planes1, made, one, one, gate):
                 continue
-            if order == 2:
-                end = _emit(b, one, planes1, made, loop_of, loops, starts, old, new, edges, at)
-                if end > at:
-                    if beams < len(ends_on) and end <= len(edges):
-                        for k in range(3):
-                            apexes[beams, k] = one[k]
-                        chains[beams, 0], chains[beams, 1] = a, -1
-                        ends_on[beams], first[beams + 1] = b, end
-                    beams, at = beams + 1, end
-                continue
-            count = sizes[b]
-            for i in range(count):
+            for i in range(sizes[b]):
                 for k in range(3):
-                    lit[i, k] = outlines[b, i, k]
-            for i in range(made):
-                count = _clip(lit, count, planes1[i], spare)
-                lit, spare = spare, lit
-                if count < 3:
-                    break
+                    clipped[2, i, k] = outlines[b, i, k]
+            count, lit = _clipped(clipped, 2, sizes[b], planes1, made)
             if count < 3:
                 continue
             mirror(one, normals[q], offsets[q], two)
-            made2 = _walls(two, lit, count, normals[q], offsets[q], planes2)
-            for t in targets:
-                if t == q or _gap(two, normals[t], offsets[t]) < 1e-3:
-                    continue
-                if not _reached(spheres[t], planes2, made2, two, origins[1], gate):
-                    continue
-                end = _emit(t, two, planes2, made2, loop_of, loops, starts, old, new, edges, at)
-                if end > at:
-                    if beams < len(ends_on) and end <= len(edges):
-                        for k in range(3):
-                            apexes[beams, k] = two[k]
-                        chains[beams, 0], chains[beams, 1] = a, b
-                        ends_on[beams], first[beams + 1] = t, end
-                    beams, at = beams + 1, end
-    return beams, at
+            made2 = _walls(two, clipped, lit, count, normals, offsets, q, planes2)
+            _ends(two, planes2, made2, a, b, q, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
+                  starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
+    return at[0], at[1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gap(point, normal, offset):  # type: ignore[no-untyped-def]
-    return abs(normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
+def _gap(point, normals, offsets, p):  # type: ignore[no-untyped-def]
+    """How far a point is from the plane of face p."""
+    return abs(normals[p, 0] * point[0] + normals[p, 1] * point[1] + normals[p, 2] * point[2] - offsets[p])

@@ -163,8 +163,8 @@ def _end(u, along, into, normal, factor, term, tie, p, ends, holders, ties, at):
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _before(p, normal, offset, sphere, here, gate, image, axis):  # type: ignore[no-untyped-def]
-    """Whether a face can echo within the gate; the transmitter's image and the unit axis from it go to the last two.
+def _before(normal, offset, sphere, here, limit, image, axis):  # type: ignore[no-untyped-def]
+    """Whether a face can echo within the limit; the transmitter's image and the unit axis from it go to the last two.
 
     Gives the length of that axis, less than 0 where the face cannot echo.
     """
@@ -175,7 +175,7 @@ def _before(p, normal, offset, sphere, here, gate, image, axis):  # type: ignore
         near += (sphere[k] - here[0, k]) ** 2
         far += (sphere[k] - here[1, k]) ** 2
     r = 0.5 * (math.sqrt(near) + math.sqrt(far))
-    if r - sphere[3] > gate[1] or r + sphere[3] < gate[0]:
+    if r - sphere[3] > limit:
         return -1.0
     if ahead * behind <= 0 or min(abs(ahead), abs(behind)) < 1e-4:
         return -1.0
@@ -245,9 +245,9 @@ def _pieces(a, b, size, source, image, axis, length, limit, most, wave, sign, p,
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
+def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
         tips, holders, ties, windings):  # fmt: skip
-    """Parts the rims of faces within the gate: where the path is near its shortest, into pieces; beyond, by their ends.
+    """Parts the rims of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
 
     Args:
         patches: (k) the faces to do.
@@ -258,7 +258,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
         starts: (e, 3) edge starts, counter-clockwise about the normal [m].
         ends: (e, 3) edge ends [m].
         origins: (1 or p, 2, 3) transmitter and receiver, or their images, for all or for each face [m].
-        gate: (2) least and greatest mean range [m].
+        limits: (1 or p) greatest mean range, for all or for each face [m].
         most: rim whose path exceeds the mirror path by more is left out [m].
         omega: carrier [rad/s].
         whole: whether to cut all of the rim into pieces.
@@ -283,8 +283,9 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
         p = patches[i]
         here = origins[p] if len(origins) > 1 else origins[0]
         windings[i] = 0.0
+        limit = limits[p] if len(limits) > 1 else limits[0]
         n, source = normals[p], here[1]
-        length = _before(p, n, offsets[p], spheres[p], here, gate, image, axis)
+        length = _before(n, offsets[p], spheres[p], here, limit, image, axis)
         if length < 0:
             continue
         facing, lead, square = 0.0, 0.0, 0.0
@@ -296,7 +297,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
         round_axis = square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
         winding = 0.0
         at[2] = at[1]
-        farthest = min(2 * gate[1], length + most)
+        farthest = min(2 * limit, length + most)
         for e in range(first[p], first[p + 1]):
             size = 0.0
             for k in range(3):
@@ -343,7 +344,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, gate, 
             if share[1] < 1:
                 stops = d
                 _spot(starts[e], ends[e], share[1], source, image, axis, length, d)
-            winding += _pieces(begins, stops, (share[1] - share[0]) * size, source, image, axis, length, gate[1],
+            winding += _pieces(begins, stops, (share[1] - share[0]) * size, source, image, axis, length, limit,
                                     most, wave, sign, p, stack, m, pieces, owner, at)  # fmt: skip
             if share[0] > 0:
                 winding += _turn(a, c, axis)

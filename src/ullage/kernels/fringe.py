@@ -154,12 +154,13 @@ def _along(e, p, origin):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def audible(starts, ends, factors, across, origins, frames, fields, table, flat, wave, gate, least, out):  # type: ignore[no-untyped-def]
+def audible(starts, ends, lit, factors, across, origins, frames, fields, table, flat, wave, gate, least, out):  # type: ignore[no-untyped-def]
     """Whether each edge (w, 3)-(w, 3) can return more than `least`, by the most its strength and length allow.
 
     Args:
         starts: (w, 3) [m].
         ends: (w, 3) [m].
+        lit: (w) which to ask about; the others cannot.
         factors: (w) strength over that of an edge by itself.
         across: whether only the electric field across the edge counts.
         origins: (2, 3), as in `facets.deposit`, and so the next ones.
@@ -170,6 +171,9 @@ def audible(starts, ends, factors, across, origins, frames, fields, table, flat,
     """
     t = np.empty(3)
     for w in range(len(starts)):
+        out[w] = False
+        if not lit[w]:
+            continue
         size = 0.0
         for k in range(3):
             t[k] = ends[w, k] - starts[w, k]
@@ -180,21 +184,22 @@ def audible(starts, ends, factors, across, origins, frames, fields, table, flat,
             t[k] /= size
             foot += (origins[0, k] - starts[w, k]) * t[k]
         near = min(max(foot, 0.0), size)
-        best, gain, most = 1e9, 0.0, 0.0
+        square = 0.0
+        for k in range(3):
+            square += (starts[w, k] + near * t[k] - origins[0, k]) ** 2
+        if square > gate[1] * gate[1]:
+            continue
+        best, gain, most = max(math.sqrt(square), 1e-2), 0.0, 0.0
         for step in range(3):
             along = near if step == 0 else (0.0 if step == 1 else size)
             x, y, z = (starts[w, 0] + along * t[0] - origins[0, 0], starts[w, 1] + along * t[1] - origins[0, 1],
                        starts[w, 2] + along * t[2] - origins[0, 2])  # fmt: skip
             r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
-            best = min(best, r)
             if across:
                 hard = abs((y * fields[0, 2] - z * fields[0, 1]) * t[0] + (z * fields[0, 0] - x * fields[0, 2]) * t[1]
                            + (x * fields[0, 1] - y * fields[0, 0]) * t[2]) / r  # fmt: skip
                 most = max(most, hard)
             gain = max(gain, toward(table, flat, frames[0], x / r, y / r, z / r))
-        out[w] = False
-        if best > gate[1]:
-            continue
         reach = math.sqrt(math.pi * best / wave)  # of the stationary part
         beside = abs(foot - near)
         if beside > 0:

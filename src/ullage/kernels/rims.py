@@ -193,10 +193,10 @@ def lay_images(points, owner, lengths, shade, extra, normals, stuffs, origins, f
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def crossings(patches, windings, normals, offsets, origins, gate, points, lengths):  # type: ignore[no-untyped-def]
+def crossings(patches, windings, normals, offsets, origins, limits, points, lengths):  # type: ignore[no-untyped-def]
     """Where the lines from image to receiver cross the faces that hold them: points (k, 3) and lengths (k) [m].
 
-    Those whose mean range lies beyond the gate's end are left out, as their rims are.
+    Those whose mean range lies beyond the face's limit are left out, as their rims are.
 
     Returns:
         How many there are; `patches` is compacted to match, in place.
@@ -214,7 +214,8 @@ def crossings(patches, windings, normals, offsets, origins, gate, points, length
             ahead += normals[p, k] * here[1, k]
             behind -= normals[p, k] * image[k]
             square += (here[1, k] - image[k]) ** 2
-        if square > 4 * gate[1] * gate[1]:
+        limit = limits[p] if len(limits) > 1 else limits[0]
+        if square > 4 * limit * limit:
             continue
         share = behind / (ahead + behind)
         for k in range(3):

@@ -75,6 +75,7 @@ class Rims:
     pairs: double.Pairs
     both: NDArray[np.bool_]  # (p) the wave runs over both sides
     bare: NDArray[np.bool_]  # (p) of a sheet, which a wave from behind meets too
+    gaps_m: Floats  # (p) how far the edges of each pair are apart [m]
 
 
 def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
@@ -119,7 +120,8 @@ def rims_of(sharp: Sharp, wavelength_m: float) -> Rims:
     row = np.arange(len(held))[:, None]
     held = replace(held, inward=held.inward[row, order], normals=held.normals[row, order],
                    widths=held.widths[row, order])  # fmt: skip
-    return Rims(held, np.asarray(~wide.all(1)), *double.at_wavelength(sharp.pairs, NARROW * wavelength_m))
+    pairs, both, bare = double.at_wavelength(sharp.pairs, NARROW * wavelength_m)
+    return Rims(held, np.asarray(~wide.all(1)), pairs, both, bare, np.linalg.norm(pairs.gaps, axis=1))
 
 
 def placed(edges: Edges, scene: Scene, t_ns: int) -> Edges:

@@ -41,6 +41,10 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.stuffs)
 
+    def take(self, index: NDArray[np.bool_] | Longs) -> Pairs:
+        """Some of them."""
+        return Pairs(*(getattr(self, f.name)[index] for f in fields(self)))
+
 
 def facing_pairs(
     starts: Floats,
@@ -78,7 +82,7 @@ def facing_pairs(
     out = Pairs(starts[a] + low[:, None] * along, starts[a] + high[:, None] * along, apart[:, None] * xa,
                 np.stack([angles[a], angles[b]], 1), np.stack([xa, inward[b, sb]], 1), n,
                 np.stack([widths[a, 1 - sa], widths[b, 1 - sb]], 1), stuffs[a])  # fmt: skip
-    return taken(out, held)
+    return out.take(held)
 
 
 def _within(bound: Longs) -> tuple[Longs, Longs]:
@@ -88,11 +92,6 @@ def _within(bound: Longs) -> tuple[Longs, Longs]:
     return both[0], both[1]
 
 
-def taken(pairs: Pairs, index: NDArray[np.bool_]) -> Pairs:
-    """Some of the pairs."""
-    return Pairs(*(getattr(pairs, f.name)[index] for f in fields(pairs)))
-
-
 def strung(parts: list[Pairs]) -> Pairs:
     """The pairs of several bodies as one."""
     return Pairs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pairs)))
@@ -100,7 +99,7 @@ def strung(parts: list[Pairs]) -> Pairs:
 
 def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, NDArray[np.bool_], NDArray[np.bool_]]:
     """Pairs wide enough, edges of thin bodies as rims; whether the wave runs over both sides; which are sheets."""
-    held = taken(pairs, np.linalg.norm(pairs.gaps, axis=1) >= narrow_m)
+    held = pairs.take(np.linalg.norm(pairs.gaps, axis=1) >= narrow_m)
     sheets = held.angles > 2 - 1e-6
     thin = (held.others < narrow_m) | sheets
     return replace(held, angles=np.where(thin, 2.0, held.angles)), np.asarray(thin.all(1)), np.asarray(sheets.all(1))

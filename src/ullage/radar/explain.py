@@ -101,22 +101,16 @@ def contributions(
     grids = np.zeros((3, ready.places), complex)
     view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     laid = lay(ready, view, int(pose.t_ns[0]), max_bounces, grids)
-    found = [c for part in _merged(laid) for c in _told(part, scene)]
-    return sorted(found, key=lambda c: -c.path_gain_db)
+    return sorted(_told(_merged(laid), scene), key=lambda c: -c.path_gain_db)
 
 
-def _merged(laid: Iterable[Laid]) -> list[Laid]:
-    """Images and rims of the same order together, so that one face's echo is told once."""
-    groups: dict[int, list[Laid]] = {}
-    for part in laid:
-        groups.setdefault(part.bounces, []).append(part)
-    out = []
-    for bounces, parts in groups.items():
-        via = [np.full((len(p.echo), 2), -1, np.int64) if p.via is None else p.via for p in parts]
-        out.append(Laid(np.concatenate([p.stuffs for p in parts]), np.concatenate([p.points for p in parts]),
-                        np.concatenate([p.echo for p in parts]), np.concatenate([p.delay_s for p in parts]), bounces,
-                        np.concatenate(via)))  # fmt: skip
-    return out
+def _merged(laid: Iterable[Laid]) -> Laid:
+    """Images and rims together, so that one face's echo is told once."""
+    parts = list(laid)
+    via = [np.full((len(p.echo), 2), -1, np.int64) if p.via is None else p.via for p in parts]
+    return Laid(np.concatenate([p.stuffs for p in parts]), np.concatenate([p.points for p in parts]),
+                np.concatenate([p.echo for p in parts]), np.concatenate([p.delay_s for p in parts]),
+                np.concatenate(via))  # fmt: skip
 
 
 def _told(part: Laid, scene: Scene) -> list[Contribution]:
@@ -145,5 +139,5 @@ def _one(part: Laid, scene: Scene, rows: NDArray[np.int64]) -> Contribution:
     via = () if part.via is None else tuple(scene.objects[k].name for k in part.via[lead] if k >= 0)
     x, y, z = (float(v) for v in part.points[lead])
     level = float(20 * np.log10(max(abs(total), 1e-30)))
-    return Contribution(scene.objects[part.stuffs[lead]].name, part.bounces, delay, delay * C0 / 2, level, (x, y, z),
+    return Contribution(scene.objects[part.stuffs[lead]].name, 1 + len(via), delay, delay * C0 / 2, level, (x, y, z),
                         float(np.angle(total)), via)  # fmt: skip

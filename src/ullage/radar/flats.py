@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ullage.kernels import edges as kernel
 from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.folding import limits_of
 from ullage.radar.physical import Bench, Laid, View, common, each, shading
 
 Floats = NDArray[np.float64]
@@ -37,15 +38,6 @@ class Rim:
     ties: Ints  # (n) piece that goes on from each end, -1 for none
     windings: Floats  # (k) turns of each face's rim around the axis
 
-    def after(self, range_m: float) -> Rim:
-        """What lies beyond a mean range [m]."""
-        held = np.minimum(self.pieces[:, 6], self.pieces[:, 7]) > 2 * range_m
-        far = self.tips[:, 3] > 2 * range_m
-        far &= (self.ties < 0) | held[self.ties]
-        place = np.cumsum(held) - 1
-        ties = np.where(self.ties[far] < 0, -1, place[self.ties[far]]).astype(np.int32)
-        return Rim(self.pieces[held], self.owner[held], self.tips[far], self.holders[far], ties, self.windings)
-
 
 def parted(count: int, edges: int, fill: Callable[[Floats, Ints, Floats, Ints, Ints, Floats], tuple[int, int]]) -> Rim:
     """Runs the kernel that parts the rims of `count` faces of `edges` edges, again where there was too little room."""
@@ -60,11 +52,11 @@ def parted(count: int, edges: int, fill: Callable[[Floats, Ints, Floats, Ints, I
         rooms = [max(rooms[0], int(1.2 * made)), max(rooms[1], int(1.2 * ends))]
 
 
-def rims(ready: Bench, flats: Flats, view: View, which: Longs) -> Rim:
-    """The rims of some faces within the gate."""
+def rims(ready: Bench, flats: Flats, view: View, which: Longs, limits: Floats) -> Rim:
+    """The rims of some faces, each as far as its limit (p) [m]."""
     return parted(len(which), len(flats.starts), lambda *room: kernel.cut(
         which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
-        view.origins[None], np.array(ready.gate), 1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
+        view.origins[None], limits, 1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
 
 
 def lay_flats(
@@ -73,34 +65,25 @@ def lay_flats(
     part: Surfaces,
     view: View,
     grids: Complexes,
-    which: NDArray[np.int64] | None = None,
 ) -> tuple[Laid, ...]:
-    """Adds the echoes of flat faces, all or some, between the gate's ranges."""
+    """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it."""
     flats = part.flats
-    which = np.arange(len(flats), dtype=np.int64) if which is None else which
-    if not len(which):
-        return ()
     opaque = ~ready.sheets.thin[flats.stuffs]
-    which = which[~part.flat_backs.hidden(view.origins, opaque)[which]]
+    which = np.flatnonzero(~part.flat_backs.hidden(view.origins, opaque))
     if not len(which):
         return ()
-    rim = rims(ready, flats, view, which)
-    windings = rim.windings
-    if ready.gate[0] > 0:
-        rim = rim.after(ready.gate[0])
+    limits = limits_of(flats, view, ready.gate[1], ready.fold_s)
+    rim = rims(ready, flats, view, which, limits)
     told = flats.normals, flats.stuffs, *each(common(ready, view, grids))
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = draw.crossings(which, windings, flats.normals, flats.offsets, view.origins[None], np.array(ready.gate),
-                             points, lengths)  # fmt: skip
-    held = np.flatnonzero(lengths[:count] > 2 * ready.gate[0])
-    points, lengths, which, count = points[held], lengths[held], which[held], len(held)
-    looks, open_ = _looks(ready, flats, rim, points, which, lengths)
+    count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, view.origins[None], limits, points,
+                           lengths)  # fmt: skip
+    points, lengths, which = points[:count], lengths[:count], which[:count]
+    looks, seats, open_ = _looks(ready, flats, rim, points, which, lengths)
     shade, extra = shading(ready, parts, view, np.concatenate(looks))
     ends = np.cumsum([len(look) for look in looks])[:-1]
-    piece, corner, zone = zip(np.split(shade, ends), np.split(extra, ends), strict=True)
-    tied = rim.ties >= 0
-    for of_tip, of_piece in zip(corner, piece, strict=True):
-        of_tip[tied] = of_piece[rim.ties[tied]]
+    piece, free, zone = zip(np.split(shade, ends), np.split(extra, ends), strict=True)
+    corner = tuple(np.concatenate(pair)[seats] for pair in zip(piece, free, strict=True))
     bright, when = np.empty(count, complex), np.empty(count)
     draw.lay_images(points, which, lengths, *_mean(zone, open_), *told, bright, when)
     return (*lay_rim(rim, piece, corner, told), Laid(flats.stuffs[which], points, bright, when))
@@ -120,14 +103,18 @@ def lay_rim(
 
 def _looks(
     ready: Bench, flats: Flats, rim: Rim, points: Floats, which: Longs, lengths: Floats
-) -> tuple[list[Floats], NDArray[np.bool_]]:
+) -> tuple[list[Floats], Longs, NDArray[np.bool_]]:
     """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 
-    Also which points of the zones lie on their faces (k, _ZONE).
+    Ends from which a piece goes on are seen where it is. Also of each end, which of all pieces and looks at ends it is
+    seen by, and which points of the zones lie on their faces (k, _ZONE).
     """
-    spots, corners = np.empty((len(rim.pieces), 3)), np.empty((len(rim.tips), 3))
+    free = rim.ties < 0
+    lone = rim.tips[free]
+    seats = np.where(free, len(rim.pieces) - 1 + np.cumsum(free), rim.ties)
+    spots, corners = np.empty((len(rim.pieces), 3)), np.empty((len(lone), 3))
     draw.look_at(rim.pieces, rim.owner, flats.normals, _NUDGE_M, spots)
-    draw.look_at_tips(rim.tips, _NUDGE_M, corners)
+    draw.look_at_tips(lone, _NUDGE_M, corners)
     radius = np.sqrt(ready.spec.wavelength_m * lengths / 4)[:, None, None]
     spread = _ZONE @ flats.across[which]
     zone = (points[:, None] + radius * spread).reshape(-1, 3)
@@ -135,7 +122,7 @@ def _looks(
     draw.inside(zone, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
     held = within.reshape(len(points), len(_ZONE))
     held[:, 0] = True
-    return [spots, corners, zone], held
+    return [spots, corners, zone], seats, held
 
 
 def _mean(zone: tuple[Complexes, Floats], held: NDArray[np.bool_]) -> tuple[Complexes, Floats]:

@@ -8,41 +8,37 @@ echoes fall as 1 / R, those of all else as 1 / R^2 or faster.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import UllageWarning
 from ullage.geometry import C0
-from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.flats import lay_flats
-from ullage.radar.physical import Bench, Laid, View
+from ullage.radar.facets import Flats
 from ullage.specs import RadarSpec
+
+if TYPE_CHECKING:
+    from ullage.radar.physical import View
 
 FOLDS = 2
 """Pulse intervals beyond the frame from which walls fold back."""
 
 
-def lay_folded(ready: Bench, parts: list[Surfaces], view: View, grids: NDArray[np.complex128]) -> Iterator[Laid]:
-    """Adds the echoes of walls beyond the gate at one pose to the delay grids."""
-    gate = (ready.gate[1], ready.gate[1] + FOLDS * ready.fold_s * C0 / 2)
-    beyond = replace(ready, gate=gate)
-    for part in parts:
-        which = _mirrors(part.flats, view, gate)
-        if len(which):
-            yield from lay_flats(beyond, parts, part, view, grids, which)
+def limits_of(flats: Flats, view: View, gate_m: float, fold_s: float) -> NDArray[np.float64]:
+    """How far the echoes of each face (p) are followed [m]: to the gate, or where it mirrors the radar, to the folds.
 
-
-def _mirrors(flats: Flats, view: View, gate: tuple[float, float]) -> NDArray[np.int64]:
-    """Faces whose plane lies at these ranges, with the foot of its perpendicular near them."""
+    Faces that mirror are those whose plane lies at the ranges of the folds, with the perpendicular's foot near them.
+    """
+    far_m = gate_m + FOLDS * fold_s * C0 / 2
     origin = view.origins.mean(0)
     gap = flats.normals @ origin - flats.offsets
-    far = np.flatnonzero((abs(gap) > gate[0] - 0.5) & (abs(gap) < gate[1]))
+    far = np.flatnonzero((abs(gap) > gate_m - 0.5) & (abs(gap) < far_m))
     foot = origin - gap[far, None] * flats.normals[far]
     beside = ((foot - flats.spheres[far, :3]) ** 2).sum(1) < (flats.spheres[far, 3] + 0.5) ** 2
-    return np.asarray(far[beside], np.int64)
+    limits = np.full(len(flats), gate_m)
+    limits[far[beside]] = far_m
+    return limits
 
 
 def warn_of_folding(spec: RadarSpec) -> None:

@@ -35,23 +35,32 @@ def lay_edges(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids:
         pairs = double.placed(pairs, ready.world.scene, t_ns)
     wave, centre = ready.pulse.omega / C0, view.origins.mean(0)
     lit = diffraction.facing(edges, ready.rims.sheets, centre)
-    alone = _parted(ready, view, edges.starts, edges.ends, _heard(ready, view, edges.starts, edges.ends, lit))
-    width = np.linalg.norm(pairs.gaps, axis=1)
+    heard = _heard(ready, view, edges.starts, edges.ends, lit)
+    edges, sheets = edges.take(heard), ready.rims.sheets[heard]
+    alone = _parted(ready, view, edges.starts, edges.ends)
     above = np.einsum("ni,ni->n", pairs.normals, centre - pairs.starts)
+    lit = (above > 0) | ready.rims.bare
     starts, ends = pairs.starts + pairs.gaps / 2, pairs.ends + pairs.gaps / 2
-    heard = _heard(ready, view, starts, ends, (above > 0) | ready.rims.bare,
-                   4 / np.sqrt(2 * np.pi * wave * np.maximum(width, 1e-6)))  # fmt: skip
-    over, of = _cut(ready, view, starts, ends, heard, KAPPA)
+    heard = _heard(ready, view, starts, ends, lit, 4 / np.sqrt(2 * np.pi * wave * ready.rims.gaps_m))
+    pairs, both, above = pairs.take(heard), ready.rims.both[heard], above[heard]
+    over, of = _cut(ready, view, starts[heard], ends[heard], KAPPA)
     side = np.where(above[of] < 0, -_NUDGE_M, _NUDGE_M)[:, None]
     outward = _NUDGE_M * edges.outward
+    free = alone.ties < 0
+    seats = np.where(free, len(alone.owner) - 1 + np.cumsum(free), alone.ties)
     shade, extra = shading(ready, parts, view, np.concatenate([
-        alone.pieces.mean(1) + outward[alone.owner], alone.tips[:, :3] + outward[alone.holders],
-        over.mean(1) + side * pairs.normals[of]]))  # fmt: skip
-    ends_of = np.cumsum([len(alone.owner), len(alone.holders)])
-    piece, corner, across = zip(np.split(shade, ends_of), np.split(extra, ends_of), strict=True)
+        _middles(alone.pieces) + outward[alone.owner], alone.tips[free, :3] + outward[alone.holders[free]],
+        _middles(over) + side * pairs.normals[of]]))  # fmt: skip
+    count = len(shade) - len(of)
+    piece, across = (shade[:count], extra[:count]), (shade[count:], extra[count:])
+    corner = shade[seats], extra[seats]
     over -= pairs.gaps[of, None] / 2
-    return [*_lay_fringes(ready, view, edges, alone, piece, corner, grids),
-            _lay_doubles(ready, view, pairs, over, of, across, grids)]  # fmt: skip
+    return [*_lay_fringes(ready, view, edges, sheets, alone, piece, corner, grids),
+            _lay_doubles(ready, view, pairs, both, over, of, across, grids)]  # fmt: skip
+
+
+def _middles(pieces: Floats) -> Floats:
+    return 0.5 * (pieces[:, 0] + pieces[:, 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,65 +78,59 @@ def _heard(
     ready: Bench, view: View, starts: Floats, ends: Floats, lit: NDArray[np.bool_], factors: Floats | None = None
 ) -> Longs:
     """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
-    which = np.flatnonzero(lit)
-    out = np.empty(len(which), np.bool_)
-    strong = np.ones(len(which)) if factors is None else factors[which]
-    fringe.audible(starts[which], ends[which], strong, factors is not None, view.origins, view.frames, view.fields,
-                   ready.table, ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0, np.array(ready.gate),
-                   FAINT, out)  # fmt: skip
-    return np.asarray(which[out])
+    strong = np.ones(len(lit)) if factors is None else factors
+    out = np.empty(len(lit), np.bool_)
+    fringe.audible(starts, ends, lit, strong, factors is not None, view.origins, view.frames, view.fields, ready.table,
+                   ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0, np.array(ready.gate), FAINT,
+                   out)  # fmt: skip
+    return np.flatnonzero(out)
 
 
-def _cut(ready: Bench, view: View, starts: Floats, ends: Floats, which: Longs, fine: float) -> tuple[Floats, Ints]:
+def _cut(ready: Bench, view: View, starts: Floats, ends: Floats, fine: float) -> tuple[Floats, Ints]:
     """Pieces (m, 2, 3) of some lines within the gate, and the line of each."""
-    if not len(which):
-        return np.zeros((0, 2, 3)), np.zeros(0, np.int32)
-    pieces, owner = grown(1024, (2, 3), lambda out, of: string.cut_wires(
-        starts[which], ends[which], view.origins, np.array(ready.gate), fine * ready.spec.wavelength_m, REACH, out,
-        of))  # fmt: skip
-    return pieces, which[owner].astype(np.int32)
+    return grown(1024, (2, 3), lambda out, of: string.cut_wires(
+        starts, ends, view.origins, np.array(ready.gate), fine * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
 
 
-def _parted(ready: Bench, view: View, starts: Floats, ends: Floats, which: Longs) -> Parted:
+def _parted(ready: Bench, view: View, starts: Floats, ends: Floats) -> Parted:
     """Some lines within the gate, most of them by their ends."""
     if ready.whole_rims:
-        pieces, owner = _cut(ready, view, starts, ends, which, _COARSE * KAPPA)
+        pieces, owner = _cut(ready, view, starts, ends, _COARSE * KAPPA)
         return Parted(pieces, owner, np.zeros((0, 5)), np.zeros(0, np.int32), np.zeros(0, np.int64))
-    near, held = np.empty((len(starts), 2, 3)), np.zeros(len(starts), np.bool_)
-    some, open_ = np.empty((len(which), 2, 3)), np.empty(len(which), np.bool_)
-    tips, holders = np.empty((4 * len(which), 5)), np.empty(4 * len(which), np.int32)
-    sides = np.empty(4 * len(which), np.int32)
-    count = lines.part(starts[which], ends[which], view.origins, np.array(ready.gate), ready.pulse.omega / C0, some,
-                       open_, tips, holders, sides)  # fmt: skip
-    near[which], held[which] = some, open_
-    pieces, owner = _cut(ready, view, near[:, 0], near[:, 1], which[open_], _COARSE * KAPPA)
-    holders, sides = which[holders[:count]].astype(np.int32), sides[:count]
+    near, held = np.empty((len(starts), 2, 3)), np.empty(len(starts), np.bool_)
+    tips, holders = np.empty((4 * len(starts), 5)), np.empty(4 * len(starts), np.int32)
+    sides = np.empty(4 * len(starts), np.int32)
+    count = lines.part(starts, ends, view.origins, np.array(ready.gate), ready.pulse.omega / C0, near, held, tips,
+                       holders, sides)  # fmt: skip
+    tips, holders, sides = tips[:count], holders[:count], sides[:count]
+    some = np.flatnonzero(held)
+    pieces, owner = _cut(ready, view, np.ascontiguousarray(near[some, 0]), np.ascontiguousarray(near[some, 1]),
+                         _COARSE * KAPPA)  # fmt: skip
+    owner = some[owner].astype(np.int32)
     # pieces of a line come from its end to its start
     ties = np.where(sides == 0, np.searchsorted(owner, holders, "right") - 1, np.searchsorted(owner, holders))
     cut = sides < 0
     cut |= owner[np.clip(ties, 0, len(owner) - 1)] == holders if len(owner) else False
-    return Parted(pieces, owner, tips[:count][cut], holders[cut], np.where(sides < 0, -1, ties)[cut])
+    return Parted(pieces, owner, tips[cut], holders[cut], np.where(sides < 0, -1, ties)[cut])
 
 
 def _lay_fringes(
     ready: Bench,
     view: View,
     edges: diffraction.Edges,
+    sheets: NDArray[np.bool_],
     alone: Parted,
     piece: tuple[Complexes, Floats],
     corner: tuple[Complexes, Floats],
     grids: Complexes,
 ) -> list[Laid]:
-    tied = alone.ties >= 0
-    for of_tip, of_piece in zip(corner, piece, strict=True):
-        of_tip[tied] = of_piece[alone.ties[tied]]
     told = common(ready, view, grids)
-    told = edges.angles, edges.inward, edges.normals, ready.rims.sheets, *told[:6], *told[8:]
+    told = edges.angles, edges.inward, edges.normals, sheets, *told[:6], *told[8:]
     echo, delay = np.empty(len(alone.owner), complex), np.empty(len(alone.owner))
     fringe.lay_fringes(alone.pieces, alone.owner, *piece, *told, echo, delay)
     tip, late = np.empty(len(alone.holders), complex), np.empty(len(alone.holders))
     fringe.lay_tips(alone.tips, alone.holders, *corner, *told, tip, late)
-    return [Laid(edges.stuffs[alone.owner], alone.pieces.mean(1), echo, delay),
+    return [Laid(edges.stuffs[alone.owner], _middles(alone.pieces), echo, delay),
             Laid(edges.stuffs[alone.holders], alone.tips[:, :3], tip, late)]  # fmt: skip
 
 
@@ -135,6 +138,7 @@ def _lay_doubles(
     ready: Bench,
     view: View,
     pairs: double.Pairs,
+    both: NDArray[np.bool_],
     pieces: Floats,
     owner: Ints,
     across: tuple[Complexes, Floats],
@@ -143,5 +147,5 @@ def _lay_doubles(
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     told = common(ready, view, grids)
     double_fringe.lay_doubles(pieces, owner, *across, pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
-                              ready.rims.both, *told[:6], *told[8:], echo, delay)  # fmt: skip
-    return Laid(pairs.stuffs[owner], pieces.mean(1) + pairs.gaps[owner] / 2, echo, delay)
+                              both, *told[:6], *told[8:], echo, delay)  # fmt: skip
+    return Laid(pairs.stuffs[owner], _middles(pieces) + pairs.gaps[owner] / 2, echo, delay)

@@ -37,7 +37,7 @@ EXCESS_M = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """Bundles of paths of one order: each over its mirrors to the lit part of its last face."""
+    """Bundles of paths, each over its one or two mirrors to the lit part of its last face."""
 
     images: Floats  # (b, 3) the transmitter's last image [m]
     firsts: Floats  # (b, 3) its first image [m]
@@ -55,15 +55,11 @@ def lay_bounces(
     ready: Bench, parts: list[Surfaces], flats: Flats, view: View, max_bounces: int, grids: Complexes
 ) -> list[Laid]:
     """Adds the echoes of two and three bounces between flat faces to the delay grids."""
-    out: list[Laid] = []
     if len(flats) < 2:
-        return out
+        return []
     chosen = _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m)
-    for order in range(2, max_bounces + 1):
-        beams = trace(flats, view, order, ready.gate[1], chosen)
-        if len(beams):
-            out += _lay(ready, parts, flats, view, beams, order, grids)
-    return out
+    beams = trace(flats, view, max_bounces, ready.gate[1], chosen)
+    return _lay(ready, parts, flats, view, beams, grids) if len(beams) else []
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +91,13 @@ def _chosen(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Cho
     return Chosen(*largest(looks[flats.flat_of]), *largest(looks))
 
 
-def trace(flats: Flats, view: View, order: int, gate_m: float, chosen: Chosen) -> Beams:
-    """All beams of one order within the gate."""
+def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:
+    """All beams of two bounces up to as many as told within the gate."""
     rooms = [1024, 8192]
     while True:
         apex, chain, on = np.empty((rooms[0], 3)), np.empty((rooms[0], 2), np.int64), np.empty(rooms[0], np.int64)
         first, edges = np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3))
-        made, used = kernel.trace(view.origins, order, gate_m, chosen.mirrors, flats.mirrors, flats.sizes,
+        made, used = kernel.trace(view.origins, bounces_, gate_m, chosen.mirrors, flats.mirrors, flats.sizes,
                                   flats.flat_of, flats.normals, flats.offsets, flats.spheres, flats.loop_of,
                                   flats.loops, flats.starts, chosen.targets, apex, chain, on, first,
                                   edges)  # fmt: skip
@@ -109,9 +105,9 @@ def trace(flats: Flats, view: View, order: int, gate_m: float, chosen: Chosen) -
             break
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
     chain, on = chain[:made], on[:made]
-    weights = chosen.target_weights[on]
-    for step in range(2):
-        weights = weights * np.where(chain[:, step] >= 0, chosen.mirror_weights[chain[:, step]], 1.0)
+    weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
+    double = chain[:, 1] >= 0
+    weights[double] *= chosen.mirror_weights[chain[double, 1]]
     faces = np.where(chain >= 0, flats.flat_of[chain], -1).astype(np.int64)
     firsts = _mirrored(view.origins[0], flats, faces[:, 0]) if made else np.zeros((0, 3))
     return Beams(apex[:made], firsts, faces, on, first[: made + 1], edges[:used], weights)
@@ -123,24 +119,23 @@ def _mirrored(point: Floats, flats: Flats, faces: Longs) -> Floats:
     return np.asarray(point - 2 * (n @ point - flats.offsets[faces])[:, None] * n)
 
 
-def _lay(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: Beams, order: int, grids: Complexes
-) -> list[Laid]:
+def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: Beams, grids: Complexes) -> list[Laid]:
+    gate = np.array(ready.gate[1:])
     on, starts, ends = beams.ends_on, np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
     normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
     origins = np.stack([beams.images, np.broadcast_to(view.origins[1], beams.images.shape)], 1)
     middles = np.empty((len(beams), 3))
     bounces.middles(beams.first, beams.edges, middles)
-    weights = beams.weights * _both_ways(flats, beams, order)
+    weights = beams.weights * _both_ways(flats, beams)
     bounces.cover(_through(flats, view, beams, middles), beams.chains, flats.normals, flats.widths,
                   ready.spec.wavelength_m, weights)  # fmt: skip
     weights = np.maximum(weights - FAINT, 0)
     which = np.flatnonzero(weights)
     rim = parted(len(which), len(starts), lambda *room: edges.cut(
-        which, spheres, normals, offsets, beams.first, starts, ends, origins, np.array(ready.gate), EXCESS_M,
-        ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
+        which, spheres, normals, offsets, beams.first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
+        ready.whole_rims, *room))  # fmt: skip
     points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = draw.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
+    count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points, lengths)
     points, lengths, which = points[:count], lengths[:count], which[:count]
     lit = np.empty((len(beams), 3))
     bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, lit)
@@ -159,20 +154,19 @@ def _lay(
     draw.lay_images(points, which, lengths, np.ones(count, complex), np.zeros(count), *told, bright, when)
     via = np.where(beams.chains >= 0, flats.stuffs[beams.chains], -1)
     end = flats.stuffs[on]
-    rims = [replace(part, stuffs=end[of], bounces=order, via=via[of])
+    rims = [replace(part, stuffs=end[of], via=via[of])
             for part, of in zip(laid, (rim.owner, rim.holders), strict=True)]  # fmt: skip
-    return [*rims, Laid(end[which], points, bright, when, order, via[which])]
+    return [*rims, Laid(end[which], points, bright, when, via[which])]
 
 
-def _both_ways(flats: Flats, beams: Beams, order: int) -> Floats:
+def _both_ways(flats: Flats, beams: Beams) -> Floats:
     """How often each beam counts: a small face is no mirror, so its double bounces count twice from the large one.
 
     Mirror first or last is the same wave by reciprocity; physical optics belongs on the smaller face.
     """
-    if order > 2:
-        return np.ones(len(beams))
     mirror, end = flats.spheres[beams.chains[:, 0], 3], flats.spheres[beams.ends_on, 3]
-    return np.where(mirror > 1.2 * end, 2.0, np.where(end > 1.2 * mirror, 0.0, 1.0))
+    share = np.where(mirror > 1.2 * end, 2.0, np.where(end > 1.2 * mirror, 0.0, 1.0))
+    return np.where(beams.chains[:, 1] >= 0, 1.0, share)
 
 
 def _through(flats: Flats, view: View, beams: Beams, lit: Floats) -> Floats:
@@ -196,21 +190,23 @@ def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> NDArray[np.boo
 def image_lengths(ready: Bench, view: View, order: int) -> Floats:
     """Path lengths there and back [m] of every mirror path of one order between flat faces, shadows aside."""
     flats = ready.world.still.flats
-    gate = np.array(ready.gate)
+    gate = np.array(ready.gate[1:])
     if order == 1:
         on = np.arange(len(flats), dtype=np.int64)
+        asked = np.ones(len(on), np.bool_)
         first, starts, ends = flats.first, flats.starts, flats.ends
         origins = view.origins[None]
     else:
         beams = trace(flats, view, order, ready.gate[1], _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m))
         on, first = beams.ends_on, beams.first
+        asked = (beams.chains[:, 1] >= 0) == (order == 3)
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
         origins = np.stack([beams.images, np.broadcast_to(view.origins[1], beams.images.shape)], 1)
     normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
-    which = np.arange(len(on), dtype=np.int64)
-    rim = parted(len(on), len(starts), lambda *room: edges.cut(
+    which = np.flatnonzero(asked)
+    rim = parted(len(which), len(starts), lambda *room: edges.cut(
         which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
         False, *room))  # fmt: skip
-    points, lengths = np.empty((len(on), 3)), np.empty(len(on))
-    count = draw.crossings(which, rim.windings, normals, offsets, origins, np.array(ready.gate), points, lengths)
+    points, lengths = np.empty((len(which), 3)), np.empty(len(which))
+    count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points, lengths)
     return np.sort(lengths[:count])

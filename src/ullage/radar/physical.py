@@ -58,8 +58,7 @@ class Laid:
     points: Floats  # (m, 3) [m]
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
-    bounces: int = 1
-    via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none
+    via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +162,6 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids."""
     from ullage.radar.flats import lay_flats
-    from ullage.radar.folding import lay_folded
 
     parts = ready.world.parts(t_ns)
     out: list[Laid] = []
@@ -171,7 +169,6 @@ def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes)
         if len(part.corners):
             out.append(_lay_small(ready, parts, part, view, grids))
         out += lay_flats(ready, parts, part, view, grids)
-    out += lay_folded(ready, parts, view, grids)
     if len(ready.lines):
         out.append(_lay_wires(ready, parts, view, t_ns, grids))
     if len(ready.rims.edges):

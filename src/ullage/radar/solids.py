@@ -25,11 +25,12 @@ class Backs:
 
     def hidden(self, origins: Floats, opaque: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which faces (n) turn their backs to all of the places (k, 3) outside their bodies, where opaque (n)."""
-        out = opaque & self.outward[:, :3].any(1)
+        out = opaque.copy()
         for origin in origins[:1] if (origins == origins[0]).all() else origins:
-            away = ((origin < self.boxes[:, 0] - _CLEAR_M) | (origin > self.boxes[:, 1] + _CLEAR_M)).any(1)
-            out &= away & (self.outward[:, :3] @ origin + self.outward[:, 3] < 0)
-        return np.asarray(out)
+            out &= self.outward @ np.append(origin, 1.0) < 0
+            low, high = self.boxes[out, 0], self.boxes[out, 1]
+            out[out] = ((origin < low - _CLEAR_M) | (origin > high + _CLEAR_M)).any(1)
+        return out
 
     def take(self, index: NDArray[np.integer]) -> Backs:
         """Those of some of the faces."""
