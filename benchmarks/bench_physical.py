@@ -94,9 +94,7 @@ def cores():
 
 
 STAGES = (
-    (edges, "cut", "cut rims"), (rims, "lay_rims", "lay rims"), (rims, "lay_tips", "lay ends"),
-    (rims, "lay_images", "lay images"),
-    (fringe, "lay_fringes", "conducting edges"), (fringe, "lay_tips", "conducting edges"),
+    (edges, "cut", "cut rims"), (rims, "lay_rims", "lay rims"), (fringe, "lay_fringes", "conducting edges"),
     (double_fringe, "lay_doubles", "conducting edges"), (fringe, "audible", "conducting edges"),
     (facets, "split", "split triangles"), (facets, "deposit", "lay triangles"), (facets, "convolve", "pulse"),
     (beams, "trace", "trace beams"), (bounces, "reflect", "follow paths"), (bounces, "legs", "follow paths"),

@@ -27,12 +27,10 @@ def strength(n, phi, u=None, field=None):
     """Fringe strength of a wedge along z whose first face is the half plane y = 0, x > 0."""
     u = -np.array([np.cos(phi), np.sin(phi), 0.0]) if u is None else u
     turn = n * np.pi
-    faces = (
-        (np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
-        (np.array([np.cos(turn), np.sin(turn), 0]), np.array([np.sin(turn), -np.cos(turn), 0])),
-    )
-    out = np.empty(2)
-    return sum(fringe.face(float(n), x, y, u, field, field, out) for x, y in faces)
+    inward = np.array([[[1.0, 0, 0], [np.cos(turn), np.sin(turn), 0]]])
+    normals = np.array([[[0, 1.0, 0], [np.sin(turn), -np.cos(turn), 0]]])
+    rows = np.array([u, field, field], float)
+    return sum(fringe.face(float(n), inward, normals, 0, i, 1.0, rows, np.empty(2)) for i in range(2))
 
 
 @pytest.mark.parametrize("n", [2.0, 1.75, 1.5, 1.2])

@@ -8,6 +8,7 @@ from ullage.kernels import bounces
 from ullage.radar import multipath
 from ullage.radar.facets import prepare
 from ullage.radar.multipath import between
+from ullage.radar.physical import view_of
 from ullage.world import shapes
 from ullage.world.scene import Scene
 
@@ -77,3 +78,22 @@ def test_between_sees_walls_but_not_the_surfaces_at_its_ends():
     a = np.array([[-3.0, 0, 0], [-3.5, 0, 0]])
     b = np.array([[3.0, 0, 0], [3.0, 0, 0]])
     np.testing.assert_array_equal(between([room], a, b), [True, False])
+
+
+@pytest.mark.parametrize("height", [-0.31, 0.0, 0.42])
+def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
+    """Behind a ridge no wave goes from side to side, and none over the ridge as a mirror of no width."""
+    ridge, left, right = np.array([2.1, 0.13, 0.0]), np.array([2.9, 1.33, 0.0]), np.array([3.3, -0.87, 0.0])
+    low, high = np.array([0, 0, -1.37]), np.array([0, 0, 1.61])
+    vertices = np.array([v + h for v in (ridge, left, right) for h in (low, high)])
+    faces = np.array([[0, 2, 1], [1, 2, 3], [0, 1, 4], [4, 1, 5]])
+    roof = Scene(vertices, faces, np.zeros(4, np.int32), ul.scenes.plate(1, 1, 1).objects[:1])
+    scene = Scene.union([roof, ul.scenes.room((9, 8, 6))])
+    flats = prepare(scene).still.flats
+    radar = ul.RadarSpec.preset("x4m05", noise=None)
+    view = view_of(radar, np.array([0.3, 0.2, height]), np.eye(3))
+    beams = multipath.trace(flats, view, 3, 9.0, multipath._chosen(flats, view, 9.0, radar.wavelength_m))
+    sides = np.flatnonzero(flats.stuffs == 0)
+    assert len(sides) == 2
+    assert np.isin(beams.chains, sides).any()
+    assert not np.isin(beams.chains, sides).all(1).any()

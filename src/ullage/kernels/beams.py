@@ -10,6 +10,7 @@ from numba import njit
 from ullage.kernels.edges import mirror
 
 MOST = 96  # corners of a clipped outline
+SLIVER_M = 1e-7  # parts no wider than this are none: a face that touches a beam is not lit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -24,6 +25,15 @@ def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
     for w in range(made):
         if count < 3:
             break
+        low, high = 0.0, 0.0
+        for i in range(count):
+            side = planes[w, 0] * outlines[at, i, 0] + planes[w, 1] * outlines[at, i, 1]
+            side += planes[w, 2] * outlines[at, i, 2] + planes[w, 3]
+            low, high = min(low, side), max(high, side)
+        if high <= SLIVER_M:
+            return 0, at
+        if low >= -SLIVER_M:
+            continue
         kept, to = 0, at ^ 1
         px, py, pz = outlines[at, count - 1, 0], outlines[at, count - 1, 1], outlines[at, count - 1, 2]
         before = planes[w, 0] * px + planes[w, 1] * py + planes[w, 2] * pz + planes[w, 3]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import toward
+from ullage.kernels.facets import same, toward, turned
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -28,64 +28,70 @@ def transition(x):  # type: ignore[no-untyped-def]
         total += term / (2 * n + 1)
     root = complex(math.sqrt(0.5), math.sqrt(0.5))
     tail = 0.5 * math.sqrt(math.pi) / root - s * total  # integral of e^{-j t^2} from s on
-    return 2j * s * complex(math.cos(x), math.sin(x)) * tail
+    return 2j * s * turned(-x) * tail
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _graze(p, open_angle, inward, normal, wave, width, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
+def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """One edge of a pair: diffraction along the face, with gains over ranges; out gets hz of both ends and path."""
-    u = np.zeros(3)
-    g, path = 1.0, 0.0
-    tx = inward[1] * normal[2] - inward[2] * normal[1]
-    ty = inward[2] * normal[0] - inward[0] * normal[2]
-    tz = inward[0] * normal[1] - inward[1] * normal[0]
+    ux, uy, uz, g, path = 0.0, 0.0, 0.0, 1.0, 0.0
+    nx, ny, nz = normals[w, 0], normals[w, 1], normals[w, 2]
+    ix, iy, iz = inward[w, side, 0], inward[w, side, 1], inward[w, side, 2]
+    tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
     for s in range(2):
-        dx, dy, dz = p[0] - origins[s, 0], p[1] - origins[s, 1], p[2] - origins[s, 2]
+        dx, dy, dz = p[0] - origins[0, s, 0], p[1] - origins[0, s, 1], p[2] - origins[0, s, 2]
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
-        g *= math.sqrt(max(toward(table, flat, frames[s], dx / r, dy / r, dz / r), 0.0) / r)
+        dx, dy, dz = dx / r, dy / r, dz / r
+        one = math.sqrt(max(toward(table, flat, frames, 0, s, dx, dy, dz), 0.0) / r)
+        g *= one
         path += 0.5 * r
-        u[0], u[1], u[2] = u[0] + dx / r, u[1] + dy / r, u[2] + dz / r
-    size = max(math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]), 1e-6)
-    for k in range(3):
-        u[k] /= size
+        ux, uy, uz = ux + dx, uy + dy, uz + dz
+        if s == 0 and same(origins, 0):
+            g *= one
+            path += 0.5 * r
+            break
+    size = max(math.sqrt(ux * ux + uy * uy + uz * uz), 1e-6)
+    ux, uy, uz = ux / size, uy / size, uz / size
     for s in range(2):
-        e = fields[s]
-        along = e[0] * u[0] + e[1] * u[1] + e[2] * u[2]
-        square = max(e[0] * e[0] + e[1] * e[1] + e[2] * e[2] - along * along, 1e-12)
-        hz = (u[1] * e[2] - u[2] * e[1]) * tx + (u[2] * e[0] - u[0] * e[2]) * ty + (u[0] * e[1] - u[1] * e[0]) * tz
-        out[s] = hz / math.sqrt(square)
-    out[2] = path
-    sx = -(u[0] * inward[0] + u[1] * inward[1] + u[2] * inward[2])
-    sy = -(u[0] * normal[0] + u[1] * normal[1] + u[2] * normal[2])
+        ex, ey, ez = fields[0, s, 0], fields[0, s, 1], fields[0, s, 2]
+        along = ex * ux + ey * uy + ez * uz
+        square = max(ex * ex + ey * ey + ez * ez - along * along, 1e-12)
+        hz = (uy * ez - uz * ey) * tx + (uz * ex - ux * ez) * ty + (ux * ey - uy * ex) * tz
+        out[side, s] = hz / math.sqrt(square)
+    out[side, 2] = path
+    sx = -(ux * ix + uy * iy + uz * iz)
+    sy = -(ux * nx + uy * ny + uz * nz)
     phi = math.atan2(sy, sx)
     if phi < 0:
         phi += 2 * math.pi
-    if phi >= open_angle * math.pi:
+    n = angles[w, side]
+    if phi >= n * math.pi:
         return 0j
     half = math.cos(0.5 * phi)
     if abs(half) < 1e-4:
         half = 1e-4
         phi = math.pi - 2e-4
-    n = open_angle
     d = 2 * math.sin(math.pi / n) / (n * (math.cos(math.pi / n) - math.cos(phi / n)))
     return g * d * transition(2 * wave * width * half * half)
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _twice(p, gap, width, angles, inward, normal, sheet, wave, origins, frames, fields, table, flat, out, other):  # type: ignore[no-untyped-def]
-    """Strength per length of the wave that runs over the face from edge to edge; path length goes to out[2]."""
-    q = np.empty(3)
-    for k in range(3):
-        q[k] = p[k] + gap[k]
-    first = _graze(p, angles[0], inward[0], normal, wave, width, origins, frames, fields, table, flat, out)
-    second = _graze(q, angles[1], inward[1], normal, wave, width, origins, frames, fields, table, flat, other)
+def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
+           out):  # fmt: skip
+    """Strength per length of the wave that runs over the face from edge to edge; and path length."""
+    product = 1.0 + 0j
+    for side in range(2):
+        for j in range(3):
+            out[2, j] = pieces[k, end, j] + (gaps[w, j] if side == 1 else 0.0)
+        product *= _graze(out[2], w, side, angles, inward, normals, wave, width, origins, frames, fields, table, flat,
+                          out)  # fmt: skip
     # the second edge runs the other way in its own face's frame
-    both = -0.5 * (out[0] * other[1] + out[1] * other[0])
-    path = out[2] + other[2]
-    out[2] = path + width
+    both = -0.5 * (out[0, 0] * out[1, 1] + out[0, 1] * out[1, 0])
+    path = out[0, 2] + out[1, 2]
     spread = 1 / math.sqrt(2 * math.pi * wave * width * (1 + width / path))
-    faces = 2.0 if sheet else 1.0
-    return -faces * both * spread * first * second * complex(math.sqrt(0.5), -math.sqrt(0.5))
+    faces = 2.0 if sheets[w] else 1.0
+    value = -faces * both * spread * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
+    return value, path + width
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -103,12 +109,12 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
         inward: (p, 2, 3) from each edge into the face.
         normals: (p, 3) of the face.
         sheets: (p) whether the wave runs over both sides.
-        origins: (2, 3), as in `facets.deposit`, and so the rest.
+        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
     """
     wave = omega / C0
-    scale = factor / (4 * math.pi * wave)
+    scale = factor[0] / (4 * math.pi * wave)
     last = t0 + grids.shape[1] * dt
-    out, other = np.empty(3), np.empty(3)
+    out = np.empty((3, 3))
     for k in range(len(pieces)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
@@ -118,12 +124,11 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
             size += (pieces[k, 1, j] - pieces[k, 0, j]) ** 2
             width += gaps[w, j] * gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
-        w0 = _twice(pieces[k, 0], gaps[w], width, angles[w], inward[w], normals[w], sheets[w], wave, origins, frames,
-                    fields, table, flat, out, other)  # fmt: skip
-        path0 = out[2]
-        w1 = _twice(pieces[k, 1], gaps[w], width, angles[w], inward[w], normals[w], sheets[w], wave, origins, frames,
-                    fields, table, flat, out, other)  # fmt: skip
-        path1 = out[2]
+        w0, path0 = _twice(pieces, k, 0, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields,
+                           table, flat, out)  # fmt: skip
+        w1, path1 = _twice(pieces, k, 1, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields,
+                           table, flat, out)  # fmt: skip
+        w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
         early = size * size / 12 * 4 / max(path0 + path1 - 2 * width, 0.02)
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
@@ -132,7 +137,7 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            echo[k] += lay_line(grids[1], grids[2], w0, w1, omega * a, omega * b, 1.5 * omega * early / C0,
-                                (a - t0) / dt, (b - t0) / dt, scale * size * shade[k])  # fmt: skip
+            echo[k] += lay_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
+                                (b - t0) / dt)  # fmt: skip
             landed += fold
             shift += fold

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _lay, toward
+from ullage.kernels.facets import _lay, same, toward, turned
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -61,24 +61,24 @@ def fringe(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def face(open_angle, inward, normal, u, e0, e1, out):  # type: ignore[no-untyped-def]
+def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no-untyped-def]
     """One face's share of an edge's strength straight back, times the wave number.
 
     Args:
         open_angle: of the free space, over pi.
-        inward: (3) unit vector in the face, away from the edge.
-        normal: (3) unit normal of the face, into the free space.
-        u: (3) unit direction of travel.
-        e0: (3) unit transmitted field, across u.
-        e1: (3) unit field that is received, across u.
+        inward: (w, 2, 3) unit vectors in the faces, away from the edge.
+        normals: (w, 2, 3) unit normals of the faces, into the free space.
+        w, i: edge and face; sign: -1 for the back of the face.
+        rows: (3, 3) unit direction of travel, and transmitted and received unit fields across it.
         out: (2) scratch.
     """
-    tx = inward[1] * normal[2] - inward[2] * normal[1]
-    ty = inward[2] * normal[0] - inward[0] * normal[2]
-    tz = inward[0] * normal[1] - inward[1] * normal[0]
-    cosine = u[0] * tx + u[1] * ty + u[2] * tz
-    sx = -(u[0] * inward[0] + u[1] * inward[1] + u[2] * inward[2])
-    sy = -(u[0] * normal[0] + u[1] * normal[1] + u[2] * normal[2])
+    ix, iy, iz = inward[w, i, 0], inward[w, i, 1], inward[w, i, 2]
+    nx, ny, nz = sign * normals[w, i, 0], sign * normals[w, i, 1], sign * normals[w, i, 2]
+    tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
+    ux, uy, uz, ex, ey, ez = rows[0, 0], rows[0, 1], rows[0, 2], rows[1, 0], rows[1, 1], rows[1, 2]
+    cosine = ux * tx + uy * ty + uz * tz
+    sx = -(ux * ix + uy * iy + uz * iz)
+    sy = -(ux * nx + uy * ny + uz * nz)
     sine2 = sx * sx + sy * sy
     if sine2 < 1e-3:
         return 0.0
@@ -91,66 +91,56 @@ def face(open_angle, inward, normal, u, e0, e1, out):  # type: ignore[no-untyped
     mu = math.cos(phi) - 2 * cosine * cosine / sine2
     fringe(open_angle, phi, mu, out)
     lit = 1.0 if phi < math.pi else 0.0
-    ez = e0[0] * tx + e0[1] * ty + e0[2] * tz
-    hz = (u[1] * e0[2] - u[2] * e0[1]) * tx + (u[2] * e0[0] - u[0] * e0[2]) * ty + (u[0] * e0[1] - u[1] * e0[0]) * tz
-    along = (ez * out[0] + cosine * hz * (lit - 1 / open_angle + mu * out[1])) / sine2
+    hz = (uy * ez - uz * ey) * tx + (uz * ex - ux * ez) * ty + (ux * ey - uy * ex) * tz
+    along = ((ex * tx + ey * ty + ez * tz) * out[0] + cosine * hz * (lit - 1 / open_angle + mu * out[1])) / sine2
     across = hz * out[1] / sine
-    seen_along = e1[0] * tx + e1[1] * ty + e1[2] * tz
-    seen_across = e1[0] * inward[0] + e1[1] * inward[1] + e1[2] * inward[2]
+    seen_along = rows[2, 0] * tx + rows[2, 1] * ty + rows[2, 2] * tz
+    seen_across = rows[2, 0] * ix + rows[2, 1] * iy + rows[2, 2] * iz
     return seen_along * along + seen_across * across
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def strength(p, open_angle, inward, normal, sheet, origins, frames, fields, table, flat, rows, out):  # type: ignore[no-untyped-def]
-    """Antenna gains over ranges times the edge's strength at point p; path length and its bend go to out[2:4]."""
-    u, e0, e1 = rows[0], rows[1], rows[2]
-    u[0] = u[1] = u[2] = 0.0
+def strength(places, k, end, w, angles, inward, normals, sheets, origins, frames, fields, table, flat, rows):  # type: ignore[no-untyped-def]
+    """Antenna gains over ranges times the strength of edge w at places[k, end]; path length and its bend."""
     g, path, bend = 1.0, 0.0, 0.0
-    tx = inward[0, 1] * normal[0, 2] - inward[0, 2] * normal[0, 1]
-    ty = inward[0, 2] * normal[0, 0] - inward[0, 0] * normal[0, 2]
-    tz = inward[0, 0] * normal[0, 1] - inward[0, 1] * normal[0, 0]
+    ix, iy, iz = inward[w, 0, 0], inward[w, 0, 1], inward[w, 0, 2]
+    nx, ny, nz = normals[w, 0, 0], normals[w, 0, 1], normals[w, 0, 2]
+    tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
+    rows[0, 0] = rows[0, 1] = rows[0, 2] = 0.0
     for s in range(2):
-        dx, dy, dz = p[0] - origins[s, 0], p[1] - origins[s, 1], p[2] - origins[s, 2]
+        dx, dy, dz = (places[k, end, 0] - origins[0, s, 0], places[k, end, 1] - origins[0, s, 1],
+                      places[k, end, 2] - origins[0, s, 2])  # fmt: skip
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
         dx, dy, dz = dx / r, dy / r, dz / r
-        g *= toward(table, flat, frames[s], dx, dy, dz) / r
-        path += r
+        one = toward(table, flat, frames, 0, s, dx, dy, dz) / r
         along = tx * dx + ty * dy + tz * dz
-        bend += (1 - along * along) / r
-        u[0], u[1], u[2] = u[0] + dx, u[1] + dy, u[2] + dz
-    out[2], out[3] = path, bend
-    size = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        g, path, bend = g * one, path + r, bend + (1 - along * along) / r
+        rows[0, 0], rows[0, 1], rows[0, 2] = rows[0, 0] + dx, rows[0, 1] + dy, rows[0, 2] + dz
+        if s == 0 and same(origins, 0):
+            g, path, bend = g * one, 2 * path, 2 * bend
+            break
+    ux, uy, uz = rows[0, 0], rows[0, 1], rows[0, 2]
+    size = math.sqrt(ux * ux + uy * uy + uz * uz)
     if size < 1e-6:
-        return 0.0
-    for k in range(3):
-        u[k] /= size
+        return 0.0, path, bend
+    for j in range(3):
+        rows[0, j] /= size
     for s in range(2):
-        e = e0 if s == 0 else e1
-        along = fields[s, 0] * u[0] + fields[s, 1] * u[1] + fields[s, 2] * u[2]
+        along = (fields[0, s, 0] * ux + fields[0, s, 1] * uy + fields[0, s, 2] * uz) / size
         square = 0.0
-        for k in range(3):
-            e[k] = fields[s, k] - along * u[k]
-            square += e[k] * e[k]
-        for k in range(3):
-            e[k] /= math.sqrt(max(square, 1e-12))
+        for j in range(3):
+            rows[1 + s, j] = fields[0, s, j] - along * rows[0, j]
+            square += rows[1 + s, j] ** 2
+        for j in range(3):
+            rows[1 + s, j] /= math.sqrt(max(square, 1e-12))
+    # the rim of a thin body: only its wide face, from the side it looks to, front and back
+    if sheets[w] and ux * nx + uy * ny + uz * nz >= 0:
+        return 0.0, path, bend
     total = 0.0
-    if sheet:  # the rim of a thin body: only its wide face, from the side it looks to
-        if u[0] * normal[0, 0] + u[1] * normal[0, 1] + u[2] * normal[0, 2] >= 0:
-            return 0.0
-        total = face(2.0, inward[0], normal[0], u, e0, e1, out)
-        for k in range(3):
-            rows[3, k] = -normal[0, k]
-        return g * (total + face(2.0, inward[0], rows[3], u, e0, e1, out))
     for i in range(2):
-        total += face(open_angle, inward[i], normal[i], u, e0, e1, out)
-    return g * total
-
-
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _along(e, p, origin):  # type: ignore[no-untyped-def]
-    """Share of the field that lies along the way to p."""
-    x, y, z = p[0] - origin[0], p[1] - origin[1], p[2] - origin[2]
-    return (e[0] * x + e[1] * y + e[2] * z) ** 2 / max(x * x + y * y + z * z, 1e-9)
+        side, sign = (0, 1.0 - 2.0 * i) if sheets[w] else (i, 1.0)
+        total += face(2.0 if sheets[w] else angles[w], inward, normals, w, side, sign, rows, rows[3])
+    return g * total, path, bend
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -163,13 +153,14 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
         lit: (w) which to ask about; the others cannot.
         factors: (w) strength over that of an edge by itself.
         across: whether only the electric field across the edge counts.
-        origins: (2, 3), as in `facets.deposit`, and so the next ones.
+        origins: (1, 2, 3), as in `facets.deposit`, and so the next ones.
         wave: wave number [1/m].
         gate: (2) least and greatest range [m].
         least: path gain amplitude.
         out: (w) gets the answer.
     """
     t = np.empty(3)
+    ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
     for w in range(len(starts)):
         out[w] = False
         if not lit[w]:
@@ -182,114 +173,95 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
         foot = 0.0
         for k in range(3):
             t[k] /= size
-            foot += (origins[0, k] - starts[w, k]) * t[k]
+            foot += (origins[0, 0, k] - starts[w, k]) * t[k]
         near = min(max(foot, 0.0), size)
         square = 0.0
         for k in range(3):
-            square += (starts[w, k] + near * t[k] - origins[0, k]) ** 2
+            square += (starts[w, k] + near * t[k] - origins[0, 0, k]) ** 2
         if square > gate[1] * gate[1]:
             continue
         best, gain, most = max(math.sqrt(square), 1e-2), 0.0, 0.0
         for step in range(3):
             along = near if step == 0 else (0.0 if step == 1 else size)
-            x, y, z = (starts[w, 0] + along * t[0] - origins[0, 0], starts[w, 1] + along * t[1] - origins[0, 1],
-                       starts[w, 2] + along * t[2] - origins[0, 2])  # fmt: skip
+            x, y, z = (starts[w, 0] + along * t[0] - origins[0, 0, 0], starts[w, 1] + along * t[1] - origins[0, 0, 1],
+                       starts[w, 2] + along * t[2] - origins[0, 0, 2])  # fmt: skip
             r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
             if across:
-                hard = abs((y * fields[0, 2] - z * fields[0, 1]) * t[0] + (z * fields[0, 0] - x * fields[0, 2]) * t[1]
-                           + (x * fields[0, 1] - y * fields[0, 0]) * t[2]) / r  # fmt: skip
-                most = max(most, hard)
-            gain = max(gain, toward(table, flat, frames[0], x / r, y / r, z / r))
+                hard = (y * ez - z * ey) * t[0] + (z * ex - x * ez) * t[1] + (x * ey - y * ex) * t[2]
+                most = max(most, abs(hard) / r)
+            gain = max(gain, toward(table, flat, frames, 0, 0, x / r, y / r, z / r))
         reach = math.sqrt(math.pi * best / wave)  # of the stationary part
         beside = abs(foot - near)
         if beside > 0:
             reach = min(reach, best / (wave * beside))
         strong = gain * gain / (best * best) * min(size, reach) / (4 * math.pi * wave)
         if across:
-            strong *= most * most / max(1 - _along(fields[0], starts[w], origins[0]), 0.05)
+            x, y, z = starts[w, 0] - origins[0, 0, 0], starts[w, 1] - origins[0, 0, 1], starts[w, 2] - origins[0, 0, 2]
+            along = ex * x + ey * y + ez * z
+            along *= along / max(x * x + y * y + z * z, 1e-9)
+            strong *= most * most / max(1 - along, 0.05)
         out[w] = 1.5 * factors[w] * strong > least
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _meet(p, q):  # type: ignore[no-untyped-def]
-    return p[0] == q[0] and p[1] == q[1] and p[2] == q[2]
-
-
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def lay_fringes(pieces, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
-                factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
-    """Lays the echoes of pieces of edge (m, 2, 3) on the delay grids.
+def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
+                flat, factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+    """Lays the echoes of pieces of edge and of ends of edges on the delay grids.
 
     Args:
         pieces: (m, 2, 3) ends of each piece [m].
-        owner: (m) edge of each piece.
-        shade: (m) complex two-way factor of what lies between.
-        extra: (m) delay added by it [s].
+        tips: (n, 2, 3) ends of edges: place [m]; real and imaginary value, as `lines.part` gives it.
+        owner: (m + n) edge of each piece, then of each end.
+        shade: (m + n) complex two-way factor of what lies between.
+        extra: (m + n) delay added by it [s].
         angles: (w) of the free space about each edge, over pi.
         inward: (w, 2, 3) unit vectors in its two faces, away from it.
         normals: (w, 2, 3) their unit normals, into the free space.
         sheets: (w) whether it is the rim of a thin body, whose first face is the wide one.
-        origins: (2, 3), as in `facets.deposit`, and so the rest.
+        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
     """
-    scale = factor * C0 / (4 * math.pi * omega)
-    last = t0 + grids.shape[1] * dt
-    out, rows = np.empty(4), np.empty((4, 3))
-    w0, path0, bend0 = 0.0, 0.0, 0.0
-    for k in range(len(pieces)):
+    last, many = t0 + grids.shape[1] * dt, len(pieces)
+    rows = np.empty((4, 3))
+    known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
+    for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
             continue
-        w, size = owner[k], 0.0
-        for j in range(3):
-            size += (pieces[k, 1, j] - pieces[k, 0, j]) ** 2
-        size = math.sqrt(size)
-        if k > 0 and owner[k - 1] == w and shade[k - 1] != 0 and _meet(pieces[k - 1, 0], pieces[k, 1]):
-            w1, path1, bend1 = w0, path0, bend0  # pieces of an edge come one after the other, from its end
+        w, size, early = owner[k], 1.0, 0.0
+        scale = factor[0] * C0 / (4 * math.pi * omega) * shade[k]
+        w1, path1, bend1 = w0, path0, bend0
+        if k < many:
+            square = 0.0
+            follows = known == k - 1 and k > 0 and owner[known] == w
+            for j in range(3):
+                square += (pieces[k, 1, j] - pieces[k, 0, j]) ** 2
+                follows = follows and pieces[known, 0, j] == pieces[k, 1, j]
+            size, known = math.sqrt(square), k
+            if not follows:  # pieces of an edge come one after the other, from its end
+                w1, path1, bend1 = strength(pieces, k, 1, w, angles, inward, normals, sheets, origins, frames, fields,
+                                            table, flat, rows)  # fmt: skip
+            w0, path0, bend0 = strength(pieces, k, 0, w, angles, inward, normals, sheets, origins, frames, fields,
+                                        table, flat, rows)  # fmt: skip
+            early = 0.5 * (bend0 + bend1) * size * size / 12  # as for wires: what the chord lies beyond the path
+            scale *= size
         else:
-            w1 = strength(pieces[k, 1], angles[w], inward[w], normals[w], sheets[w], origins, frames, fields, table,
-                          flat, rows, out)  # fmt: skip
-            path1, bend1 = out[2], out[3]
-        w0 = strength(pieces[k, 0], angles[w], inward[w], normals[w], sheets[w], origins, frames, fields, table, flat,
-                      rows, out)  # fmt: skip
-        path0, bend0 = out[2], out[3]
-        bend = 0.5 * (bend0 + bend1)
+            w0, path0, bend0 = strength(tips, k - many, 0, w, angles, inward, normals, sheets, origins, frames, fields,
+                                        table, flat, rows)  # fmt: skip
+            w1, path1 = w0, path0
+            scale *= complex(tips[k - many, 1, 0], tips[k - many, 1, 1])
         if w0 == 0 and w1 == 0:
             continue
-        early = bend * size * size / 12  # as for wires: by what the chord lies beyond the path, on average
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
         delay[k] = mean
-        landed = mean - math.floor((mean - t0) / fold) * fold
-        shift = late + landed - mean
-        while landed < last:
+        shift = late - math.floor((mean - t0) / fold) * fold
+        while mean - late + shift < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            echo[k] += lay_line(grids[1], grids[2], complex(w0), complex(w1), omega * a, omega * b,
-                                1.5 * omega * early / C0, (a - t0) / dt, (b - t0) / dt,
-                                scale * size * shade[k])  # fmt: skip
-            landed += fold
+            if k < many:
+                echo[k] += lay_line(grids, scale * w0, scale * w1, omega * a, omega * b, 1.5 * omega * early / C0,
+                                    (a - t0) / dt, (b - t0) / dt)  # fmt: skip
+            else:
+                value = scale * w0 * turned(omega * a)
+                _lay(grids, 2, (a - t0) / dt, value)
+                echo[k] += value
             shift += fold
-
-
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def lay_tips(tips, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-             omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
-    """Lays the ends of edges (n, 5), as `lines.part` gives them; arguments as in `lay_fringes`."""
-    scale = factor * C0 / (4 * math.pi * omega)
-    last = t0 + grids.shape[1] * dt
-    out, rows = np.empty(4), np.empty((4, 3))
-    for k in range(len(tips)):
-        echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
-            continue
-        w = owner[k]
-        strong = strength(tips[k, :3], angles[w], inward[w], normals[w], sheets[w], origins, frames, fields, table,
-                          flat, rows, out)  # fmt: skip
-        late = out[2] / C0 + extra[k]
-        delay[k] = late
-        landed = late - math.floor((late - t0) / fold) * fold
-        while landed < last:
-            value = scale * shade[k] * strong * complex(tips[k, 3], tips[k, 4])
-            value *= complex(math.cos(omega * landed), -math.sin(omega * landed))
-            _lay(grids[2], (landed - t0) / dt, value)
-            echo[k] += value
-            landed += fold

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _lay, _te_share, toward
+from ullage.kernels.facets import _lay, te_share, toward, turned
 
 C0 = 299_792_458.0
 
@@ -26,13 +26,13 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
         shade: (t) complex two-way factor of what stands before a tile.
         extra: (t) delay added by it [s].
         lobes: (o, 2, c) amplitude per root area of each object over cos(incidence), TE and TM [1/m].
-        origins: (2, 3), as in `facets.deposit`, and so the rest.
+        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
         echo: (t) gets the sum of each tile at the carrier.
         delay: (t) gets its mean delay [s].
     """
     last = t0 + grids.shape[1] * dt
     most = lobes.shape[2] - 1
-    scale = factor / (4 * math.pi)
+    scale = factor[0] / (4 * math.pi)
     for k in range(len(first) - 1):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
@@ -41,13 +41,14 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
         for i in range(first[k], first[k + 1]):
             g, path, cosine, share = 1.0, 0.0, 0.0, 0.5
             for s in range(2):
-                dx, dy, dz = points[i, 0] - origins[s, 0], points[i, 1] - origins[s, 1], points[i, 2] - origins[s, 2]
+                dx, dy, dz = (points[i, 0] - origins[0, s, 0], points[i, 1] - origins[0, s, 1],
+                              points[i, 2] - origins[0, s, 2])  # fmt: skip
                 r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
                 ux, uy, uz = dx / r, dy / r, dz / r
                 if s == 0:
-                    share = _te_share(fields[0], ux, uy, uz, normals[i])
+                    share = te_share(fields, 0, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
                 cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
-                g *= toward(table, flat, frames[s], ux, uy, uz) / r
+                g *= toward(table, flat, frames, 0, s, ux, uy, uz) / r
                 path += r
             u = min(cosine, 0.9999999) * most
             j = int(u)
@@ -59,8 +60,8 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
             total += late
             landed = late - math.floor((late - t0) / fold) * fold
             while landed < last:
-                part = value * complex(math.cos(omega * landed), -math.sin(omega * landed))
-                _lay(grids[0], (landed - t0) / dt, part)
+                part = value * turned(omega * landed)
+                _lay(grids, 0, (landed - t0) / dt, part)
                 echo[k] += part
                 landed += fold
         delay[k] = total / max(first[k + 1] - first[k], 1)

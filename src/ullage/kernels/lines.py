@@ -66,20 +66,6 @@ def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _tip(start, along, place, sign, line, side, origins, limit, wave, term, tips, holders, sides, at):  # type: ignore[no-untyped-def]
-    """Writes the end of a line's part that is done by its ends, if within the gate; gives how many there are."""
-    _steep(start, along, place, origins, wave, term)
-    if 0.5 * term[2] > limit:
-        return at
-    for k in range(3):
-        tips[at, k] = start[k] + place * along[k]
-    value, y = sign * term[0], term[1]
-    tips[at, 3], tips[at, 4] = value * y, value * (1 - 3 * y * y)
-    holders[at], sides[at] = line, side
-    return at + 1
-
-
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def part(starts, ends, origins, gate, wave, near, held, tips, holders, sides):  # type: ignore[no-untyped-def]
     """Parts lines: near where the path is shortest there is something to integrate, of the rest only ends count.
 
@@ -90,7 +76,7 @@ def part(starts, ends, origins, gate, wave, near, held, tips, holders, sides):  
         wave: wave number [1/m].
         near: (w, 2, 3) gets the ends of the part to integrate [m].
         held: (w) gets whether there is such a part.
-        tips: (4 w, 5) gets place (3) and value (2) of each end, for an integrand of unit strength.
+        tips: (4 w, 2, 3) gets place [m] and value (real, imaginary, 0) of each end, for an integrand of unit strength.
         holders: (4 w) gets the line of each.
         sides: (4 w) gets 0 or 1 where the part to integrate starts or stops there, -1 at the line's own ends.
 
@@ -119,16 +105,20 @@ def part(starts, ends, origins, gate, wave, near, held, tips, holders, sides):  
         held[w] = share[0] < share[1]
         for k in range(3):
             near[w, 0, k], near[w, 1, k] = starts[w, k] + share[0] * along[k], starts[w, k] + share[1] * along[k]
-        if not held[w] or share[0] > 0:
-            at = _tip(starts[w], along, 0.0, -1.0, w, -1, origins, gate[1], wave, term, tips, holders, sides,
-                      at)  # fmt: skip
-        if not held[w] or share[1] < size:
-            at = _tip(starts[w], along, size, 1.0, w, -1, origins, gate[1], wave, term, tips, holders, sides,
-                      at)  # fmt: skip
-        if held[w] and share[0] > 0:
-            at = _tip(starts[w], along, share[0], 1.0, w, 0, origins, gate[1], wave, term, tips, holders, sides,
-                      at)  # fmt: skip
-        if held[w] and share[1] < size:
-            at = _tip(starts[w], along, share[1], -1.0, w, 1, origins, gate[1], wave, term, tips, holders, sides,
-                      at)  # fmt: skip
+        for step in range(4):  # the line's ends, then those of the part to integrate
+            far = step % 2
+            if held[w] and (share[1] >= size if far else share[0] <= 0):
+                continue
+            if step > 1 and not held[w]:
+                continue
+            place = share[far] if step > 1 else far * size
+            _steep(starts[w], along, place, origins, wave, term)
+            if 0.5 * term[2] > gate[1]:
+                continue
+            value, y = term[0] if 0 < step < 3 else -term[0], term[1]
+            for k in range(3):
+                tips[at, 0, k] = starts[w, k] + place * along[k]
+            tips[at, 1, 0], tips[at, 1, 1], tips[at, 1, 2] = value * y, value * (1 - 3 * y * y), 0.0
+            holders[at], sides[at] = w, far if step > 1 else -1
+            at += 1
     return at

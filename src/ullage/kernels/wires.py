@@ -56,31 +56,31 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def _element(p, axis, radius, series, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
+def _element(pieces, k, end, axis, radius, series, w, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
     share = 0.0
     for s in range(2):
-        dx, dy, dz = p[0] - origins[s, 0], p[1] - origins[s, 1], p[2] - origins[s, 2]
+        dx, dy, dz = (pieces[k, end, 0] - origins[0, s, 0], pieces[k, end, 1] - origins[0, s, 1],
+                      pieces[k, end, 2] - origins[0, s, 2])  # fmt: skip
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
         ux, uy, uz = dx / r, dy / r, dz / r
         along = axis[0] * ux + axis[1] * uy + axis[2] * uz
         slope = math.sqrt(max(1 - along * along, 0.0))
-        e = fields[s]
-        eu = e[0] * ux + e[1] * uy + e[2] * uz
-        ea = e[0] * axis[0] + e[1] * axis[1] + e[2] * axis[2]
+        ex, ey, ez = fields[0, s, 0], fields[0, s, 1], fields[0, s, 2]
+        eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
         square = slope * slope * max(1 - eu * eu, 1e-12)
         share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
-        g *= toward(table, flat, frames[s], ux, uy, uz) / r
+        g *= toward(table, flat, frames, 0, s, ux, uy, uz) / r
         path += r - radius * slope
         bend += (1 - along * along) / r
         sine += 0.5 * slope
-    n = series.shape[1] - 1
+    n = series.shape[2] - 1
     u = min(sine, 0.9999999) * n
     i = int(u)
     u -= i
-    tm = series[0, i] * (1 - u) + series[0, i + 1] * u
-    te = series[1, i] * (1 - u) + series[1, i + 1] * u
+    tm = series[w, 0, i] * (1 - u) + series[w, 0, i + 1] * u
+    te = series[w, 1, i] * (1 - u) + series[w, 1, i + 1] * u
     out[0], out[1] = path, bend
     return g * (share * tm + (1 - share) * te)
 
@@ -97,9 +97,9 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         extra: (m) delay added by it [s].
         radii: (w) [m].
         series: (w, 2, c) complex backscatter series, TM and TE, over the sine of the angle to the axis.
-        origins: (2, 3), as in `facets.deposit`, and so the rest.
+        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
     """
-    scale = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi) * factor
+    scale = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi) * factor[0]
     last = t0 + grids.shape[1] * dt
     axis, out = np.empty(3), np.empty(2)
     for k in range(len(pieces)):
@@ -113,10 +113,11 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         size = math.sqrt(size)
         for j in range(3):
             axis[j] /= size
-        w0 = _element(pieces[k, 0], axis, radii[w], series[w], origins, frames, fields, table, flat, out)
+        w0 = _element(pieces, k, 0, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
         path0, bend = out[0], out[1]
-        w1 = _element(pieces[k, 1], axis, radii[w], series[w], origins, frames, fields, table, flat, out)
+        w1 = _element(pieces, k, 1, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
         path1, bend = out[0], 0.5 * (bend + out[1])
+        w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
         early = bend * size * size / 12  # mean of bend s (L - s) / 2, by which the chord lies beyond the path
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
@@ -125,8 +126,7 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            echo[k] += lay_line(grids[1], grids[2], w0, w1, omega * a, omega * b, 1.5 * omega * early / C0,
-                                (a - t0) / dt, (b - t0) / dt,
-                                scale * size * shade[k])  # fmt: skip
+            echo[k] += lay_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
+                                (b - t0) / dt)  # fmt: skip
             landed += fold
             shift += fold

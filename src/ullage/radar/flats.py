@@ -13,7 +13,7 @@ from ullage.kernels import edges as kernel
 from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.folding import limits_of
-from ullage.radar.physical import Bench, Laid, View, common, each, shading
+from ullage.radar.physical import Bench, Laid, View, common, shading
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -65,68 +65,64 @@ def lay_flats(
     part: Surfaces,
     view: View,
     grids: Complexes,
-) -> tuple[Laid, ...]:
+) -> list[Laid]:
     """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it."""
     flats = part.flats
     opaque = ~ready.sheets.thin[flats.stuffs]
     which = np.flatnonzero(~part.flat_backs.hidden(view.origins, opaque))
     if not len(which):
-        return ()
+        return []
     limits = limits_of(flats, view, ready.gate[1], ready.fold_s)
     rim = rims(ready, flats, view, which, limits)
-    told = flats.normals, flats.stuffs, *each(common(ready, view, grids))
-    points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, view.origins[None], limits, points,
-                           lengths)  # fmt: skip
-    points, lengths, which = points[:count], lengths[:count], which[:count]
-    looks, seats, open_ = _looks(ready, flats, rim, points, which, lengths)
-    shade, extra = shading(ready, parts, view, np.concatenate(looks))
-    ends = np.cumsum([len(look) for look in looks])[:-1]
-    piece, free, zone = zip(np.split(shade, ends), np.split(extra, ends), strict=True)
-    corner = tuple(np.concatenate(pair)[seats] for pair in zip(piece, free, strict=True))
-    bright, when = np.empty(count, complex), np.empty(count)
-    draw.lay_images(points, which, lengths, *_mean(zone, open_), *told, bright, when)
-    return (*lay_rim(rim, piece, corner, told), Laid(flats.stuffs[which], points, bright, when))
+    points = np.empty((len(which), 9))
+    count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, view.origins[None], limits,
+                           points)  # fmt: skip
+    points, which = points[:count], which[:count]
+    looks, seats, open_ = _looks(ready, flats, rim, points, which)
+    shade, extra = shading(ready, parts, view, looks)
+    factor, late = _mean(shade[len(shade) - open_.size :], extra[len(extra) - open_.size :], open_)
+    shade, extra = np.concatenate([shade[seats], factor]), np.concatenate([extra[seats], late])
+    return [lay_rim(rim, points, which, shade, extra, (flats.normals, flats.stuffs, *common(ready, view, grids)))]
 
 
-def lay_rim(
-    rim: Rim, piece: tuple[Complexes, Floats], corner: tuple[Complexes, Floats], told: tuple[Any, ...]
-) -> tuple[Laid, Laid]:
-    """Lays a rim with factor and delay [s] of what stands before its pieces and ends; stuffs are those of faces."""
-    echo, delay = np.empty(len(rim.pieces), complex), np.empty(len(rim.pieces))
-    draw.lay_rims(rim.pieces, rim.owner, *piece, *told, echo, delay)
-    ends, late = np.empty(len(rim.tips), complex), np.empty(len(rim.tips))
-    draw.lay_tips(rim.tips, rim.holders, *corner, *told, ends, late)
-    stuffs, middle = told[1], 0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6])
-    return Laid(stuffs[rim.owner], middle, echo, delay), Laid(stuffs[rim.holders], rim.tips[:, :3], ends, late)
+def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /) -> Laid:
+    """Lays rims and mirror points (k, 9) with factor and delay [s] of what stands before pieces, ends and points.
+
+    The stuffs of what is laid are told as those of faces.
+    """
+    owner = np.concatenate([rim.owner, rim.holders, which.astype(np.int32)])
+    echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
+    ends = np.concatenate([rim.tips, points])
+    draw.lay_rims(rim.pieces, ends, len(rim.tips), owner, shade, extra, *told, echo, delay)
+    middle = 0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6])
+    return Laid(told[1][owner], np.concatenate([middle, ends[:, :3]]), echo, delay)
 
 
 def _looks(
-    ready: Bench, flats: Flats, rim: Rim, points: Floats, which: Longs, lengths: Floats
-) -> tuple[list[Floats], Longs, NDArray[np.bool_]]:
+    ready: Bench, flats: Flats, rim: Rim, points: Floats, which: Longs
+) -> tuple[Floats, Longs, NDArray[np.bool_]]:
     """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 
-    Ends from which a piece goes on are seen where it is. Also of each end, which of all pieces and looks at ends it is
-    seen by, and which points of the zones lie on their faces (k, _ZONE).
+    Ends from which a piece goes on are seen where it is. Also which of these looks each piece and end is seen by, and
+    which points of the zones lie on their faces (k, _ZONE).
     """
     free = rim.ties < 0
     lone = rim.tips[free]
-    seats = np.where(free, len(rim.pieces) - 1 + np.cumsum(free), rim.ties)
-    spots, corners = np.empty((len(rim.pieces), 3)), np.empty((len(lone), 3))
-    draw.look_at(rim.pieces, rim.owner, flats.normals, _NUDGE_M, spots)
-    draw.look_at_tips(lone, _NUDGE_M, corners)
-    radius = np.sqrt(ready.spec.wavelength_m * lengths / 4)[:, None, None]
+    cut = len(rim.pieces)
+    seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), rim.ties)])
+    spots = np.empty((cut + len(lone), 3))
+    draw.look_at(rim.pieces, lone, rim.owner, flats.normals, _NUDGE_M, spots)
+    radius = np.sqrt(ready.spec.wavelength_m * points[:, 3] / 4)[:, None, None]
     spread = _ZONE @ flats.across[which]
-    zone = (points[:, None] + radius * spread).reshape(-1, 3)
+    zone = (points[:, None, :3] + radius * spread).reshape(-1, 3)
     within = np.empty(len(zone), np.bool_)
     draw.inside(zone, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
     held = within.reshape(len(points), len(_ZONE))
     held[:, 0] = True
-    return [spots, corners, zone], seats, held
+    return np.concatenate([spots, zone]), seats, held
 
 
-def _mean(zone: tuple[Complexes, Floats], held: NDArray[np.bool_]) -> tuple[Complexes, Floats]:
+def _mean(shade: Complexes, extra: Floats, held: NDArray[np.bool_]) -> tuple[Complexes, Floats]:
     """Mean factor and delay over the part of each zone that lies on its face."""
     share = held.sum(1)
-    shade, extra = ((a.reshape(held.shape) * held).sum(1) / share for a in zone)
-    return shade, extra
+    return (shade.reshape(held.shape) * held).sum(1) / share, (extra.reshape(held.shape) * held).sum(1) / share

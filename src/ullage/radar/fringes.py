@@ -47,15 +47,15 @@ def lay_edges(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids:
     side = np.where(above[of] < 0, -_NUDGE_M, _NUDGE_M)[:, None]
     outward = _NUDGE_M * edges.outward
     free = alone.ties < 0
-    seats = np.where(free, len(alone.owner) - 1 + np.cumsum(free), alone.ties)
+    cut = len(alone.owner)
+    seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), alone.ties)])
     shade, extra = shading(ready, parts, view, np.concatenate([
-        _middles(alone.pieces) + outward[alone.owner], alone.tips[free, :3] + outward[alone.holders[free]],
+        _middles(alone.pieces) + outward[alone.owner], alone.tips[free, 0] + outward[alone.holders[free]],
         _middles(over) + side * pairs.normals[of]]))  # fmt: skip
     count = len(shade) - len(of)
-    piece, across = (shade[:count], extra[:count]), (shade[count:], extra[count:])
-    corner = shade[seats], extra[seats]
+    across = shade[count:], extra[count:]
     over -= pairs.gaps[of, None] / 2
-    return [*_lay_fringes(ready, view, edges, sheets, alone, piece, corner, grids),
+    return [_lay_fringes(ready, view, edges, sheets, alone, (shade[seats], extra[seats]), grids),
             _lay_doubles(ready, view, pairs, both, over, of, across, grids)]  # fmt: skip
 
 
@@ -69,7 +69,7 @@ class Parted:
 
     pieces: Floats  # (m, 2, 3) [m]
     owner: Ints  # (m) line of each piece
-    tips: Floats  # (n, 5)
+    tips: Floats  # (n, 2, 3) as `lines.part` gives them
     holders: Ints  # (n) line of each end
     ties: Longs  # (n) piece that goes on from each end, -1 for none
 
@@ -80,9 +80,9 @@ def _heard(
     """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
     strong = np.ones(len(lit)) if factors is None else factors
     out = np.empty(len(lit), np.bool_)
-    fringe.audible(starts, ends, lit, strong, factors is not None, view.origins, view.frames, view.fields, ready.table,
-                   ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0, np.array(ready.gate), FAINT,
-                   out)  # fmt: skip
+    fringe.audible(starts, ends, lit, strong, factors is not None, view.origins[None], view.frames[None],
+                   view.fields[None], ready.table, ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0,
+                   np.array(ready.gate), FAINT, out)  # fmt: skip
     return np.flatnonzero(out)
 
 
@@ -96,9 +96,9 @@ def _parted(ready: Bench, view: View, starts: Floats, ends: Floats) -> Parted:
     """Some lines within the gate, most of them by their ends."""
     if ready.whole_rims:
         pieces, owner = _cut(ready, view, starts, ends, _COARSE * KAPPA)
-        return Parted(pieces, owner, np.zeros((0, 5)), np.zeros(0, np.int32), np.zeros(0, np.int64))
+        return Parted(pieces, owner, np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64))
     near, held = np.empty((len(starts), 2, 3)), np.empty(len(starts), np.bool_)
-    tips, holders = np.empty((4 * len(starts), 5)), np.empty(4 * len(starts), np.int32)
+    tips, holders = np.empty((4 * len(starts), 2, 3)), np.empty(4 * len(starts), np.int32)
     sides = np.empty(4 * len(starts), np.int32)
     count = lines.part(starts, ends, view.origins, np.array(ready.gate), ready.pulse.omega / C0, near, held, tips,
                        holders, sides)  # fmt: skip
@@ -120,18 +120,15 @@ def _lay_fringes(
     edges: diffraction.Edges,
     sheets: NDArray[np.bool_],
     alone: Parted,
-    piece: tuple[Complexes, Floats],
-    corner: tuple[Complexes, Floats],
+    seen: tuple[Complexes, Floats],
     grids: Complexes,
-) -> list[Laid]:
+) -> Laid:
     told = common(ready, view, grids)
-    told = edges.angles, edges.inward, edges.normals, sheets, *told[:6], *told[8:]
-    echo, delay = np.empty(len(alone.owner), complex), np.empty(len(alone.owner))
-    fringe.lay_fringes(alone.pieces, alone.owner, *piece, *told, echo, delay)
-    tip, late = np.empty(len(alone.holders), complex), np.empty(len(alone.holders))
-    fringe.lay_tips(alone.tips, alone.holders, *corner, *told, tip, late)
-    return [Laid(edges.stuffs[alone.owner], _middles(alone.pieces), echo, delay),
-            Laid(edges.stuffs[alone.holders], alone.tips[:, :3], tip, late)]  # fmt: skip
+    owner = np.concatenate([alone.owner, alone.holders])
+    echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
+    fringe.lay_fringes(alone.pieces, alone.tips, owner, *seen, edges.angles, edges.inward, edges.normals, sheets,
+                       *told[:6], *told[8:], echo, delay)  # fmt: skip
+    return Laid(edges.stuffs[owner], np.concatenate([_middles(alone.pieces), alone.tips[:, 0]]), echo, delay)
 
 
 def _lay_doubles(

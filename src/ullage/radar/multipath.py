@@ -134,9 +134,9 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     rim = parted(len(which), len(starts), lambda *room: edges.cut(
         which, spheres, normals, offsets, beams.first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
         ready.whole_rims, *room))  # fmt: skip
-    points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points, lengths)
-    points, lengths, which = points[:count], lengths[:count], which[:count]
+    points = np.empty((len(which), 9))
+    count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points)
+    points, which = points[:count], which[:count]
     lit = np.empty((len(beams), 3))
     bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, lit)
     path = _through(flats, view, beams, lit)
@@ -147,16 +147,10 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     plain = np.full(len(beams), len(ready.gamma) - 1, np.int32)
     _, _, _, table, flat, _, *rest = common(ready, view, grids)
     told = normals, plain, origins, frames, fields, table, flat, factor, *rest
-    open_ = (factor != 0).astype(complex)
-    piece, corner = open_[rim.owner], open_[rim.holders]
-    laid = lay_rim(rim, (piece, np.zeros(len(piece))), (corner, np.zeros(len(corner))), told)
-    bright, when = np.empty(count, complex), np.empty(count)
-    draw.lay_images(points, which, lengths, np.ones(count, complex), np.zeros(count), *told, bright, when)
+    owner = np.concatenate([rim.owner, rim.holders, which])
+    laid = lay_rim(rim, points, which, (factor[owner] != 0).astype(complex), np.zeros(len(owner)), told)
     via = np.where(beams.chains >= 0, flats.stuffs[beams.chains], -1)
-    end = flats.stuffs[on]
-    rims = [replace(part, stuffs=end[of], via=via[of])
-            for part, of in zip(laid, (rim.owner, rim.holders), strict=True)]  # fmt: skip
-    return [*rims, Laid(end[which], points, bright, when, via[which])]
+    return [replace(laid, stuffs=flats.stuffs[on][owner], via=via[owner])]
 
 
 def _both_ways(flats: Flats, beams: Beams) -> Floats:
@@ -207,6 +201,6 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
     rim = parted(len(which), len(starts), lambda *room: edges.cut(
         which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
         False, *room))  # fmt: skip
-    points, lengths = np.empty((len(which), 3)), np.empty(len(which))
-    count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points, lengths)
-    return np.sort(lengths[:count])
+    points = np.empty((len(which), 9))
+    count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points)
+    return np.sort(points[:count, 3])

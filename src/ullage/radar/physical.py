@@ -210,15 +210,9 @@ def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, 
 
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
     """What every kernel that lays echoes is told."""
-    return (view.origins, view.frames, view.fields, ready.table, ready.spec.antenna.kind == "isotropic", view.factor,
-            ready.gamma, ready.lag, ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s,
-            grids)  # fmt: skip
-
-
-def each(told: tuple[Any, ...]) -> tuple[Any, ...]:
-    """The same for kernels that can have another view for each face."""
-    origins, frames, fields, table, flat, factor, *rest = told
-    return (origins[None], frames[None], fields[None], table, flat, np.array([factor], complex), *rest)
+    return (view.origins[None], view.frames[None], view.fields[None], ready.table,
+            ready.spec.antenna.kind == "isotropic", np.array([view.factor], complex), ready.gamma, ready.lag,
+            ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s, grids)  # fmt: skip
 
 
 def grown(
