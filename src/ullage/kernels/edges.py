@@ -58,7 +58,12 @@ def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
     """Angle from spot i to spot j around the axis."""
     ux, uy, uz, vx, vy, vz = spots[i, 5], spots[i, 6], spots[i, 7], spots[j, 5], spots[j, 6], spots[j, 7]
     cross = line[2, 0] * (uy * vz - uz * vy) + line[2, 1] * (uz * vx - ux * vz) + line[2, 2] * (ux * vy - uy * vx)
-    return math.atan2(cross, ux * vx + uy * vy + uz * vz)
+    dot = ux * vx + uy * vy + uz * vz
+    if abs(cross) < 0.1 * dot:
+        t = cross / dot
+        z = t * t
+        return t * (1 - z * (1 / 3 - z * (1 / 5 - z * (1 / 7 - z / 9))))  # the arc tangent, to 1e-11
+    return math.atan2(cross, dot)
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")

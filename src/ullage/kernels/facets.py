@@ -408,8 +408,10 @@ def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
         if low == high:
             continue
         for m in range(len(out)):
-            centre = m * every + shift
-            total = 0j
-            for g in range(max(low, centre - half), min(high, centre + half + 1)):
-                total += grids[kind, g] * taps[kind, centre - g + half]
-            out[m] += total
+            first = m * every + shift - half
+            real, imag = 0.0, 0.0
+            for g in range(max(low, first), min(high, first + 2 * half + 1)):
+                value, tap = grids[kind, g], taps[kind, 2 * half - (g - first)]
+                real += value.real * tap.real - value.imag * tap.imag
+                imag += value.real * tap.imag + value.imag * tap.real
+            out[m] += complex(real, imag)

@@ -78,15 +78,22 @@ def _chosen(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Cho
     Each has a weight that rises from 0 as it comes to look larger than the largest one left out, so that the choice,
     made anew at each pose, changes nothing suddenly along a track.
     """
-    gap = np.linalg.norm(flats.spheres[:, :3] - view.origins[0], axis=1) + 1e-3
-    zone = np.sqrt(wavelength_m * gap / 2)[:, None]
-    looks = np.where(gap - flats.spheres[:, 3] <= gate_m, flats.spheres[:, 3] / gap, 0.0)
-    looks *= np.minimum(flats.widths / zone, 1).prod(1)
+    away = flats.spheres[:, :3] - view.origins[0]
+    gap = np.sqrt(np.einsum("ni,ni->n", away, away)) + 1e-3
+    near = np.flatnonzero(gap - flats.spheres[:, 3] <= gate_m)
+    gap = gap[near]
+    zone = np.sqrt(wavelength_m * gap / 2)
+    looks = np.zeros(len(flats))
+    looks[near] = flats.spheres[near, 3] / gap
+    for side in range(2):
+        looks[near] *= np.minimum(flats.widths[near, side] / zone, 1)
 
     def largest(look: Floats) -> tuple[Longs, Floats]:
         least = np.partition(look, -MIRRORS - 1)[-MIRRORS - 1] if len(look) > MIRRORS else 0.0
-        weights = np.clip((look / max(least, 1e-12) - 1) / FADE, 0, 1)
-        return np.flatnonzero(weights), weights
+        which = np.flatnonzero(look > least)
+        weights = np.zeros(len(look))
+        weights[which] = np.minimum((look[which] / max(least, 1e-12) - 1) / FADE, 1)
+        return which, weights
 
     return Chosen(*largest(looks[flats.flat_of]), *largest(looks))
 
