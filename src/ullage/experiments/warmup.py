@@ -55,13 +55,7 @@ def parts_of(scenario: Scenario) -> tuple[str, ...]:
 
 def compiled(parts: Iterable[str] = tuple(NEEDED)) -> bool:
     """Whether every kernel module behind these parts has a compiled copy newer than its source."""
-    sources = [FOLDER / f"{stem}.py" for part in parts for stem in NEEDED[part]]
-    return all(_newest(source) > source.stat().st_mtime for source in sources)
-
-
-def _newest(source: Path) -> float:
-    copies = (source.parent / "__pycache__").glob(f"{source.stem}.*.nbi")
-    return max((p.stat().st_mtime for p in copies), default=0.0)
+    return all(kernels.compiled(stem) for part in parts for stem in NEEDED[part])
 
 
 def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, tell: Callable[[str], None] | None = None) -> None:
@@ -112,13 +106,14 @@ def _shared(jobs: list[Job]) -> tuple[list[Job], list[Job]]:
     return shares
 
 
-def _frames(scene: Scene, *, fidelity: Fidelity = "physical", max_bounces: int = 1) -> Frames:
+def _frames(scene: Scene, *, fidelity: Fidelity = "physical", max_bounces: int = 1) -> None:
     from ullage.data import Trajectory
-    from ullage.radar.simulate import simulate
+    from ullage.radar.simulate import simulate_stream
     from ullage.specs import RadarSpec
 
     track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
-    return simulate(scene, track, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces)
+    for _ in simulate_stream(scene, track, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces):
+        pass
 
 
 def _flight() -> None:

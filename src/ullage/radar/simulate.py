@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args, overload
 
 import numpy as np
 
+from ullage import kernels
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.radar.rays import echoes_thesis
@@ -81,11 +82,13 @@ def simulate(
         InputError: an argument cannot be used.
     """
     parts: dict[str, list[Frames]] = {}
-    for chunk in simulate_stream(
-        scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed, believed=believed, progress=progress
-    ):
-        for name, frames in chunk.items():
-            parts.setdefault(name, []).append(frames)
+    with kernels.telling():
+        for chunk in simulate_stream(
+            scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed, believed=believed,
+            progress=progress
+        ):  # fmt: skip
+            for name, frames in chunk.items():
+                parts.setdefault(name, []).append(frames)
     whole = {name: joined(pieces) for name, pieces in parts.items()}
     return whole if isinstance(radar, Rig) else next(iter(whole.values()))
 
