@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import quat_matrix
-from ullage.kernels import facets
+from ullage.kernels import pulse
 from ullage.radar import physical
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
@@ -22,7 +22,7 @@ def both(scene, path, *, max_bounces=1):
             grids = np.zeros((3, ready.places), complex)
             view = physical.view_of(RADAR, path.position[i], quat_matrix(path.quat_xyzw)[i])
             physical.lay(replace(ready, whole_rims=whole), view, int(path.t_ns[i]), max_bounces, grids)
-            facets.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[int(whole), i])
+            pulse.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[int(whole), i])
     return out
 
 

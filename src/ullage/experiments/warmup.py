@@ -26,6 +26,7 @@ NEEDED = {
     "thesis": ("rays", "receiver"),
     "physical": (
         "facets",
+        "pulse",
         "edges",
         "rims",
         "lines",

@@ -20,6 +20,7 @@ from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import facets as kernel
+from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
 from ullage.radar.diffraction import Rims, nowhere, rims_of
@@ -147,7 +148,7 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     for i in range(len(path)):
         grids = np.zeros((3, ready.places), complex)
         lay(ready, view_of(spec, path.position[i], turns[i]), int(path.t_ns[i]), max_bounces, grids)
-        kernel.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[i])
+        pulses.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[i])
     if spec.output == "rf":
         return radio(out, spec)
     return out.astype(np.complex64)
