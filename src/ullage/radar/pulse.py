@@ -99,7 +99,7 @@ def _tabulated(spec: RadarSpec) -> Pulse:
 
 
 def tabulate(spec: RadarSpec) -> Pulse:
-    """The radar's pulse, ready for `kernels.facets.convolve`.
+    """The radar's pulse, ready for `kernels.pulse.convolve`.
 
     Raises:
         InputError: the pulse is wider than the frame.
