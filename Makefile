@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo test slow gazebo-classic lint docs bench check env dev lock ros2 clean
+.PHONY: help demo test slow bounds gazebo-classic lint docs bench check env dev lock ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -14,6 +14,7 @@ help:
 	@echo "make test   run the tests (under five minutes on two cores)"
 	@echo "make lint   formatting, style, types, layers"
 	@echo "make slow   the slower tests"
+	@echo "make bounds the tests of radar and processing once more, every index of every kernel checked"
 	@echo "make docs   build the documentation into site/"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
 	@echo "make bench  ratios of speed and memory, measured side by side"
@@ -27,6 +28,11 @@ test: $(VENV)/.dev
 
 slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
+
+# kernels with checks lie in a cache of their own: one that is warm without them would be taken as it is
+bounds: $(VENV)/.dev
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/bounds $(BIN)/python -m pytest -m "not slow" -n 2 \
+	  --dist loadfile --no-loadscope-reorder tests/physics tests/processing tests/radar
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check src tests benchmarks examples
