@@ -116,7 +116,7 @@ class Blocks:
         lacking = min(count - len(free), self.pools.slots.size - old)
         if lacking <= 0:
             return
-        extra = min(max(lacking, GROWTH, old // 8), self.pools.slots.size - old)
+        extra = min(max(lacking, GROWTH, old // 16), self.pools.slots.size - old)
         grown = {
             name: np.concatenate([pool, np.full((extra, *pool.shape[1:]), fill, pool.dtype)])
             for name, fill in (("hits", 0), ("silent", 0), ("facing", NOWHERE), ("loud", 0))

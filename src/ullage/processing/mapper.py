@@ -37,6 +37,7 @@ SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
 FRESNEL_SHARE, LOOK_SHARE, FLAT_SHARE = 0.85, 0.4, 0.9
+DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 SHADE = float(np.cos(np.radians(25.0)))
 AHEAD = {2: 12, 3: 24}
@@ -198,13 +199,17 @@ class UllageMapper:
                 self.blocks.lay(beam.eye + arc[0] * way, way, (float(arc[1]), float(half), float(gain)))
 
     def _lay_disc(self, foot: Foot) -> None:
-        """The same in a volume, for an echo whose direction its track told."""
+        """The same in a volume, for an echo whose direction its track told, out to where an edge would still show.
+
+        A straight edge at the rim of the second Fresnel zone still changes the echo by 0.7 dB (knife edge); a wall
+        of many steady echoes goes on at least so far.
+        """
         echo = foot.echo
         false = float(np.clip(1 - echo.trust, LEAST_FALSE, 0.95))
         if false < 0.5:
-            half = np.sqrt(self._wavelength_m * echo.range_m / 2) if foot.flat else 0.75 * self.grid.step_m
-            gain = LOOK_SHARE * np.log((1 - false) / false)
-            self.blocks.lay(foot.at, foot.way, (0.35 * self.grid.step_m, float(half), float(gain)))
+            half = np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
+            gain = DISC_SHARE * np.log((1 - false) / false)
+            self.blocks.lay(foot.at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
 
     def _weigh(self, look: Look) -> Weighed | None:
         return self._judge.weigh(look) if look.track.any() else None
