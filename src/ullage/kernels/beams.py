@@ -10,6 +10,7 @@ from numba import njit
 from ullage.kernels.edges import mirror
 
 MOST = 96  # corners of a clipped outline
+FACE, LIT, NONE = np.int64(0), np.int64(2), np.int64(-1)  # outlines of faces and mirrors; no mirror. No literals
 SLIVER_M = 1e-7  # parts no wider than this are none: a face that touches a beam is not lit
 
 
@@ -98,13 +99,13 @@ def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no
 def _emit(target, planes, made, loop_of, loops, starts, outlines, edges, at):  # type: ignore[no-untyped-def]
     """Writes the clipped outline of a face as edges (m, 2, 3) from `at` on; gives where it ends."""
     for loop in range(loop_of[target], loop_of[target + 1]):
-        count = loops[loop + 1] - loops[loop]
+        count = np.int64(loops[loop + 1]) - loops[loop]
         if count > MOST - 2:
             continue
         for i in range(count):
             for k in range(3):
                 outlines[0, i, k] = starts[loops[loop] + i, k]
-        count, lit = _clipped(outlines, 0, count, planes, made)
+        count, lit = _clipped(outlines, FACE, count, planes, made)
         if count < 3:
             continue
         for i in range(count):
@@ -166,23 +167,23 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
     Returns:
         How many beams and edges there are; only those that fit are written.
     """
-    one, two, none = np.empty(3), np.empty(3), -1
+    one, two = np.empty(3), np.empty(3)
     planes1, planes2 = np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4))
     clipped, at = np.empty((4, MOST, 3)), np.zeros(2, np.int64)
     first[0] = 0
     for a in mirrors:
-        p = flat_of[a]
+        p = np.int64(flat_of[a])
         if _gap(origins[0], normals, offsets, p) < 1e-3:
             continue
         mirror(origins[0], normals[p], offsets[p], one)
         for i in range(sizes[a]):
             for k in range(3):
                 clipped[2, i, k] = outlines[a, i, k]
-        made = _walls(one, clipped, 2, sizes[a], normals, offsets, p, planes1)
-        _ends(one, planes1, made, a, none, p, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
+        made = _walls(one, clipped, LIT, np.int64(sizes[a]), normals, offsets, p, planes1)
+        _ends(one, planes1, made, a, NONE, p, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
               starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
         for b in mirrors:
-            q = flat_of[b]
+            q = np.int64(flat_of[b])
             if most < 3 or q == p or _gap(one, normals, offsets, q) < 1e-3:
                 continue
             if not _reached(spheres, q, planes1, made, one, one, gate):
@@ -190,7 +191,7 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
             for i in range(sizes[b]):
                 for k in range(3):
                     clipped[2, i, k] = outlines[b, i, k]
-            count, lit = _clipped(clipped, 2, sizes[b], planes1, made)
+            count, lit = _clipped(clipped, LIT, np.int64(sizes[b]), planes1, made)
             if count < 3:
                 continue
             mirror(one, normals[q], offsets[q], two)

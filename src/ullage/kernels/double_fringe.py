@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import same, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -42,11 +42,11 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
         dx, dy, dz = p[0] - origins[0, s, 0], p[1] - origins[0, s, 1], p[2] - origins[0, s, 2]
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = math.sqrt(max(toward(table, flat, frames, 0, s, dx, dy, dz), 0.0) / r)
+        one = math.sqrt(max(toward(table, flat, frames, ONE, s, dx, dy, dz), 0.0) / r)
         g *= one
         path += 0.5 * r
         ux, uy, uz = ux + dx, uy + dy, uz + dz
-        if s == 0 and same(origins, 0):
+        if s == 0 and same(origins, ONE):
             g *= one
             path += 0.5 * r
             break
@@ -124,10 +124,10 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
             size += (pieces[k, 1, j] - pieces[k, 0, j]) ** 2
             width += gaps[w, j] * gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
-        w0, path0 = _twice(pieces, k, 0, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields,
-                           table, flat, out)  # fmt: skip
-        w1, path1 = _twice(pieces, k, 1, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields,
-                           table, flat, out)  # fmt: skip
+        w0, path0 = _twice(pieces, k, FROM, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames,
+                           fields, table, flat, out)  # fmt: skip
+        w1, path1 = _twice(pieces, k, TO, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames,
+                           fields, table, flat, out)  # fmt: skip
         w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
         early = size * size / 12 * 4 / max(path0 + path1 - 2 * width, 0.02)
         late = extra[k] - early / C0

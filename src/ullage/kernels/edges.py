@@ -15,6 +15,9 @@ import numpy as np
 from numba import njit
 
 C0 = 299_792_458.0
+START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
+"""Rows of spots: an edge's ends, those of its slow part, the piece being done; others wait behind. No literals."""
+NONE = np.int64(-1)
 FAR = 0.1  # a rim is done by its ends where the second term there is no more of the first than this
 
 
@@ -119,8 +122,8 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
                 break
             for k in range(3):
                 spots[2 + side, k] = spots[0, k] + place * line[3, k]
-            _spot(spots, 2 + side, line, length)
-            if abs(_steep(spots, 2 + side, line, length, wave)[2]) <= FAR:
+            _spot(spots, BEGINS + side, line, length)
+            if abs(_steep(spots, BEGINS + side, line, length, wave)[2]) <= FAR:
                 break
             gap *= 1.3
         share = min(max(place / size, 0.0), 1.0)
@@ -203,8 +206,8 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
     Spots from 6 on, with `marks` of where they are and how far they turn from the one before, wait on a stack.
     Gives the turn of all pieces around the axis; at[0] counts them.
     """
-    winding, top, s0 = 0.0, 5, begins
-    marks[5, 0], marks[5, 1] = stops, _turn(spots, 4, 5, line)
+    winding, top, s0 = 0.0, NEXT, begins
+    marks[5, 0], marks[5, 1] = stops, _turn(spots, HERE, NEXT, line)
     while top > 4:
         turn, least = marks[top, 1], min(spots[4, 3], spots[top, 3])
         long, m = (marks[top, 0] - s0) * size, top + 1
@@ -212,7 +215,7 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
             spots[m, k] = 0.5 * (spots[4, k] + spots[top, k])
         _spot(spots, m, line, length)
         if 0.5 * (spots[m, 3] - long) <= limit and spots[m, 3] - long <= length + most:
-            early = _turn(spots, 4, m, line)
+            early = _turn(spots, HERE, m, line)
             part = early / turn if abs(turn) > 1e-15 else 0.5
             bend = spots[m, 3] - spots[4, 3] - part * (spots[top, 3] - spots[4, 3])
             wide = wave * abs(bend) > (0.1 if abs(turn) > 0.1 else 0.3) or long > 0.2 * spots[m, 3]
@@ -247,8 +250,8 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
           ties, at):  # fmt: skip
     """Parts one edge of a face, from spot 0 to 1; gives its turn around the axis."""
     farthest = min(2 * limit, length + most)
-    rate0, _, y0 = _steep(spots, 0, line, length, wave)
-    rate1, _, y1 = _steep(spots, 1, line, length, wave)
+    rate0, _, y0 = _steep(spots, START, line, length, wave)
+    rate1, _, y1 = _steep(spots, STOP, line, length, wave)
     begins, stops = 0.0, 1.0
     if not whole:
         if abs(y0) <= FAR and abs(y1) <= FAR and rate0 * rate1 > 0:
@@ -256,16 +259,17 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
         else:
             begins, stops = _slow_part(spots, size, line, length, wave)
     before, cut = at[0], begins < stops
-    winding = 0.0 if cut else _turn(spots, 0, 1, line)
+    winding = 0.0 if cut else _turn(spots, START, STOP, line)
     if cut:
-        first, last = 2 if begins > 0 else 0, 3 if stops < 1 else 1
+        first, last = BEGINS if begins > 0 else START, STOPS if stops < 1 else STOP
         for k in range(8):
             spots[4, k], spots[5, k] = spots[first, k], spots[last, k]
-        winding = _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, sign, p,
-                          pieces, owner, at)  # fmt: skip
-        winding += (_turn(spots, 0, 2, line) if first == 2 else 0.0) + (_turn(spots, 3, 1, line) if last == 3 else 0.0)
+        winding = _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, sign, p, pieces,
+                          owner, at)  # fmt: skip
+        winding += _turn(spots, START, BEGINS, line) if first == BEGINS else 0.0
+        winding += _turn(spots, STOPS, STOP, line) if last == STOPS else 0.0
     for step in range(4):  # the edge's start, both ends of its slow part, its end
-        i, tie = 0 if step == 0 else 1, -1
+        i, tie = START if step == 0 else STOP, NONE
         if cut and (stops >= 1 if step > 1 else begins <= 0):
             continue
         if 0 < step < 3:
@@ -341,10 +345,10 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
             for k in range(8):
                 spots[0, k] = spots[1, k] if follows else (starts[e, k] if k < 3 else 0.0)
             if not follows:
-                _spot(spots, 0, line, length)
+                _spot(spots, START, line, length)
             for k in range(3):
                 spots[1, k] = ends[e, k]
-            _spot(spots, 1, line, length)
+            _spot(spots, STOP, line, length)
             # the path over an edge is at least this: ends less half its length there and back
             if not round_axis and 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + most):
                 continue

@@ -13,6 +13,10 @@ import numpy as np
 from numba import njit
 
 C0 = 299_792_458.0
+# numbers handed to other kernels are no literals: Numba compiles a function anew for each literal integer
+BULK, EDGE, VERTEX = np.int64(0), np.int64(1), np.int64(2)  # spectral kinds, rows of the delay grids
+ONE = np.int64(0)  # the radar, where there is but one
+FROM, TO = np.int64(0), np.int64(1)  # ends of a piece
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -203,7 +207,7 @@ def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
         ab, ac = 1.0 / (x[a] - x[b]), 1.0 / (x[a] - x[c])
         inner = w[a] + 1j * ((w[b] - w[a]) * ab + (w[c] - w[a]) * ac)
         value = scale * (-2.0 * ab * ac) * inner * turned(x[a])
-        _lay(grids, 2, places[a], value)
+        _lay(grids, VERTEX, places[a], value)
         total += value
     return total
 
@@ -220,7 +224,7 @@ def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     mean = (w[0] + w[1] + w[2]) / 3
     value = mean * complex(real, imag) - 1j * (w[0] * y0 + w[1] * y1 + w[2] * y2) / 12
     value *= scale * turned(middle)
-    _lay(grids, 0, (places[0] + places[1] + places[2]) / 3, value)
+    _lay(grids, BULK, (places[0] + places[1] + places[2]) / 3, value)
     return value
 
 
@@ -245,9 +249,9 @@ def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     edge = far * i * (w0 + w1 + w3)
     rest = far * (w0 * rest1 + w1 * rest2 + w3 * rest3)
     middle = 0.5 * (places[b] + places[c])
-    _lay(grids, 2, places[a], at_a)
-    _lay(grids, 1, middle, edge)
-    _lay(grids, 2, middle, rest)
+    _lay(grids, VERTEX, places[a], at_a)
+    _lay(grids, EDGE, middle, edge)
+    _lay(grids, VERTEX, middle, rest)
     return at_a + edge + rest
 
 
@@ -287,7 +291,7 @@ def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
 def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
     """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
-    mono = same(origins, 0)
+    mono = same(origins, ONE)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     bulge, share = 0.0, 0.5
     for i in range(3):
@@ -307,12 +311,12 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
             r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
             ux, uy, uz = dx / r, dy / r, dz / r
             if s == 0 and i == 0:
-                share = te_share(fields, 0, ux, uy, uz, nx, ny, nz)
+                share = te_share(fields, ONE, ux, uy, uz, nx, ny, nz)
             along = ex * ux + ey * uy + ez * uz
             curve = (ex * ex + ey * ey + ez * ez - along * along) / r
             c = nx * ux + ny * uy + nz * uz
             twice = 2 if mono else 1
-            gain = toward(table, flat, frames, 0, s, ux, uy, uz) / r
+            gain = toward(table, flat, frames, ONE, s, ux, uy, uz) / r
             base[i] *= gain * gain if mono else gain
             if s == 1 and cosine[i] * c <= 0:
                 base[i] = 0.0

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _lay, same, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, VERTEX, _lay, same, toward, turned
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -112,11 +112,11 @@ def strength(places, k, end, w, angles, inward, normals, sheets, origins, frames
                       places[k, end, 2] - origins[0, s, 2])  # fmt: skip
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = toward(table, flat, frames, 0, s, dx, dy, dz) / r
+        one = toward(table, flat, frames, ONE, s, dx, dy, dz) / r
         along = tx * dx + ty * dy + tz * dz
         g, path, bend = g * one, path + r, bend + (1 - along * along) / r
         rows[0, 0], rows[0, 1], rows[0, 2] = rows[0, 0] + dx, rows[0, 1] + dy, rows[0, 2] + dz
-        if s == 0 and same(origins, 0):
+        if s == 0 and same(origins, ONE):
             g, path, bend = g * one, 2 * path, 2 * bend
             break
     ux, uy, uz = rows[0, 0], rows[0, 1], rows[0, 2]
@@ -189,7 +189,7 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
             if across:
                 hard = (y * ez - z * ey) * t[0] + (z * ex - x * ez) * t[1] + (x * ey - y * ex) * t[2]
                 most = max(most, abs(hard) / r)
-            gain = max(gain, toward(table, flat, frames, 0, 0, x / r, y / r, z / r))
+            gain = max(gain, toward(table, flat, frames, ONE, ONE, x / r, y / r, z / r))
         reach = math.sqrt(math.pi * best / wave)  # of the stationary part
         beside = abs(foot - near)
         if beside > 0:
@@ -238,15 +238,15 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
                 follows = follows and pieces[known, 0, j] == pieces[k, 1, j]
             size, known = math.sqrt(square), k
             if not follows:  # pieces of an edge come one after the other, from its end
-                w1, path1, bend1 = strength(pieces, k, 1, w, angles, inward, normals, sheets, origins, frames, fields,
+                w1, path1, bend1 = strength(pieces, k, TO, w, angles, inward, normals, sheets, origins, frames, fields,
                                             table, flat, rows)  # fmt: skip
-            w0, path0, bend0 = strength(pieces, k, 0, w, angles, inward, normals, sheets, origins, frames, fields,
+            w0, path0, bend0 = strength(pieces, k, FROM, w, angles, inward, normals, sheets, origins, frames, fields,
                                         table, flat, rows)  # fmt: skip
             early = 0.5 * (bend0 + bend1) * size * size / 12  # as for wires: what the chord lies beyond the path
             scale *= size
         else:
-            w0, path0, bend0 = strength(tips, k - many, 0, w, angles, inward, normals, sheets, origins, frames, fields,
-                                        table, flat, rows)  # fmt: skip
+            w0, path0, bend0 = strength(tips, k - many, FROM, w, angles, inward, normals, sheets, origins, frames,
+                                        fields, table, flat, rows)  # fmt: skip
             w1, path1 = w0, path0
             scale *= complex(tips[k - many, 1, 0], tips[k - many, 1, 1])
         if w0 == 0 and w1 == 0:
@@ -262,6 +262,6 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
                                     (a - t0) / dt, (b - t0) / dt)  # fmt: skip
             else:
                 value = scale * w0 * turned(omega * a)
-                _lay(grids, 2, (a - t0) / dt, value)
+                _lay(grids, VERTEX, (a - t0) / dt, value)
                 echo[k] += value
             shift += fold

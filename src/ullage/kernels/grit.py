@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _lay, te_share, toward, turned
+from ullage.kernels.facets import BULK, ONE, _lay, te_share, toward, turned
 
 C0 = 299_792_458.0
 
@@ -46,9 +46,9 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
                 r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
                 ux, uy, uz = dx / r, dy / r, dz / r
                 if s == 0:
-                    share = te_share(fields, 0, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
+                    share = te_share(fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
                 cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
-                g *= toward(table, flat, frames, 0, s, ux, uy, uz) / r
+                g *= toward(table, flat, frames, ONE, s, ux, uy, uz) / r
                 path += r
             u = min(cosine, 0.9999999) * most
             j = int(u)
@@ -61,7 +61,7 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
             landed = late - math.floor((late - t0) / fold) * fold
             while landed < last:
                 part = value * turned(omega * landed)
-                _lay(grids, 0, (landed - t0) / dt, part)
+                _lay(grids, BULK, (landed - t0) / dt, part)
                 echo[k] += part
                 landed += fold
         delay[k] = total / max(first[k + 1] - first[k], 1)

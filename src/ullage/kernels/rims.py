@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _late, _lay, _reflection, same, te_share, toward, turned
+from ullage.kernels.facets import EDGE, VERTEX, _late, _lay, _reflection, same, te_share, toward, turned
 
 C0 = 299_792_458.0
+START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
@@ -73,15 +74,15 @@ def lay_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-unt
         value = mean * complex(1 - y2 / 6 + y2 * y2 / 120, bow * y2 * (2 / 45 - 0.00317 * y2))
         value -= half * complex(0.0, y / 3 * (1 - y2 / 10))
         value *= scale * turned(0.5 * (x0 + x1))
-        _lay(grids, 1, 0.5 * (place0 + place1), value)
+        _lay(grids, EDGE, 0.5 * (place0 + place1), value)
         return value
     slope = (w1 - w0) / (z * z)
     bent = mean * complex(bow * (1 / y2 - 1.0 / 3) / y, 0.0)
     even = mean * complex(0.0, -bow / y2)
     at0 = scale * turned(x0) * (bent + even - slope - w0 * complex(0.0, 1 / z))
     at1 = scale * turned(x1) * (slope + even - bent + w1 * complex(0.0, 1 / z))
-    _lay(grids, 2, place0, at0)
-    _lay(grids, 2, place1, at1)
+    _lay(grids, VERTEX, place0, at0)
+    _lay(grids, VERTEX, place1, at1)
     return at0 + at1
 
 
@@ -121,9 +122,9 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
             if i < 0:
                 w0, c0 = weights[tap], cosines[tap]
                 if not follows:
-                    w0, c0 = _weight(pieces, k, 0, normals, stuffs, face, origins, frames, fields, o, table, flat,
+                    w0, c0 = _weight(pieces, k, START, normals, stuffs, face, origins, frames, fields, o, table, flat,
                                      gamma, tap)  # fmt: skip
-                w1, c1 = _weight(pieces, k, 3, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma,
+                w1, c1 = _weight(pieces, k, STOP, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma,
                                  tap)  # fmt: skip
                 weights[tap], cosines[tap] = w1, c1
                 late = extra[k] + _late(lag, stuffs[face], tap, 0.5 * (c0 + c1))
@@ -131,7 +132,9 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
                 path0, path1, bow = pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0
                 w0, w1 = w0 * pieces[k, 8] * pieces[k, 10] * scale, w1 * pieces[k, 9] * pieces[k, 10] * scale
             else:
-                w0, c0 = _weight(ends, i, 0, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
+                w0, c0 = _weight(
+                    ends, i, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap
+                )
                 late = extra[k] + _late(lag, stuffs[face], tap, c0)
                 path0 = path1 = ends[i, 3] / C0
                 bow, w1 = 0.0, 0j
@@ -146,7 +149,7 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
                     echo[k] += lay_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
                 else:
                     value = w0 * turned(omega * a)
-                    _lay(grids, 2 if i < many else 1, (a - t0) / dt, value)
+                    _lay(grids, VERTEX if i < many else EDGE, (a - t0) / dt, value)
                     echo[k] += value
                 shift += fold
 

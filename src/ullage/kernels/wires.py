@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ullage.kernels.facets import _mean_range, toward
+from ullage.kernels.facets import FROM, ONE, TO, _mean_range, toward
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -71,7 +71,7 @@ def _element(pieces, k, end, axis, radius, series, w, origins, frames, fields, t
         eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
         square = slope * slope * max(1 - eu * eu, 1e-12)
         share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
-        g *= toward(table, flat, frames, 0, s, ux, uy, uz) / r
+        g *= toward(table, flat, frames, ONE, s, ux, uy, uz) / r
         path += r - radius * slope
         bend += (1 - along * along) / r
         sine += 0.5 * slope
@@ -113,9 +113,9 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         size = math.sqrt(size)
         for j in range(3):
             axis[j] /= size
-        w0 = _element(pieces, k, 0, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
+        w0 = _element(pieces, k, FROM, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
         path0, bend = out[0], out[1]
-        w1 = _element(pieces, k, 1, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
+        w1 = _element(pieces, k, TO, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
         path1, bend = out[0], 0.5 * (bend + out[1])
         w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
         early = bend * size * size / 12  # mean of bend s (L - s) / 2, by which the chord lies beyond the path
