@@ -82,8 +82,8 @@ def cases(seed: int, scene, grid):
     yield "told the walls", frames, None
 
 
-def told(scene: Scene, frames: dict[str, Frames], grid: ul.Grid) -> OccupancyMap:
-    """What a map without any error holds: the surface within the first Fresnel zone of a foot of the perpendicular."""
+def told(scene: Scene, frames: dict[str, Frames], grid: ul.Grid, *, zones: int = 1) -> OccupancyMap:
+    """What a map without any error holds: the surface within some Fresnel zones of a foot of the perpendicular."""
     grid = grid.at_height(float(np.mean([f.believed.position[:, 2].mean() for f in frames.values()])))
     surface = surface_of(scene, grid, frames)
     heard = np.flatnonzero(surface.looks > 0)
@@ -94,7 +94,7 @@ def told(scene: Scene, frames: dict[str, Frames], grid: ul.Grid) -> OccupancyMap
             ray = part.believed.position[i] - points
             away = np.sum(ray * normals, axis=1)
             aside = np.linalg.norm(ray - away[:, None] * normals, axis=1)
-            keep |= aside < np.sqrt(part.spec.wavelength_m * abs(away) / 2)
+            keep |= aside < np.sqrt(zones * part.spec.wavelength_m * abs(away) / 2)
     percent = np.full(grid.shape, -1, np.int8)
     cell, _ = grid.index(points[keep] + 1e-3 * normals[keep])
     percent[tuple(np.clip(cell, 0, np.array(grid.shape) - 1).T)] = 99
@@ -123,6 +123,19 @@ def draw(omap, scene, frames, path: str) -> None:
     figure.savefig(path, dpi=80)
 
 
+def print_table(first: str, columns: dict[str, str], scores: dict[str, list[dict[str, float]]]) -> None:
+    """Markdown: a row for each name, mean and 95 % interval over its flights."""
+    print(f"| {first} |", " | ".join(columns.values()), "|")
+    print("|---|" + "---|" * len(columns))
+    for name, rows in scores.items():
+        cells = []
+        for key in columns:
+            values = np.array([row[key] for row in rows])
+            spread = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+            cells.append(f"{values.mean():.3f} ± {spread:.3f}")
+        print(f"| {name} |", " | ".join(cells), "|")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=5)
@@ -143,15 +156,7 @@ def main() -> None:
             print(f"{seed} {name}: F1 {got['f1'].value:.3f}", file=sys.stderr, flush=True)
             if options.figure and seed == 0 and name.endswith("exact poses"):
                 draw(omap, scene, frames, options.figure)
-    print("| method |", " | ".join(COLUMNS.values()), "|")
-    print("|---|" + "---|" * len(COLUMNS))
-    for name, rows in scores.items():
-        cells = []
-        for key in COLUMNS:
-            values = np.array([row[key] for row in rows])
-            spread = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-            cells.append(f"{values.mean():.3f} ± {spread:.3f}")
-        print(f"| {name} |", " | ".join(cells), "|")
+    print_table("method", COLUMNS, scores)
 
 
 if __name__ == "__main__":

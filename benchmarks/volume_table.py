@@ -1,7 +1,7 @@
 """The full-profile mapper in a volume, on flights that change height by a metre: Markdown, mean and 95 % interval.
 
-Beside it, on the same frames, what the yardstick allows: a map of all surface within the first Fresnel zone of the true
-foot of a perpendicular from one of the looks that could hear it ("told the walls").
+Beside it, on the same frames, what the yardstick allows: a map of all surface within two Fresnel zones of the true foot of
+a perpendicular from one of the looks ("told the walls").
 
 python benchmarks/volume_table.py [--seeds 3] [--level]
 """
@@ -12,7 +12,7 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from mapping_table import SIZE, believed, told
+from mapping_table import SIZE, believed, print_table, told
 from mapping_table import route as level_route
 
 import ullage as ul
@@ -60,18 +60,10 @@ def main() -> None:
             ("3 mm white pose error", believed(frames, noise)),
             ("told the walls", None),
         ):
-            omap = told(scene, frames, grid) if recording is None else ul.map_occupancy(recording, grid)
+            omap = told(scene, frames, grid, zones=2) if recording is None else ul.map_occupancy(recording, grid)
             got = ul.metrics.map_quality(omap, scene, frames)
             scores.setdefault(name, []).append({key: got[key].value for key in COLUMNS})
-    print("| volume |", " | ".join(COLUMNS.values()), "|")
-    print("|---|" + "---|" * len(COLUMNS))
-    for name, rows in scores.items():
-        cells = []
-        for key in COLUMNS:
-            values = np.array([row[key] for row in rows])
-            spread = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
-            cells.append(f"{values.mean():.3f} ± {spread:.3f}")
-        print(f"| {name} |", " | ".join(cells), "|")
+    print_table("volume", COLUMNS, scores)
 
 
 if __name__ == "__main__":

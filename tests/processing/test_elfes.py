@@ -134,7 +134,10 @@ def test_poses_that_jump_are_warned_about():
     a, b = Trajectory.stationary(n=3, rate_hz=10), Trajectory.stationary((3, 0, 0), n=3, rate_hz=10)
     path = Trajectory(np.arange(6) * 10**8, np.concatenate([a.position, b.position]), np.tile(a.quat_xyzw, (2, 1)))
     with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 3"):
-        ul.map_occupancy(echoes(path, np.full(6, 2.0)), GRID, method="elfes")
+        omap = ul.map_occupancy(echoes(path, np.full(6, 2.0)), GRID, method="elfes")
+    both, inside = GRID.index(np.array([[1.0, 0.0, 0.0], [4.0, 0.0, 0.0]]))
+    assert inside.all()
+    assert omap.free[tuple(both.T)].all()
 
 
 def test_unknown_method_names_the_known_ones():

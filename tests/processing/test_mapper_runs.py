@@ -79,7 +79,7 @@ def look_at(k: int, ranges: list[float]) -> SimpleNamespace:
 
 
 def test_runs_keep_to_their_reflector_where_ranges_cross() -> None:
-    """Two edges, one ahead and one astern, are at the same range half way."""
+    """Two edges, one ahead and one astern, are at the same range half way, where only one is heard, and a little off."""
     places, runs = np.array([[2.0, 2.0], [0.0, 2.0]]), EchoRuns()
     owners = []
     for k in range(41):
@@ -87,13 +87,21 @@ def test_runs_keep_to_their_reflector_where_ranges_cross() -> None:
         away = np.linalg.norm(places - here, axis=1)
         order = np.argsort(away) if k % 2 else np.argsort(-away)
         cosine = (places[order, 0] - here[0]) / away[order]
+        if k == 20:
+            [alone] = runs.follow(
+                "front", look_at(k, [away[1] + 0.015]), cosine[order == 1], np.full(1, 0.05), np.full(1, 0.9)
+            )
+            assert alone is owners[-1][1]
+            continue
         look = look_at(k, list(away[order]))
         out = runs.follow("front", look, cosine, np.full(2, 0.05), np.full(2, 0.9))
         owners.append([out[list(order).index(n)] for n in (0, 1)])
     first, second = owners[0]
     assert first is not second
     assert all(pair[0] is first and pair[1] is second for pair in owners)
-    np.testing.assert_allclose([row[2] for row in first.rows], [np.hypot(2 - 0.05 * k, 2) for k in range(41)])
+    np.testing.assert_allclose(
+        [row[2] for row in first.rows], [np.hypot(2 - 0.05 * k, 2) for k in range(41) if k != 20]
+    )
 
 
 def test_a_run_ends_when_its_echo_is_gone_for_a_second() -> None:
