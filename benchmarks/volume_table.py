@@ -1,7 +1,7 @@
 """The full-profile mapper in a volume, on flights that change height by a metre: Markdown, mean and 95 % interval.
 
-Beside it, on the same frames, what the yardstick allows: a map of all surface within two Fresnel zones of the true foot of
-a perpendicular from one of the looks ("told the walls").
+Beside it, on the same frames, what the yardstick allows: a map of all surface within two Fresnel zones of the true foot
+of a perpendicular from one of the looks ("told the walls").
 
 python benchmarks/volume_table.py [--seeds 3] [--level]
 """
