@@ -273,7 +273,7 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
         if cut and (stops >= 1 if step > 1 else begins <= 0):
             continue
         if 0 < step < 3:
-            i, tie = step + 1, before if step == 1 else at[0] - 1
+            i, tie = BEGINS + (step - 1), before if step == 1 else at[0] - 1
             if at[0] == before:
                 continue
         if spots[i, 3] > farthest:
