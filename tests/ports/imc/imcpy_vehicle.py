@@ -1,7 +1,6 @@
 """A vehicle by imcpy, which is not ours: finds ullage by its announcement, says where it is, counts what it hears."""
 
 import json
-import sys
 import time
 from collections import Counter
 
@@ -11,17 +10,19 @@ from imcpy.actors import DynamicActor
 from imcpy.decorators import Periodic, Subscribe
 
 SPEED = 0.5
+QUIET_S = 3.0
+"""It ends when no frame has come for so long since the first."""
 
 
 class Vehicle(DynamicActor):
     """Flies north from the origin, looking east, from the moment that it hears a heartbeat."""
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self) -> None:
         super().__init__(imc_id=VEHICLE)
         self.announce.sys_name = "imcpy-vehicle"
         self.announce.sys_type = imcpy.SystemType.UAV
         self.heartbeat.append("ullage")
-        self.seconds, self.first = seconds, None
+        self.first = self.heard = None  # when the first heartbeat came, and the last frame
         self.count, self.speakers, self.listed = Counter(), set(), ""
 
     @Periodic(1)
@@ -33,7 +34,8 @@ class Vehicle(DynamicActor):
         if self.first is None:
             return
         flown_s = time.monotonic() - self.first
-        if flown_s > self.seconds:
+        quiet_s = time.monotonic() - self.heard if self.heard else 0.0
+        if quiet_s > QUIET_S:
             self.stop()
         told = imcpy.EstimatedState()
         told.lat, told.lon, told.height = LAT, LON, 40.0
@@ -48,10 +50,12 @@ class Vehicle(DynamicActor):
         self.speakers.add(message.src)
         if isinstance(message, imcpy.Heartbeat) and self.first is None:
             self.first = time.monotonic()
+        if isinstance(message, imcpy.DevDataBinary):
+            self.heard = time.monotonic()
         if isinstance(message, imcpy.EntityList):
             self.listed = message.list
 
 
-vehicle = Vehicle(float(sys.argv[1]))
+vehicle = Vehicle()
 vehicle.run()
 print(json.dumps({"count": vehicle.count, "speakers": sorted(vehicle.speakers), "listed": vehicle.listed}))

@@ -100,7 +100,7 @@ def test_a_vehicle_of_imcpy_and_ullage_find_each_other_by_multicast(tmp_path: Pa
     there = "imc:?world=ntnu-room&fidelity=thesis&duration_s=2"
     script = f"""
 ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo
-timeout 60 {sys.executable} {BUS.parent / "imcpy_vehicle.py"} 4 > vehicle.json &
+timeout 60 {sys.executable} {BUS.parent / "imcpy_vehicle.py"} > vehicle.json &
 timeout 60 {sys.executable} -m ullage run '{there}' --do '' --to 'imc:?pace=0' --out .
 wait
 """
