@@ -13,8 +13,9 @@ from ullage.errors import InputError
 pytest.importorskip("google.protobuf")
 
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
-from ullage.ports.gazebo_classic.source import source_of
+from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions, source_of
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
+from ullage.ports.sightings import Others, Sighting
 
 
 @given(st.lists(st.binary(max_size=40), max_size=6), st.integers(1, 30))
@@ -229,3 +230,72 @@ def test_no_server_is_said():
     source._bunch(8)
     source.close()
     assert said == ["no gzserver at 127.0.0.1:1"]
+
+
+class Told:
+    """In a peer's place: gives events, keeps what is asked."""
+
+    master = ("127.0.0.1", 1)
+
+    def __init__(self):
+        self.events, self.asked = [], []
+
+    def hear(self, topic, message):
+        self.events.append(Heard(f"/gazebo/w/{topic}", message.SerializeToString()))
+
+    def wait(self, timeout_s):
+        return self.events.pop(0) if self.events else None
+
+    def publish(self, topic, message):
+        self.asked.append(message)
+
+    def subscribe(self, topic, kind):
+        pass
+
+    advertise = subscribe
+
+
+def posed(x, **more):
+    at, turn = gz().Vector3d(x=x, y=0.0, z=0.0), gz().Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+    return gz().Pose(position=at, orientation=turn, **more)
+
+
+def test_a_feed_tells_of_other_models_before_the_model_itself():
+    peer = Told()
+    feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box", "wall"}))
+    peer.events.append(Met(("w",)))
+    assert "runs the world 'w'" in feed.next(0.1).text
+    told = gz().PosesStamped(time=gz().Time(sec=3, nsec=5))
+    for name, x in (("x", 1.0), ("x::link", 9.0), ("box", 2.0), ("lamp", 4.0)):
+        told.pose.append(posed(x, name=name))
+    peer.hear("pose/info", told)
+    assert feed.next(0.1) == Others(3_000_000_005, {"box": ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))})
+    assert feed.next(0.1) == Sighting(3_000_000_005, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def test_a_feed_asks_where_everything_is_and_hears_what_comes_and_goes():
+    peer = Told()
+    feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box", "wall"}))
+    peer.events.append(Met(("w",)))
+    feed.next(0.1)
+    none = gz().Time(sec=0, nsec=0)
+    stats = gz().WorldStatistics(
+        sim_time=gz().Time(sec=7, nsec=0), pause_time=none, real_time=none, iterations=1, paused=False
+    )
+    peer.hear("world_stats", stats)
+    assert feed.next(0.0) is None
+    asked = next(ask for ask in peer.asked if ask.request == "scene_info")
+    scene = gz().Scene(name="w")
+    for name, x in (("x", 0.0), ("box", 2.0), ("lamp", 4.0)):
+        scene.model.append(gz().Model(name=name, pose=posed(x)))
+    answer = gz().Response(id=asked.id, request="scene_info", response="success", type="gazebo.msgs.Scene")
+    answer.serialized_data = scene.SerializePartialToString()
+    peer.hear("response", answer)
+    found = feed.next(0.1)
+    assert found == Others(
+        7 * 10**9, {"box": ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))}, frozenset({"wall"}), frozenset({"lamp"})
+    )
+    peer.hear("request", gz().Request(id=1, request="entity_delete", data="box"))
+    assert feed.next(0.1).gone == {"box"}
+    peer.hear("model/info", gz().Model(name="sphere"))
+    assert feed.next(0.1).new == {"sphere"}

@@ -6,7 +6,9 @@ import json
 import os
 import random
 import shutil
+import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -35,7 +37,7 @@ class Network:
     domain: int
     running: list[subprocess.Popen[str]] = field(default_factory=list)
 
-    def start(self, *words: str | Path, **extra: str) -> subprocess.Popen[str]:
+    def start(self, *words: str | Path, cwd: Path = ROOT, **extra: str) -> subprocess.Popen[str]:
         """Start the ROS 2 Python with these arguments; a name.py is one of this folder."""
         command = [str(HERE / w) if str(w).endswith(".py") and (HERE / w).exists() else str(w) for w in words]
         there = dict(os.environ) | {
@@ -43,8 +45,9 @@ class Network:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1",
         } | extra  # fmt: skip
         started = subprocess.Popen(
-            [*self.prefix, str(self.python), *command], env=there, text=True, cwd=ROOT,
+            [*self.prefix, str(self.python), *command], env=there, text=True, cwd=cwd,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            start_new_session=True,
         )  # fmt: skip
         self.running.append(started)
         return started
@@ -60,9 +63,15 @@ class Network:
 
 def told(started: subprocess.Popen[str], *, stop: bool = False, timeout: float = 120.0) -> Any:
     """What a program said in its last line, as JSON, once it has ended (or been asked to, by the end of its input)."""
-    if not stop:
-        started.wait(timeout)
+    early = ""
+    if not stop:  # read as it speaks, since its end may be longer than a pipe holds, and leave its input open
+        late = threading.Timer(timeout, started.kill)
+        late.start()
+        assert started.stdout is not None
+        early = started.stdout.read()
+        late.cancel()
     out, err = started.communicate(timeout=timeout)
+    out = early + out
     assert started.returncode == 0, out + err
     return json.loads(out.strip().splitlines()[-1])
 
@@ -92,5 +101,5 @@ def network(namespace: list[str]) -> Iterator[Network]:
     yield made
     for started in made.running:
         if started.poll() is None:
-            started.kill()
+            os.killpg(started.pid, signal.SIGKILL)  # what it started too
         started.communicate()
