@@ -79,7 +79,7 @@ def look_at(k: int, ranges: list[float]) -> SimpleNamespace:
 
 
 def test_runs_keep_to_their_reflector_where_ranges_cross() -> None:
-    """Two edges, one ahead and one astern, are at the same range half way, where only one is heard, and a little off."""
+    """Two edges, ahead and astern, are at the same range half way, where only one is heard, and a little off."""
     places, runs = np.array([[2.0, 2.0], [0.0, 2.0]]), EchoRuns()
     owners = []
     for k in range(41):
