@@ -14,7 +14,8 @@ def compiled(stem: str) -> bool:
     """Whether a module of kernels has a compiled copy newer than its source, wherever Numba keeps them."""
     module = import_module(f"{__name__}.{stem}")
     source = Path(str(module.__file__))
-    kept = next(v.stats.cache_path for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__)
+    mine = (v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__)
+    kept = next(v.stats.cache_path for v in mine if hasattr(v, "stats"))
     copies = (p.stat().st_mtime for p in Path(kept).glob(f"{stem}.*.nbi"))
     return max(copies, default=0.0) > source.stat().st_mtime
 
