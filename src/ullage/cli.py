@@ -122,18 +122,23 @@ def _tasks(text: str | None) -> Any:
 def warm_up(source: str, options: list[str]) -> None:
     """Compile the kernels that a scenario needs if this is their first time, and say so."""
     from ullage.experiments.catalog import find_scenario, scenario_names
-    from ullage.experiments.warmup import NEEDED, compile_kernels, compiled, parts_of
+    from ullage.experiments.simulated import load_world
+    from ullage.experiments.warmup import compile_kernels, compiled, parts_of, radar_parts
     from ullage.ports.live import Address
     from ullage.view.progress import console
 
     address = Address.of(source)
     if address and address.scheme.startswith("gazebo"):
-        parts: tuple[str, ...] = (str(address.options.get("fidelity", "physical")), "ullage")
+        bounces = str(address.options.get("max_bounces", 1))
+        fidelity = "thesis" if address.options.get("fidelity") == "thesis" else "physical"
+        parts = (*radar_parts(fidelity, 1 if bounces == "1" else 3), "ullage")
     elif source in scenario_names() or source.endswith((".yaml", ".yml")):
-        parts = parts_of(find_scenario(source, options=options))
+        scenario = find_scenario(source, options=options)
+        parts = parts_of(scenario)
+        if not compiled(parts):  # at least not all that any world may need
+            parts = parts_of(scenario, load_world(scenario.world))
     else:
         return
-    parts = tuple(part for part in parts if part in NEEDED)
     if compiled(parts):
         return
     console.print(f"compiling kernels for {', '.join(parts)} (once after installation)")

@@ -9,8 +9,18 @@ from pathlib import Path
 
 import pytest
 
+import ullage as ul
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.warmup import FOLDER, NEEDED, compile_kernels, compiled, parts_of
+from ullage.experiments.warmup import (
+    FOLDER,
+    JOBS,
+    NEEDED,
+    _shared,
+    compile_kernels,
+    compiled,
+    parts_of,
+    radar_parts,
+)
 
 
 @pytest.mark.parametrize("part", NEEDED)
@@ -47,3 +57,22 @@ def test_simulating_tells_that_it_compiles_once_and_where_numba_keeps_its_copies
     answer = subprocess.run([sys.executable, "-c", asked], env=settings, capture_output=True, text=True, check=True)
     assert answer.stdout.split() == ["True", "False"]
     assert "compiling" not in run()
+
+
+def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
+    room = ul.scenes.room(material="concrete")
+    assert radar_parts("thesis", 3, room) == ("thesis",)
+    assert radar_parts("physical", 1, room) == ("physical",)
+    assert radar_parts("physical", 2, room) == ("physical", "bounces")
+    assert radar_parts("physical", 1, ul.scenes.sphere(0.2, 2.0, material="wood")) == ("physical", "shapes")
+    assert radar_parts("physical", 1, ul.scenes.wire(0.001, 0.5, 2.0)) == ("physical", "shapes")
+    assert radar_parts("physical", 1, ul.scenes.plate(0.5, 0.5, 2.0)) == ("physical", "conductors")
+    assert set(radar_parts("physical")) == {"physical", "rough", "bounces", "shapes", "conductors"}
+
+
+def test_jobs_that_need_the_same_kernels_are_in_one_process() -> None:
+    mine, others = _shared(list(JOBS))
+    assert sorted(job.name for job in mine + others) == sorted(job.name for job in JOBS)
+    for share in (mine, others):
+        names = {job.name for job in share}
+        assert all(not job.along or job.along in names for job in share)

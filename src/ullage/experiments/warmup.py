@@ -24,21 +24,11 @@ FOLDER = Path(kernels.__path__[0])
 NEEDED = {
     "hector": ("flight", "proximity"),
     "thesis": ("rays", "receiver"),
-    "physical": (
-        "facets",
-        "pulse",
-        "edges",
-        "rims",
-        "lines",
-        "wires",
-        "fringe",
-        "double_fringe",
-        "grit",
-        "beams",
-        "bounces",
-        "rays",
-        "receiver",
-    ),
+    "physical": ("pulse", "edges", "rims", "rays", "receiver"),
+    "rough": ("grit",),
+    "bounces": ("beams", "bounces"),
+    "shapes": ("facets", "wires"),
+    "conductors": ("lines", "fringe", "double_fringe"),
     "elfes": ("elfes",),
     "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_show"),
     "backprojection": ("backprojection",),
@@ -46,12 +36,32 @@ NEEDED = {
 """Kernel modules behind each part of a run."""
 
 
-def parts_of(scenario: Scenario) -> tuple[str, ...]:
-    """The parts of `NEEDED` that a scenario runs."""
-    parts = [scenario.flight.vehicle, scenario.sensing.fidelity]
+def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
+    """The parts of `NEEDED` that a scenario runs.
+
+    Args:
+        scenario: what is to be run.
+        scene: its world, for what the physical radar needs there; None: whatever there may be.
+    """
+    parts = [scenario.flight.vehicle, *radar_parts(scenario.sensing.fidelity, scenario.sensing.max_bounces, scene)]
     parts += [scenario.map.method] if "map" in scenario.do else []
     parts += [scenario.image.method] if "image" in scenario.do else []
     return tuple(part for part in parts if part in NEEDED)
+
+
+def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None) -> tuple[str, ...]:
+    """The parts of `NEEDED` behind a radar, in a world where that is known."""
+    if fidelity != "physical":
+        return (fidelity,)
+    there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True}
+    if scene is not None:
+        from ullage.radar.facets import prepare
+
+        made = prepare(scene)
+        there["rough"] = any(material.roughness_m > 0 for material in made.materials)
+        there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
+        there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
+    return (fidelity, *(part for part, needed in there.items() if needed))
 
 
 def compiled(parts: Iterable[str] = tuple(NEEDED)) -> bool:
@@ -97,14 +107,22 @@ class Job:
     part: str
     seconds: float  # CPU time it takes, about
     run: Callable[[], None]
+    along: str = ""  # the job whose kernels it needs too, so that both belong in one process
 
 
 def _shared(jobs: list[Job]) -> tuple[list[Job], list[Job]]:
     """Two shares of about the same time."""
+    groups: dict[str, list[Job]] = {}
+    for job in jobs:
+        groups.setdefault(job.along or job.name, []).append(job)
     shares: tuple[list[Job], list[Job]] = ([], [])
-    for job in sorted(jobs, key=lambda j: -j.seconds):
-        min(shares, key=lambda share: sum(j.seconds for j in share)).append(job)
+    for group in sorted(groups.values(), key=_seconds, reverse=True):
+        min(shares, key=_seconds).extend(group)
     return shares
+
+
+def _seconds(jobs: Iterable[Job]) -> float:
+    return sum(job.seconds for job in jobs)
 
 
 def _frames(scene: Scene, *, fidelity: Fidelity = "physical", max_bounces: int = 1) -> None:
@@ -132,12 +150,12 @@ def _thesis() -> None:
     _frames(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0), fidelity="thesis")
 
 
-def _walls() -> None:
+def _walls(*, roughness_m: float = 0.0, max_bounces: int = 1) -> None:
     from ullage.world import scenes
 
     room = scenes.room((2, 2, 2))
-    rough = tuple(replace(wall, material=wall.material.but(roughness_m=1e-3)) for wall in room.objects)
-    _frames(replace(room, objects=rough), max_bounces=2)
+    walls = tuple(replace(wall, material=wall.material.but(roughness_m=roughness_m)) for wall in room.objects)
+    _frames(replace(room, objects=walls), max_bounces=max_bounces)
 
 
 def _shapes() -> None:
@@ -187,11 +205,13 @@ def _few() -> Frames:
 JOBS = (
     Job("flight", "hector", 3, _flight),
     Job("rays", "thesis", 3, _thesis),
-    Job("flat faces and bounces", "physical", 16, _walls),
-    Job("edges of conductors", "physical", 12, _conductors),
-    Job("curved faces and wires", "physical", 9, _shapes),
+    Job("flat faces", "physical", 16, _walls),
+    Job("rough faces", "rough", 5, partial(_walls, roughness_m=1e-3), "flat faces"),
+    Job("bounces", "bounces", 9, partial(_walls, max_bounces=2), "flat faces"),
+    Job("edges of conductors", "conductors", 12, _conductors),
+    Job("curved faces and wires", "shapes", 9, _shapes),
     Job("Elfes' map", "elfes", 2, partial(_map, "elfes")),
-    Job("map", "ullage", 10, partial(_map, "ullage")),
+    Job("map", "ullage", 13, partial(_map, "ullage")),
     Job("images", "backprojection", 2, _image),
 )
 
