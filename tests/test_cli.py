@@ -148,7 +148,9 @@ def test_ctrl_c_leaves_a_whole_run(place: Path) -> None:
     far = "flight.waypoints=[[-1,-1,1],[1,-1,1],[1,1,1],[-1,1,1],[-1,-1,1],[1,-1,1],[1,1,1],[-1,1,1],[-1,-1,1]]"
     slow = ("-o", "sensing.rate_hz=400", "-o", far, "-o", "map.step_m=0.02")
     command = [sys.executable, "-m", "ullage", "run", "walls.yaml", "--out", "cut", *slow]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    signal.signal(signal.SIGINT, before)
     recording = place / "cut" / "latest" / "frames.mcap"
     until = time.monotonic() + 60
     while not (recording.exists() and recording.stat().st_size > 30_000) and time.monotonic() < until:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -82,6 +83,15 @@ def test_killed_recording_is_readable_to_the_last_second(tmp_path: Path) -> None
     assert index + 1 >= len(got)
 
 
+@pytest.fixture
+def heeding() -> Iterator[None]:
+    """Ctrl-C is heard, even where the tests were started in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heeding")
 def test_interrupt_leaves_a_finished_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     frames = some_frames(20)

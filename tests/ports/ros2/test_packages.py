@@ -102,7 +102,7 @@ def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
         "rqt_graph/RosGraph",
         "rqt_image_view/ImageView",
         "rqt_plot/Plot",
-        "rqt_robot_monitor/RobotMonitor",
+        "rqt_runtime_monitor/RuntimeMonitor",
     }
 
 
