@@ -48,8 +48,8 @@ def test_a_stranger_hears_everything_with_ros_own_frames_and_units(heard: Any) -
     assert set(count) == {topic.partition("=")[0] for topic in TOPICS}
     for topic in ("/tf", "/odom", "/truth/odom"):  # reliable: all of them
         assert count[topic] == FRAMES
-    for topic in ("/radar/front/frame", "/radar/front/profile", "/radar/left/range"):  # best effort on a quiet loopback
-        assert FRAMES - 3 <= count[topic] <= FRAMES
+    for topic in ("/radar/front/frame", "/radar/front/profile", "/radar/left/range"):
+        assert FRAMES // 2 <= count[topic] <= FRAMES  # best effort; bench_ros2.py counts what is lost
     assert last["/tf"]["transforms"][0]["header"]["frame_id"] == "odom"
     assert last["/tf"]["transforms"][0]["child_frame_id"] == "base_link"
     fixed = {(t["header"]["frame_id"], t["child_frame_id"]) for t in last["/tf_static"]["transforms"]}
