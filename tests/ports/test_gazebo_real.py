@@ -19,6 +19,7 @@ from ullage.world.shipped import BUILDERS
 
 pytest.importorskip("google.protobuf")
 
+from ullage.ports.following import PATIENCE_S
 from ullage.ports.gazebo_classic.source import ClassicFeed, source_of
 from ullage.ports.scanning import Scan
 
@@ -210,6 +211,7 @@ def test_a_deleted_model_and_a_killed_server_are_said_and_survived(gazebo):
         gazebo.stop()
         feed_until(live, lambda: any(text.startswith("gzserver has gone") for text in said))
         met = said.count("gzserver runs the world 'side_by_side'")
+        time.sleep(PATIENCE_S)  # the same is not said more often
         gazebo.start(WORLD)
         last = until(pieces, lambda piece: True)["front"]
         assert said.count("gzserver runs the world 'side_by_side'") == met + 1
