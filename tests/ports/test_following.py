@@ -4,6 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
+from scripted import Script
 
 import ullage as ul
 from ullage.ports.following import (
@@ -20,26 +21,6 @@ from ullage.ports.sightings import Note, Sighting
 
 RIG = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", fps=10), "left": ul.RadarSpec.preset("x4m05", fps=20)})
 WALL = ul.scenes.plate(width_m=2, height_m=2, distance_m=3.0)
-
-
-class Script:
-    """A feed that tells what it was given, then nothing."""
-
-    def __init__(self, events, newest_ns=0):
-        self.events, self.given, self.newest_ns = list(events), [], newest_ns
-        self.closed = self.ended = False
-
-    def next(self, timeout_s):
-        if self.ended:
-            raise KeyboardInterrupt
-        self.ended = not self.events
-        return self.events.pop(0) if self.events else None
-
-    def give(self, chunk, offset_ns):
-        self.given.append((chunk, offset_ns))
-
-    def close(self):
-        self.closed = True
 
 
 def line(start_s=0.0, end_s=2.0, rate_hz=50.0, speed=0.5):

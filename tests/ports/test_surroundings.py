@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from scripted import Script
 
 import ullage as ul
 from ullage.ports.following import FollowOptions, FollowSource
@@ -26,25 +27,6 @@ FRONT = 0.01  # of the plate before its middle [m]
 def world(tmp_path):
     (tmp_path / "w.sdf").write_text(WORLD)
     return ul.load_scene(tmp_path / "w.sdf")
-
-
-class Script:
-    """Tells what it was given, then nothing."""
-
-    def __init__(self, events):
-        self.events, self.ended = list(events), False
-
-    def next(self, timeout_s):
-        if self.ended:
-            raise KeyboardInterrupt
-        self.ended = not self.events
-        return self.events.pop(0) if self.events else None
-
-    def give(self, chunk, offset_ns):
-        pass
-
-    def close(self):
-        pass
 
 
 def followed(world, events, *, said=None, chunk=64, fidelity="physical"):
