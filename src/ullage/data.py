@@ -221,6 +221,15 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """What frames were simulated from: for whoever explains them, never for processing; no recording holds it."""
+
+    scene: Any  # the Scene, which is of a higher layer
+    max_bounces: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frames:
     """What one radar gave: one row of range bins per frame, with the poses that the processor may believe."""
 
@@ -236,6 +245,7 @@ class Frames:
     )
     track: Trajectory | None = None  # world_from_sensor over the whole recording, in the pose clock; None: only `poses`
     calibration: Calibration | None = None  # set by ul.calibrate
+    simulated: Simulated | None = None  # set by ul.simulate
 
     def __post_init__(self) -> None:
         t_ns = _rising(self.t_ns)
@@ -320,6 +330,7 @@ def joined(parts: Sequence[Frames]) -> Frames:
         t_ns=np.concatenate([p.t_ns for p in parts]),
         poses=strung([p.poses for p in parts]),
         truth=strung([p.truth for p in parts]),
+        simulated=first.simulated if all(p.simulated is first.simulated for p in parts) else None,
     )
 
 

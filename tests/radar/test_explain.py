@@ -1,6 +1,7 @@
 """explain: what echoes come from, with both ways to call it, and what comes through a sheet."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,8 +24,19 @@ def test_both_calls_agree():
     assert any(c.bounces == 2 and c.via for c in ours)
 
 
+def test_simulated_frames_know_their_world():
+    scene = ul.scenes.room((6, 4, 3), plate={"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0})
+    track = ul.Trajectory.line((0, 0, 0), (0, 1, 0), 0.5, 80)
+    frames = ul.simulate(scene, track, RADAR, max_bounces=2, seed=4)  # in several chunks
+    want = [str(c) for c in ul.explain(scene, track, RADAR, i=100, max_bounces=2, seed=4)]
+    assert any("2 bounces" in line for line in want)
+    assert [str(c) for c in ul.explain(frames, 100)] == want
+    assert [str(c) for c in ul.explain(frames[60:120], 40)] == want  # a piece of them
+    assert all(c.bounces == 1 for c in ul.explain(frames, 100, max_bounces=1))
+
+
 def test_needs_a_scene():
-    frames = ul.simulate(ul.scenes.plate(0.5, 0.5, 3.0), HERE, RADAR)
+    frames = replace(ul.simulate(ul.scenes.plate(0.5, 0.5, 3.0), HERE, RADAR), simulated=None)
     with pytest.raises(ul.InputError, match="frames cannot be explained without the scene"):
         ul.explain(frames, 0)
     with pytest.raises(ul.InputError, match="no frame 5"):

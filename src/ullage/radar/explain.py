@@ -46,37 +46,43 @@ def explain(
     i: int = 0,
     *,
     scene: Scene | None = None,
-    max_bounces: int = 1,
+    max_bounces: int | None = None,
     count: int = 10,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> list[Contribution]:
     """The strongest contributions to one frame, recomputed from the scene.
 
-    `explain(scene, path, radar, i)` takes the body's path; `explain(frames, i, scene=scene)` takes simulated frames,
-    their true poses where they hold them.
+    `explain(frames, i)` takes frames as `simulate` gave them, or pieces of them; `explain(frames, i, scene=scene)`
+    those of a recording, by their true poses where they hold them; `explain(scene, path, radar, i)` the body's path.
 
     Args:
-        scene_or_frames: the world, or frames seen in `scene`.
+        scene_or_frames: the world, or frames seen in it.
         path: the body's trajectory; with frames, the frame's number may stand here.
         radar: which radar.
         i: number of the frame.
-        scene: the world, when frames come first.
-        max_bounces: 1 to 3.
+        scene: the world of frames that were not simulated here.
+        max_bounces: 1 to 3; None: as the frames were simulated, else 1.
         count: how many at most.
-        seed: of the fine structure of rough surfaces, as in `simulate`.
+        seed: of the fine structure of rough surfaces; None: as the frames were simulated, else 0.
 
     Raises:
         InputError: something needed is missing, or there is no frame `i`.
     """
+    made = None
     if isinstance(scene_or_frames, Frames):
-        number = path if isinstance(path, int) else i
+        number = path if isinstance(path, int | np.integer) else i
+        made = scene_or_frames.simulated
         world, track, spec = _of_frames(scene_or_frames, scene)
     else:
         if not isinstance(path, Trajectory) or radar is None:
             raise InputError("a scene alone cannot be explained", where="explain",
-                             allowed="explain(scene, path, radar, i) or explain(frames, i, scene=scene)")  # fmt: skip
+                             allowed="explain(scene, path, radar, i) or explain(frames, i)")  # fmt: skip
         number, world, spec = i, scene_or_frames, radar
         track = path.mounted(radar.mount.body_from_sensor())
+    if max_bounces is None:
+        max_bounces = 1 if made is None else made.max_bounces
+    if seed is None:
+        seed = 0 if made is None else made.seed
     if not -len(track) <= number < len(track):
         raise InputError(f"no frame {number}", where="explain", allowed=f"0 to {len(track) - 1}")
     return contributions(world, track[np.array([number % len(track)])], spec, max_bounces=max_bounces, seed=seed)[
@@ -86,6 +92,8 @@ def explain(
 
 def _of_frames(frames: Frames, scene: Scene | None) -> tuple[Scene, Trajectory, RadarSpec]:
     track = frames.truth if frames.truth is not None else frames.poses
+    if scene is None and frames.simulated is not None:
+        scene = frames.simulated.scene
     if scene is None or track is None:
         what = "the scene" if scene is None else "their poses"
         raise InputError(f"frames cannot be explained without {what}", where="explain",

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from ullage import kernels
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Simulated, Trajectory, joined
 from ullage.errors import InputError
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
@@ -186,6 +186,7 @@ class Receiving:
         _check(scene, radar, fidelity, max_bounces, seed)
         self.sensors = dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
         self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
+        self._made = Simulated(scene, max_bounces, seed)
         self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None
 
     def frames(
@@ -207,7 +208,7 @@ class Receiving:
         samples = finish(self._echoes(truth, spec), spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
         return Frames(
             samples, spec.range_m, truth.t_ns, spec, poses, truth, name,
-            "thesis" if self.fidelity == "thesis" else "path_gain",
+            "thesis" if self.fidelity == "thesis" else "path_gain", simulated=self._made,
         )  # fmt: skip
 
     def _echoes(self, truth: Trajectory, spec: RadarSpec) -> Any:
