@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 import ullage as ul
-from ullage.pipeline import Held
 
 
 @dataclass
@@ -36,7 +35,7 @@ def main() -> None:
     frames = ul.simulate(
         ul.scenes.sphere(radius_m=0.3, distance_m=3.0), swing, ul.RadarSpec.preset("x4m05", noise=None)
     )
-    outcome = ul.run(Held(frames), stages=[Displacement()])
+    outcome = ul.run(frames, stages=[Displacement()])
     moved = outcome.results[0][-1] - outcome.results[0][0]
     print(f"range changed by {1000 * moved:.2f} mm over {outcome.frames} frames")
     if not abs(moved + 0.02) < 2e-4:

@@ -56,6 +56,17 @@ def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None
     assert np.array_equal(outcome.results[-1].percent, whole.percent)
 
 
+def test_frames_in_memory_are_a_source() -> None:
+    frames = thesis_frames()
+    for source in (frames, {"front": frames}, [frames]):
+        outcome = ul.run(source, stages=[DetectStage()])
+        assert outcome.frames == len(frames)
+    with pytest.raises(ul.InputError, match=r"run: the source is a str \(allowed: ul.open"):
+        ul.run("flight.mcap")  # type: ignore[arg-type]
+    with pytest.raises(ul.InputError, match="no frames"):
+        ul.run({})
+
+
 @pytest.mark.parametrize("method", ["elfes", "ullage"])
 def test_a_live_flight_may_leave_the_grid_and_come_back(method: str) -> None:
     """The map is that of what was seen from inside; that it goes out is said once each time."""

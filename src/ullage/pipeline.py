@@ -6,7 +6,7 @@ Simulated, recorded and live frames come through here alike, piece by piece, so 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -104,7 +104,7 @@ def sink(target: str | Path, **options: Any) -> PortSink:
 
 
 def run(
-    source: Source,
+    source: Source | Recording,
     *,
     stages: Sequence[Stage] = (),
     sinks: Sequence[Sink] = (),
@@ -113,21 +113,27 @@ def run(
     """Take frames from a source until it ends or Ctrl-C; hand every piece and result to every sink.
 
     Args:
-        source: gives the frames.
+        source: gives the frames; or frames in memory, of one sensor or a dict of several.
         stages: see every piece in turn; what they return goes to the sinks.
         sinks: take frames and results; closed at the end, whatever happens.
         progress: told the seconds of recording done so far, after each piece.
 
     Returns:
         Counts, and what the stages gave when they finished.
+
+    Raises:
+        InputError: the source is none.
     """
+    stream = getattr(Held(source) if isinstance(source, Frames | Mapping | list | tuple) else source, "stream", None)
+    if stream is None:
+        raise InputError(f"the source is a {type(source).__name__}", where="run", allowed="ul.open(...), or Frames")
     count, interrupted = _Count(), False
     passing = getattr(source, "passing", None)  # of a live port: messages that are no frames
     try:
         try:
             if passing is not None:
                 passing.to(lambda item: _give(item, sinks))
-            for chunk in source.stream():
+            for chunk in stream():
                 count.add(chunk)
                 _give(chunk, sinks)
                 for stage in stages:
