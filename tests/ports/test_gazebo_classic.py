@@ -105,7 +105,7 @@ class Server:
             sock.close()
 
 
-def until(peer, kind, limit_s=5.0):
+def until(peer, kind, limit_s=60.0):
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
         event = peer.wait(0.1)
@@ -133,7 +133,7 @@ def test_a_peer_joins_publishers_and_serves_readers():
                 if got:
                     break
             assert gz().GzString.FromString(got[0]).data == "3.25"
-    end = time.monotonic() + 5  # its thread may not have read yet
+    end = time.monotonic() + 60  # its thread may not have read yet
     while "advertise" not in {packet.type for packet in list(server.heard)} and time.monotonic() < end:
         time.sleep(0.02)
     assert "advertise" in {packet.type for packet in server.heard}
@@ -159,7 +159,7 @@ def test_a_server_that_went_is_found_again_and_told_anew():
             except OSError:
                 time.sleep(0.2)
         until(peer, Met)
-        end = time.monotonic() + 3
+        end = time.monotonic() + 60
         while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.heard}:
             time.sleep(0.05)
         assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
@@ -177,7 +177,7 @@ def test_a_master_that_accepts_and_never_reads_is_joined_anew(mute, monkeypatch)
         until(peer, Deaf)
         until(peer, Deaf)
         until(peer, Met)
-        end = time.monotonic() + 3
+        end = time.monotonic() + 60
         while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.heard}:
             time.sleep(0.05)
         assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
@@ -201,7 +201,7 @@ def test_a_publisher_that_cannot_be_joined_at_once_is_tried_again(monkeypatch):
         until(peer, Met)
         monkeypatch.setattr(socket, "create_connection", twice)
         peer.subscribe("/gazebo/w/world_stats", "gazebo.msgs.WorldStatistics")
-        end = time.monotonic() + 3
+        end = time.monotonic() + 60
         while time.monotonic() < end and "sub" not in {p.type for p in server.heard}:
             time.sleep(0.05)
         assert len(refused) == 2
@@ -212,7 +212,7 @@ def test_a_publisher_that_cannot_be_joined_at_once_is_tried_again(monkeypatch):
 def test_somebody_who_speaks_nonsense_is_let_go():
     with ClassicPeer(("127.0.0.1", 1)) as peer, socket.create_connection(("127.0.0.1", peer.port)) as line:
         line.sendall(b"GET / HTTP/1.1\r\n\r\n")
-        line.settimeout(3)
+        line.settimeout(60)
         assert line.recv(10) == b""
         assert not isinstance(peer.wait(0.0), Heard)
 

@@ -73,7 +73,7 @@ class Gazebo:
     def tool(self, *words):
         """What `gz ...` says; for topics, ended after a while."""
         process = self.run("timeout", "6", "gz", *words, stdout=subprocess.PIPE)
-        return process.communicate(timeout=20)[0]
+        return process.communicate(timeout=60)[0]
 
     def stop(self):
         if self.process is not None:
@@ -122,10 +122,11 @@ def test_gazebos_own_rays_meet_what_ours_meet(gazebo, monkeypatch):
     ours = np.where((face >= 0) & (distance <= 10), distance, np.inf).reshape(58, 58)
     both = np.isfinite(ours) & np.isfinite(scan.range_m)
     spacing = ray_spacing_m(spec.thesis.fov_deg, 58, 1.0) * ours[both]
+    apart = np.abs(ours[both] - scan.range_m[both])
     assert np.mean(np.isfinite(ours) == np.isfinite(scan.range_m)) > 0.999
-    assert np.mean(np.abs(ours - scan.range_m)[both] <= spacing) > 0.998  # a ray along an edge may meet either side
-    assert np.median(np.abs(ours - scan.range_m)[both]) < 1e-6
-    assert np.abs(ours - scan.range_m)[both & (scan.intensity != 0.5)].mean() < 1e-3
+    assert np.mean(apart <= spacing) > 0.998  # a ray along an edge may meet either side
+    assert np.median(apart) < 1e-6
+    assert apart[scan.intensity[both] != 0.5].mean() < 1e-3
     profile = echoes_thesis(live.scene, frames.poses[:1], spec)[0]
     assert np.corrcoef(profile, frames.samples.mean(0))[0, 1] > 0.99
 
@@ -237,7 +238,7 @@ def delete(gazebo, live, pieces, said):
     raise TimeoutError
 
 
-def feed_until(live, good, limit_s=20):
+def feed_until(live, good, limit_s=60):
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
         live._waiting += live._bunch(4)[:0]
@@ -250,7 +251,7 @@ def feed_until(live, good, limit_s=20):
 def test_the_shipped_worlds_load_unchanged(name, gazebo):
     gazebo.start(ROOT / "src/ullage/worlds" / f"{name}.sdf")
     scene = ul.load_scene(ROOT / "src/ullage/worlds" / f"{name}.sdf")
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while f"/gazebo/{scene.name}/world_stats" not in gazebo.tool("topic", "-l"):
         assert time.monotonic() < end, "the world does not come up"
     said = gazebo.stop()

@@ -67,7 +67,7 @@ def source(said=None, **options):
     return source_of("", chosen, say=(said if said is not None else []).append)
 
 
-def until(pieces, good, limit_s=20):
+def until(pieces, good, limit_s=90):
     """Follow on until something holds; the last piece that came."""
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
@@ -107,7 +107,7 @@ def test_another_model_that_moves_is_seen_where_it_is(server):
         pieces = live.stream()
         assert wall_x(until(pieces, lambda f: True)) == pytest.approx(3.9, abs=0.1)
         server.say("push")  # and it takes 4 s to come; when the server heard so is not known here
-        came = until(pieces, lambda f: wall_x(f) < 2, limit_s=40).t_ns[-1]
+        came = until(pieces, lambda f: wall_x(f) < 2, limit_s=90).t_ns[-1]
         frames = until(pieces, lambda f: f.t_ns[-1] > came + 2e9)
         assert wall_x(frames) == pytest.approx(1.9, abs=0.1)
         assert said.count("'wall' moves: it is followed") == 1
@@ -177,7 +177,7 @@ def test_frames_from_anywhere_are_published_with_their_clock(partition):
             listener.subscribe(topic)
         sink.write(frames)
         heard = {}
-        end = time.monotonic() + 3
+        end = time.monotonic() + 60
         while time.monotonic() < end and len(heard) < 5:
             event = listener.wait(0.1)
             if isinstance(event, Heard):
@@ -221,7 +221,7 @@ def test_a_peer_that_falls_silent_is_held_for_gone(partition, monkeypatch):
         speaker.advertise("/clock", "gz.msgs.Clock")
 
         def told(kind):  # others may be about on the same network
-            end = time.monotonic() + 8
+            end = time.monotonic() + 60
             while time.monotonic() < end:
                 event = listener.wait(0.1)
                 if isinstance(event, kind) and event.process == speaker.uuid:

@@ -111,7 +111,7 @@ def serve(port: int, seconds: float, kept: Path, also: bytes = b"") -> None:
             if select.select([client], [], [], 0.02)[0]:
                 got += client.recv(1 << 16)
         client.shutdown(socket.SHUT_WR)
-        client.settimeout(5)
+        client.settimeout(60)
     with suppress(OSError):
         while data := client.recv(1 << 16):
             got += data

@@ -44,7 +44,7 @@ def test_frames_go_from_imc_to_ros_messages_and_back_without_losing_a_bit(tmp_pa
     with Peer() as peer, ul.sink(f"imc:{peer.place}?pace=0&truth=true&distance=off&profile=false") as sink:
         for piece in ul.open(place).stream():
             sink.write(piece)
-        end = time.monotonic() + 10
+        end = time.monotonic() + 60
         while sum(p.name == "DevDataBinary" for p in peer.heard) < 82 and time.monotonic() < end:
             time.sleep(0.02)
         heard = list(peer.heard)

@@ -22,7 +22,7 @@ from ullage.ports.imc.tcp import TcpWire
 from ullage.ports.imc.udp import UdpWire
 
 
-def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
+def until(true: Callable[[], object], seconds: float = 60.0) -> bool:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if true():
@@ -81,7 +81,7 @@ def test_a_half_open_connection_is_given_up() -> None:
     server = socket.create_server(("127.0.0.1", 0))
     with server, tcp(f"tcp://127.0.0.1:{server.getsockname()[1]}", silence_s=0.5) as (_, told):
         first, _ = server.accept()
-        server.settimeout(10)
+        server.settimeout(60)
         second, _ = server.accept()  # it came back without the first having been closed
         assert any("said nothing for 0.5 s" in line for line in told)
         first.close()
@@ -240,7 +240,7 @@ def test_who_has_not_announced_itself_is_not_listened_to_and_noise_does_no_harm(
 def test_a_place_named_beforehand_needs_no_announcement() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
         there.bind(("127.0.0.1", 0))
-        there.settimeout(10)
+        there.settimeout(60)
         with udp(0x9001, "one", place=there.getsockname()) as (one, _):
             data, back = there.recvfrom(65535)
             assert [p.name for p in Parser().feed(data)] == ["Announce"]

@@ -155,7 +155,7 @@ def test_every_pair_goes_from_one_bus_to_another_over_sockets() -> None:
     with Peer() as peer, ul.sink(f"imc:{peer.place}") as sink:
         for item in items:
             sink.write(item)
-        end = time.monotonic() + 10
+        end = time.monotonic() + 60
         while len(told := relayed(peer.heard)) < len(sent) and time.monotonic() < end:
             time.sleep(0.02)
     assert [p.t_s for p in told] == [p.t_s for p in sent]

@@ -22,7 +22,7 @@ def test_a_node_goes_through_its_states_and_refuses_what_it_cannot(network: Netw
     assert got["heard"]["active"] > 5
     assert got["heard"]["inactive"] <= 2  # what was under way
     node.send_signal(2)
-    _, err = node.communicate(timeout=30)
+    _, err = node.communicate(timeout=120)
     assert node.returncode == 0, err
     assert "no world 'nowhere'" in err
     robot.kill()
@@ -35,7 +35,7 @@ def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> 
     got = told(listener)
     assert got["last"]["/map"]["info"]["width"] in (100, 101)
     node.send_signal(2)
-    _, err = node.communicate(timeout=30)
+    _, err = node.communicate(timeout=120)
     assert node.returncode == 0, err
     assert speaker.poll() in (None, 0)
 
@@ -53,7 +53,7 @@ def test_the_mapping_node_outlives_a_flight_that_leaves_its_map(network: Network
     got = told(listener, stop=True)
     assert got["last"]["/map"]["info"]["width"] in (10, 11)
     node.send_signal(2)
-    _, err = node.communicate(timeout=30)
+    _, err = node.communicate(timeout=120)
     assert node.returncode == 0, err
     assert "the flight has left the map" in err
     assert "does not hold the flight" not in err
