@@ -43,7 +43,7 @@ def test_a_rooms_walls_weigh_as_their_image_sources(images):
     far, orders, damping = images
     ready = bench(ul.scenes.room(tuple(SIZE), material="pec"), radar())
     grids = np.zeros((3, ready.places), complex)
-    parts = ready.world.parts(0)
+    parts = ready.world.parts()
     (laid,) = lay_flats(ready, parts, parts[0], view_of(radar(), AT, np.eye(3)), grids)
     first = np.flatnonzero(orders == 1)
     first = first[np.argsort(far[first])]

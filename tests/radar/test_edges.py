@@ -8,8 +8,8 @@ from scipy.special import fresnel
 import ullage as ul
 from ullage.geometry import C0
 from ullage.kernels import double_fringe, fringe
-from ullage.radar.facets import prepare
 from ullage.radar.physical import path_gain_cw
+from ullage.radar.prepared import prepare
 from ullage.world.scene import Scene
 
 HERE = ul.Trajectory.stationary()

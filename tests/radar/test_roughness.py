@@ -29,7 +29,7 @@ def diffuse(scene, seed, spec=RADAR, position=(0, 0, 0)):
     ready = bench(scene, spec, seed=seed)
     grids = np.zeros((3, ready.places), complex)
     view = view_of(spec, np.asarray(position, float), np.eye(3))
-    return lay_grit(ready, ready.world.parts(0), view, 0, grids).echo.sum()
+    return lay_grit(ready, ready.world.parts(), view, None, grids).echo.sum()
 
 
 @pytest.mark.parametrize("height", [2e-4, 1e-3, 3e-3, 0.02])
@@ -101,7 +101,7 @@ def test_an_aperture_focuses_it():
     for y in np.linspace(-0.5, 0.5, 41):
         grids = np.zeros((3, ready.places), complex)
         at = np.array([0, y, 0])
-        echo = lay_grit(ready, ready.world.parts(0), view_of(RADAR, at, np.eye(3)), 0, grids).echo.sum()
+        echo = lay_grit(ready, ready.world.parts(), view_of(RADAR, at, np.eye(3)), None, grids).echo.sum()
         field.append(echo * np.exp(2j * WAVE * np.linalg.norm(one.points[0] - at)))
     assert np.ptp(np.unwrap(np.angle(field))) < 1e-6
 

@@ -55,7 +55,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         return (fidelity,)
     there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True}
     if scene is not None:
-        from ullage.radar.facets import prepare
+        from ullage.radar.prepared import prepare
 
         made = prepare(scene)
         there["rough"] = any(material.roughness_m > 0 for material in made.materials)
@@ -174,7 +174,7 @@ def _conductors() -> None:
     spec = RadarSpec.preset("x4m05")
     ready = bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"), spec)
     grids = np.zeros((3, ready.places), complex)
-    lay_edges(ready, ready.world.parts(0), view_of(spec, np.zeros(3), np.eye(3)), 0, grids)
+    lay_edges(ready, ready.world.parts(), view_of(spec, np.zeros(3), np.eye(3)), None, grids)
 
 
 def _map(method: MapMethod) -> None:

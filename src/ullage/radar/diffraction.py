@@ -124,12 +124,12 @@ def rims_of(sharp: Sharp, wavelength_m: float) -> Rims:
     return Rims(held, np.asarray(~wide.all(1)), pairs, both, bare, np.linalg.norm(pairs.gaps, axis=1))
 
 
-def placed(edges: Edges, scene: Scene, t_ns: int) -> Edges:
-    """The edges in the world at one time."""
-    starts, ends = moved((edges.starts, edges.ends), edges.stuffs, scene, t_ns)
-    if starts is edges.starts:
+def placed(edges: Edges, poses: Floats | None) -> Edges:
+    """The edges in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
+    if poses is None:
         return edges
-    inward, normals = (np.stack(moved((v[:, 0], v[:, 1]), edges.stuffs, scene, t_ns, turn_only=True), 1)
+    starts, ends = moved((edges.starts, edges.ends), edges.stuffs, poses)
+    inward, normals = (np.stack(moved((v[:, 0], v[:, 1]), edges.stuffs, poses, turn_only=True), 1)
                        for v in (edges.inward, edges.normals))  # fmt: skip
     return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ullage.data import Trajectory
 from ullage.errors import UllageWarning
-from ullage.radar.facets import Prepared, prepare
 from ullage.radar.folding import warn_of_folding
+from ullage.radar.prepared import Prepared, prepare
 from ullage.specs import RadarSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene

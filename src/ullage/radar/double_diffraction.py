@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.radar.wires import moved
-from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -105,11 +104,11 @@ def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, NDArray[np.bool
     return replace(held, angles=np.where(thin, 2.0, held.angles)), np.asarray(thin.all(1)), np.asarray(sheets.all(1))
 
 
-def placed(pairs: Pairs, scene: Scene, t_ns: int) -> Pairs:
-    """The pairs in the world at one time."""
-    starts, ends = moved((pairs.starts, pairs.ends), pairs.stuffs, scene, t_ns)
-    if starts is pairs.starts:
+def placed(pairs: Pairs, poses: Floats | None) -> Pairs:
+    """The pairs in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
+    if poses is None:
         return pairs
+    starts, ends = moved((pairs.starts, pairs.ends), pairs.stuffs, poses)
     gaps, one, two, normals = moved((pairs.gaps, pairs.inward[:, 0], pairs.inward[:, 1], pairs.normals), pairs.stuffs,
-                                    scene, t_ns, turn_only=True)  # fmt: skip
+                                    poses, turn_only=True)  # fmt: skip
     return replace(pairs, starts=starts, ends=ends, gaps=gaps, inward=np.stack([one, two], 1), normals=normals)

@@ -1,19 +1,15 @@
-"""A scene made ready for physical optics: triangles in clusters, materials, and rays for what hides what."""
+"""Surfaces ready for physical optics: flat faces by their rims, triangles in clusters, rays for what hides what."""
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.radar.diffraction import sharp_edges
 from ullage.radar.solids import WELD_M, Backs, backs
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -73,34 +69,41 @@ class Surfaces:
     flat_backs: Backs  # of the flat faces
     rays: Raycaster
     solid: Scene  # the faces that rays can hit
-    t_ns: int | None
     split: dict[bytes, tuple[Raycaster, Veil | None]] = field(default_factory=dict)
+    home: Surfaces | None = None  # these before they moved
+    poses: Floats | None = None  # (o, 4, 4) of the objects, when they have moved
 
     def casters(self, thin: NDArray[np.bool_]) -> tuple[Raycaster, Veil | None]:
         """Rays over what is opaque, and over what is not, for a choice of thin objects (o); built when first asked."""
         key = thin.tobytes()
         if key not in self.split:
-            mine = thin[self.solid.face_object]
-            opaque, veil = self.rays, None
-            if mine.any():
-                opaque, through = (Raycaster(_only(self.solid, kept), t_ns=self.t_ns) for kept in (~mine, mine))
-                veil = Veil(through, self.solid.face_object[mine])
-            self.split[key] = opaque, veil
+            self.split[key] = self._split(thin)
         return self.split[key]
 
+    def _split(self, thin: NDArray[np.bool_]) -> tuple[Raycaster, Veil | None]:
+        mine = thin[self.solid.face_object]
+        if not mine.any():
+            return self.rays, None
+        if self.home is not None and self.poses is not None:  # its trees are built once
+            opaque, veil = self.home.casters(thin)
+            return opaque.standing(self.poses), veil and replace(veil, rays=veil.rays.standing(self.poses))
+        opaque, through = (Raycaster(only(self.solid, kept)) for kept in (~mine, mine))
+        return opaque, Veil(through, self.solid.face_object[mine])
 
-def _only(scene: Scene, kept: NDArray[np.bool_]) -> Scene:
+
+def only(scene: Scene, kept: NDArray[np.bool_]) -> Scene:
+    """The scene with some of its faces (f) alone."""
     return replace(scene, faces=scene.faces[kept], face_object=scene.face_object[kept])
 
 
-def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> Surfaces:
-    """The chosen faces of a scene as they stand at one time; faces without area are left out."""
-    corners = scene.corners(t_ns)
+def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
+    """The chosen faces of a scene, moving ones as they stand at their start; faces without area are left out."""
+    corners = scene.corners()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     index = np.flatnonzero(faces & (area > 1e-12))
     part = replace(scene, faces=scene.faces[index], face_object=scene.face_object[index])
-    rays = Raycaster(part, t_ns=t_ns)
+    rays = Raycaster(part)
     corners, normals, stuffs = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
     patch = coplanar(corners, normals, stuffs)
     large = _extents(corners, patch)[patch] >= FLAT_M
@@ -112,7 +115,7 @@ def gather(scene: Scene, faces: NDArray[np.bool_], t_ns: int | None = None) -> S
     small = small[order]
     mine = np.ascontiguousarray(corners[small])
     return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
-                    sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part, t_ns)  # fmt: skip
+                    sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part)  # fmt: skip
 
 
 def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:
@@ -301,49 +304,3 @@ def _spheres(corners: Floats, first: Ints) -> Floats:
         middle = (points.min(0) + points.max(0)) / 2
         out[k, :3], out[k, 3] = middle, np.linalg.norm(points - middle, axis=1).max()
     return out
-
-
-class Prepared:
-    """A scene's still part, made once, and its moving part at the last time asked for."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        moves = np.array([o.motion is not None for o in scene.objects], bool)
-        self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
-        self.still = gather(scene, ~self.moving)
-        self.materials = tuple(o.material for o in scene.objects)
-        self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
-        self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
-        self.edges = sharp_edges(scene, self.still.rays)
-
-    def parts(self, t_ns: int) -> list[Surfaces]:
-        """Everything there is at one time: what stands still, then what moves."""
-        if not self.moving.any():
-            return [self.still]
-        where = self._where(t_ns)
-        known = self._moved
-        if known is None or known[0] != where:  # what came to rest, or is seen by several radars at once, is kept
-            known = self._moved = (where, gather(self.scene, self.moving, t_ns))
-        return [self.still, known[1]]
-
-    def _where(self, t_ns: int) -> bytes:
-        """Poses of everything that moves, to the last bit."""
-        paths = [o.motion for o in self.scene.objects if o.motion is not None]
-        return b"".join(path.at(np.clip(t_ns, *path.t_ns[[0, -1]])).world_from_body.tobytes() for path in paths)
-
-
-_LOCK = threading.Lock()
-_KNOWN: OrderedDict[int, Prepared] = OrderedDict()
-_KEPT = 4
-
-
-def prepare(scene: Scene) -> Prepared:
-    """The scene made ready; the last few are kept, since tracks come in pieces."""
-    with _LOCK:
-        known = _KNOWN.get(id(scene))
-        if known is None or known.scene is not scene:
-            known = _KNOWN[id(scene)] = Prepared(scene)
-        _KNOWN.move_to_end(id(scene))
-        while len(_KNOWN) > _KEPT:
-            _KNOWN.popitem(last=False)
-        return known

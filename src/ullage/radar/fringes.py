@@ -27,12 +27,9 @@ _COARSE = 2.0  # pieces of edges may be longer than facets: their bow is in the 
 _NUDGE_M = 5e-3  # an edge is looked at this far out in its open side
 
 
-def lay_edges(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids: Complexes) -> list[Laid]:
-    """Adds the echoes of conducting edges at one pose to the delay grids."""
-    edges, pairs = ready.rims.edges, ready.rims.pairs
-    if any(thing.motion is not None for thing in ready.world.scene.objects):
-        edges = diffraction.placed(edges, ready.world.scene, t_ns)
-        pairs = double.placed(pairs, ready.world.scene, t_ns)
+def lay_edges(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> list[Laid]:
+    """Adds the echoes of conducting edges at one pose to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
+    edges, pairs = diffraction.placed(ready.rims.edges, poses), double.placed(ready.rims.pairs, poses)
     wave, centre = ready.pulse.omega / C0, view.origins.mean(0)
     lit = diffraction.facing(edges, ready.rims.sheets, centre)
     heard = _heard(ready, view, edges.starts, edges.ends, lit)

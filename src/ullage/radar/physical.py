@@ -24,8 +24,9 @@ from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
 from ullage.radar.diffraction import Rims, nowhere, rims_of
-from ullage.radar.facets import Prepared, Surfaces, joined, prepare
+from ullage.radar.facets import Surfaces, joined
 from ullage.radar.penetration import Curtains, curtains, reflection_tables
+from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
 from ullage.radar.visibility import seen
 from ullage.radar.wires import Lines, placed, strung
@@ -164,22 +165,23 @@ def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes)
     """Adds every echo at one pose to the delay grids."""
     from ullage.radar.flats import lay_flats
 
-    parts = ready.world.parts(t_ns)
+    poses = ready.world.poses(t_ns)
+    parts = ready.world.parts(poses)
     out: list[Laid] = []
     for part in parts:
         if len(part.corners):
             out.append(_lay_small(ready, parts, part, view, grids))
         out += lay_flats(ready, parts, part, view, grids)
     if len(ready.lines):
-        out.append(_lay_wires(ready, parts, view, t_ns, grids))
+        out.append(_lay_wires(ready, parts, view, poses, grids))
     if len(ready.rims.edges):
         from ullage.radar.fringes import lay_edges
 
-        out += lay_edges(ready, parts, view, t_ns, grids)
+        out += lay_edges(ready, parts, view, poses, grids)
     if any(m.roughness_m for m in ready.world.materials):
         from ullage.radar.roughness import lay_grit
 
-        out.append(lay_grit(ready, parts, view, t_ns, grids))
+        out.append(lay_grit(ready, parts, view, poses, grids))
     if max_bounces > 1:
         from ullage.radar.multipath import lay_bounces
 
@@ -187,9 +189,9 @@ def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes)
     return out
 
 
-def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids: Complexes) -> Laid:
+def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> Laid:
     lines = ready.lines
-    starts, ends = placed(lines, ready.world.scene, t_ns)
+    starts, ends = placed(lines, poses)
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from ullage.geometry import C0
 from ullage.kernels import grit as kernel
-from ullage.radar.facets import Prepared, Surfaces
+from ullage.radar.facets import Surfaces
 from ullage.radar.penetration import COSINES, reflection_tables
 from ullage.radar.physical import Bench, Laid, View, common, shading
+from ullage.radar.prepared import Prepared
 from ullage.radar.wires import moved
 from ullage.specs import RadarSpec
 from ullage.world.materials import Material
@@ -136,12 +137,12 @@ def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | Non
                      for g, s in zip(variance, across, strict=True)])  # fmt: skip
 
 
-def lay_grit(ready: Bench, parts: list[Surfaces], view: View, t_ns: int, grids: Complexes) -> Laid:
-    """Adds the echoes of the scatterers of all rough surfaces at one pose to the delay grids."""
-    scene, grit = ready.world.scene, grit_of(ready.world, ready.seed)
-    if any(scene.objects[i].motion is not None for i in np.unique(grit.stuffs)):
-        (points,) = moved((grit.points,), grit.stuffs, scene, t_ns)
-        (normals,) = moved((grit.normals,), grit.stuffs, scene, t_ns, turn_only=True)
+def lay_grit(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> Laid:
+    """Adds the echoes of rough surfaces' scatterers to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
+    grit = grit_of(ready.world, ready.seed)
+    if poses is not None:
+        (points,) = moved((grit.points,), grit.stuffs, poses)
+        (normals,) = moved((grit.normals,), grit.stuffs, poses, turn_only=True)
         grit = replace(grit, points=points, normals=normals)
     at = grit.points[grit.middles]
     gap = np.linalg.norm(at - view.origins.mean(0), axis=1)

@@ -100,24 +100,17 @@ def strung(scene: Scene, center_hz: float) -> Lines:
     return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series)
 
 
-def placed(lines: Lines, scene: Scene, t_ns: int) -> tuple[Floats, Floats]:
-    """Ends of the wires in the world at one time (w, 3), (w, 3) [m]."""
-    starts, ends = moved((lines.starts, lines.ends), lines.stuffs, scene, t_ns)
+def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:
+    """Ends of the wires (w, 3), (w, 3) [m] where the objects have these poses (o, 4, 4); None: nothing moves."""
+    starts, ends = moved((lines.starts, lines.ends), lines.stuffs, poses)
     return starts, ends
 
 
 def moved(
-    rows: Sequence[Floats], stuffs: NDArray[np.int32], scene: Scene, t_ns: int, *, turn_only: bool = False
+    rows: Sequence[Floats], stuffs: NDArray[np.int32], poses: Floats | None, *, turn_only: bool = False
 ) -> Sequence[Floats]:
-    """Points (w, 3) [m] of objects, or with `turn_only` directions, in the world at one time."""
-    out = rows
-    for index, thing in enumerate(scene.objects):
-        mine = stuffs == index
-        if thing.motion is None or not mine.any():
-            continue
-        out = [row.copy() for row in rows] if out is rows else out
-        when = int(np.clip(t_ns, *thing.motion.t_ns[[0, -1]]))
-        pose = thing.motion.at(when).world_from_body[0]
-        for points in out:
-            points[mine] = points[mine] @ pose[:3, :3].T + (0.0 if turn_only else pose[:3, 3])
-    return out
+    """Points (w, 3) [m] of objects, or with `turn_only` directions, in the world by the objects' poses (o, 4, 4)."""
+    if poses is None:
+        return rows
+    turn, shift = poses[stuffs, :3, :3], 0.0 if turn_only else poses[stuffs, :3, 3]
+    return [np.einsum("nij,nj->ni", turn, points) + shift for points in rows]

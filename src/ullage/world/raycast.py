@@ -9,7 +9,8 @@ slip through.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -108,9 +109,18 @@ class Raycaster:
             clear &= body.open(here, there, leave_m, slack_m)
         return clear
 
+    def standing(self, poses: Floats) -> Raycaster:
+        """The same with every object in one place from now on, by poses (o, 4, 4); `corners` and `normals` stay."""
+        out = copy(self)
+        out._bodies = tuple(replace(b, pose=None if b.motion is None else poses[b.thing]) for b in self._bodies)
+        return out
+
     def _seen_by(self, body: _Body, start: Floats, rays: Floats, t_ns: ArrayLike | None) -> tuple[Floats, Floats]:
         if body.motion is None:
             return start, rays
+        if body.pose is not None and t_ns is None:
+            turned = body.pose[:3, :3]
+            return (start - body.pose[:3, 3]) @ turned, rays @ turned
         known = body.motion.t_ns
         when = (known[0] if self._t_ns is None else self._t_ns) if t_ns is None else t_ns
         times, which = np.unique(np.clip(np.asarray(when, np.int64), known[0], known[-1]), return_inverse=True)
@@ -127,6 +137,8 @@ class _Body:
     """What moves together: an Embree scene about `centre`, and the exact geometry behind it."""
 
     motion: Motion | None
+    thing: int  # object that it is; -1: many that stand still
+    pose: Floats | None  # (4, 4) world_from_body where it is known to stand
     tree: Any
     centre: Floats  # (3) subtracted before float32, so that far coordinates keep their precision
     corner: Floats  # (k, 3) one corner of each face
@@ -178,18 +190,15 @@ def _bodies(scene: Scene, *, wires: bool) -> Iterator[_Body]:
     moves = np.array([thing.motion is not None for thing in scene.objects], bool)
     face_moves = moves[scene.face_object] if len(scene.face_object) else np.zeros(0, bool)
     wire_moves = moves[scene.wires.object_id] if len(scene.wires) else np.zeros(0, bool)
-    groups: list[tuple[Motion | None, NDArray[np.bool_], NDArray[np.bool_]]] = [(None, ~face_moves, ~wire_moves)]
-    groups += [
-        (scene.objects[index].motion, scene.face_object == index, scene.wires.object_id == index)
-        for index in np.flatnonzero(moves)
-    ]
-    for motion, of_face, of_wire in groups:
-        body = _body(scene, motion, np.flatnonzero(of_face), np.flatnonzero(of_wire) if wires else np.zeros(0, int))
+    groups: list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]] = [(-1, ~face_moves, ~wire_moves)]
+    groups += [(int(k), scene.face_object == k, scene.wires.object_id == k) for k in np.flatnonzero(moves)]
+    for thing, of_face, of_wire in groups:
+        body = _body(scene, thing, np.flatnonzero(of_face), np.flatnonzero(of_wire) if wires else np.zeros(0, int))
         if body is not None:
             yield body
 
 
-def _body(scene: Scene, motion: Motion | None, faces: NDArray[Any], wires: NDArray[Any]) -> _Body | None:
+def _body(scene: Scene, thing: int, faces: NDArray[Any], wires: NDArray[Any]) -> _Body | None:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
@@ -206,9 +215,10 @@ def _body(scene: Scene, motion: Motion | None, faces: NDArray[Any], wires: NDArr
     TriangleMesh(tree, (solid - centre).astype(np.float32))
     nothing = np.zeros((1, 3), np.float32)
     tree.run(nothing, nothing + np.float32(1), query="OCCLUDED")  # builds the tree now, before threads use it
+    motion = None if thing < 0 else scene.objects[thing].motion
     return _Body(
-        motion, tree, centre, np.ascontiguousarray(corners[:, 0]), _normals(corners), faces.astype(np.int32),
-        start, axis, length, lines.radius_m[wires], (len(scene.faces) + wires).astype(np.int32),
+        motion, thing, None, tree, centre, np.ascontiguousarray(corners[:, 0]), _normals(corners),
+        faces.astype(np.int32), start, axis, length, lines.radius_m[wires], (len(scene.faces) + wires).astype(np.int32),
     )  # fmt: skip
 
 

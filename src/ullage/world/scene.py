@@ -94,18 +94,28 @@ class Scene:
             return np.zeros((2, 3))
         return np.stack([cloud.min(0), cloud.max(0)])
 
+    def poses(self, t_ns: int | None = None) -> Floats:
+        """world_from_object (o, 4, 4) at `t_ns` (None: their start), held at the ends of what is known of it."""
+        out = np.tile(np.eye(4), (len(self.objects), 1, 1))
+        for index, thing in enumerate(self.objects):
+            if thing.motion is not None:
+                known = thing.motion.t_ns[[0, -1]]
+                when = int(known[0] if t_ns is None else np.clip(t_ns, *known))
+                out[index] = thing.motion.at(when).world_from_body[0]
+        return out
+
     def corners(self, t_ns: int | None = None) -> Floats:
         """Corners (f, 3, 3) of all faces in the world, moving objects where they are at `t_ns` (None: their start)."""
         return self._placed(self.vertices[self.faces], self.face_object, t_ns)
 
     def _placed(self, points: Floats, owner: Ints, t_ns: int | None) -> Floats:
         """Points (n, k, 3) of objects (n) in the world, moving ones where they are at `t_ns`; changes `points`."""
-        for index, thing in enumerate(self.objects):
-            if thing.motion is not None:
+        moving = [index for index, thing in enumerate(self.objects) if thing.motion is not None]
+        if moving:
+            poses = self.poses(t_ns)
+            for index in moving:
                 mine = owner == index
-                when = int(np.clip(thing.motion.t_ns[0] if t_ns is None else t_ns, *thing.motion.t_ns[[0, -1]]))
-                pose = thing.motion.at(when).world_from_body[0]
-                points[mine] = points[mine] @ pose[:3, :3].T + pose[:3, 3]
+                points[mine] = points[mine] @ poses[index, :3, :3].T + poses[index, :3, 3]
         return points
 
     def object(self, name: str) -> int:

@@ -1,0 +1,107 @@
+"""Surfaces of what moves: made ready once, where each thing starts, then carried along as rigid bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.geometry import invert
+from ullage.radar.facets import Flats, Surfaces, gather, joined, only
+from ullage.radar.solids import Backs
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class Movers:
+    """The faces of a scene that move.
+
+    Args:
+        scene: the world.
+        faces: which of its faces move (f).
+    """
+
+    def __init__(self, scene: Scene, faces: NDArray[np.bool_]) -> None:
+        owners = np.unique(scene.face_object[faces])
+        parts = [gather(scene, faces & (scene.face_object == owner)) for owner in owners]
+        solid = only(scene, np.isin(scene.face_object, owners))
+        self._home = _together(parts, solid)
+        self._start = np.stack([invert(pose) for pose in scene.poses()])
+
+    def at(self, poses: Floats) -> Surfaces:
+        """Where the objects have these poses (o, 4, 4)."""
+        home, moves = self._home, poses @ self._start
+        led = home.stuffs[home.first[:-1]] if len(home.stuffs) else home.stuffs  # a cluster is of one object
+        return replace(
+            home,
+            corners=_carried(home.corners, moves, home.stuffs),
+            normals=_turned(home.normals, moves, home.stuffs),
+            spheres=_rolled(home.spheres, moves, led),
+            backs=_backs(home.backs, moves, home.stuffs),
+            flats=_flats(home.flats, moves),
+            flat_backs=_backs(home.flat_backs, moves, home.flats.stuffs),
+            rays=home.rays.standing(poses),
+            split={},
+            home=home,
+            poses=poses,
+        )
+
+
+def _together(parts: Sequence[Surfaces], solid: Scene) -> Surfaces:
+    def loose(of: Callable[[Surfaces], Any]) -> Any:
+        return np.concatenate([of(part) for part in parts])
+
+    ends = np.cumsum([0, *(len(part.corners) for part in parts)])
+    first = [part.first[1:] + end for part, end in zip(parts, ends, strict=False)]
+    backs = Backs(loose(lambda p: p.backs.outward), loose(lambda p: p.backs.boxes))
+    flat_backs = Backs(loose(lambda p: p.flat_backs.outward), loose(lambda p: p.flat_backs.boxes))
+    return Surfaces(
+        loose(lambda p: p.corners), loose(lambda p: p.normals), loose(lambda p: p.stuffs), loose(lambda p: p.spheres),
+        np.concatenate([np.zeros(1, np.int32), *first]).astype(np.int32), backs, joined([p.flats for p in parts]),
+        flat_backs, Raycaster(solid), solid,
+    )  # fmt: skip
+
+
+def _turned(rows: Floats, moves: Floats, owner: Ints) -> Floats:
+    """Directions (n, ..., 3) of objects (n)."""
+    return np.asarray(np.einsum("nij,n...j->n...i", moves[owner, :3, :3], rows))
+
+
+def _carried(rows: Floats, moves: Floats, owner: Ints) -> Floats:
+    """Points (n, ..., 3) of objects (n)."""
+    shift = moves[owner, :3, 3].reshape(len(owner), *(1,) * (rows.ndim - 2), 3)
+    return np.ascontiguousarray(_turned(rows, moves, owner) + shift)
+
+
+def _rolled(spheres: Floats, moves: Floats, owner: Ints) -> Floats:
+    return np.concatenate([_carried(spheres[:, :3], moves, owner), spheres[:, 3:]], 1)
+
+
+def _backs(backs: Backs, moves: Floats, owner: Ints) -> Backs:
+    """Planes as they lie now, and boxes around the boxes."""
+    normals = _turned(backs.outward[:, :3], moves, owner)
+    level = backs.outward[:, 3] - np.einsum("ni,ni->n", normals, moves[owner, :3, 3])
+    middle = _carried(backs.boxes.mean(1), moves, owner)
+    half = np.einsum("nij,nj->ni", abs(moves[owner, :3, :3]), np.ptp(backs.boxes, axis=1) / 2)
+    return Backs(np.concatenate([normals, level[:, None]], 1), np.stack([middle - half, middle + half], 1))
+
+
+def _flats(flats: Flats, moves: Floats) -> Flats:
+    edge_of = np.repeat(flats.stuffs, np.diff(flats.first))
+    normals = _turned(flats.normals, moves, flats.stuffs)
+    return replace(
+        flats,
+        normals=normals,
+        offsets=flats.offsets + np.einsum("ni,ni->n", normals, moves[flats.stuffs, :3, 3]),
+        spheres=_rolled(flats.spheres, moves, flats.stuffs),
+        starts=_carried(flats.starts, moves, edge_of),
+        ends=_carried(flats.ends, moves, edge_of),
+        mirrors=_carried(flats.mirrors, moves, flats.stuffs[flats.flat_of]),
+        across=np.ascontiguousarray(_turned(flats.across, moves, flats.stuffs)),
+    )

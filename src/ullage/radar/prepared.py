@@ -1,0 +1,64 @@
+"""A scene made ready for physical optics: what stands still, what moves, materials and edges."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.radar.diffraction import sharp_edges
+from ullage.radar.facets import Surfaces, gather
+from ullage.radar.movers import Movers
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+class Prepared:
+    """A scene's still part, made once, and its moving part at the last time asked for."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        moves = np.array([o.motion is not None for o in scene.objects], bool)
+        self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
+        self.still = gather(scene, ~self.moving)
+        self.materials = tuple(o.material for o in scene.objects)
+        self._movers = Movers(scene, self.moving) if self.moving.any() else None
+        self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
+        self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
+        self.edges = sharp_edges(scene, self.still.rays)
+
+    def poses(self, t_ns: int | None = None) -> Floats | None:
+        """Of all objects (o, 4, 4) at one time (None: their start); None: nothing moves."""
+        return self.scene.poses(t_ns) if any(o.motion is not None for o in self.scene.objects) else None
+
+    def parts(self, poses: Floats | None = None) -> list[Surfaces]:
+        """Everything there is where the objects have these poses (None: their first): what stands still, what moves."""
+        if self._movers is None:
+            return [self.still]
+        poses = self.scene.poses() if poses is None else poses
+        where = poses.tobytes()
+        known = self._moved
+        if known is None or known[0] != where:  # what came to rest, or is seen by several radars at once, is kept
+            known = self._moved = (where, self._movers.at(poses))
+        return [self.still, known[1]]
+
+
+_LOCK = threading.Lock()
+_KNOWN: OrderedDict[int, Prepared] = OrderedDict()
+_KEPT = 4
+
+
+def prepare(scene: Scene) -> Prepared:
+    """The scene made ready; the last few are kept, since tracks come in pieces."""
+    with _LOCK:
+        known = _KNOWN.get(id(scene))
+        if known is None or known.scene is not scene:
+            known = _KNOWN[id(scene)] = Prepared(scene)
+        _KNOWN.move_to_end(id(scene))
+        while len(_KNOWN) > _KEPT:
+            _KNOWN.popitem(last=False)
+        return known
