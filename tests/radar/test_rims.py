@@ -21,7 +21,7 @@ def both(scene, path, *, max_bounces=1):
         for i in range(len(path)):
             grids = np.zeros((3, ready.places), complex)
             view = physical.view_of(RADAR, path.position[i], quat_matrix(path.quat_xyzw)[i])
-            physical.lay(replace(ready, whole_rims=whole), view, int(path.t_ns[i]), max_bounces, grids)
+            physical.lay(replace(ready, whole_rims=whole), view, None, max_bounces, grids)
             pulse.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[int(whole), i])
     return out
 

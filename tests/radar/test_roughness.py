@@ -110,7 +110,7 @@ def test_explained_and_hidden():
     scene = rough(0.5, 3.0, yaw_deg=35)
     ready = bench(scene, RADAR, seed=0)
     grids = np.zeros((3, ready.places), complex)
-    laid = lay(ready, view_of(RADAR, np.zeros(3), np.eye(3)), 0, 1, grids)
+    laid = lay(ready, view_of(RADAR, np.zeros(3), np.eye(3)), None, 1, grids)
     assert sum(len(part.echo) for part in laid) > 4
     screen = ul.scenes.plate(2, 2, 1.0)
     assert diffuse(Scene.union([scene, screen]), 0) == 0

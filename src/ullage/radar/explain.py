@@ -108,7 +108,7 @@ def contributions(
     ready = bench(scene, spec, seed=seed)
     grids = np.zeros((3, ready.places), complex)
     view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    laid = lay(ready, view, int(pose.t_ns[0]), max_bounces, grids)
+    laid = lay(ready, view, ready.world.poses(pose.t_ns)[0], max_bounces, grids)
     return sorted(_told(_merged(laid), scene), key=lambda c: -c.path_gain_db)
 
 

@@ -144,11 +144,11 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     if max_bounces not in (1, 2, 3):
         raise InputError(f"max_bounces is {max_bounces}", where="echoes", allowed="1, 2 or 3")
     ready = bench(scene, spec, seed=seed)
-    turns = quat_matrix(path.quat_xyzw)
+    turns, poses = quat_matrix(path.quat_xyzw), ready.world.poses(path.t_ns)
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
         grids = np.zeros((3, ready.places), complex)
-        lay(ready, view_of(spec, path.position[i], turns[i]), int(path.t_ns[i]), max_bounces, grids)
+        lay(ready, view_of(spec, path.position[i], turns[i]), poses[i], max_bounces, grids)
         pulses.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[i])
     if spec.output == "rf":
         return radio(out, spec)
@@ -161,11 +161,10 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
     return np.asarray((baseband * np.exp(1j * phase)).real, np.float32)
 
 
-def lay(ready: Bench, view: View, t_ns: int, max_bounces: int, grids: Complexes) -> list[Laid]:
-    """Adds every echo at one pose to the delay grids."""
+def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
+    """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
     from ullage.radar.flats import lay_flats
 
-    poses = ready.world.poses(t_ns)
     parts = ready.world.parts(poses)
     out: list[Laid] = []
     for part in parts:
@@ -276,10 +275,10 @@ def path_gain_cw(
         edges: whether conducting edges are corrected; without, the plain integral of physical optics.
     """
     ready = bench(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
-    turns = quat_matrix(pose.quat_xyzw)
+    turns, poses = quat_matrix(pose.quat_xyzw), ready.world.poses(pose.t_ns)
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):
         grids = np.zeros((3, ready.places), complex)
-        lay(ready, view_of(spec, pose.position[i], turns[i]), int(pose.t_ns[i]), max_bounces, grids)
+        lay(ready, view_of(spec, pose.position[i], turns[i]), poses[i], max_bounces, grids)
         out[i] = grids.sum()
     return out

@@ -31,9 +31,9 @@ class Prepared:
         self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self.edges = sharp_edges(scene, self.still.rays)
 
-    def poses(self, t_ns: int | None = None) -> Floats | None:
-        """Of all objects (o, 4, 4) at one time (None: their start); None: nothing moves."""
-        return self.scene.poses(t_ns) if any(o.motion is not None for o in self.scene.objects) else None
+    def poses(self, t_ns: NDArray[np.int64]) -> Floats | list[None]:
+        """Of all objects (n, o, 4, 4) at some times (n) [ns]; a None for each where nothing moves."""
+        return self.scene.poses(t_ns) if any(o.motion is not None for o in self.scene.objects) else [None] * len(t_ns)
 
     def parts(self, poses: Floats | None = None) -> list[Surfaces]:
         """Everything there is where the objects have these poses (None: their first): what stands still, what moves."""

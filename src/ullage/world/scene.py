@@ -94,14 +94,16 @@ class Scene:
             return np.zeros((2, 3))
         return np.stack([cloud.min(0), cloud.max(0)])
 
-    def poses(self, t_ns: int | None = None) -> Floats:
-        """world_from_object (o, 4, 4) at `t_ns` (None: their start), held at the ends of what is known of it."""
-        out = np.tile(np.eye(4), (len(self.objects), 1, 1))
+    def poses(self, t_ns: ArrayLike | None = None) -> Floats:
+        """world_from_object (..., o, 4, 4) at times (...) [ns], held at the ends of what is known; None: the start."""
+        shape = () if t_ns is None else np.shape(t_ns)
+        out = np.tile(np.eye(4), (*shape, len(self.objects), 1, 1))
         for index, thing in enumerate(self.objects):
             if thing.motion is not None:
-                known = thing.motion.t_ns[[0, -1]]
-                when = int(known[0] if t_ns is None else np.clip(t_ns, *known))
-                out[index] = thing.motion.at(when).world_from_body[0]
+                first, last = thing.motion.t_ns[[0, -1]]
+                when = first if t_ns is None else np.clip(t_ns, first, last)
+                times, which = np.unique(when, return_inverse=True)
+                out[..., index, :, :] = thing.motion.at(times).world_from_body[which].reshape(*shape, 4, 4)
         return out
 
     def corners(self, t_ns: int | None = None) -> Floats:
