@@ -82,13 +82,14 @@ class LiveRadars:
             np.atleast_2d(np.asarray(quat_xyzw, float)),
         )
         jobs = {}
-        for name, spec in self.sensors.items():
+        for name in self.sensors:
             first = self._given[name]
             due = self._due(name, int(poses[0][-1]))
             if len(due):
                 self._given[name] = first + len(due)
-                jobs[name] = self._pool.submit(self._work.frames, name, spec, between(poses, due), first_frame=first)
-        return {name: job.result() for name, job in jobs.items()}
+                body = between(poses, due)
+                jobs[name] = self._pool.submit(self._work.samples, name, body, first_frame=first), body
+        return {name: self._work.frames(name, job.result(), body) for name, (job, body) in jobs.items()}
 
     def close(self) -> None:
         """Let go of the threads."""

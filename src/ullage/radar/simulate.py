@@ -6,18 +6,19 @@ Every frame depends on its own pose, time and number alone, so a track cut anywh
 from __future__ import annotations
 
 import math
-import os
+import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, wait
 from typing import Any, Literal, get_args, overload
 
 import numpy as np
 
 from ullage import kernels
-from ullage.data import Frames, Simulated, Trajectory, joined
+from ullage.data import Frames, Samples, Simulated, Trajectory, joined
 from ullage.errors import InputError
+from ullage.radar.crew import PAYS_S, Crew, cores
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
 from ullage.specs import RadarSpec, Rig
@@ -142,28 +143,42 @@ def _stream(
 ) -> Iterator[dict[str, Frames]]:
     """Pieces in order, while the next ones are under way on every core."""
 
-    def piece(name: str, start: int) -> Frames:
-        cut = slice(start, min(start + chunk, len(path)))
-        known = None if believed is None else believed[cut]
-        return work.frames(name, work.sensors[name], path[cut], believed=known, first_frame=first_frame + start)
+    def cut(start: int) -> slice:
+        return slice(start, min(start + chunk, len(path)))
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    ahead = max(2, math.ceil(2 * cores / len(work.sensors)))
-    total, done = len(path) * len(work.sensors), 0
-    waiting: deque[dict[str, Future[Frames]]] = deque()
-    pool = ThreadPoolExecutor(max_workers=cores)
+    def samples(name: str, start: int) -> Samples:
+        return work.samples(name, path[cut(start)], first_frame=first_frame + start)
+
+    def piece(found: dict[str, Future[Samples]], start: int) -> dict[str, Frames]:
+        known = None if believed is None else believed[cut(start)]
+        return {name: work.frames(name, job.result(), path[cut(start)], believed=known) for name, job in found.items()}
+
+    ahead = max(2, math.ceil(2 * cores() / len(work.sensors)))
+    waiting: deque[tuple[dict[str, Future[Samples]], int]] = deque()
+    crew = Crew(samples)
+    done = 0
     try:
         for start in range(0, len(path), chunk):
             last = start + chunk >= len(path)
-            waiting.append({name: pool.submit(piece, name, start) for name in work.sensors})
+            waiting.append(({name: crew.submit(name, start) for name in work.sensors}, start))
+            if start == 0 and not last and work.fidelity == "physical":
+                _fork_where_it_pays(crew, waiting[0][0], math.ceil(len(path) / chunk))
             while len(waiting) >= ahead or (waiting and last):
-                ready = {name: job.result() for name, job in waiting.popleft().items()}
+                ready = piece(*waiting.popleft())
                 done += sum(len(frames) for frames in ready.values())
                 if progress is not None:
-                    progress(done, total)
+                    progress(done, len(path) * len(work.sensors))
                 yield ready
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        crew.close()
+
+
+def _fork_where_it_pays(crew: Crew[Samples], first: dict[str, Future[Samples]], pieces: int) -> None:
+    """Copies of this process once the first pieces are made: kernels are compiled then, and the scene is ready."""
+    began = time.process_time()
+    wait(first.values())
+    if (time.process_time() - began) * (pieces - 1) > PAYS_S:
+        crew.fork()
 
 
 class Receiving:
@@ -189,23 +204,32 @@ class Receiving:
         self._made = Simulated(scene, max_bounces, seed)
         self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None
 
-    def frames(
-        self, name: str, spec: RadarSpec, body: Trajectory, *, believed: Trajectory | None = None, first_frame: int = 0
-    ) -> Frames:
-        """Frames of one radar along a piece of the body's track.
+    def samples(self, name: str, body: Trajectory, *, first_frame: int = 0) -> Samples:
+        """What one radar receives along a piece of the body's track (n, b).
 
         Args:
             name: of the radar.
-            spec: of the radar.
             body: true poses, one a frame.
-            believed: poses as navigation has them, at the same times.
             first_frame: number of the first frame, which keys its noise.
         """
+        spec = self.sensors[name]
+        truth = body.mounted(spec.mount.body_from_sensor())
+        finish = receive_thesis if self.fidelity == "thesis" else receive
+        return finish(self._echoes(truth, spec), spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
+
+    def frames(self, name: str, samples: Samples, body: Trajectory, *, believed: Trajectory | None = None) -> Frames:
+        """What one radar received as Frames.
+
+        Args:
+            name: of the radar.
+            samples: what it received (n, b).
+            body: true poses, one a frame.
+            believed: poses as navigation has them, at the same times.
+        """
+        spec = self.sensors[name]
         mount = spec.mount.body_from_sensor()
         truth = body.mounted(mount)
         poses = truth if believed is None else believed.mounted(mount)
-        finish = receive_thesis if self.fidelity == "thesis" else receive
-        samples = finish(self._echoes(truth, spec), spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
         return Frames(
             samples, spec.range_m, truth.t_ns, spec, poses, truth, name,
             "thesis" if self.fidelity == "thesis" else "path_gain", simulated=self._made,
