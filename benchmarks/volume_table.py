@@ -3,20 +3,25 @@
 Beside it, on the same frames, what the yardstick allows: a map of all surface within two Fresnel zones of the true foot
 of a perpendicular from one of the looks ("told the walls").
 
-python benchmarks/volume_table.py [--seeds 3] [--level]
+python benchmarks/volume_table.py [--flights 0,1,2] [--only WORD] [--level] [--keep FOLDER]
 """
 
 from __future__ import annotations
 
 import argparse
+import pickle
+import sys
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from mapping_table import SIZE, believed, print_table, told
 from mapping_table import route as level_route
 
 import ullage as ul
-from ullage.data import Trajectory
+from ullage.data import Frames, Trajectory
+from ullage.world.scene import Scene
 
 COLUMNS = {
     "f1": "F1",
@@ -41,28 +46,47 @@ def route(seed: int, *, rise_m: float = RISE_M) -> Trajectory:
     return Trajectory(flat.t_ns, position, flat.quat_xyzw)
 
 
+def flown(scene: Scene, seed: int, folder: Path, *, level: bool = False) -> dict[str, Frames]:
+    """One flight's frames, simulated once and kept in the folder."""
+    file = folder / f"{'level' if level else 'rise'}{seed}.pkl"
+    if not file.exists():
+        path = level_route(seed) if level else route(seed)
+        file.write_bytes(pickle.dumps(ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)))
+    frames: dict[str, Frames] = pickle.loads(file.read_bytes())
+    return frames
+
+
+def cases(frames: dict[str, Frames], seed: int):
+    """Rows of the table: name, frames as they are mapped, or None for the map that is told."""
+    count = len(next(iter(frames.values())))
+    yield "exact poses", frames
+    yield "amplitude only", {name: replace(f, samples=f.amplitude) for name, f in frames.items()}
+    yield "3 mm white pose error", believed(frames, np.random.default_rng(seed + 100).normal(0, 0.003, (count, 3)))
+    yield "told the walls", None
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--flights", default="0,1,2", help="seeds of the flights, as 0,1,2")
+    parser.add_argument("--only", default="", help="rows that hold this word")
     parser.add_argument("--level", action="store_true", help="fly level instead")
+    parser.add_argument("--keep", type=Path, help="folder that keeps simulated frames for the next run")
     options = parser.parse_args()
     scene = ul.scenes.room(SIZE, plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
     grid = ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5)
     scores: dict[str, list[dict[str, float]]] = {}
-    for seed in range(options.seeds):
-        path = level_route(seed) if options.level else route(seed)
-        frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)
-        bare = {name: replace(f, samples=f.amplitude) for name, f in frames.items()}
-        noise = np.random.default_rng(seed + 100).normal(0, 0.003, (len(path), 3))
-        for name, recording in (
-            ("exact poses", frames),
-            ("amplitude only", bare),
-            ("3 mm white pose error", believed(frames, noise)),
-            ("told the walls", None),
-        ):
-            omap = told(scene, frames, grid, zones=2) if recording is None else ul.map_occupancy(recording, grid)
-            got = ul.metrics.map_quality(omap, scene, frames)
-            scores.setdefault(name, []).append({key: got[key].value for key in COLUMNS})
+    with tempfile.TemporaryDirectory() as own:
+        folder = options.keep or Path(own)
+        folder.mkdir(parents=True, exist_ok=True)
+        for seed in map(int, options.flights.split(",")):
+            frames = flown(scene, seed, folder, level=options.level)
+            for name, recording in cases(frames, seed):
+                if options.only not in name:
+                    continue
+                omap = told(scene, frames, grid, zones=2) if recording is None else ul.map_occupancy(recording, grid)
+                got = ul.metrics.map_quality(omap, scene, frames)
+                scores.setdefault(name, []).append({key: got[key].value for key in COLUMNS})
+                print(f"{seed} {name}: F1 {got['f1'].value:.3f}", file=sys.stderr, flush=True)
     print_table("volume", COLUMNS, scores)
 
 
