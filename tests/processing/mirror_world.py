@@ -43,6 +43,7 @@ def listen(
     *,
     poles=(),
     heights=(),
+    sheets=(),
     seed=0,
     sensor="front",
     mount=None,
@@ -51,7 +52,10 @@ def listen(
     edge=0.15,
     spec=SPEC,
 ):
-    """Frames of one sensor in the plan world; `heights` are level sheets (floor, ceiling)."""
+    """Frames of one sensor in the plan world; `heights` are level sheets (floor, ceiling).
+
+    `sheets` are endless ones of any slope: unit normal away from the flight, and distance from the origin.
+    """
     true = path if mount is None else path.mounted(mount)
     poses = true if believed is None else believed if mount is None else believed.mounted(mount)
     eye, ahead = true.position, quat_matrix(true.quat_xyzw)[:, :, 0]
@@ -86,6 +90,9 @@ def listen(
         add(at, lambda r, s=strength: s * mirror(r) / np.sqrt(r), ~blocked(eye[:, :2], at[:, :2], segments, -1))
     for z in heights:
         add(np.column_stack([eye[:, :2], np.full(len(eye), z)]), mirror, np.ones(len(eye)))
+    for normal, distance in sheets:
+        away = distance - eye @ np.asarray(normal)
+        add(eye + away[:, None] * np.asarray(normal), mirror, away > 0)
     rng = np.random.default_rng([seed, abs(hash(sensor)) % 2**31 if isinstance(sensor, int) else sum(map(ord, sensor))])
     out += noise * (rng.normal(size=out.shape) + 1j * rng.normal(size=out.shape))
     return Frames(out.astype(np.complex64), axis, true.t_ns, spec, poses=poses, truth=true, sensor=sensor)

@@ -25,6 +25,7 @@ class Beam(NamedTuple):
     eye: NDArray[np.float64]  # (3) [m]
     axes: NDArray[np.float64]  # (3, 3) world_from_sensor
     reach: NDArray[np.float64]  # (ne, na) how far each sector sees [m]
+    hush: NDArray[np.float64]  # (ne, na) how far its silence counts [m]
     tangent: float  # of the sectors' half width
     hit: tuple[float, float]  # cosine and sine of the half angle in which echoes are looked for
     free: tuple[float, float]  # the same in which silence counts
@@ -38,14 +39,22 @@ class Beam(NamedTuple):
 
 @njit(cache=True, fastmath=True)
 def cast_reach(
-    pools: Pools, step: float, edge: int, beam: Beam, ways: np.ndarray, walls: np.ndarray, wall: int, haze: float
+    pools: Pools,
+    step: float,
+    edge: int,
+    beam: Beam,
+    ways: np.ndarray,
+    walls: np.ndarray,
+    sure: int,
+    wall: int,
+    haze: float,
 ) -> float:
     """How far each sector sees: to the first cell held occupied, into so much unknown, or to an echo's own shade.
 
     Nothing is learned behind an echo of known bearing, even before the map holds it. Rows of `ways` (m, 5): direction
     and range of a surface square to it, and the cosine of the angle to which it shades. Rows of `walls` (p, 8): normal
-    and distance of flat surfaces, centre and radius of where they stand; nothing is learned of them, nor behind.
-    Returns the farthest.
+    and distance of flat surfaces, centre and radius of where they stand; nothing is learned of them, nor behind. Those
+    from `sure` on are only possible: they end silence, but not echoes. Returns the farthest.
     """
     up, left = beam.reach.shape
     size, origin, axes, eye, arcs = pools.size, pools.origin, beam.axes, beam.eye, beam.arcs
@@ -64,7 +73,7 @@ def cast_reach(
             if flat:
                 level = math.sqrt(dx * dx + dy * dy)
                 dx, dy, dz = dx / level, dy / level, 0.0
-            limit = beam.far
+            limit, hush = beam.far, beam.far
             for k in range(len(arcs)):
                 cosine = dx * arcs[k, 2] + dy * arcs[k, 3] + dz * arcs[k, 4]
                 if arcs[k, 8] > 0 and abs(cosine - arcs[k, 5]) < 2.5 * arcs[k, 6] + 0.05:
@@ -78,14 +87,16 @@ def cast_reach(
                 away = walls[k, 3] - eye[0] * walls[k, 0] - eye[1] * walls[k, 1] - eye[2] * walls[k, 2]
                 if away < 0.0:
                     turn, away = -turn, -away
-                if turn * limit <= away:
+                if turn * (limit if k < sure else hush) <= away:
                     continue
                 way = away / turn
                 u = eye[0] + way * dx - walls[k, 4]
                 v = eye[1] + way * dy - walls[k, 5]
                 w = eye[2] + way * dz - walls[k, 6]
                 if u * u + v * v + w * w < walls[k, 7] * walls[k, 7]:
-                    limit = max(way - step / max(turn, 0.2), 0.0)
+                    way = max(way - step / max(turn, 0.2), 0.0)
+                    hush = min(hush, way)
+                    limit = way if k < sure else limit
             fog, r = 0.0, 0.0
             while r < limit and fog < 1.0:
                 r += step
@@ -110,7 +121,7 @@ def cast_reach(
                 if bit_count(pools.silent[slot, cell] | common) < 3:
                     fog += haze
             r = min(r, limit)
-            beam.reach[e, a] = r
+            beam.reach[e, a], beam.hush[e, a] = r, min(r, hush)
             farthest = max(farthest, r)
     return farthest
 
@@ -256,7 +267,7 @@ def _judge(dx: float, dy: float, dz: float, radius: float, step: float, farthest
 
 @njit(cache=True, fastmath=True)
 def _reach_of(dx: float, dy: float, dz: float, fore: float, radius: float, beam: Beam) -> tuple[float, float]:
-    """Least and greatest reach of the sectors that the ball lies in."""
+    """How far silence counts at least, and echoes at most, in the sectors that the ball lies in."""
     up, left = beam.reach.shape
     if fore < 1.2 * radius:
         return 0.0, 1e9
@@ -272,7 +283,7 @@ def _reach_of(dx: float, dy: float, dz: float, fore: float, radius: float, beam:
     least, most = 1e9, 0.0
     for e in range(e0, e1 + 1):
         for a in range(a0, a1 + 1):
-            least, most = min(least, beam.reach[e, a]), max(most, beam.reach[e, a])
+            least, most = min(least, beam.hush[e, a]), max(most, beam.reach[e, a])
     return least, most
 
 
@@ -282,7 +293,7 @@ def _reach_at(dx: float, dy: float, dz: float, fore: float, beam: Beam) -> float
     y = (dx * beam.axes[0, 1] + dy * beam.axes[1, 1] + dz * beam.axes[2, 1]) / (fore * beam.tangent)
     z = (dx * beam.axes[0, 2] + dy * beam.axes[1, 2] + dz * beam.axes[2, 2]) / (fore * beam.tangent)
     a, e = int((y + 1.0) * 0.5 * left), int((z + 1.0) * 0.5 * up) if up > 1 else 0
-    return float(beam.reach[e, a]) if 0 <= a < left and 0 <= e < up else 0.0
+    return float(beam.hush[e, a]) if 0 <= a < left and 0 <= e < up else 0.0
 
 
 @njit(cache=True)
@@ -346,7 +357,9 @@ def _hear_cells(
                 rise = dx * axes[0, 2] + dy * axes[1, 2] + dz * axes[2, 2]
                 a = int(side * ahead * wide + 0.5 * left)
                 e = int(rise * ahead * high + 0.5 * up) if up > 1 else 0
-                if a < 0 or e < 0 or a >= left or e >= up or r > beam.reach[e, a] + 0.5 * step:
+                if a < 0 or e < 0 or a >= left or e >= up:
+                    continue
+                if r > (beam.hush[e, a] if silent else beam.reach[e, a]) + 0.5 * step:
                     continue
                 cell = cell_index(ix, iy, iz, edge, size[2])
                 if silent:

@@ -62,17 +62,20 @@ class Blocks:
         self._found, self._chance = np.zeros((MOST_FOUND, 5), np.int32), np.zeros(MOST_FOUND)
         self._turn = 0
 
-    def insert(self, beam: Beam, ways: NDArray[np.float64], walls: NDArray[np.float64] = NO_WALLS) -> None:
+    def insert(
+        self, beam: Beam, ways: NDArray[np.float64], walls: NDArray[np.float64] = NO_WALLS, *, sure: int = 0
+    ) -> None:
         """Add one look.
 
         Args:
-            beam: the sensor, its echoes and its silence; `reach` is filled in.
+            beam: the sensor, its echoes and its silence; `reach` and `hush` are filled in.
             ways: (m, 5) direction and range of surfaces known to lie square to the look, and how far they shade.
             walls: (p, 8) normal, distance, centre and radius of flat surfaces that nothing is learned of.
+            sure: how many of these there are; of what lies behind the others, only silence tells nothing.
         """
         step, stride = self.grid.step_m, STRIDE[self.grid.dims]
         self._turn += 1
-        farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, WALL_TENTHS, HAZE_PER_M * step)
+        farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, sure, WALL_TENTHS, HAZE_PER_M * step)
         rows = survey_blocks(self.pools, step, self.edge, beam, min(farthest + step, beam.far), self._turn, stride)
         self.reserve(int(np.count_nonzero(self.pools.slots[rows[:, 0], rows[:, 1], rows[:, 2]] == EMPTY)))
         found = hear_blocks(

@@ -64,7 +64,7 @@ class UllageMapper:
         self._wavelength_m = 0.0
         self._rays: ElfesMapper | None = None
         self._published: OccupancyMap | None = None
-        self._reach = np.zeros(SECTORS[grid.dims])
+        self._reach, self._hush = np.zeros((2, *SECTORS[grid.dims]))
         self._levels = LevelFinder()
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
@@ -166,6 +166,7 @@ class UllageMapper:
             heard.position,
             heard.axes,
             self._reach,
+            self._hush,
             1.09 * hit[1] / hit[0],
             hit,
             free,
@@ -177,7 +178,9 @@ class UllageMapper:
             arcs,
         )
         ways = [(*way, arc[0], SHADE) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc, hit[0])]
-        self.blocks.insert(beam, np.array(ways).reshape(-1, 5), self._tracks.walls)
+        walls = self._tracks.walls
+        screens = np.concatenate([walls, self._tracks.screens(walls)])
+        self.blocks.insert(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
         if self.grid.dims == 2:
             self._lay_strips(beam, arcs, flat, hit[0])
 
@@ -207,7 +210,7 @@ class UllageMapper:
         echo = foot.echo
         false = float(np.clip(1 - echo.trust, LEAST_FALSE, 0.95))
         if false < 0.5:
-            half = np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
+            half = 0.5 * foot.rim * np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
             gain = DISC_SHARE * np.log((1 - false) / false)
             self.blocks.lay(foot.at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
 

@@ -8,6 +8,7 @@ leave open.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,8 +26,10 @@ RANGE_SIGMA_M, COSINE_SIGMA = 0.03, 0.06
 SCATTER_M, TURN_SIGMA = 0.015, 0.12
 TOLD_APART, SAME_WAY = 9.0, 0.28
 SAME_WALL, SAME_WALL_M, BEYOND_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 1.0, 96, 15
-FITS_M, FITS_COSINE, LEVEL_M = 0.04, 0.08, 12.0
+FITS_M, FITS_COSINE, LEVEL_M, EXPLAINED = 0.04, 0.08, 12.0, 3.0
 POST_BETTER, LEAST_SCATTER_M = 0.6, 0.004
+RIPPLE, LEAST_RIM, MOST_RIM = 0.225, 2.0, 4.0
+RING_STEP, RING_TRUST, MOST_GONE, SHADE_SLOPE = np.radians(15.0), 0.4, 32, 0.6
 
 
 @dataclass(slots=True, eq=False)
@@ -51,6 +54,8 @@ class Followed:
     echoes: list[Traced] = field(default_factory=list)
     normal: Floats | None = None
     post: Floats | None = None  # (2) where it stands, if it is an upright edge or pole [m]
+    screens: Floats = field(default_factory=lambda: np.zeros((0, 8)))  # walls it may be while its direction is open
+    rim: float = LEAST_RIM  # Fresnel parameter out to which no edge stands
     count: int = 0
 
     def add(self, echo: Traced, ahead: Floats, least: float) -> None:
@@ -61,6 +66,8 @@ class Followed:
         if self.count >= LEAST_LOOKS and self.count % FIT_EVERY == 0:
             self.normal = normal_of(self.echoes, ahead, least)
             self.post = None if self.normal is None else post_of(self.echoes, self.normal)
+            self.rim = rim_of(self.echoes)
+            self.screens = np.zeros((0, 8)) if self.normal is not None else screens_of(self.echoes, ahead, least)
 
     def way(self, echo: Traced) -> tuple[Floats, bool]:
         """Unit vector (3) to what made an echo, and whether that is flat."""
@@ -89,6 +96,7 @@ class EchoTracks:
         self._walls: list[Floats] = []
         self._held: list[list[Foot]] = []
         self._levels = np.zeros((0, 8))
+        self._gone: deque[Followed] = deque(maxlen=MOST_GONE)
 
     @property
     def walls(self) -> Floats:
@@ -97,6 +105,13 @@ class EchoTracks:
         out = rows[rows[:, 8] >= SURE_FEET, :8]
         out[:, 7] += BEYOND_M
         return np.concatenate([self._levels, out])
+
+    def screens(self, walls: Floats) -> Floats:
+        """Walls (p, 8) that echoes of an open direction may have come from, where none of the known ones explains them."""
+        still = [one for held in self._open.values() for one in held if len(one.screens)]
+        asked = [*self._gone, *still]
+        left = _unexplained([one.echoes[-1] for one in asked], walls)
+        return np.concatenate([np.zeros((0, 8)), *(asked[k].screens for k in left)])
 
     def believe(self, levels: list[tuple[int, float]], position: Floats) -> None:
         """Take floor (-1) and ceiling (1) at these heights for walls around a place [m]."""
@@ -151,11 +166,12 @@ class EchoTracks:
             least: cosine to boresight in which echoes are looked for.
         """
         here, now = look.heard.position, look.heard.t_ns
-        held = [
-            one
-            for one in self._open.get(name, [])
-            if now - one.echoes[-1].t_ns < LINK_NS and np.linalg.norm(here - one.echoes[-1].position) < LINK_PATH_M
-        ]
+        held, gone = [], []
+        for one in self._open.get(name, []):
+            last = one.echoes[-1]
+            goes_on = now - last.t_ns < LINK_NS and np.linalg.norm(here - last.position) < LINK_PATH_M
+            (held if goes_on else gone).append(one)
+        self._gone.extend(one for one in gone if len(one.screens))
         free, feet = list(held), []
         for k in np.argsort(-trust):
             echo = Traced(
@@ -176,7 +192,7 @@ class EchoTracks:
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
         if one.normal is not None:
-            fresh = [Foot(e, *one.way(e)) for e in one.echoes if not e.laid]
+            fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
             for foot in fresh:
                 foot.echo.laid = True
             return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
@@ -184,7 +200,7 @@ class EchoTracks:
         if way is None:
             return []
         echo.laid = True
-        return [Foot(echo, way, True)]
+        return [Foot(echo, way, True, one.rim)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,6 +210,7 @@ class Foot:
     echo: Traced
     way: Floats  # (3) unit vector to the surface
     flat: bool  # a wall, not an edge or a pole
+    rim: float = LEAST_RIM  # Fresnel parameter out to which the surface goes on
 
     @property
     def at(self) -> Floats:
@@ -234,6 +251,50 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
             return None
         lit = [int(np.argmin(cost))]
     return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+
+
+def _unexplained(echoes: list[Traced], walls: Floats) -> NDArray[np.int64]:
+    """Which echoes can be none of these walls', wherever on them."""
+    if not echoes or not len(walls):
+        return np.arange(len(echoes))
+    at, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
+    reach, cosine, sigma = np.array([(e.range_m, e.cosine, e.sigma) for e in echoes]).T[:, :, None]
+    miss = abs(walls[:, 3] - at @ walls[:, :3].T - reach) / FITS_M
+    turn = abs(track @ walls[:, :3].T - cosine) / (FITS_COSINE + sigma)
+    return np.flatnonzero(np.hypot(miss, turn).min(axis=1) >= EXPLAINED)
+
+
+def rim_of(echoes: list[Traced]) -> float:
+    """Fresnel parameter of the nearest straight edge that the echoes' steady level leaves room for [BornWolf1999].
+
+    An edge at v > 1 off the foot of the perpendicular makes the level of a mirror echo ripple by 0.225 / v as the
+    foot moves: Cornu's spiral winds about its end with a radius of 1 / (pi sqrt(2) v). Slow change is the antenna's.
+    """
+    level = np.log([max(e.height * e.range_m, 1e-30) for e in echoes])
+    basis = np.vander(np.linspace(-1, 1, len(level)), 3)
+    ripple = float(abs(level - basis @ np.linalg.lstsq(basis, level, rcond=None)[0]).max())
+    return float(np.clip(RIPPLE / max(ripple, 1e-6), LEAST_RIM, MOST_RIM))
+
+
+def screens_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats:
+    """Walls (p, 8) that echoes of an open direction may have come from: one for each stretch of the ring in the beam.
+
+    Each has normal and distance, centre and radius as `EchoTracks.walls` [m].
+    """
+    last = echoes[-1]
+    if np.mean([e.trust for e in echoes]) < RING_TRUST:
+        return np.zeros((0, 8))
+    cosine = float(np.clip(last.cosine, -1, 1))
+    level = np.cross(last.track, [0.0, 0.0, 1.0])
+    level /= max(float(np.linalg.norm(level)), 1e-9)
+    turn = np.arange(-np.pi, np.pi - 1e-9, RING_STEP)[:, None]
+    round_ = np.cos(turn) * level + np.sin(turn) * np.cross(level, last.track)
+    normal = cosine * last.track + np.sqrt(1 - cosine**2) * round_
+    normal = normal[normal @ ahead > least]
+    foot = 0.5 * (last.position + echoes[0].position) + 0.5 * (last.range_m + echoes[0].range_m) * normal
+    far = np.sum(normal * (last.position + last.range_m * normal), axis=1)
+    half = 0.5 * np.linalg.norm(last.position - echoes[0].position) + max(BEYOND_M, SHADE_SLOPE * last.range_m)
+    return np.column_stack([normal, far, foot, np.full(len(normal), half)])
 
 
 def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
