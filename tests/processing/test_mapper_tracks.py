@@ -92,7 +92,7 @@ def test_an_echo_of_a_known_floor_is_told_at_once():
 
 
 def near_an_edge(parameter: np.ndarray) -> list[Traced]:
-    """Echoes of a half plane at 3 m whose edge is at these Fresnel parameters off the foot (exact, by Cornu's spiral)."""
+    """Echoes of a half plane at 3 m whose edge is at these Fresnel parameters off the foot, by Cornu's spiral."""
     s, c = fresnel(parameter)
     level = abs((0.5 + c) + 1j * (0.5 + s)) / np.sqrt(2)
     at = waving(len(parameter))
@@ -127,4 +127,4 @@ def test_what_a_known_wall_explains_screens_nothing():
     assert len(tracks.screens(tracks.walls)) > 3
     wall = np.array([[0, 1, 0, 3.0, *at[0], 5.0]])
     assert not len(tracks.screens(wall))
-    assert len(tracks.screens(wall + [[0, 0, 0, 0.5, 0, 0, 0, 0]])) > 3
+    assert len(tracks.screens(wall + np.array([0, 0, 0, 0.5, 0, 0, 0, 0]))) > 3

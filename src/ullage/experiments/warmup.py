@@ -30,7 +30,7 @@ NEEDED = {
     "shapes": ("facets", "wires"),
     "conductors": ("lines", "fringe", "double_fringe"),
     "elfes": ("elfes",),
-    "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_show"),
+    "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show"),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""

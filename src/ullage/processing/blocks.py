@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from ullage.errors import InputError
 from ullage.grids import EDGE, Grid
 from ullage.kernels.occupancy import EMPTY, MOST_HITS, NOWHERE, Pools, collapse_blocks, mark_flown, share_echoes
-from ullage.kernels.occupancy_cone import Beam, cast_reach, hear_blocks, survey_blocks
+from ullage.kernels.occupancy_cone import hear_blocks, survey_blocks
+from ullage.kernels.occupancy_reach import Beam, cast_reach
 from ullage.kernels.occupancy_strip import lay_strip
 
 MOST_BYTES = 2 * 1024**3

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
-from ullage.kernels.occupancy_cone import Beam
+from ullage.kernels.occupancy_reach import Beam
 from ullage.kernels.occupancy_show import in_view, render_cells
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge

@@ -107,7 +107,7 @@ class EchoTracks:
         return np.concatenate([self._levels, out])
 
     def screens(self, walls: Floats) -> Floats:
-        """Walls (p, 8) that echoes of an open direction may have come from, where none of the known ones explains them."""
+        """Walls (p, 8) that echoes of an open direction may have come from, but those that known ones explain."""
         still = [one for held in self._open.values() for one in held if len(one.screens)]
         asked = [*self._gone, *still]
         left = _unexplained([one.echoes[-1] for one in asked], walls)
@@ -166,7 +166,8 @@ class EchoTracks:
             least: cosine to boresight in which echoes are looked for.
         """
         here, now = look.heard.position, look.heard.t_ns
-        held, gone = [], []
+        held: list[Followed] = []
+        gone: list[Followed] = []
         for one in self._open.get(name, []):
             last = one.echoes[-1]
             goes_on = now - last.t_ns < LINK_NS and np.linalg.norm(here - last.position) < LINK_PATH_M
