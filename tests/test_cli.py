@@ -99,6 +99,15 @@ def test_a_recording_replays_to_the_same_map(place: Path) -> None:
     assert frames == json.loads((place / "runs/latest/metrics.json").read_text())["frames"]["value"]
 
 
+def test_brackets_in_names_are_names(tmp_path, capsys, monkeypatch):
+    from ullage.view import progress
+
+    monkeypatch.setattr(progress, "console", progress.Console(soft_wrap=True, width=200))
+    progress.say(" pip install 'ullage[view]'", mark="none", style="yellow")
+    progress.say_report(tmp_path / "odd[red]" / "report.html")
+    assert capsys.readouterr().out == f"none pip install 'ullage[view]'\nreport: {tmp_path}/odd[red]/report.html\n"
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -92,12 +92,12 @@ def run(
     from ullage.experiments.runner import execute
     from ullage.experiments.targets import make_run
     from ullage.pipeline import sink as open_sink
-    from ullage.view.progress import progress_bar
+    from ullage.view.progress import progress_bar, say
 
     tasks = _tasks(do)
     warm_up(source, option or [])
     with progress_bar("getting ready", total=1.0) as tell:
-        job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=_say)
+        job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=say)
     sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
     if job.scene is not None:
         for taker in sinks:
@@ -125,7 +125,7 @@ def warm_up(source: str, options: list[str]) -> None:
     from ullage.experiments.simulated import load_world
     from ullage.experiments.warmup import compile_kernels, compiled, parts_of, radar_parts
     from ullage.ports.live import Address
-    from ullage.view.progress import console
+    from ullage.view.progress import console, say
 
     address = Address.of(source)
     if address and address.scheme.startswith("gazebo"):
@@ -141,29 +141,23 @@ def warm_up(source: str, options: list[str]) -> None:
         return
     if compiled(parts):
         return
-    console.print(f"compiling kernels for {', '.join(parts)} (once after installation)")
+    say(f"compiling kernels for {', '.join(parts)} (once after installation)")
     with console.status("compiling") as line:
         compile_kernels(parts, tell=lambda what: line.update(f"compiling {what}"))
 
 
-def _say(text: str) -> None:
-    from ullage.view.progress import console
-
-    console.print(text, highlight=False)
-
-
 def _tell(report: Report) -> None:
-    from ullage.view.progress import console
+    from ullage.view.progress import say, say_report
 
     outcome = report.outcome
     if outcome.interrupted:
-        console.print("[yellow]interrupted[/]: everything received by then is written")
+        say(": everything received by then is written", mark="interrupted", style="yellow")
     factor = report.metrics["real_time_factor"].value
-    console.print(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
+    say(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
     for key in ("f1", "precision", "recall"):
         if key in report.metrics:
-            console.print(f"  map {key}: {report.metrics[key].value:.3f}")
-    console.print(f"report: [link=file://{report.folder.resolve()}/report.html]{report.folder}/report.html[/]")
+            say(f"  map {key}: {report.metrics[key].value:.3f}")
+    say_report(report.folder / "report.html")
 
 
 @app.command("list")
@@ -173,7 +167,7 @@ def list_() -> None:
 
     from ullage.experiments.catalog import find_scenario, scenario_names
     from ullage.specs import RadarSpec, Rig
-    from ullage.view.progress import console
+    from ullage.view.progress import console, say
     from ullage.world.library import WORLDS
 
     table = Table("scenario", "what it does", box=None, title="Scenarios: ullage run NAME", title_justify="left")
@@ -184,25 +178,26 @@ def list_() -> None:
     for world in WORLDS.values():
         table.add_row(world.name, world.title)
     console.print(table)
-    console.print(f"\nRadars: {', '.join(RadarSpec.presets)}\nRigs: {', '.join(Rig.presets)}")
+    say(f"\nRadars: {', '.join(RadarSpec.presets)}\nRigs: {', '.join(Rig.presets)}")
 
 
 @app.command()
 def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
     """Show what a run gave."""
+    from rich.markup import escape
     from rich.table import Table
 
     from ullage.experiments.folder import find_folder, read_json
-    from ullage.view.progress import console
+    from ullage.view.progress import console, say
 
     folder = find_folder(run)
-    table = Table("metric", "value", "unit", box=None, title=str(folder), title_justify="left")
+    table = Table("metric", "value", "unit", box=None, title=escape(str(folder)), title_justify="left")
     for name, metric in read_json(folder / "metrics.json").items():
         value = metric["value"]
         table.add_row(name, "unknown" if value is None else f"{value:.4g}", metric["unit"])
     console.print(table)
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")):
-        console.print(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes", highlight=False)
+        say(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes")
 
 
 @app.command()
@@ -210,13 +205,13 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
     """Hold a run against its scenario's bounds; exit 1 when one is broken."""
     from ullage.experiments.folder import find_folder
     from ullage.experiments.judge import verdicts
-    from ullage.view.progress import console
+    from ullage.view.progress import say
 
     rows = verdicts(find_folder(run))
     for row in rows:
-        console.print(f"{'ok  ' if row.inside else '[red]OUT[/] '} {row.text}", highlight=False)
+        say(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
     if not rows:
-        console.print("this scenario sets no bounds")
+        say("this scenario sets no bounds")
     if not all(row.inside for row in rows):
         raise typer.Exit(1)
 
@@ -256,14 +251,14 @@ def validate(
 ) -> None:
     """Hold the physical radar against theory and published values; exit 1 when a bound is broken."""
     from ullage.experiments.validate import validate as hold_against
-    from ullage.view.progress import console
+    from ullage.view.progress import console, say
 
     with console.status("computing every oracle (about half a minute)"):
         rows = hold_against(out)
     for row in rows:
-        mark = "ok  " if row.passed else "[red]OUT[/] "
-        console.print(f"{mark} {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}", highlight=False)
-    console.print(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}", highlight=False)
+        text = f" {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}"
+        say(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")
+    say(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}")
     if not all(row.passed for row in rows):
         raise typer.Exit(1)
 
@@ -283,7 +278,7 @@ def reproduce(
     from ullage.experiments.reproduce.loop import reproduce as run_all
     from ullage.experiments.reproduce.plan import wanted
     from ullage.experiments.warmup import compile_kernels, compiled
-    from ullage.view.progress import console, progress_bar
+    from ullage.view.progress import console, progress_bar, say, say_report
 
     chosen = wanted(quick, only or [])
     if not compiled():
@@ -297,12 +292,12 @@ def reproduce(
 
         done = run_all(out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=jobs, tell=tell)
     for line in done.broken:
-        console.print(f"[red]OUT[/]  {line}", highlight=False)
+        say(f"  {line}", mark="OUT", style="red")
     holding, total = done.counts
-    console.print(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
-    console.print(f"report: [link=file://{done.report.resolve()}]{done.report}[/]")
+    say(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
+    say_report(done.report)
     if done.interrupted:
-        console.print("[yellow]interrupted[/]: run the same command again to go on")
+        say(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130)
     if done.broken:
         raise typer.Exit(1)
@@ -327,7 +322,7 @@ def sweep(
     import shutil
 
     from ullage.experiments import sweep as sweeps
-    from ullage.view.progress import console, progress_bar
+    from ullage.view.progress import progress_bar, say
 
     axes = dict(sweeps.axis_of(text) for text in over or [])
     points = sweeps.plan(scenario, axes, seeds=seeds, options=option or [], out=out)
@@ -346,9 +341,9 @@ def sweep(
             name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics
         ]
         _tabulate(done, metric or shown)
-    console.print(f"{len(done.done)} of {len(points)} runs; table: {done.table}", highlight=False)
+    say(f"{len(done.done)} of {len(points)} runs; table: {done.table}")
     if done.interrupted:
-        console.print("[yellow]interrupted[/]: run the same command again to go on")
+        say(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130)
 
 
@@ -370,12 +365,13 @@ def _tabulate(done: Sweep, metrics: list[str]) -> None:
 def doctor() -> None:
     """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong."""
     from ullage.experiments.doctor import checks
-    from ullage.view.progress import console
+    from ullage.view.progress import say
 
     sound = True
     for check in checks():
         sound &= check.sound or check.optional
-        mark = "[green]ok[/]  " if check.sound else "[yellow]none[/]" if check.optional else "[red]BAD[/] "
-        console.print(f"{mark} {check.name}: {check.found}", highlight=False)
+        style = "green" if check.sound else "yellow" if check.optional else "red"
+        mark = {"green": "ok  ", "yellow": "none", "red": "BAD "}[style]
+        say(f" {check.name}: {check.found}", mark=mark, style=style)
     if not sound:
         raise typer.Exit(1)

@@ -6,12 +6,30 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
 
 console = Console(stderr=False, soft_wrap=True)
 PLAIN_EVERY_S = 5.0
+
+
+def say(text: str, *, mark: str = "", style: str = "") -> None:
+    """One line, as it is: brackets in a name are no markup.
+
+    Args:
+        text: the line.
+        mark: what stands before it.
+        style: of the mark.
+    """
+    console.print(Text.assemble((mark, style), text))
+
+
+def say_report(page: Path) -> None:
+    """Where a report is, to be clicked on in terminals that can."""
+    console.print(Text.assemble("report: ", (str(page), f"link {page.resolve().as_uri()}")))
 
 
 @dataclass(slots=True)
@@ -31,7 +49,7 @@ class Teller:
         if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
             self.last_s = time.monotonic()
             share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
-            console.print(f"{self.title}: {share}", highlight=False)
+            say(f"{self.title}: {share}")
 
     def say(self, text: str) -> None:
         """Change what the bar says it is doing."""
@@ -43,9 +61,9 @@ class Teller:
 def progress_bar(title: str, *, total: float | None, unit: str = "") -> Iterator[Teller]:
     """A progress bar for one job; call what it yields with the amount done."""
     if not console.is_terminal:
-        console.print(title, highlight=False)
+        say(title)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
