@@ -190,6 +190,23 @@ def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
     assert omap.free.sum() > 1000
 
 
+@pytest.mark.parametrize("slope_deg", [-20, 0, 20])
+def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope_deg):
+    up = np.radians(slope_deg)
+    normal = np.array([0.0, np.cos(up), np.sin(up)])
+    path = ul.Trajectory.line((-2.5, 0.0, 0), (2.5, 0.1, 0), rate_hz=25)
+    frames = world.rig(path, [], sheets=[(normal, 2.0)])
+    grid = ul.Grid.covering([[-3.5, -3.5, -1.5], [3.5, 3.5, 1.5]], 0.1, dims=3)
+    omap = ul.map_occupancy(frames, grid)
+    along, rise = np.meshgrid(np.linspace(-1.5, 1.5, 40), np.linspace(-1.0, 1.0, 40))
+    side = np.cross(normal, [1.0, 0, 0])
+    points = 2.0 * normal + along[..., None] * [1.0, 0, 0] + rise[..., None] * side
+    points = points.reshape(-1, 3)[abs(points.reshape(-1, 3)[:, 2]) < 1.4]
+    before, behind = (grid.index(points + way * normal)[0] for way in (-0.01, 0.01))
+    assert (omap.free[tuple(before.T)] & omap.free[tuple(behind.T)]).mean() <= 0.01
+    assert omap.free.sum() > 1000, "and what lies before it is free"
+
+
 def test_a_narrow_antenna_is_believed_to_hear_a_narrow_cone(flight):
     def arc(**antenna):
         front = flight["front"][:1]
