@@ -12,6 +12,7 @@ import typer
 if TYPE_CHECKING:
     from ullage.experiments.runner import Report
     from ullage.experiments.sweep import Sweep
+    from ullage.radar.warmup import Compiling
 
 app = typer.Typer(
     name="ullage",
@@ -95,7 +96,7 @@ def run(
     from ullage.view.progress import progress_bar, say
 
     tasks = _tasks(do)
-    warm_up(source, option or [])
+    under_way = warm_up(source, option or [])
     with progress_bar("getting ready", total=1.0) as tell:
         job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=say)
     sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
@@ -104,7 +105,7 @@ def run(
             taker.write(job.scene)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
-        report = execute(job, sinks=sinks, progress=tell, say=tell.say)
+        report = execute(job, sinks=sinks, progress=tell, say=tell.say, under_way=under_way)
     _tell(report)
 
 
@@ -119,31 +120,36 @@ def _tasks(text: str | None) -> Any:
     return words
 
 
-def warm_up(source: str, options: list[str]) -> None:
-    """Compile the kernels that a scenario needs if this is their first time, and say so."""
+def warm_up(source: str, options: list[str]) -> Compiling | None:
+    """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
     from ullage.experiments.catalog import find_scenario, scenario_names
     from ullage.experiments.simulated import load_world
-    from ullage.experiments.warmup import compile_kernels, compiled, parts_of, radar_parts
+    from ullage.experiments.warmup import begin, compiled, parts_of
     from ullage.ports.live import Address
+    from ullage.radar.warmup import radar_parts
     from ullage.view.progress import console, say
 
-    address = Address.of(source)
+    address, patient = Address.of(source), True
     if address and address.scheme.startswith("gazebo"):
         bounces = str(address.options.get("max_bounces", 1))
         fidelity = "thesis" if address.options.get("fidelity") == "thesis" else "physical"
         parts = (*radar_parts(fidelity, 1 if bounces == "1" else 3), "ullage")
+        patient = False  # a peer that goes on measuring is not kept waiting
     elif source in scenario_names() or source.endswith((".yaml", ".yml")):
         scenario = find_scenario(source, options=options)
         parts = parts_of(scenario)
         if not compiled(parts):  # at least not all that any world may need
             parts = parts_of(scenario, load_world(scenario.world))
     else:
-        return
+        return None
     if compiled(parts):
-        return
+        return None
     say(f"compiling kernels for {', '.join(parts)} (once after installation)")
     with console.status("compiling") as line:
-        compile_kernels(parts, tell=lambda what: line.update(f"compiling {what}"))
+        work = begin(parts, tell=lambda what: line.update(f"compiling {what}"))
+        if not patient:
+            work.wait_later()
+        return work
 
 
 def _tell(report: Report) -> None:

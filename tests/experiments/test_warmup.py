@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -11,21 +12,23 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.catalog import find_scenario
+from ullage.experiments.runner import execute
+from ullage.experiments.targets import make_run
 from ullage.experiments.warmup import (
     FOLDER,
     JOBS,
     NEEDED,
-    _shared,
     compile_kernels,
     compiled,
     parts_of,
-    radar_parts,
 )
+from ullage.pipeline import sink
+from ullage.radar.warmup import Compiling, Job, radar_parts, shared, unswept
 
 
 @pytest.mark.parametrize("part", NEEDED)
 def test_every_part_names_kernels_that_are_there(part: str) -> None:
-    assert all("njit" in (FOLDER / f"{stem}.py").read_text() for stem in NEEDED[part])
+    assert all("@loop(" in (FOLDER / f"{stem}.py").read_text() for stem in NEEDED[part])
 
 
 def test_compiling_what_the_main_job_needs_leaves_nothing_to_compile() -> None:
@@ -70,9 +73,98 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert set(radar_parts("physical")) == {"physical", "rough", "bounces", "shapes", "conductors"}
 
 
-def test_jobs_that_need_the_same_kernels_are_in_one_process() -> None:
-    mine, others = _shared(list(JOBS))
+def test_jobs_are_shared_evenly_and_what_needs_others_waits_in_this_process() -> None:
+    mine, others = shared(JOBS)
     assert sorted(job.name for job in mine + others) == sorted(job.name for job in JOBS)
+    assert not any(job.needs for job in others)
+    place = {job.name: index for index, job in enumerate(JOBS)}
+    assert all(place[name] < place[job.name] for job in JOBS for name in job.needs)
     for share in (mine, others):
-        names = {job.name for job in share}
-        assert all(not job.along or job.along in names for job in share)
+        assert [place[job.name] for job in share] == sorted(place[job.name] for job in share)
+    radar = [job for job in JOBS if job.part in ("physical", "bounces", "shapes", "conductors")]
+    one, other = (sum(job.seconds for job in share) for share in shared(radar))
+    assert abs(one - other) < 0.3 * (one + other)
+
+
+def test_garbage_is_left_while_compiling_and_collected_again_after_a_failure() -> None:
+    assert gc.isenabled()
+    seen: list[bool] = []
+
+    def fail() -> None:
+        with unswept():
+            seen.append(gc.isenabled())
+            raise ValueError("failed")
+
+    with pytest.raises(ValueError, match="failed"):
+        fail()
+    assert seen == [False]
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with unswept():
+            pass
+        assert not gc.isenabled()  # that is for whoever turned it off
+    finally:
+        gc.enable()
+
+
+def test_what_the_other_process_leaves_undone_is_done_here() -> None:
+    done: list[str] = []
+    jobs = [Job(name, "", 3.0, lambda name=name: done.append(name)) for name in "abc"]
+    late = Job("d", "", 1.0, lambda: done.append("d"))
+    work = Compiling(jobs, [late], module="ullage.no_such_module", tell=lambda what: None)
+    work.wait()
+    assert sorted(done) == ["a", "b", "c"]
+    work.wait_later()
+    work.wait_later()
+    assert sorted(done) == ["a", "b", "c", "d"]
+
+
+class _Watched(Compiling):
+    """Something under way that looks at the recording when it is waited for."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__([], JOBS[-2:])
+        self.folder, self.closed, self.seen = folder, False, -1
+
+    def wait_later(self) -> None:
+        self.seen = sum(p.stat().st_size for p in self.folder.glob("*.mcap*")) + len(list(self.folder.glob(".*mcap*")))
+        raise KeyboardInterrupt
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_ctrl_c_while_the_map_is_compiled_leaves_the_frames_received_by_then(tmp_path: Path) -> None:
+    options = ["sensing.fidelity=thesis", "flight.vehicle=ideal"]
+    job = make_run("ntnu-plate", tasks=("map", "image"), options=options, out=tmp_path)
+    work = _Watched(job.folder)
+    report = execute(job, sinks=[sink(str(job.folder / "frames.mcap"))], say=lambda text: None, draw=False,
+                     under_way=work)  # fmt: skip
+    assert report.outcome.interrupted
+    assert work.closed
+    assert work.seen > 0  # the recording had begun before the map was waited for
+    kept = ul.open(str(job.folder / "frames.mcap")).frames()
+    assert len(kept) == report.outcome.frames > 0
+    assert (job.folder / "metrics.json").is_file()
+
+
+FRESH = """
+import ullage as ul
+from numba.core import event
+from ullage.radar.warmup import warm_up
+from ullage.world.library import WORLDS
+hold = ul.load_scene(WORLDS["cargo-hold"].path)
+path = ul.Trajectory.line((-5.5, -7, 4), (-5.4, -7, 4), 0.5, 17)
+warm_up("physical", 3, hold)
+with event.install_recorder("numba:compile") as found:
+    ul.simulate(hold, path, ul.RadarSpec.preset("x4m05"), max_bounces=3)
+print(sorted({e.data["dispatcher"].py_func.__name__ for _, e in found.buffer}))
+"""
+
+
+@pytest.mark.slow
+def test_nothing_is_left_to_compile_once_a_radar_is_warm(tmp_path: Path) -> None:
+    settings = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    answer = subprocess.run([sys.executable, "-c", FRESH], env=settings, capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

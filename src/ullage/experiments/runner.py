@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from ullage.experiments.simulated import Simulated
 from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
+from ullage.radar.warmup import Compiling
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -73,6 +74,7 @@ def execute(
     progress: Callable[[float], None] | None = None,
     say: Say = print,
     draw: bool = True,
+    under_way: Compiling | None = None,
 ) -> Report:
     """Run the loop, then write map files, figures, metrics, provenance and report.
 
@@ -82,11 +84,12 @@ def execute(
         progress: told the seconds of recording done.
         say: told each step in a few words.
         draw: figures too; without them the report holds numbers only.
+        under_way: kernels that are still being compiled; maps and images wait for theirs.
     """
     origin = provenance()
     write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
     write_json(job.folder / "provenance.json", origin)
-    stages = _stages(job)
+    stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, say)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
@@ -97,6 +100,9 @@ def execute(
         else:  # nothing is lost
             shutil.rmtree(job.folder, ignore_errors=True)
         raise
+    finally:
+        if under_way is not None:
+            under_way.close()
     if job.live:
         job.flown = _seen_path(job.looks) or job.flown
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
@@ -112,6 +118,31 @@ def execute(
 
     write_report(job.folder)
     return report
+
+
+@dataclass(slots=True)
+class Patient:
+    """A stage that waits for the kernels it needs when the first piece comes; what came before it has the piece."""
+
+    stage: Stage
+    under_way: Compiling
+    say: Say
+
+    def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
+        """What the stage makes of this piece."""
+        if self.under_way.later:
+            self.under_way.wait_later()
+            self.say("receiving and mapping")
+        return self.stage.update(chunk)
+
+    def finish(self) -> Iterable[Any]:
+        """What the stage has left."""
+        return self.stage.finish()
+
+
+def _patient(stages: list[Stage], under_way: Compiling, say: Say) -> list[Stage]:
+    under_way.tell = lambda what: say(f"the first frames are recorded; compiling {what} (once after installation)")
+    return [Patient(s, under_way, say) if isinstance(s, MapStage | ImageStage) else s for s in stages]
 
 
 def _stages(job: Run) -> list[Stage]:

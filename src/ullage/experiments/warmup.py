@@ -1,39 +1,32 @@
-"""Compiles the kernels a run needs, once after installation, on a world of two triangles."""
+"""Compiles the kernels a run needs, once after installation: those of flight and radar first, the map's after."""
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ullage import kernels
-from ullage.config import Fidelity, MapMethod, Scenario
-
-if TYPE_CHECKING:
-    from ullage.data import Frames
-    from ullage.world.scene import Scene
+from ullage.config import MapMethod, Scenario
+from ullage.data import Frames
+from ullage.radar import warmup as radar
+from ullage.radar.warmup import Compiling, Job, Tell, radar_parts
+from ullage.world.scene import Scene
 
 FOLDER = Path(kernels.__path__[0])
 NEEDED = {
     "hector": ("flight", "proximity"),
-    "thesis": ("rays", "receiver"),
-    "physical": ("pulse", "edges", "rims", "rays", "receiver"),
-    "rough": ("grit",),
-    "bounces": ("beams", "bounces"),
-    "shapes": ("facets", "wires"),
-    "conductors": ("lines", "fringe", "double_fringe"),
+    **radar.NEEDED,
     "elfes": ("elfes",),
     "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show"),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""
+LATER = ("elfes", "ullage", "backprojection")
+"""Parts that a run can begin without."""
 
 
 def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
@@ -49,90 +42,32 @@ def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
     return tuple(part for part in parts if part in NEEDED)
 
 
-def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None) -> tuple[str, ...]:
-    """The parts of `NEEDED` behind a radar, in a world where that is known."""
-    if fidelity != "physical":
-        return (fidelity,)
-    there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True}
-    if scene is not None:
-        from ullage.radar.prepared import prepare
-
-        made = prepare(scene)
-        there["rough"] = any(material.roughness_m > 0 for material in made.materials)
-        there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
-        there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
-    return (fidelity, *(part for part, needed in there.items() if needed))
-
-
 def compiled(parts: Iterable[str] = tuple(NEEDED)) -> bool:
     """Whether every kernel module behind these parts has a compiled copy newer than its source."""
     return all(kernels.compiled(stem) for part in parts for stem in NEEDED[part])
 
 
-def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, tell: Callable[[str], None] | None = None) -> None:
-    """Run these parts once, very small; half of the work in a process of its own where there are two cores.
+def begin(parts: Iterable[str], *, tell: Tell | None = None) -> Compiling:
+    """Compile what a run of these parts cannot begin without, in two processes where there are two cores.
 
     Args:
         parts: keys of `NEEDED`.
         tell: called with what is being compiled.
+
+    Returns:
+        What goes on compiling; `wait_later` waits for it.
     """
+    wanted = [job for job in JOBS if job.part in set(parts)]
+    now, later = ([job for job in wanted if (job.part in LATER) == late] for late in (False, True))
+    work = Compiling(now, [job for job in later if not compiled((job.part,))], module=__name__, tell=tell)
+    work.wait()
+    return work
+
+
+def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, tell: Tell | None = None) -> None:
+    """As `begin`, but all that these parts need is compiled when it returns."""
     wanted = set(parts)
-    mine, others = _shared([job for job in JOBS if job.part in wanted])
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if cores < 2 or len(others) == 0:
-        mine, others = mine + others, []
-    names = [job.name for job in others]
-    beside = subprocess.Popen([sys.executable, "-m", __name__, *names]) if others else None
-    try:
-        for job in mine:
-            if tell is not None:
-                tell(", ".join([job.name, *(names if beside is not None and beside.poll() is None else [])]))
-            job.run()
-        if beside is not None:
-            if tell is not None:
-                tell(", ".join(names))
-            beside.wait()
-    finally:
-        if beside is not None and beside.poll() is None:
-            beside.terminate()
-    for job in others:
-        job.run()  # from the cache; and should the other process have failed
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """Something small to run, that compiles some kernels."""
-
-    name: str
-    part: str
-    seconds: float  # CPU time it takes, about
-    run: Callable[[], None]
-    along: str = ""  # the job whose kernels it needs too, so that both belong in one process
-
-
-def _shared(jobs: list[Job]) -> tuple[list[Job], list[Job]]:
-    """Two shares of about the same time."""
-    groups: dict[str, list[Job]] = {}
-    for job in jobs:
-        groups.setdefault(job.along or job.name, []).append(job)
-    shares: tuple[list[Job], list[Job]] = ([], [])
-    for group in sorted(groups.values(), key=_seconds, reverse=True):
-        min(shares, key=_seconds).extend(group)
-    return shares
-
-
-def _seconds(jobs: Iterable[Job]) -> float:
-    return sum(job.seconds for job in jobs)
-
-
-def _frames(scene: Scene, *, fidelity: Fidelity = "physical", max_bounces: int = 1) -> None:
-    from ullage.data import Trajectory
-    from ullage.radar.simulate import simulate_stream
-    from ullage.specs import RadarSpec
-
-    track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
-    for _ in simulate_stream(scene, track, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces):
-        pass
+    Compiling([job for job in JOBS if job.part in wanted], module=__name__, tell=tell).wait()
 
 
 def _flight() -> None:
@@ -142,39 +77,6 @@ def _flight() -> None:
 
     wall = scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0)
     fly(Waypoints(np.array([[0.0, 0, 0], [0, 0.1, 0]])), scene=wall, rate_hz=10)
-
-
-def _thesis() -> None:
-    from ullage.world import scenes
-
-    _frames(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0), fidelity="thesis")
-
-
-def _walls(*, roughness_m: float = 0.0, max_bounces: int = 1) -> None:
-    from ullage.world import scenes
-
-    room = scenes.room((2, 2, 2))
-    walls = tuple(replace(wall, material=wall.material.but(roughness_m=roughness_m)) for wall in room.objects)
-    _frames(replace(room, objects=walls), max_bounces=max_bounces)
-
-
-def _shapes() -> None:
-    from ullage.world import scenes
-
-    _frames(scenes.sphere(0.2, 2.0))
-    _frames(scenes.wire(radius_m=0.001, length_m=0.5, distance_m=2.0))
-
-
-def _conductors() -> None:
-    from ullage.radar.fringes import lay_edges
-    from ullage.radar.physical import bench, view_of
-    from ullage.specs import RadarSpec
-    from ullage.world import scenes
-
-    spec = RadarSpec.preset("x4m05")
-    ready = bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"), spec)
-    grids = np.zeros((3, ready.places), complex)
-    lay_edges(ready, ready.world.parts(), view_of(spec, np.zeros(3), np.eye(3)), None, grids)
 
 
 def _map(method: MapMethod) -> None:
@@ -193,7 +95,7 @@ def _image() -> None:
 
 def _few() -> Frames:
     """Some frames with one echo, made by no kernel."""
-    from ullage.data import Frames, Trajectory
+    from ullage.data import Trajectory
     from ullage.specs import RadarSpec
 
     spec = RadarSpec.preset("x4m05")
@@ -203,18 +105,12 @@ def _few() -> Frames:
 
 
 JOBS = (
-    Job("flight", "hector", 3, _flight),
-    Job("rays", "thesis", 3, _thesis),
-    Job("flat faces", "physical", 16, _walls),
-    Job("rough faces", "rough", 5, partial(_walls, roughness_m=1e-3), "flat faces"),
-    Job("bounces", "bounces", 9, partial(_walls, max_bounces=2), "flat faces"),
-    Job("edges of conductors", "conductors", 12, _conductors),
-    Job("curved faces and wires", "shapes", 9, _shapes),
-    Job("Elfes' map", "elfes", 2, partial(_map, "elfes")),
-    Job("map", "ullage", 13, partial(_map, "ullage")),
-    Job("images", "backprojection", 2, _image),
+    Job("flight", "hector", 5, _flight),
+    *radar.JOBS,
+    Job("Elfes' map", "elfes", 1.5, partial(_map, "elfes")),
+    Job("map", "ullage", 16, partial(_map, "ullage")),
+    Job("images", "backprojection", 1.5, _image),
 )
 
 if __name__ == "__main__":
-    for name in sys.argv[1:]:
-        next(job for job in JOBS if job.name == name).run()
+    radar.beside(JOBS, sys.argv[1:])

@@ -15,7 +15,9 @@ def compiled(stem: str) -> bool:
     module = import_module(f"{__name__}.{stem}")
     source = Path(str(module.__file__))
     mine = (v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__)
-    kept = next(v.stats.cache_path for v in mine if hasattr(v, "stats"))
+    kept = next((v.stats.cache_path for v in mine if hasattr(v, "stats")), None)
+    if kept is None:  # Numba is turned off
+        return True
     copies = (p.stat().st_mtime for p in Path(kept).glob(f"{stem}.*.nbi"))
     return max(copies, default=0.0) > source.stat().st_mtime
 

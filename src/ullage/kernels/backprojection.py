@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import inner, loop
 
 # Least squares on |t| <= 1/2: sin(2 pi t) to 6e-6, cos(2 pi t) to 4e-5. Single precision throughout, for wide vectors.
 _S1, _S3, _S5 = np.float32(6.28305409), np.float32(-41.33112295), np.float32(81.36549856)
@@ -12,7 +13,7 @@ _C0, _C2, _C4 = np.float32(0.99995902), np.float32(-19.73094237), np.float32(64.
 _C6, _C8 = np.float32(-82.39080631), np.float32(45.62105110)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@inner(nogil=True, fastmath=True, error_model="numpy")
 def _aim(gx, dx, gy, gz, turn, axis, beam, last, place, near, cos, sin, weight):  # type: ignore[no-untyped-def]
     """Where each cell of a row lies in a frame's profile, its phase and its weight in the beam.
 
@@ -55,7 +56,7 @@ def _aim(gx, dx, gy, gz, turn, axis, beam, last, place, near, cos, sin, weight):
         weight[i] = w
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@loop(nogil=True, fastmath=True, error_model="numpy")
 def backproject_rows(y, z, x0, dx, re, im, axis, beam, position, rotation, weight, sums):  # type: ignore[no-untyped-def]
     """Adds the echoes of every frame to rows of cells.
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import inner, loop
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@loop(nogil=True, error_model="numpy")
 def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type: ignore[no-untyped-def]
     """One point (b, 3) on each beam's lit part to speak for it: the mirror point, or where the rim's path is least.
 
@@ -52,7 +53,7 @@ def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type
             out[i, k] += share * (middle[i, k] - out[i, k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(nogil=True, error_model="numpy")
 def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
     """Where the line from an image to a target crosses a face's plane."""
     here, there = -offset, -offset
@@ -66,7 +67,7 @@ def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = image[k] + share * (target[k] - image[k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@loop(nogil=True, error_model="numpy")
 def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: ignore[no-untyped-def]
     """Corners (b, 5, 3) of each path from transmitter to receiver; one mirror only: the first corner twice.
 
@@ -93,7 +94,7 @@ def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: 
             _cross(firsts[i], out[i, 2], normals[first], offsets[first], out[i, 1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@loop(nogil=True, error_model="numpy")
 def middles(first, edges, out):  # type: ignore[no-untyped-def]
     """Mean corner (b, 3) of the outlines of beams."""
     for i in range(len(first) - 1):
@@ -104,7 +105,7 @@ def middles(first, edges, out):  # type: ignore[no-untyped-def]
                 out[i, k] += edges[e, 0, k] / (first[i + 1] - first[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@loop(nogil=True, error_model="numpy")
 def cover(paths, chains, normals, widths, wavelength, out):  # type: ignore[no-untyped-def]
     """How much of a wave each path's mirrors (b, 2) reflect, multiplied into `out` (b): all, or what they cover.
 
@@ -142,7 +143,7 @@ def cover(paths, chains, normals, widths, wavelength, out):  # type: ignore[no-u
                 out[i] *= min(1.0, widths[face, k] * math.sqrt(cosine) / max(zone, 1e-9))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(nogil=True, error_model="numpy")
 def _unit(a, b, out):  # type: ignore[no-untyped-def]
     size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
     for k in range(3):
@@ -150,7 +151,7 @@ def _unit(a, b, out):  # type: ignore[no-untyped-def]
     return size
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(nogil=True, error_model="numpy")
 def _across(field, unit, out):  # type: ignore[no-untyped-def]
     """The unit field across the direction of travel."""
     along = field[0] * unit[0] + field[1] * unit[1] + field[2] * unit[2]
@@ -162,7 +163,7 @@ def _across(field, unit, out):  # type: ignore[no-untyped-def]
         out[k] /= max(math.sqrt(square), 1e-9)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(nogil=True, error_model="numpy")
 def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
     """Turns the field (3) into that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
@@ -181,14 +182,14 @@ def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
         field[k] -= twice * n[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(nogil=True, error_model="numpy")
 def _mirrored(n, vector):  # type: ignore[no-untyped-def]
     twice = 2 * (n[0] * vector[0] + n[1] * vector[1] + n[2] * vector[2])
     for k in range(3):
         vector[k] -= twice * n[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@loop(nogil=True, error_model="numpy")
 def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, factor, frames_out, fields_out):  # type: ignore[no-untyped-def]
     """What all reflections along each path make of the transmitted field, as the receiver's polarisation takes it.
 

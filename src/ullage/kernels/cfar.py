@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import loop
 
 
-@njit(cache=True, nogil=True)
+@loop(nogil=True)
 def windowed_order(power, guard, train, rank, out):  # type: ignore[no-untyped-def]
     """The `rank`-th smallest [0 = least] of the `train` cells on either side of each cell, past `guard` cells.
 

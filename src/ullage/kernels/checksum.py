@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import loop
 
 
 def _table() -> np.ndarray:
@@ -18,7 +19,7 @@ WHOLE, SHORT, NONE, OTHER = range(4)
 HEAD, TAIL = 20, 2
 
 
-@njit(cache=True)
+@loop()
 def crc16(data: np.ndarray, start: int) -> np.int64:
     """CRC-16/ARC of bytes (polynomial 0x8005, reflected) that go on from `start`."""
     crc = np.int64(start)
@@ -27,7 +28,7 @@ def crc16(data: np.ndarray, start: int) -> np.int64:
     return crc
 
 
-@njit(cache=True)
+@loop()
 def running(data: np.ndarray, out: np.ndarray) -> None:
     """CRC of the first k bytes, for each k, in `out` (n + 1)."""
     crc = np.int64(0)
@@ -37,7 +38,7 @@ def running(data: np.ndarray, out: np.ndarray) -> None:
         out[k + 1] = crc
 
 
-@njit(cache=True)
+@loop()
 def powers(out: np.ndarray) -> None:
     """What a CRC of 0x8000 (the polynomial 1) has become after k zero bytes, in `out`."""
     crc = np.int64(0x8000)
@@ -46,7 +47,7 @@ def powers(out: np.ndarray) -> None:
         crc = np.int64(TABLE[crc & 0xFF]) ^ (crc >> 8)
 
 
-@njit(cache=True)
+@loop()
 def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> np.int64:
     """CRC of bytes start..end by the running ones: a CRC is linear, so the part before is shifted and taken off."""
     left, factor, shifted = np.int64(crcs[start]), np.int64(power[end - start]), np.int64(0)
@@ -57,7 +58,7 @@ def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> np.int
     return np.int64(crcs[end]) ^ shifted
 
 
-@njit(cache=True)
+@loop()
 def find(
     data: np.ndarray, crcs: np.ndarray, power: np.ndarray, start: int, minor: int, lost: bool
 ) -> tuple[int, int, np.int64]:

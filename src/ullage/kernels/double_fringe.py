@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
+from ullage.kernels.loops import inner, loop
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def transition(x):  # type: ignore[no-untyped-def]
     """The transition function F(x) of uniform diffraction, 1 far from the shadow's border [KouyoumjianPathak1974]."""
     if x > 12:
@@ -31,7 +31,7 @@ def transition(x):  # type: ignore[no-untyped-def]
     return 2j * s * turned(-x) * tail
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """One edge of a pair: diffraction along the face, with gains over ranges; out gets hz of both ends and path."""
     ux, uy, uz, g, path = 0.0, 0.0, 0.0, 1.0, 0.0
@@ -75,7 +75,7 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
     return g * d * transition(2 * wave * width * half * half)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
            out):  # fmt: skip
     """Strength per length of the wave that runs over the face from edge to edge; and path length."""
@@ -94,7 +94,7 @@ def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave
     return value, path + width
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
                 flat, factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of waves that cross a face between two parallel edges, there and back.

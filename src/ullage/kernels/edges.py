@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import inner, loop
 
 C0 = 299_792_458.0
 START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
@@ -21,7 +22,7 @@ NONE = np.int64(-1)
 FAR = 0.1  # a rim is done by its ends where the second term there is no more of the first than this
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
     """The mirror image of a point in the plane normal . x = offset."""
     gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
@@ -29,7 +30,7 @@ def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = point[k] - gap * normal[k]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
     """Fills a spot, row i, whose place is known: path length, weight K / (r s) and offset from the axis follow it.
 
@@ -56,7 +57,7 @@ def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
     spots[i, 4] = weight / (r * s)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
     """Angle from spot i to spot j around the axis."""
     ux, uy, uz, vx, vy, vz = spots[i, 5], spots[i, 6], spots[i, 7], spots[j, 5], spots[j, 6], spots[j, 7]
@@ -69,7 +70,7 @@ def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
     return math.atan2(cross, dot)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
     """What a rim that ends at spot i, far from where its path is shortest, adds there.
 
@@ -97,7 +98,7 @@ def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
     return rate, spots[i, 4] * swept / (rho2 * slow * wave), (fade - bend / slow) / (wave * slow)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
     """Shares of an edge, from spot 0 to 1, between which its path is too near to its shortest to be done by its ends.
 
@@ -134,7 +135,7 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
     return begins, stops
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _end(spots, i, line, length, wave, into, normals, p, sign, tie, ends, holders, ties, at):  # type: ignore[no-untyped-def]
     """Writes the end of a rim at spot i, or adds it to the one at the same corner of the same face.
 
@@ -169,7 +170,7 @@ def _end(spots, i, line, length, wave, into, normals, p, sign, tie, ends, holder
         ends[row, 6 + k] += normals[p, a] * line[3, b] - normals[p, b] * line[3, a] + into * line[3, k]
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ignore[no-untyped-def]
     """Whether face p can echo within the limit to radar o; its image, the receiver and the axis go to `line`.
 
@@ -199,7 +200,7 @@ def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ign
     return length
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, sign, p, pieces, owner, at):  # type: ignore[no-untyped-def]
     """Halves the rim from spot 4 to spot 5 until each piece's delay is nearly linear in phi.
 
@@ -245,7 +246,7 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
     return winding
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
           ties, at):  # fmt: skip
     """Parts one edge of a face, from spot 0 to 1; gives its turn around the axis."""
@@ -283,7 +284,7 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
     return winding
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
         tips, holders, ties, windings):  # fmt: skip
     """Parts the rims of faces within their limits: near the shortest path into pieces, elsewhere by their ends.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import inner, loop
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def insert_reading(
     empty: np.ndarray,
     occupied: np.ndarray,
@@ -74,7 +75,7 @@ def insert_reading(
             occupied[row, column] += weight - occupied[row, column] * weight
 
 
-@njit(cache=True)
+@inner()
 def _lobe_square(x: float, y: float, yaw: float, half: float, far: float) -> tuple[float, float, float, float]:
     low_x, high_x, low_y, high_y = x, x, y, y
     for k in range(6):

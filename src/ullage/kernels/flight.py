@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import inner, loop
 
 MASS, IX, IY, IZ, SPIN_J, TAU, TOP, C0, C1, KT, KM, DX, DY, DZ, MX, MY, MZ, G = range(18)
 KP, KV, KI, KR, KW, KRZ, KWZ, KROT, REACH, LEAN = range(10)
 
 
-@njit(cache=True)
+@loop()
 def rotation(q: np.ndarray) -> tuple[float, ...]:
     """Rotation matrix (row by row, 9 numbers) of the unit quaternion wxyz at the end of a pose (7)."""
     w, x, y, z = q[3], q[4], q[5], q[6]
@@ -27,7 +28,7 @@ def rotation(q: np.ndarray) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-@njit(cache=True)
+@inner()
 def lift(
     qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray,
     track: np.ndarray, row: int, dt: float,
@@ -49,7 +50,7 @@ def lift(
     return x, y, z
 
 
-@njit(cache=True)
+@inner()
 def demand(
     qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray,
     track: np.ndarray, row: int, dt: float,
@@ -96,7 +97,7 @@ def demand(
     )
 
 
-@njit(cache=True)
+@loop()
 def share(thrust: float, tx: float, ty: float, tz: float, mixer: np.ndarray, most: float, out: np.ndarray) -> None:
     """Thrust of each rotor, within 0..most, for a wanted thrust and torque; yaw yields first."""
     keep = 1.0
@@ -110,7 +111,7 @@ def share(thrust: float, tx: float, ty: float, tz: float, mixer: np.ndarray, mos
         out[i] = min(max(out[i] + keep * mixer[i, 3] * tz, 0.0), most)
 
 
-@njit(cache=True)
+@loop()
 def command(
     qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray, mixer: np.ndarray,
     track: np.ndarray, row: int, dt: float,
@@ -126,7 +127,7 @@ def command(
         memory[3 + i] = min(max(speed, 0.0), plane[TOP])
 
 
-@njit(cache=True)
+@loop()
 def wrench(
     qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, rotors: np.ndarray,
     wind: np.ndarray, row: int, dt: float, out: np.ndarray,
@@ -165,7 +166,7 @@ def wrench(
     out[3], out[4], out[5] = tx, ty, tz
 
 
-@njit(cache=True)
+@loop()
 def advance(
     step: int, every: int, qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray,
     gains: np.ndarray, mixer: np.ndarray, rotors: np.ndarray, track: np.ndarray, wind: np.ndarray,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ullage.kernels.edges import FAR
+from ullage.kernels.loops import inner, loop
 
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-def]
     """As `edges._steep`, at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
     path, rate, bend, fade = 0.0, 0.0, 0.0, 0.0
@@ -30,7 +30,7 @@ def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-
     return rate
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no-untyped-def]
     """Between which distances from its start a line's path is too near to its shortest to be done by its ends."""
     foot, off = np.empty(2), np.empty(2)
@@ -65,7 +65,7 @@ def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no
         out[1] = size
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def part(starts, ends, origins, gate, wave, near, held, tips, holders, sides):  # type: ignore[no-untyped-def]
     """Parts lines: near where the path is shortest there is something to integrate, of the rest only ends count.
 

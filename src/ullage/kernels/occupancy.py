@@ -12,8 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from ullage.kernels.loops import inner, loop
 
 EMPTY = -1
 SCALE = 10.0
@@ -38,7 +39,7 @@ class Pools(NamedTuple):
     origin: NDArray[np.float64]  # (3) [m]
 
 
-@njit(cache=True)
+@loop()
 def cell_index(ix: int, iy: int, iz: int, edge: int, tall: int) -> int:
     """Place of a cell in its block."""
     mask = edge - 1
@@ -46,7 +47,7 @@ def cell_index(ix: int, iy: int, iz: int, edge: int, tall: int) -> int:
     return flat if tall == 1 else (iz & mask) * edge * edge + flat
 
 
-@njit(cache=True)
+@inner()
 def bit_count(mask: int) -> int:
     """Number of bits set of 16."""
     mask = mask - ((mask >> 1) & 0x5555)
@@ -55,7 +56,7 @@ def bit_count(mask: int) -> int:
     return (mask + (mask >> 8)) & 0x1F
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def side_of(dx: float, dy: float, dz: float, flat: bool) -> int:
     """Number 0..15 of the direction: 16 around for a plane; 8 around, 4 above and 4 below for a volume."""
     turn = dy / (abs(dx) + abs(dy) + 1e-12)
@@ -73,7 +74,7 @@ def side_of(dx: float, dy: float, dz: float, flat: bool) -> int:
     return min(int(turn * 2.0), 7)
 
 
-@njit(cache=True)
+@inner()
 def take_block(pools: Pools, bz: int, by: int, bx: int) -> int:
     """Give the block a place in the pools; what all its cells have in common stays where it is."""
     pools.free_count[0] -= 1
@@ -86,7 +87,7 @@ def take_block(pools: Pools, bz: int, by: int, bx: int) -> int:
     return int(slot)
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def share_echoes(
     pools: Pools,
     arcs: np.ndarray,
@@ -121,7 +122,7 @@ def share_echoes(
                 pools.facing[slot, cell] = found[i, 3]
 
 
-@njit(cache=True)
+@loop()
 def collapse_blocks(pools: Pools) -> int:
     """Give back the places of blocks without echoes that are free, or alike, throughout; returns how many."""
     done = 0
@@ -147,7 +148,7 @@ def collapse_blocks(pools: Pools) -> int:
     return done
 
 
-@njit(cache=True)
+@loop()
 def mark_flown(pools: Pools, step: float, edge: int, position: np.ndarray, radius: float) -> None:
     """Where the drone was, nothing stands."""
     reach = int(radius / step) + 1

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ullage.kernels.loops import inner, loop
 from ullage.kernels.occupancy import CLEAR_SIDES, EMPTY, Pools, bit_count, cell_index, side_of, take_block
 from ullage.kernels.occupancy_reach import Beam
 
@@ -18,7 +18,7 @@ PART = 4
 NOTHING, WHOLE, PARTLY, ARC = 0, 1, 2, 4
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def survey_blocks(
     pools: Pools, step: float, edge: int, beam: Beam, farthest: float, turn: int, stride: int
 ) -> np.ndarray:
@@ -57,7 +57,7 @@ def survey_blocks(
     return rows[:count]
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def hear_blocks(
     pools: Pools,
     step: float,
@@ -105,7 +105,7 @@ def hear_blocks(
     return candidates
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _judge(dx: float, dy: float, dz: float, radius: float, step: float, farthest: float, beam: Beam, fine: bool) -> int:
     """What the look says of a ball around a point given from the eye: NOTHING, WHOLE silent, PARTLY, ARC or both.
 
@@ -144,7 +144,7 @@ def _judge(dx: float, dy: float, dz: float, radius: float, step: float, farthest
     return WHOLE if inside and outside < -radius and middle + radius < least else PARTLY
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _reach_of(dx: float, dy: float, dz: float, fore: float, radius: float, beam: Beam) -> tuple[float, float]:
     """How far silence counts at least, and echoes at most, in the sectors that the ball lies in."""
     up, left = beam.reach.shape
@@ -166,7 +166,7 @@ def _reach_of(dx: float, dy: float, dz: float, fore: float, radius: float, beam:
     return least, most
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _reach_at(dx: float, dy: float, dz: float, fore: float, beam: Beam) -> float:
     up, left = beam.reach.shape
     y = (dx * beam.axes[0, 1] + dy * beam.axes[1, 1] + dz * beam.axes[2, 1]) / (fore * beam.tangent)
@@ -175,7 +175,7 @@ def _reach_at(dx: float, dy: float, dz: float, fore: float, beam: Beam) -> float
     return float(beam.hush[e, a]) if 0 <= a < left and 0 <= e < up else 0.0
 
 
-@njit(cache=True)
+@inner()
 def _soften(pools: Pools, slot: int, way: int) -> None:
     """Silence takes back a little of what echoes from the same direction said."""
     for cell in range(pools.hits.shape[1]):
@@ -183,7 +183,7 @@ def _soften(pools: Pools, slot: int, way: int) -> None:
             pools.hits[slot, cell] = max(pools.hits[slot, cell] - 4, 0)
 
 
-@njit(cache=True)
+@inner()
 def _silence_part(pools: Pools, slot: int, corner: np.ndarray, edge: int, way: int) -> None:
     bit = np.uint16(1 << way)
     size = pools.size
@@ -196,7 +196,7 @@ def _silence_part(pools: Pools, slot: int, corner: np.ndarray, edge: int, way: i
                     pools.hits[slot, cell] = max(pools.hits[slot, cell] - 4, 0)
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _hear_cells(
     pools: Pools,
     step: float,
@@ -263,7 +263,7 @@ def _hear_cells(
     return candidates
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _bounds(pools: Pools, step: float, beam: Beam, far: float) -> tuple[np.ndarray, np.ndarray]:
     """First and last cell of the box around the cone, along x, y, z."""
     low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import inner, loop
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def find_peaks(
     amplitude: np.ndarray,
     level: np.ndarray,
@@ -39,7 +40,7 @@ def find_peaks(
         counts[i] = found
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def fit_bearings(
     centre: int,
     along: np.ndarray,
@@ -97,7 +98,7 @@ def fit_bearings(
     return int(counts[centre])
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def focus_echoes(
     samples: np.ndarray,
     along: np.ndarray,
@@ -137,7 +138,7 @@ def focus_echoes(
         sharp[p, 0], sharp[p, 1], sharp[p, 2] = best, best_cosine, pace
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _coherence(
     samples: np.ndarray,
     along: np.ndarray,
@@ -165,7 +166,7 @@ def _coherence(
     return float((real * real + imag * imag) / (frames * power + 1e-300))
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _nearest(
     want: float, height: float, count: int, ranges: np.ndarray, heights: np.ndarray, gate: float
 ) -> tuple[float, float]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ullage.kernels.loops import loop
 from ullage.kernels.occupancy import EMPTY, MOST_HITS, Pools, cell_index, side_of, take_block
 
 
-@njit(cache=True)
+@loop()
 def insert_rays(pools: Pools, step: float, edge: int, eye: np.ndarray, ends: np.ndarray, gain: int) -> None:
     """Mark the cells each ray (n, 3) passes as silent and add `gain` tenths to that where it ends [Amanatides1987]."""
     size, origin, flat = pools.size, pools.origin, pools.size[2] == 1

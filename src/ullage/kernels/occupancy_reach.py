@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ullage.kernels.loops import inner, loop
 from ullage.kernels.occupancy import EMPTY, Pools, bit_count, cell_index
 
 
@@ -30,7 +30,7 @@ class Beam(NamedTuple):
     arcs: NDArray[np.float64]  # (k, 10) range, sigma, track (3), cosine, its sigma, detection, has bearing, false
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def cast_reach(
     pools: Pools,
     step: float,
@@ -96,7 +96,7 @@ def cast_reach(
     return farthest
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _limit_of(
     dx: float, dy: float, dz: float, step: float, beam: Beam, ways: np.ndarray, walls: np.ndarray, sure: int
 ) -> tuple[float, float]:
@@ -129,7 +129,7 @@ def _limit_of(
     return limit, hush
 
 
-@njit(cache=True, fastmath=True)
+@inner(fastmath=True)
 def _steps_through(x: float, y: float, z: float, dx: float, dy: float, dz: float, wide: float, step: float) -> int:
     """Steps that a ray at a point, from the map's corner, can take before it leaves the block."""
     out = 1e9

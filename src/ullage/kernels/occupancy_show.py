@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ullage.kernels.loops import loop
 from ullage.kernels.occupancy import EMPTY, SCALE, Pools, bit_count, cell_index
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def render_cells(
     pools: Pools,
     edge: int,
@@ -50,7 +50,7 @@ def render_cells(
                     out[iz - box[0, 0], iy - box[1, 0], ix - box[2, 0]] = -1
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def in_view(solid: np.ndarray, cells: np.ndarray, eyes: np.ndarray, skip: float, out: np.ndarray) -> None:
     """Whether each cell (c, 3: z, y, x) can be seen from one of the eyes (e, 3), both in cells, past `solid` ones."""
     nz, ny, nx = solid.shape

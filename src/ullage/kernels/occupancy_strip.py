@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from ullage.kernels.loops import loop
 from ullage.kernels.occupancy import EMPTY, MOST_HITS, SCALE, Pools, cell_index, side_of, take_block
 
 
-@njit(cache=True, fastmath=True)
+@loop(fastmath=True)
 def lay_strip(
     pools: Pools, step: float, edge: int, foot: np.ndarray, way: np.ndarray, sigma: float, half: float, gain: float
 ) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import loop
 
 
-@njit(cache=True)
+@loop()
 def nearest_points(point: np.ndarray, corners: np.ndarray, out: np.ndarray) -> None:
     """Writes the nearest point on each triangle (f, 3) [m], by the regions of Voronoi [Ericson2004]."""
     px, py, pz = point[0], point[1], point[2]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from ullage.kernels.loops import loop
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
     """Bins from delay grids: out[m] = sum over kinds and places of taps * grid, `every` places per bin.
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import loop
 
 
-@njit(cache=True, nogil=True)
+@loop(nogil=True)
 def limit_envelope(values, limit):  # type: ignore[no-untyped-def]
     """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency.
 

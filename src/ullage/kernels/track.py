@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ullage.kernels.loops import loop
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@loop(nogil=True, fastmath=True)
 def along_hyperbolas(
     power: np.ndarray,
     along: np.ndarray,

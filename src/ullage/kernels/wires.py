@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ullage.kernels.facets import FROM, ONE, TO, _mean_range, toward
+from ullage.kernels.loops import inner, loop
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):  # type: ignore[no-untyped-def]
     """Halves each wire (w, 3)-(w, 3) within the gate until each piece's delay is nearly linear; gives the count."""
     count = 0
@@ -55,7 +55,7 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
     return count
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@inner(fastmath=True, nogil=True, error_model="numpy")
 def _element(pieces, k, end, axis, radius, series, w, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
@@ -85,7 +85,7 @@ def _element(pieces, k, end, axis, radius, series, w, origins, frames, fields, t
     return g * (share * tm + (1 - share) * te)
 
 
-@njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
+@loop(fastmath=True, nogil=True, error_model="numpy")
 def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
               omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of wire (m, 2, 3) on the delay grids.

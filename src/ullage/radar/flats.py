@@ -73,7 +73,20 @@ def lay_flats(
     if not len(which):
         return []
     limits = limits_of(flats, view, ready.gate[1], ready.fold_s)
-    rim = rims(ready, flats, view, which, limits)
+    return lay_parted(ready, parts, flats, view, which, rims(ready, flats, view, which, limits), limits, grids)
+
+
+def lay_parted(
+    ready: Bench,
+    parts: list[Surfaces],
+    flats: Flats,
+    view: View,
+    which: Longs,
+    rim: Rim,
+    limits: Floats,
+    grids: Complexes,
+) -> list[Laid]:
+    """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends."""
     points = np.empty((len(which), 9))
     count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, view.origins[None], limits,
                            points)  # fmt: skip

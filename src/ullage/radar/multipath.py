@@ -57,9 +57,14 @@ def lay_bounces(
     """Adds the echoes of two and three bounces between flat faces to the delay grids."""
     if len(flats) < 2:
         return []
-    chosen = _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m)
-    beams = trace(flats, view, max_bounces, ready.gate[1], chosen)
+    beams = beams_of(ready, flats, view, max_bounces)
     return _lay(ready, parts, flats, view, beams, grids) if len(beams) else []
+
+
+def beams_of(ready: Bench, flats: Flats, view: View, max_bounces: int) -> Beams:
+    """All beams of two bounces up to as many as told, over the mirrors that look largest from one pose."""
+    chosen = _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m)
+    return trace(flats, view, max_bounces, ready.gate[1], chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,7 +203,7 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
         first, starts, ends = flats.first, flats.starts, flats.ends
         origins = view.origins[None]
     else:
-        beams = trace(flats, view, order, ready.gate[1], _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m))
+        beams = beams_of(ready, flats, view, order)
         on, first = beams.ends_on, beams.first
         asked = (beams.chains[:, 1] >= 0) == (order == 3)
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])

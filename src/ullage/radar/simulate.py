@@ -21,6 +21,7 @@ from ullage.errors import InputError
 from ullage.radar.crew import PAYS_S, Crew, cores
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
+from ullage.radar.warmup import warm_up
 from ullage.specs import RadarSpec, Rig
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -84,10 +85,10 @@ def simulate(
     """
     parts: dict[str, list[Frames]] = {}
     with kernels.telling():
-        for chunk in simulate_stream(
-            scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed, believed=believed,
-            progress=progress
-        ):  # fmt: skip
+        pieces = simulate_stream(scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed,
+                                 believed=believed, progress=progress)  # fmt: skip
+        warm_up(fidelity, max_bounces, scene)
+        for chunk in pieces:
             for name, frames in chunk.items():
                 parts.setdefault(name, []).append(frames)
     whole = {name: joined(pieces) for name, pieces in parts.items()}

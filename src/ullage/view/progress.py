@@ -55,6 +55,8 @@ class Teller:
         """Change what the bar says it is doing."""
         self.title = text
         self.bar.update(self.task, description=text)
+        if not console.is_terminal:
+            say(text)
 
 
 @contextmanager

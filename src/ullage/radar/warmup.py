@@ -1,0 +1,292 @@
+"""Compiles the kernels that a radar needs, once after installation, on worlds of a few triangles.
+
+Numba compiles one function at a time in a process, so half of the work is done in a process of its own beside this
+one. While either compiles, the garbage of a compiler is not swept: there is little, and looking for it takes a tenth
+of the time.
+"""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import IO, TYPE_CHECKING, Literal
+
+import numpy as np
+
+from ullage import kernels
+from ullage.data import Trajectory
+from ullage.radar.crew import cores
+from ullage.specs import RadarSpec
+from ullage.world.scene import Scene
+
+if TYPE_CHECKING:
+    from ullage.radar.physical import Bench, View
+
+Tell = Callable[[str], None]
+
+NEEDED: Mapping[str, tuple[str, ...]] = {
+    "thesis": ("rays",),
+    "physical": ("pulse", "edges", "rims", "rays", "receiver"),
+    "rough": ("grit",),
+    "bounces": ("beams", "bounces"),
+    "shapes": ("facets", "wires"),
+    "conductors": ("lines", "fringe", "double_fringe"),
+}
+"""Kernel modules behind each part of a radar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Something small to run, that compiles some kernels."""
+
+    name: str
+    part: str
+    seconds: float  # CPU time it takes, about
+    run: Callable[[], None]
+    needs: tuple[str, ...] = ()  # jobs whose kernels it runs too: it waits for them, in this process
+
+
+def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None) -> tuple[str, ...]:
+    """The parts of `NEEDED` behind a radar, in a world where that is known."""
+    if fidelity != "physical":
+        return (fidelity,)
+    there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True}
+    if scene is not None:
+        from ullage.radar.prepared import prepare
+
+        made = prepare(scene)
+        there["rough"] = any(material.roughness_m > 0 for material in made.materials)
+        there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
+        there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
+    return (fidelity, *(part for part, needed in there.items() if needed))
+
+
+_DONE: set[str] = set()  # parts that this process has seen to
+
+
+def warm_up(fidelity: str, max_bounces: int, scene: Scene) -> None:
+    """Compiles what a radar needs in a world, in two processes, where there is much to compile and both have a core."""
+    parts = set(radar_parts(fidelity, max_bounces, scene)) - _DONE
+    _DONE.update(parts)
+    wanted = [job for job in JOBS if job.part in parts and not _compiled(job.part)]
+    if sum(job.seconds for job in wanted) > _WORTH_S and cores() > 1 and all(shared(wanted)):
+        Compiling(wanted, module=__name__).wait()
+
+
+_WORTH_S = 10.0  # less is compiled as it is met [s]
+
+
+def _compiled(part: str) -> bool:
+    return all(kernels.compiled(stem) for stem in NEEDED[part])
+
+
+@contextmanager
+def unswept() -> Iterator[None]:
+    """While it lasts, no garbage is collected, unless somebody else has seen to that."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+@dataclass(slots=True)
+class Compiling:
+    """Jobs under way: those of now in this process and the one beside it, those of later in that one.
+
+    Args:
+        now: what must be compiled before anything else begins.
+        later: what may be compiled while other things go on.
+        module: what Python runs beside this process; it takes names of jobs, and tells each that is done.
+        tell: called with what is being compiled.
+    """
+
+    now: Sequence[Job]
+    later: Sequence[Job] = ()
+    module: str = ""
+    tell: Tell | None = None
+    _beside: subprocess.Popen[str] | None = field(default=None, init=False)
+    _open: list[str] = field(default_factory=list, init=False)  # not yet done beside
+
+    def wait(self) -> None:
+        """Compile until all jobs of now are done."""
+        mine, others = shared(self.now)
+        if cores() < 2:
+            mine, others = [*mine, *others], []
+        elif others or self.later:
+            self._start([job.name for job in (*others, *self.later)])
+        try:
+            with unswept():
+                for job in mine:
+                    self._await([other for other in others if other.name in job.needs])
+                    self._say([job.name, *self._open[:1]])
+                    job.run()
+            self._await(others)
+        except BaseException:
+            self.close()
+            raise
+
+    def wait_later(self) -> None:
+        """Compile until the jobs of later are done too."""
+        try:
+            self._await(self.later)
+        finally:
+            self.later = ()
+            self.close()
+
+    def close(self) -> None:
+        """Let nothing go on beside."""
+        if self._beside is not None and self._beside.poll() is None:
+            self._beside.terminate()
+            self._beside.wait()
+        self._open.clear()
+
+    def _start(self, names: list[str]) -> None:
+        command = [sys.executable, "-m", self.module, *names]
+        try:  # a group of its own: Ctrl-C is for this process, which ends the other
+            self._beside = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                                            stderr=subprocess.DEVNULL, text=True, start_new_session=True)  # fmt: skip
+        except OSError:  # no Python to start: each kernel is compiled when it is met
+            return
+        self._open[:] = names
+
+    def _await(self, jobs: Sequence[Job]) -> None:
+        """Listen until these jobs are done beside; those it left undone are done here."""
+        told: IO[str] | None = self._beside.stdout if self._beside is not None else None
+        while told is not None and any(job.name in self._open for job in jobs):
+            self._say(self._open[:1])
+            line = told.readline()
+            if not line:
+                break
+            if line.strip() in self._open:
+                self._open.remove(line.strip())
+        for job in jobs:
+            if self._beside is None or job.name in self._open:
+                self._say([job.name])
+                with unswept():
+                    job.run()
+
+    def _say(self, names: list[str]) -> None:
+        if self.tell is not None and names:
+            self.tell(", ".join(names))
+
+
+def shared(jobs: Sequence[Job]) -> tuple[list[Job], list[Job]]:
+    """Two shares that end at about the same time, each in the order of `jobs`; what needs others is in the first."""
+    free = [job for job in jobs if not job.needs]
+    spent = [sum(job.seconds for job in jobs if job.needs), _START_S]
+    shares: tuple[list[Job], list[Job]] = ([job for job in jobs if job.needs], [])
+    for job in sorted(free, key=lambda job: -job.seconds):
+        less = int(spent[1] < spent[0])
+        shares[less].append(job)
+        spent[less] += job.seconds
+    one, other = ([job for job in jobs if job in share] for share in shares)
+    return one, other
+
+
+_START_S = 2.5  # what the other process takes to start, about [s]
+
+
+def beside(jobs: Sequence[Job], names: Sequence[str]) -> None:
+    """What the process beside does: the jobs of these names, each told on its output when done."""
+    with unswept():
+        for name in names:
+            next(job for job in jobs if job.name == name).run()
+            print(name, flush=True)
+
+
+def _frames(scene: Scene, *, fidelity: Literal["physical", "thesis"] = "physical", max_bounces: int = 1) -> None:
+    from ullage.radar.simulate import simulate_stream
+
+    track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
+    for _ in simulate_stream(scene, track, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces):
+        pass
+
+
+def _thesis() -> None:
+    from ullage.world import scenes
+
+    _frames(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0), fidelity="thesis")
+
+
+def _walls(*, roughness_m: float = 0.0, max_bounces: int = 1) -> None:
+    _frames(_room(roughness_m), max_bounces=max_bounces)
+
+
+def _room(roughness_m: float = 0.0) -> Scene:
+    from ullage.world import scenes
+
+    room = scenes.room((2, 2, 2))
+    walls = tuple(replace(wall, material=wall.material.but(roughness_m=roughness_m)) for wall in room.objects)
+    return replace(room, objects=walls)
+
+
+def _bench(scene: Scene) -> tuple[Bench, View]:
+    from ullage.radar.physical import bench, view_of
+
+    spec = RadarSpec.preset("x4m05")
+    return bench(scene, spec), view_of(spec, np.zeros(3), np.eye(3))
+
+
+def _rims() -> None:
+    from ullage.radar.flats import rims
+
+    ready, view = _bench(_room())
+    flats = ready.world.still.flats
+    rims(ready, flats, view, np.arange(len(flats)), np.full(len(flats), 9.0))
+
+
+def _echoes() -> None:
+    from ullage.radar.flats import Rim, lay_parted
+
+    ready, view = _bench(_room())
+    flats, none = ready.world.still.flats, np.zeros(0, np.int32)
+    rim = Rim(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(len(flats)))
+    lay_parted(ready, ready.world.parts(), flats, view, np.arange(len(flats)), rim, np.full(len(flats), 9.0),
+               np.zeros((3, ready.places), complex))  # fmt: skip
+
+
+def _beams() -> None:
+    from ullage.radar.multipath import beams_of
+
+    ready, view = _bench(_room())
+    beams_of(ready, ready.world.still.flats, view, 3)
+
+
+def _shapes() -> None:
+    from ullage.world import scenes
+
+    _frames(scenes.sphere(0.2, 2.0))
+    _frames(scenes.wire(radius_m=0.001, length_m=0.5, distance_m=2.0))
+
+
+def _conductors() -> None:
+    from ullage.radar.fringes import lay_edges
+    from ullage.world import scenes
+
+    ready, view = _bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"))
+    lay_edges(ready, ready.world.parts(), view, None, np.zeros((3, ready.places), complex))
+
+
+JOBS: tuple[Job, ...] = (
+    Job("rays", "thesis", 1, _thesis),
+    Job("rims of faces", "physical", 7, _rims),
+    Job("beams", "bounces", 3.5, _beams),
+    Job("edges of conductors", "conductors", 9, _conductors),
+    Job("echoes of faces", "physical", 4, _echoes),
+    Job("curved faces and wires", "shapes", 7, _shapes),
+    Job("frames", "physical", 1, _walls, ("rims of faces", "echoes of faces")),
+    Job("rough faces", "rough", 1, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
+    Job("bounces", "bounces", 4.5, partial(_walls, max_bounces=2), ("rims of faces", "echoes of faces", "beams")),
+)
+
+if __name__ == "__main__":
+    beside(JOBS, sys.argv[1:])
