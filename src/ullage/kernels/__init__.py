@@ -7,19 +7,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
-from pathlib import Path
+from typing import Any
 
 
 def compiled(stem: str) -> bool:
-    """Whether a module of kernels has a compiled copy newer than its source, wherever Numba keeps them."""
+    """Whether a module of kernels has a copy compiled from its source as it is, wherever Numba keeps them."""
     module = import_module(f"{__name__}.{stem}")
-    source = Path(str(module.__file__))
-    mine = (v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__)
-    kept = next((v.stats.cache_path for v in mine if hasattr(v, "stats")), None)
-    if kept is None:  # Numba is turned off
-        return True
-    copies = (p.stat().st_mtime for p in Path(kept).glob(f"{stem}.*.nbi"))
-    return max(copies, default=0.0) > source.stat().st_mtime
+    mine = [v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__ and hasattr(v, "stats")]
+    return not mine or any(_kept(kernel) for kernel in mine)  # none: Numba is turned off
+
+
+def _kept(kernel: Any) -> bool:
+    """Whether Numba would take a copy of a kernel from disk: it knows the source by what is in it, not by its date."""
+    return bool(kernel._cache._cache_file._load_index())
 
 
 @contextmanager
