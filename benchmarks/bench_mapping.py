@@ -1,6 +1,6 @@
 """CPU time and memory of the mappers: ours beside the thesis' method, far beside near, plane beside volume.
 
-python benchmarks/bench_mapping.py
+python benchmarks/bench_mapping.py [--volume]
 """
 
 from __future__ import annotations
@@ -93,6 +93,11 @@ def main() -> None:
     coarse = ul.Grid.covering([[-25, -25, -1], [25, 25, 1]], 0.1, z_m=0.0)
     for grid in (plane, volume):
         Mapper(grid).update(first)
+    if "--volume" in sys.argv:
+        solid = row("ullage, volume 0.1 m, near", Mapper(volume), near)
+        open_ = row("ullage, volume 0.1 m, far", Mapper(volume), far)
+        print(f"far over near {open_ / solid:.2f}")
+        return
     Mapper(plane, method="elfes").update(first)
     print("one profile at a time, four sensors at 25 Hz, 0.5 m/s")
     base = row("elfes, plane 0.1 m, near", Mapper(plane, method="elfes"), near)

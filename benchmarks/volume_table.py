@@ -1,7 +1,7 @@
 """The full-profile mapper in a volume, on flights that change height by a metre: Markdown, mean and 95 % interval.
 
-Beside it, on the same frames, what the yardstick allows: a map of all surface within two Fresnel zones of the true foot
-of a perpendicular from one of the looks ("told the walls").
+Beside it, on the same frames, what the yardstick allows: a map of all surface within eight Fresnel zones of the true
+foot of a perpendicular from one of the looks ("told the walls").
 
 python benchmarks/volume_table.py [--flights 0,1,2] [--only WORD] [--level] [--keep FOLDER]
 """
@@ -51,7 +51,8 @@ def flown(scene: Scene, seed: int, folder: Path, *, level: bool = False) -> dict
     file = folder / f"{'level' if level else 'rise'}{seed}.pkl"
     if not file.exists():
         path = level_route(seed) if level else route(seed)
-        file.write_bytes(pickle.dumps(ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)))
+        made = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)
+        file.write_bytes(pickle.dumps({name: replace(f, simulated=None) for name, f in made.items()}))
     frames: dict[str, Frames] = pickle.loads(file.read_bytes())
     return frames
 
@@ -83,7 +84,7 @@ def main() -> None:
             for name, recording in cases(frames, seed):
                 if options.only not in name:
                     continue
-                omap = told(scene, frames, grid, zones=2) if recording is None else ul.map_occupancy(recording, grid)
+                omap = told(scene, frames, grid, zones=8) if recording is None else ul.map_occupancy(recording, grid)
                 got = ul.metrics.map_quality(omap, scene, frames)
                 scores.setdefault(name, []).append({key: got[key].value for key in COLUMNS})
                 print(f"{seed} {name}: F1 {got['f1'].value:.3f}", file=sys.stderr, flush=True)
