@@ -1,6 +1,6 @@
 """Every mapping method on the same simulated flights, five seeds, as a Markdown table: mean and 95 % interval.
 
-python benchmarks/mapping_table.py [--seeds 5] [--only WORD] [--figure map.png]
+python benchmarks/mapping_table.py [--seeds 5] [--only WORD] [--figure map.png] [--targets]
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+from target_table import cost_rows, hover_change, print_targets, truth_rows
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
@@ -32,6 +33,12 @@ COLUMNS = {
     "log_likelihood": "log-lik. [nat]",
     "free_found": "free found",
 }
+
+
+def room() -> tuple[Scene, ul.Grid]:
+    """A concrete room with a steel plate, and the plane on which it is mapped."""
+    scene = ul.scenes.room(SIZE, plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
+    return scene, ul.Grid.covering(scene.bounds, 0.1, margin_m=1.0)
 
 
 def route(seed: int, *, rate: float = 25.0) -> Trajectory:
@@ -141,11 +148,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--only", default="", help="rows that hold this word")
     parser.add_argument("--figure")
+    parser.add_argument("--targets", action="store_true", help="a minute's hover and the costs too, beside the targets")
     options = parser.parse_args()
-    plate = {"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6}
-    scene = ul.scenes.room(SIZE, plate=plate)
-    grid = ul.Grid.covering(scene.bounds, 0.1, margin_m=1.0)
+    scene, grid = room()
     scores: dict[str, list[dict[str, float]]] = {}
+    hover: list[dict[str, float]] = []
     for seed in range(options.seeds):
         for name, frames, how in cases(seed, scene, grid):
             if options.only not in name:
@@ -156,7 +163,12 @@ def main() -> None:
             print(f"{seed} {name}: F1 {got['f1'].value:.3f}", file=sys.stderr, flush=True)
             if options.figure and seed == 0 and name.endswith("exact poses"):
                 draw(omap, scene, frames, options.figure)
+            if options.targets and name.endswith("exact poses"):
+                hover.append(hover_change(scene, grid, frames, route(seed), seed))
+                print(f"{seed} hover: {hover[-1]}", file=sys.stderr, flush=True)
     print_table("method", COLUMNS, scores)
+    if options.targets:
+        print_targets(truth_rows(scores | {"hover": hover}) + cost_rows())
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ CASES = {  # label: boresight off the object [deg], tilt of the object about the
     "on boresight, level": (0, 90),
     "60° off, level": (60, 90),
 }
+NEAR, OFF = ((0.5, 1.5), (1.5, 3.0), (3.0, 5.0)), ((0, 15), (15, 32.5), (32.5, 60))
 METHODS = ("first_peak", "cfar", "track")
 GATE_M, PFA = 0.15, 1e-4
 RADAR = ul.RadarSpec.preset("x4m05")
@@ -119,29 +120,46 @@ def draw(table, path: str, runs: int) -> None:
     figure.savefig(path, dpi=100)
 
 
-def room() -> None:
-    """The three in a room with walls, floor, ceiling and two bounces of clutter: on the map, and flagged in flight."""
+def room(runs: int) -> None:
+    """The three in a room with walls, floor and ceiling: on the map, and missed in flight by range and angle."""
     import mapping_table
 
     places = {"3 mm wire": (-0.7, 0.3), "1 cm pole": (0.1, -0.2), "5 cm pole": (-1.4, -0.1)}
     things = [Scene.of_wires((x, y, -1.5), (x, y, 1.5), OBJECTS[n], name=n) for n, (x, y) in places.items()]
     scene = Scene.union([ul.scenes.room(mapping_table.SIZE), *things])
-    frames = ul.simulate(scene, mapping_table.route(0), ul.Rig.preset("thesis-4"), seed=0)
     grid = ul.Grid.covering(scene.bounds, 0.1, margin_m=1.0)
-    score = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
-    print("| object | on the map | flagged, share of the frames with it in the beam |\n|---|---|---|")
-    for name, (x, y) in places.items():
-        lit = flagged = 0
+    on_map = dict.fromkeys(places, 0)
+    tally = {name: np.zeros((len(NEAR), len(OFF), 2), int) for name in places}
+    false = []
+    for seed in range(runs):
+        frames = ul.simulate(scene, mapping_table.route(seed), ul.Rig.preset("thesis-4"), seed=seed)
+        score = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
+        false.append(int(score["false_occupied"].value))
         for part in frames.values():
             hits = hits_of(part, "track")
-            away = np.array([x, y]) - part.believed.position[:, :2]
-            reach = np.linalg.norm(away, axis=1)
-            ahead = np.array([np.cos(a) for a in angles(part, away)])
-            beam = (ahead > np.cos(np.radians(32.5))) & (reach > 0.5)
-            near = abs(hits.range_m - reach[hits.frame]) <= GATE_M
-            lit += int(beam.sum())
-            flagged += int(np.isin(np.flatnonzero(beam), hits.frame[near]).sum())
-        print(f"| {name} | {'yes' if score[f'found:{name}'].value else 'no'} | {flagged / max(lit, 1):.3f} |")
+            for name, place in places.items():
+                tally[name] += lit_and_missed(part, hits, np.array(place))
+        for name in places:
+            on_map[name] += int(score[f"found:{name}"].value)
+    bins = [f"{a:g} to {b:g} m, {c:g} to {d:g}°" for a, b in NEAR for c, d in OFF]
+    print("| object | on the map, flights |", " | ".join(bins), "|\n|---|---|" + "---|" * len(bins))
+    for name, counts in tally.items():
+        cells = [f"{missed / lit:.3f} ({lit})" if lit else "-" for lit, missed in counts.reshape(-1, 2)]
+        print(f"| {name} | {on_map[name]} of {runs} |", " | ".join(cells), "|")
+    print(f"\ncells held occupied over 0.15 m from everything, by flight: {false}")
+
+
+def lit_and_missed(part: Frames, hits: ul.Detections, place: np.ndarray) -> np.ndarray:
+    """Frames that had an object in these ranges and angles, and how many of them did not flag it (near, off, 2)."""
+    away = place - part.believed.position[:, :2]
+    reach, off = np.linalg.norm(away, axis=1), np.degrees(angles(part, away))
+    seen = np.isin(np.arange(len(part)), hits.frame[abs(hits.range_m - reach[hits.frame]) <= GATE_M])
+    out = np.zeros((len(NEAR), len(OFF), 2), int)
+    for i, (a, b) in enumerate(NEAR):
+        for j, (c, d) in enumerate(OFF):
+            mine = (reach >= a) & (reach < b) & (off >= c) & (off < d)
+            out[i, j] = mine.sum(), (mine & ~seen).sum()
+    return out
 
 
 def angles(part: Frames, away: np.ndarray) -> np.ndarray:
@@ -158,7 +176,7 @@ def main() -> None:
     parser.add_argument("--room", action="store_true")
     options = parser.parse_args()
     if options.room:
-        room()
+        room(options.runs)
         return
     table = misses(options.runs)
     print("| object | geometry |", " | ".join(f"{r:.0f} m" for r in RANGES), "|")

@@ -57,3 +57,15 @@ def test_memory_never_outgrows_the_grid():
     for _ in range(10):
         blocks.reserve(10_000)
     assert len(blocks.pools.hits) == blocks.pools.slots.size == 125
+
+
+def test_only_what_is_held_occupied_bars_the_way():
+    blocks = Blocks(ul.Grid.covering([[-1, -1, -1], [3, 1, 1]], 0.1, z_m=0.0))
+    eye, ahead = np.array([0.05, 0.05, 0.0]), np.array([1.0, 0.0, 0.0])
+    assert blocks.clear_to(eye, ahead, 2.0)
+    blocks.lay(np.array([1.05, 0.05, 0.0]), ahead, (0.05, 0.04, 5.0))
+    assert not blocks.clear_to(eye, ahead, 2.0)
+    assert blocks.clear_to(eye, ahead, 1.0), "what stands there does not hide itself"
+    aside = np.array([np.cos(0.5), np.sin(0.5), 0.0])
+    assert blocks.clear_to(eye, aside, 2.0)
+    assert blocks.clear_to(eye, -ahead, 5.0), "beyond the grid nothing is held"

@@ -223,3 +223,22 @@ def test_frames_of_rays_are_mapped_no_worse_than_by_the_baseline(flight):
     ours, base = (ul.map_occupancy(rays, GRID, method=m) for m in ("ullage", "elfes"))
     assert ours.method == "ullage"
     np.testing.assert_array_equal(ours.percent, base.percent)
+
+
+def test_a_bearing_that_leaves_two_places_open_makes_neither_a_wall():
+    path = Trajectory.line((-2, 0, 0), (0, 0, 0), 0.5, 25)
+    far = world.box_plan(-60, 60, -60, 60)
+    frames = world.listen(path, far, poles=[(2.0, 1.0, 0.5)])
+    omap = ul.map_occupancy(frames, GRID)
+    assert not omap.occupied.any(), "one sensor on a straight track cannot tell left from right"
+    for y in (1.0, -1.0):
+        column, row = round((2.0 + 5) / 0.1), round((y + 4) / 0.1)
+        assert omap.ambiguous[row - 2 : row + 2, column - 2 : column + 2].any()
+
+
+def test_a_pole_that_hides_no_wall_leaves_the_wall_on_the_map():
+    frames = world.rig(loop(), [*PLAN, ((3.0, -0.3), (3.0, 0.3))], seed=3, edge=0.4)
+    omap = ul.map_occupancy(frames, GRID)
+    wall = omap.occupied[:, round((4.0 + 5) / 0.1) - 1 : round((4.0 + 5) / 0.1) + 1].any(axis=1)
+    beside = [round((y + 4) / 0.1) for y in (-1.0, -0.8, 0.8, 1.0)]
+    assert wall[beside].all(), "the wall beside a panel is heard past its edge"

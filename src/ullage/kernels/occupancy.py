@@ -21,6 +21,7 @@ SCALE = 10.0
 MOST_HITS = 120
 FULL = 0xFFFF
 CLEAR_SIDES = 6
+TORN, TORN_HITS = 3, 7  # of an arc that two places far apart may have made: neither becomes a wall by it
 NOWHERE = 255
 
 
@@ -110,11 +111,13 @@ def share_echoes(
         none[k] = math.exp(none[k])
     for i in range(candidates):
         slot, cell, k = found[i, 0], found[i, 1], found[i, 2]
-        if arcs[k, 8] != 1:
+        if arcs[k, 8] != 1 and arcs[k, 8] != TORN:
             tenths = 1 if hits[slot, cell] < 3 else 0
         else:
             others = none[k] / (1.0 - chance[i] * held_by[hits[slot, cell], found[i, 4]])
             tenths = int(math.log((1.0 - (1.0 - chance[i]) * others) / (1.0 - others)) * SCALE + 0.5)
+            if arcs[k, 8] == TORN:
+                tenths = min(tenths, TORN_HITS - hits[slot, cell])
         if tenths > 0:
             pools.loud[slot] = 1
             hits[slot, cell] = min(hits[slot, cell] + tenths, MOST_HITS)

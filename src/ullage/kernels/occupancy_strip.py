@@ -47,3 +47,22 @@ def lay_strip(
                 pools.loud[slot] = 1
                 pools.hits[slot, cell] = min(pools.hits[slot, cell] + tenths, MOST_HITS)
                 pools.facing[slot, cell] = side
+
+
+@loop(fastmath=True)
+def is_clear(
+    pools: Pools, step: float, edge: int, eye: np.ndarray, way: np.ndarray, range_m: float, wall: int
+) -> bool:
+    """Whether no cell of `wall` hits or more lies on the way, but for the last two cells before the range."""
+    flat = pools.size[2] == 1
+    r = step
+    while r < range_m - 2.0 * step:
+        ix = math.floor((eye[0] + r * way[0] - pools.origin[0]) / step)
+        iy = math.floor((eye[1] + r * way[1] - pools.origin[1]) / step)
+        iz = 0 if flat else math.floor((eye[2] + r * way[2] - pools.origin[2]) / step)
+        inside = 0 <= ix < pools.size[0] and 0 <= iy < pools.size[1] and 0 <= iz < pools.size[2]
+        slot = pools.slots[0 if flat else iz // edge, iy // edge, ix // edge] if inside else EMPTY
+        if slot != EMPTY and pools.hits[slot, cell_index(ix, iy, iz, edge, pools.size[2])] >= wall:
+            return False
+        r += 0.5 * step
+    return True

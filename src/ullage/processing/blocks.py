@@ -10,7 +10,7 @@ from ullage.grids import EDGE, Grid
 from ullage.kernels.occupancy import EMPTY, MOST_HITS, NOWHERE, Pools, collapse_blocks, mark_flown, share_echoes
 from ullage.kernels.occupancy_cone import hear_blocks, survey_blocks
 from ullage.kernels.occupancy_reach import Beam, cast_reach
-from ullage.kernels.occupancy_strip import lay_strip
+from ullage.kernels.occupancy_strip import is_clear, lay_strip
 
 MOST_BYTES = 2 * 1024**3
 GROWTH = 16
@@ -97,6 +97,10 @@ class Blocks:
         sigma, half, gain = strip
         self.reserve(int(2 * (half + 3 * sigma) / (self.edge * self.grid.step_m) + 3) ** self.grid.dims)
         lay_strip(self.pools, self.grid.step_m, self.edge, foot, way, sigma, half, gain)
+
+    def clear_to(self, eye: NDArray[np.float64], way: NDArray[np.float64], range_m: float) -> bool:
+        """Whether the map holds nothing occupied between a place and what lies at a range in a direction."""
+        return bool(is_clear(self.pools, self.grid.step_m, self.edge, eye, way, range_m, WALL_TENTHS))
 
     def clear(self, position: NDArray[np.float64], radius_m: float) -> None:
         """Nothing stands within a radius of a place where the drone was."""

@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
+from ullage.kernels.occupancy import TORN
 from ullage.kernels.occupancy_reach import Beam
 from ullage.kernels.occupancy_show import in_view, render_cells
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
@@ -21,7 +22,7 @@ from ullage.processing.inverse_sensor import heard_deg
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
-from ullage.processing.mapper_looks import Listener, Look, lit_ways
+from ullage.processing.mapper_looks import Listener, Look, lit_ways, ways_apart
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among
 from ullage.processing.mapper_tracks import EchoTracks, Foot
 
@@ -40,6 +41,7 @@ FRESNEL_SHARE, LOOK_SHARE, FLAT_SHARE = 0.85, 0.4, 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 SHADE = float(np.cos(np.radians(25.0)))
+SEEN_TRUST, APART_M = 0.9, 0.4
 AHEAD = {2: 12, 3: 24}
 RING = 2.0  # of an arc in a volume: its bearing names no place
 
@@ -159,6 +161,8 @@ class UllageMapper:
         start, bin_m, far = self._axis[name]
         hit, free = self._lobe[name]
         heard = look.heard
+        if self.grid.dims == 2:
+            arcs[[ways_apart(heard.axes, arc, hit[0]) > APART_M for arc in arcs], 8] = TORN
         self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
         self._flown[tuple(np.rint(heard.position / self.grid.step_m).astype(int).tolist())] = None
         quiet = np.concatenate([[0], np.cumsum(heard.quiet)])
@@ -187,14 +191,17 @@ class UllageMapper:
     def _lay_strips(self, beam: Beam, arcs: Floats, flat: NDArray[np.bool_], least: float) -> None:
         """Echoes of smooth surfaces stand for the first Fresnel zone round the foot of the perpendicular.
 
-        The looks of one window share their frames, and their errors: each adds but a share of its log-odds.
+        The looks of one window share their frames, and their errors: each adds but a share of its log-odds. A nearer
+        echo shades widely, so that silence beside it frees nothing, but what is surely heard is not hidden by it: only
+        what the map holds is before it.
         """
         middle = (np.arange(self._reach.shape[1]) + 0.5) / self._reach.shape[1]
         for arc in arcs[flat & (arcs[:, 9] < 0.5)]:
             for way in self._ways(beam.axes, arc, least):
                 side, fore = way @ beam.axes[:, 1], max(float(way @ beam.axes[:, 0]), 1e-3)
                 sector = int(np.argmin(abs((2 * middle - 1) * beam.tangent - side / fore)))
-                if arc[0] > self._reach[0, sector] + 1.5 * self.grid.step_m:
+                hidden = arc[0] > self._reach[0, sector] + 1.5 * self.grid.step_m
+                if hidden and (1 - arc[9] < SEEN_TRUST or not self.blocks.clear_to(beam.eye, way, float(arc[0]))):
                     continue
                 half = FRESNEL_SHARE * np.sqrt(self._wavelength_m * arc[0] / 2)
                 blur = arc[0] * arc[6] / max(np.sqrt(max(1 - arc[5] ** 2, 0.0)), 0.1)

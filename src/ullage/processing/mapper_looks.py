@@ -211,6 +211,18 @@ def lit_ways(axes: Floats, track: Floats, cosine: float, least: float) -> list[F
     return [way for way in both if way @ axes[:, 0] > least]
 
 
+def ways_apart(axes: Floats, arc: Floats, least: float) -> float:
+    """How far apart lie the two places that a bearing leaves open, zero where only one is lit [m].
+
+    Args:
+        axes: (3, 3) world_from_sensor.
+        arc: range, its sigma, track (3), cosine to it, and more.
+        least: cosine to boresight above which a direction is lit.
+    """
+    lit = lit_ways(axes, arc[2:5], float(arc[5]), least)
+    return float(arc[0]) * float(np.linalg.norm(lit[1] - lit[0])) if len(lit) == 2 else 0.0
+
+
 def smoothest(t: Floats, values: Floats) -> tuple[Floats, float, int]:
     """Values (n, 3) of the lowest polynomial in t that fits within 15 % as well as a cubic; its scatter and order."""
     fits = []
