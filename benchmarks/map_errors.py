@@ -48,8 +48,8 @@ def false_cells(omap, points: np.ndarray, ends: np.ndarray) -> Counter:
     false, beside = gap > MATCH_M, to_end < NEAR_END_M
     return Counter(
         {
-            "occupied": len(cells),
-            "false": int(false.sum()),
+            "cells held occupied": len(cells),
+            "of these false": int(false.sum()),
             "second row, 0.15 m to a rounding": int((false & row).sum()),
             "beside an end or corner": int((false & ~row & beside).sum()),
             "elsewhere": int((false & ~row & ~beside).sum()),
@@ -64,14 +64,14 @@ def missed_surface(omap, perfect, surface) -> Counter:
     ours, best = (cKDTree(centres(m)).query(points)[0] > MATCH_M for m in (omap, perfect))
     return Counter(
         {
-            "observable": len(points),
-            "missed": int(ours.sum()),
+            "surface observable": len(points),
+            "of this missed": int(ours.sum()),
             "missed by a map told the walls": int(best.sum()),
             "missed by both": int((ours & best).sum()),
             "by ours alone, under 10 looks": int((ours & ~best & (looks < 10)).sum()),
             "by ours alone, 10 to 30 looks": int((ours & ~best & (looks >= 10) & (looks < 30)).sum()),
             "by ours alone, 30 looks and more": int((ours & ~best & (looks >= 30)).sum()),
-            "told the walls only": int((best & ~ours).sum()),
+            "missed only by the map told the walls": int((best & ~ours).sum()),
         }
     )
 
@@ -94,7 +94,7 @@ def main() -> None:
         total += of_flight(scene, grid, frames)
     print("| | share |\n|---|---|")
     for name, count in total.items():
-        whole = total["occupied"] if name in list(total)[:5] else total["observable"]
+        whole = total["cells held occupied"] if name in list(total)[:5] else total["surface observable"]
         print(f"| {name} | {100 * count / whole:.1f} % ({count}) |")
 
 
