@@ -50,9 +50,7 @@ def lay_strip(
 
 
 @loop(fastmath=True)
-def is_clear(
-    pools: Pools, step: float, edge: int, eye: np.ndarray, way: np.ndarray, range_m: float, wall: int
-) -> bool:
+def is_clear(pools: Pools, step: float, edge: int, eye: np.ndarray, way: np.ndarray, range_m: float, wall: int) -> bool:
     """Whether no cell of `wall` hits or more lies on the way, but for the last two cells before the range."""
     flat = pools.size[2] == 1
     r = step

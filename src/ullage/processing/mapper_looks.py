@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ MOST_WAITING = 96
 MOST_SPOTS = 200_000
 SMOOTH = 0.25
 STILL_M, STILL_RAD = 0.004, np.radians(1.0)
+WANDER_M, PAUSE_NS = 0.01, 500_000_000
 GATE_M, LEAST_SIGMA_M = 0.03, 0.004
 LEAST_SMOOTHED, ROUGH_M, SMOOTH_M = 8, 1e-3, 0.3
 
@@ -41,6 +42,7 @@ class Heard:
     heights: Floats  # (MOST_PEAKS)
     quiet: NDArray[np.bool_]  # (b)
     samples: NDArray[np.complex64] | None  # (b) where there is a phase
+    smooth: Floats = field(default_factory=lambda: np.zeros(3))  # position without the single pose's noise [m]
     look: bool = False
 
 
@@ -88,6 +90,7 @@ class Listener:
             if self._held and self._still(heard, self._smooth):
                 continue
             self._rest = self._smooth
+            heard.smooth = self._smooth
             heard.look = self._counts(heard, self._smooth)
             self._held.append(heard)
             out += self._ready(patient=True)
@@ -100,10 +103,13 @@ class Listener:
         return out
 
     def _still(self, heard: Heard, smooth: Floats) -> bool:
+        """Whether a frame adds nothing: it has not moved on, or wanders about places that are held already."""
         last = self._held[-1]
-        return bool(
-            np.linalg.norm(smooth - self._rest) < STILL_M and heard.axes[:, 0] @ last.axes[:, 0] > np.cos(STILL_RAD)
-        )
+        if np.linalg.norm(smooth - self._rest) < STILL_M and heard.axes[:, 0] @ last.axes[:, 0] > np.cos(STILL_RAD):
+            return True
+        before = self._held[:-1]
+        near = [one for one in before if np.linalg.norm(smooth - one.smooth) < WANDER_M]
+        return any(heard.axes[:, 0] @ one.axes[:, 0] > np.cos(STILL_RAD) for one in near)
 
     def _counts(self, heard: Heard, smooth: Floats) -> bool:
         if self._last is not None:
@@ -189,13 +195,17 @@ class Listener:
         span = max(float(np.ptp(np.linalg.norm(found - shift, axis=1))), STEP_M)
         return found[pick] - shift, shift, order * 1.7 * rough / (np.sqrt(len(t)) * span)
 
+    def _go_on(self, at: int, before: int, index: int, reach_m: float) -> bool:
+        """Whether one more held frame belongs to the same stretch of flight: near, and without a pause between."""
+        one, pause = self._held[at], abs(self._held[at].t_ns - self._held[before].t_ns)
+        return bool(pause < PAUSE_NS and np.linalg.norm(one.position - self._held[index].position) <= reach_m)
+
     def _window(self, index: int, *, reach_m: float = WINDOW_M) -> list[int]:
-        """Indices of some 21 held frames within reach on both sides, fewer where there are fewer."""
-        here = self._held[index].position
+        """Indices of some 21 held frames within reach on both sides, up to a pause; fewer where there are fewer."""
         first = last = index
-        while first > 0 and np.linalg.norm(self._held[first - 1].position - here) <= reach_m:
+        while first > 0 and self._go_on(first - 1, first, index, reach_m):
             first -= 1
-        while last + 1 < len(self._held) and np.linalg.norm(self._held[last + 1].position - here) <= reach_m:
+        while last + 1 < len(self._held) and self._go_on(last + 1, last, index, reach_m):
             last += 1
         stride = max(1, -(-(last - first) // round(100 * reach_m)))
         return sorted({*range(first, last + 1, stride), index})
