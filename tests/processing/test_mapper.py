@@ -7,6 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
+from ullage.geometry import rpy_quat
 from ullage.grids import AMBIGUOUS
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper import UllageMapper
@@ -194,11 +195,16 @@ def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
 def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope_deg):
     up = np.radians(slope_deg)
     normal = np.array([0.0, np.cos(up), np.sin(up)])
-    path = ul.Trajectory.line((-2.5, 0.0, 0), (2.5, 0.1, 0), rate_hz=25)
+    corners = np.array([(-2.5, -1.0), (2.5, -1.0), (2.5, 0.2), (-2.5, 0.2)])
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    xy = np.stack([np.interp(np.arange(0, way[-1], 0.02), way, corners[:, k]) for k in (0, 1)], axis=1)
+    dx, dy = np.gradient(xy, axis=0).T
+    quat = rpy_quat(0 * dx, 0 * dx, np.unwrap(np.arctan2(dy, dx)))
+    path = Trajectory(np.arange(len(xy)) * 40_000_000, np.column_stack([xy, 0 * dx]), quat)
     frames = world.rig(path, [], sheets=[(normal, 2.0)])
     grid = ul.Grid.covering([[-3.5, -3.5, -1.5], [3.5, 3.5, 1.5]], 0.1, dims=3)
     omap = ul.map_occupancy(frames, grid)
-    along, rise = np.meshgrid(np.linspace(-1.5, 1.5, 40), np.linspace(-1.0, 1.0, 40))
+    along, rise = np.meshgrid(np.linspace(-2, 2, 40), np.linspace(-1.2, 1.2, 40))
     side = np.cross(normal, [1.0, 0, 0])
     points = 2.0 * normal + along[..., None] * [1.0, 0, 0] + rise[..., None] * side
     points = points.reshape(-1, 3)[abs(points.reshape(-1, 3)[:, 2]) < 1.4]
