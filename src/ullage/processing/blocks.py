@@ -76,6 +76,8 @@ class Blocks:
         """
         step, stride = self.grid.step_m, STRIDE[self.grid.dims]
         self._turn += 1
+        met = _met(beam, walls)
+        walls, sure = walls[met], int(np.count_nonzero(met[:sure]))
         farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, sure, WALL_TENTHS, HAZE_PER_M * step)
         rows = survey_blocks(self.pools, step, self.edge, beam, min(farthest + step, beam.far), self._turn, stride)
         self.reserve(int(np.count_nonzero(self.pools.slots[rows[:, 0], rows[:, 1], rows[:, 2]] == EMPTY)))
@@ -167,3 +169,16 @@ def chances() -> NDArray[np.float64]:
     """Chance that a cell is occupied, by its hits and the number of directions from which it was silent."""
     odds = PRIOR + np.arange(MOST_HITS + 1)[:, None] / 10.0 - FREE_NATS
     return np.asarray(1 / (1 + np.exp(-odds)))
+
+
+def _met(beam: Beam, walls: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which walls (p) some direction of a look can meet at all: near enough, and not beside its cone."""
+    gap = walls[:, 4:7] - beam.eye
+    distance, radius = np.sqrt(np.einsum("ni,ni->n", gap, gap)), walls[:, 7]
+    level = abs(walls[:, 3] - walls[:, :3] @ beam.eye)
+    met = (level < beam.far) & (distance < beam.far + radius + 1e-6)
+    if len(beam.reach) > 1:  # on a plane directions are made level, and so may leave the cone
+        half = np.arctan(np.sqrt(2.0) * beam.tangent) + 1e-6
+        off = np.arccos(np.clip(gap @ beam.axes[:, 0] / np.maximum(distance, 1e-9), -1.0, 1.0))
+        met &= (distance <= radius) | (off < half + np.arcsin(np.minimum(radius / np.maximum(distance, 1e-9), 1.0)))
+    return np.asarray(met)

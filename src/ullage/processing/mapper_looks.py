@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,7 +84,7 @@ class Listener:
         """The looks that these frames complete."""
         out: list[Look] = []
         for heard in _heard(frames):
-            if self._held and np.linalg.norm(heard.position - self._held[-1].position) > JUMP_M:
+            if self._held and _apart(heard.position, self._held[-1].position) > JUMP_M:
                 out += self.flush()
             before = heard.position if self._smooth is None else self._smooth
             self._smooth = before + SMOOTH * (heard.position - before)
@@ -105,15 +106,15 @@ class Listener:
     def _still(self, heard: Heard, smooth: Floats) -> bool:
         """Whether a frame adds nothing: it has not moved on, or wanders about places that are held already."""
         last = self._held[-1]
-        if np.linalg.norm(smooth - self._rest) < STILL_M and heard.axes[:, 0] @ last.axes[:, 0] > np.cos(STILL_RAD):
+        if _apart(smooth, self._rest) < STILL_M and heard.axes[:, 0] @ last.axes[:, 0] > np.cos(STILL_RAD):
             return True
         before = self._held[:-1]
-        near = [one for one in before if np.linalg.norm(smooth - one.smooth) < WANDER_M]
+        near = [one for one in before if _apart(smooth, one.smooth) < WANDER_M]
         return any(heard.axes[:, 0] @ one.axes[:, 0] > np.cos(STILL_RAD) for one in near)
 
     def _counts(self, heard: Heard, smooth: Floats) -> bool:
         if self._last is not None:
-            moved = np.linalg.norm(smooth - self._last[0]) >= STEP_M
+            moved = _apart(smooth, self._last[0]) >= STEP_M
             if not moved and heard.axes[:, 0] @ self._last[1] > np.cos(TURN_RAD):
                 return False
         heading = np.rint(heard.axes[:, 0] / TURN_RAD).astype(int)
@@ -131,7 +132,7 @@ class Listener:
         while self._next < len(self._held):
             heard = self._held[self._next]
             if heard.look:
-                ahead = np.linalg.norm(self._held[-1].position - heard.position)
+                ahead = _apart(self._held[-1].position, heard.position)
                 if patient and ahead < WINDOW_M and len(self._held) - self._next < MOST_WAITING:
                     break
                 out.append(self._look(self._next))
@@ -140,7 +141,7 @@ class Listener:
         if self._next:
             here = self._held[min(self._next, len(self._held) - 1)].position
             while drop < self._next and (
-                np.linalg.norm(self._held[drop].position - here) > 1.5 * WINDOW_M or self._next - drop > MOST_WAITING
+                _apart(self._held[drop].position, here) > 1.5 * WINDOW_M or self._next - drop > MOST_WAITING
             ):
                 drop += 1
         del self._held[:drop]
@@ -198,7 +199,7 @@ class Listener:
     def _go_on(self, at: int, before: int, index: int, reach_m: float) -> bool:
         """Whether one more held frame belongs to the same stretch of flight: near, and without a pause between."""
         one, pause = self._held[at], abs(self._held[at].t_ns - self._held[before].t_ns)
-        return bool(pause < PAUSE_NS and np.linalg.norm(one.position - self._held[index].position) <= reach_m)
+        return bool(pause < PAUSE_NS and _apart(one.position, self._held[index].position) <= reach_m)
 
     def _window(self, index: int, *, reach_m: float = WINDOW_M) -> list[int]:
         """Indices of some 21 held frames within reach on both sides, up to a pause; fewer where there are fewer."""
@@ -209,6 +210,12 @@ class Listener:
             last += 1
         stride = max(1, -(-(last - first) // round(100 * reach_m)))
         return sorted({*range(first, last + 1, stride), index})
+
+
+def _apart(one: Floats, other: Floats) -> float:
+    """Distance of two places (3), as np.linalg.norm has it but in a fourth of its time."""
+    gap = one - other
+    return math.sqrt(gap.dot(gap))
 
 
 def lit_ways(axes: Floats, track: Floats, cosine: float, least: float) -> list[Floats]:
