@@ -108,6 +108,18 @@ def test_brackets_in_names_are_names(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().out == f"none pip install 'ullage[view]'\nreport: {tmp_path}/odd[red]/report.html\n"
 
 
+def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys, monkeypatch):
+    from ullage.view import progress
+
+    monkeypatch.setattr(progress, "console", progress.Console(soft_wrap=True, force_terminal=False))
+    with progress.progress_bar("reproducing", total=7.0) as bar:
+        for k in range(500):
+            bar.retitle(f"hold: {k / 5:.0f} %")
+            bar(0.0)
+        bar.say("the first frames are recorded")
+    assert capsys.readouterr().out == "reproducing\nthe first frames are recorded\n"
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -293,7 +293,7 @@ def reproduce(
     with progress_bar("reproducing", total=float(len(chosen))) as bar:
 
         def tell(done: int, text: str) -> None:
-            bar.say(text)
+            bar.retitle(text)
             bar(done)
 
         done = run_all(out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=jobs, tell=tell)
@@ -338,7 +338,7 @@ def sweep(
     with progress_bar(f"{len(points)} runs", total=float(len(points))) as bar:
 
         def tell(done: int, text: str) -> None:
-            bar.say(text)
+            bar.retitle(text)
             bar(done)
 
         done = sweeps.sweep(points, out=out, jobs=jobs, tell=tell)

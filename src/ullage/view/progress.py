@@ -51,10 +51,14 @@ class Teller:
             share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
             say(f"{self.title}: {share}")
 
-    def say(self, text: str) -> None:
-        """Change what the bar says it is doing."""
+    def retitle(self, text: str) -> None:
+        """Change what the bar says it is doing, as often as one likes."""
         self.title = text
         self.bar.update(self.task, description=text)
+
+    def say(self, text: str) -> None:
+        """The same, in a line of its own where there is no terminal."""
+        self.retitle(text)
         if not console.is_terminal:
             say(text)
 
