@@ -80,7 +80,7 @@ def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: N
             time.sleep(LOOK_S)
             for name in [name for name, (_, process) in running.items() if not process.is_alive()]:
                 _judge(*running.pop(name))
-            words = [f"{task.title}: {_read(task.folder / STATUS)}" for task, _ in running.values()]
+            words = [": ".join(filter(None, (task.title, _read(task.folder / STATUS)))) for task, _ in running.values()]
             tell(len(tasks) - len(left) - len(running), "; ".join(words) or "done")
     finally:
         _end([process for _, process in running.values()])
