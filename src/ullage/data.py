@@ -221,7 +221,7 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class SimulatedFrom:
     """What frames were simulated from: for whoever explains them, never for processing; no recording holds it."""
 
     scene: Any  # the Scene, which is of a higher layer
@@ -245,7 +245,7 @@ class Frames:
     )
     track: Trajectory | None = None  # world_from_sensor over the whole recording, in the pose clock; None: only `poses`
     calibration: Calibration | None = None  # set by ul.calibrate
-    simulated: Simulated | None = None  # set by ul.simulate
+    simulated: SimulatedFrom | None = None  # set by ul.simulate
 
     def __post_init__(self) -> None:
         t_ns = _rising(self.t_ns)

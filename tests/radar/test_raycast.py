@@ -165,7 +165,7 @@ def test_a_moving_object_is_met_where_it_is_at_each_rays_time():
         want, t = twin(scene.corners(int(times[i])), np.zeros(3), rays[i])
         assert (face[i] >= 0) == (want >= 0)
         assert distance[i] == pytest.approx(t, abs=1e-9)
-    still = Raycaster(scene, t_ns=700_000_000)
+    still = Raycaster(scene).standing(scene.poses(700_000_000))
     assert np.array_equal(still.hits((0, 0, 0), rays)[1], caster.hits((0, 0, 0), rays, t_ns=700_000_000)[1])
     assert not still.visible((0, 0, 0), [[4.5, 0, 0]])[0]
     assert still.visible((0, 0, 0), [[3.5, 0, 0]])[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Floats, Frames, Times
 from ullage.errors import InputError
+from ullage.radar.copies import cores
 from ullage.radar.simulate import Fidelity, Receiving
 from ullage.specs import RadarSpec, Rig
 from ullage.world.moving import between
@@ -49,7 +49,7 @@ class LiveRadars:
         self._work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
         self.sensors = self._work.sensors
         self._rate_hz = {name: rate_hz or spec.fps for name, spec in self.sensors.items()}
-        self._pool = ThreadPoolExecutor(os.cpu_count() or 1)
+        self._pool = ThreadPoolExecutor(cores())
         self.reset()
 
     def look_at(self, scene: Scene) -> None:

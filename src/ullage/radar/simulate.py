@@ -16,9 +16,9 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from ullage import kernels
-from ullage.data import Frames, Samples, Simulated, Trajectory, joined
+from ullage.data import Frames, Samples, SimulatedFrom, Trajectory, joined
 from ullage.errors import InputError
-from ullage.radar.crew import PAYS_S, Crew, cores
+from ullage.radar.copies import PAYS_S, Crew, cores
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
 from ullage.radar.warmup import warm_up
@@ -202,7 +202,7 @@ class Receiving:
         _check(scene, radar, fidelity, max_bounces, seed)
         self.sensors = dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
         self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
-        self._made = Simulated(scene, max_bounces, seed)
+        self._made = SimulatedFrom(scene, max_bounces, seed)
         self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None
 
     def samples(self, name: str, body: Trajectory, *, first_frame: int = 0) -> Samples:

@@ -20,7 +20,7 @@ import numpy as np
 
 from ullage import kernels
 from ullage.data import Trajectory
-from ullage.radar.crew import cores
+from ullage.radar.copies import cores
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 

@@ -35,13 +35,11 @@ class Raycaster:
 
     Args:
         scene: what can be hit.
-        t_ns: where moving objects are unless a query says otherwise; None: their start.
         wires: whether rays meet wires, with their true radius.
     """
 
-    def __init__(self, scene: Scene, *, t_ns: int | None = None, wires: bool = False) -> None:
-        self._t_ns = t_ns
-        self.corners: Floats = scene.corners(t_ns)
+    def __init__(self, scene: Scene, *, wires: bool = False) -> None:
+        self.corners: Floats = scene.corners()
         self.normals: Floats = _normals(self.corners)
         ids = np.concatenate([scene.face_object, scene.wires.object_id if wires else np.zeros(0, np.int32)])
         self.owner: Ints = ids.astype(np.int32)
@@ -59,7 +57,7 @@ class Raycaster:
         Args:
             origins: (n, 3) or (3) [m].
             directions: (n, 3) unit vectors.
-            t_ns: time of each ray (n), or of all; None: the caster's own.
+            t_ns: time of each ray (n), or of all; None: their start, or where they were told to stand.
 
         Returns:
             Face ids (n), -1 where nothing is hit, and distances (n) [m], inf there.
@@ -119,10 +117,10 @@ class Raycaster:
         if body.motion is None:
             return start, rays
         if body.pose is not None and t_ns is None:
-            turned = body.pose[:3, :3]
-            return (start - body.pose[:3, 3]) @ turned, rays @ turned
+            turn = body.pose[:3, :3]
+            return np.einsum("ji,nj->ni", turn, start - body.pose[:3, 3]), np.einsum("ji,nj->ni", turn, rays)
         known = body.motion.t_ns
-        when = (known[0] if self._t_ns is None else self._t_ns) if t_ns is None else t_ns
+        when = known[0] if t_ns is None else t_ns
         times, which = np.unique(np.clip(np.asarray(when, np.int64), known[0], known[-1]), return_inverse=True)
         pose = body.motion.at(times).world_from_body[np.broadcast_to(which.reshape(-1), len(rays))]
         turn = pose[:, :3, :3]

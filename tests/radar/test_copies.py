@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.radar import crew, simulate
-from ullage.radar.crew import Crew
+from ullage.radar import copies, simulate
+from ullage.radar.copies import Crew
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="copies of a process are made on Linux alone")
 TRACK = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 100)
@@ -21,7 +21,7 @@ ROOM = ul.scenes.room((6, 4, 3))
 
 @pytest.fixture
 def two_cores(monkeypatch):
-    monkeypatch.setattr(crew, "cores", lambda: 2)
+    monkeypatch.setattr(copies, "cores", lambda: 2)
     monkeypatch.setattr(simulate, "PAYS_S", 0.0)
 
 
@@ -60,7 +60,7 @@ def test_what_goes_wrong_in_a_copy_is_told(two_cores):
 
 
 def test_one_core_and_other_systems_do_it_in_threads(monkeypatch):
-    monkeypatch.setattr(crew, "cores", lambda: 1)
+    monkeypatch.setattr(copies, "cores", lambda: 1)
     hands = Crew(os.getpid)
     hands.fork()
     assert hands.submit().result() == os.getpid()
@@ -70,9 +70,9 @@ def test_one_core_and_other_systems_do_it_in_threads(monkeypatch):
 def test_nobody_outlives_a_killed_parent(tmp_path):
     code = """
 import sys, time
-from ullage.radar import crew
-crew.cores = lambda: 2
-hands = crew.Crew(lambda: None)
+from ullage.radar import copies
+copies.cores = lambda: 2
+hands = copies.Crew(lambda: None)
 hands.fork()
 print(*(copy._process.pid for copy in hands._copies), flush=True)
 time.sleep(600)
