@@ -40,8 +40,11 @@ def test_the_schema_names_every_group() -> None:
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"map: {step_m: -1}", "map.step_m"),
-        (b"map: [1, 2]", "map"),
+        (b"seed: 3\nmap: {step_m: -1}", r":2: map.step_m is -1 .allowed: greater than 0"),
+        (b"map:\n  method: elfes\n  stap_m: 1", r":3: map.stap_m: no such setting .allowed: method, step_m"),
+        (b"sensing:\n  changes:\n    fps: 4\n    bins: 2", r":4: sensing.changes.bins is 2"),
+        (b"sensing: {preset: x5}", r":1: sensing: no radar preset 'x5' .allowed: x4m05"),
+        (b"map: [1, 2]", ":1: map"),
         (b"a: b: c", "not YAML.*|mapping values"),
         (b"\xff\xfea\x00", "not UTF-8"),
         (b"", "not a scenario"),
@@ -63,6 +66,13 @@ def test_a_bad_scenario_is_refused_with_its_file(tmp_path: Path, content: bytes,
 def test_a_bad_option_is_refused(option: str) -> None:
     with pytest.raises(ul.InputError):
         make_scenario({"name": "a"}, options=[option])
+
+
+def test_a_bad_option_is_told_apart_from_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "good.yaml"
+    file.write_text("map: {step_m: 1}")
+    with pytest.raises(ul.InputError, match=r"^-o: map.step_m is -1"):
+        read_scenario(file, options=["map.step_m=-1"])
 
 
 def test_a_missing_file_is_named() -> None:

@@ -29,13 +29,37 @@ def test_the_thesis_rig_looks_four_ways() -> None:
     assert ahead == {"front": [1, 0, 0], "left": [0, 1, 0], "back": [-1, 0, 0], "right": [0, -1, 0]}
 
 
+def test_settings_are_taken_by_the_names_of_the_x4_driver() -> None:
+    spec = ul.RadarSpec.preset("x4m05", frame_area=(0.4, 5.0), frame_area_offset=0.18)
+    assert spec.range_m[0] == 0.4
+    assert 5.0 - spec.bin_m < spec.range_m[-1] <= 5.0
+    assert spec.frame_area_offset_m == 0.18
+    rf = ul.RadarSpec.preset("x4m05", downconversion=0)
+    assert (rf.output, rf.bins) == ("rf", 1536)
+    assert rf.range_m[-1] == pytest.approx(9.87, abs=0.01)
+    assert rf.but(downconversion=1) == ul.RadarSpec.preset("x4m05", downconversion=1) == ul.RadarSpec.preset("x4m05")
+    near = rf.but(frame_area=(1.0, 2.0))
+    assert near.range_m[0] == 1.0
+    assert 2.0 - near.bin_m < near.range_m[-1] <= 2.0
+    cut = ul.RadarSpec.preset("pulson440", frame_area=(1.0, 3.0))
+    assert cut.bins == 219
+    assert cut.range_m[-1] <= 3.0
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda: ul.RadarSpec.preset("x5"), "no radar preset 'x5'.*x4m05"),
-        (lambda: ul.RadarSpec.preset("x4m05", fps=-1), "fps"),
+        (lambda: ul.RadarSpec.preset("x4m05", fps=-1), r"fps is -1 \(allowed: greater than 0\)"),
         (lambda: ul.RadarSpec.preset("x4m05", dac_min=1200), "dac_max 1100 must be above dac_min 1200"),
-        (lambda: ul.RadarSpec.preset("x4m05", colour="red"), "colour"),
+        (lambda: ul.RadarSpec.preset("x4m05", colour="red"), "colour: no such setting .*center_hz.*thesis"),
+        (
+            lambda: ul.RadarSpec.preset("x4m05", antenna={"gain": 3}),
+            "antenna.gain: no such setting .allowed: kind, gain_dbi",
+        ),
+        (lambda: ul.RadarSpec.preset("x4m05", frame_area=5), "frame_area is 5 .allowed: two ranges"),
+        (lambda: ul.RadarSpec.preset("x4m05", frame_area=(2, 1)), "bins is -19"),
+        (lambda: ul.RadarSpec(frame_area=(0, 1), bins=20), "frame_area and bins set the same thing"),
         (lambda: ul.RadarSpec.preset("x4m05", center_hz=float("nan")), "center_hz"),
         (lambda: ul.RadarSpec.preset("x4m05", antenna={"kind": "horn"}), "antenna.kind"),
         (lambda: ul.Rig.preset("five"), "no rig preset"),

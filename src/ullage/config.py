@@ -150,7 +150,8 @@ def read_scenario(path: str | Path, *, options: Sequence[str] = ()) -> Scenario:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise InputError(f"{file.stat().st_size} bytes", where=file, allowed=f"a scenario of at most {MAX_BYTES}")
-        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        tree = yaml.safe_load(text)
     except OSError as error:
         raise InputError(error.strerror or str(error), where=file) from None
     except UnicodeDecodeError:
@@ -160,7 +161,27 @@ def read_scenario(path: str | Path, *, options: Sequence[str] = ()) -> Scenario:
         raise InputError(f"not YAML: {error.problem}", where=file, line=line) from None
     if not isinstance(tree, dict):
         raise InputError("not a scenario", where=file, allowed="YAML with fields like world, flight, sensing")
-    return make_scenario({"name": file.stem} | tree, options=options, where=str(file))
+    try:
+        return make_scenario({"name": file.stem} | tree, options=options, where=str(file))
+    except InputError as error:
+        place = ".".join(str(part) for part in error.field)
+        if any(f"{place}.".startswith(f"{option.partition('=')[0]}.") for option in options):
+            raise InputError(error.what, where="-o", allowed=error.allowed, field=error.field) from None
+        line = _line(yaml.compose(text), error.field)
+        raise InputError(error.what, where=file, line=line, allowed=error.allowed, field=error.field) from None
+
+
+def _line(node: yaml.Node | None, path: tuple[str | int, ...]) -> int | None:
+    """The line of the setting at `path` [1 = first], or of the group that should hold it."""
+    line = None
+    for part in path:
+        if not isinstance(node, yaml.MappingNode):
+            break
+        found = next((pair for pair in node.value if pair[0].value == str(part)), None)
+        if found is None:
+            break
+        line, node = found[0].start_mark.line + 1, found[1]
+    return line
 
 
 def make_scenario(tree: dict[str, Any], *, options: Sequence[str] = (), where: str = "scenario") -> Scenario:
@@ -170,9 +191,16 @@ def make_scenario(tree: dict[str, Any], *, options: Sequence[str] = (), where: s
         InputError: a field is unknown or out of bounds.
     """
     try:
-        return Scenario(**_overlaid(tree, options))
+        scenario = Scenario(**_overlaid(tree, options))
     except InputError as error:
-        raise InputError(error.what, where=where, allowed=error.allowed) from None
+        raise InputError(error.what, where=where, allowed=error.allowed, field=error.field) from None
+    try:
+        scenario.sensing.radars()
+    except InputError as error:
+        field = ("sensing", "changes", *error.field) if error.field else ("sensing",)
+        what = ".".join(("sensing", "changes", error.what)) if error.field else f"sensing: {error.what}"
+        raise InputError(what, where=where, allowed=error.allowed, field=field) from None
+    return scenario
 
 
 def _overlaid(tree: dict[str, Any], options: Sequence[str]) -> dict[str, Any]:

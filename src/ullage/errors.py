@@ -19,14 +19,21 @@ class InputError(UllageError):
         where: file, with `line` appended where known, or the name of an argument or field.
         line: line number in `where` [1 = first].
         allowed: what would be accepted.
+        field: the path to the setting, group by group, for whoever can tell its line.
     """
 
     def __init__(
-        self, what: str, *, where: str | Path | None = None, line: int | None = None, allowed: str = ""
+        self,
+        what: str,
+        *,
+        where: str | Path | None = None,
+        line: int | None = None,
+        allowed: str = "",
+        field: tuple[str | int, ...] = (),
     ) -> None:
         place = "" if where is None else f"{where}:{line}: " if line is not None else f"{where}: "
         super().__init__(f"{place}{what}" + (f" (allowed: {allowed})" if allowed else ""))
-        self.what, self.where, self.line, self.allowed = what, where, line, allowed
+        self.what, self.where, self.line, self.allowed, self.field = what, where, line, allowed, field
 
 
 class MissingExtra(UllageError):

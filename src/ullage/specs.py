@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from contextvars import ContextVar
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,31 @@ from ullage.errors import InputError
 from ullage.geometry import C0, transform
 
 
-def explain(error: ValidationError) -> str:
-    """The first complaint of pydantic in one line: field, what is wrong, what was given."""
+def refusal(error: ValidationError, model: type[BaseModel]) -> InputError:
+    """The first complaint of pydantic in one line: field, what was given, what is allowed."""
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
-    given = first.get("input")
-    shown = "" if isinstance(given, dict | BaseModel) else f", not {given!r}"
-    return f"{where}: {first['msg']}{shown}" if where else f"{first['msg']}{shown}"
+    field, given = first["loc"], first.get("input")
+    said, _, allowed = first["msg"].removeprefix("Value error, ").partition("Input should be ")
+    plain = not isinstance(given, dict | BaseModel)
+    if first["type"] == "extra_forbidden":
+        said, allowed = ": no such setting", _settings(model, field[:-1])
+    elif first["type"] == "missing":
+        said = " is missing"
+    elif allowed:
+        said, allowed = f" is {given!r}" if plain else " is a group", allowed.partition(", unable")[0]
+    else:
+        said = f": {said}, not {given!r}" if plain else f": {said}"
+    path = ".".join(str(part) for part in field)
+    return InputError((path + said).removeprefix(": "), where=model.__name__, allowed=allowed, field=field)
+
+
+def _settings(model: type[BaseModel], path: tuple[str | int, ...]) -> str:
+    """The names of all settings in the group at `path`."""
+    for part in path:
+        field = model.model_fields.get(str(part))
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()
+        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), model)
+    return ", ".join(model.model_fields)
 
 
 _nested: ContextVar[bool] = ContextVar("nested", default=False)
@@ -43,7 +61,7 @@ class Spec(BaseModel):
         except ValidationError as error:
             if not outermost:  # the group that holds this one tells the whole path to the field
                 raise
-            raise InputError(explain(error), where=type(self).__name__) from None
+            raise refusal(error, type(self)) from None
         finally:
             _nested.reset(mark)
 
@@ -120,9 +138,56 @@ class ThesisSpec(Spec):
     threshold: float = Field(0.038, gt=0, description="first peak above this is an object")
 
 
+_X4_NAMES = {
+    "downconversion": ("output",),
+    "frame_area_offset": ("frame_area_offset_m",),
+    "frame_area": ("range_start_m", "bins"),
+}
+
+
+def _over(known: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Known fields and changes, where a change by the X4's name takes the place of our fields."""
+    gone = {ours for theirs in changes for ours in _X4_NAMES.get(theirs, ())}
+    if "downconversion" in changes and "frame_area" not in changes:
+        gone.add("bins")  # the X4's whole frame, as it is in this kind of output
+    return {name: value for name, value in known.items() if name not in gone} | changes
+
+
+def _of_the_x4(values: dict[str, Any]) -> dict[str, Any]:
+    """Settings as the X4's driver names them [NoveldaX4Driver], told in ours."""
+    out = dict(values)
+    both = [(theirs, name) for theirs in out for name in _X4_NAMES.get(theirs, ()) if name in out]
+    if both:
+        raise ValueError(f"{both[0][0]} and {both[0][1]} set the same thing: give one of them")
+    if "downconversion" in out:
+        out["output"] = "baseband" if out.pop("downconversion") else "rf"
+        if out["output"] == "rf" and "frame_area" not in out:
+            out.setdefault("bins", 1536)
+    if "frame_area_offset" in out:
+        out["frame_area_offset_m"] = out.pop("frame_area_offset")
+    if "frame_area" in out:
+        out |= _frame_area(out.pop("frame_area"), out)
+    return out
+
+
+def _frame_area(area: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """First range and number of bins of a frame from start to end [m]."""
+    try:
+        start, end = (float(edge) for edge in area)
+        rate, decimation = (
+            float(values.get(name, RadarSpec.model_fields[name].default)) for name in ("sampling_hz", "decimation")
+        )
+        step = C0 / 2 * (1 if values.get("output") == "rf" else decimation) / rate
+        return {"range_start_m": start, "bins": math.floor((end - start) / step + 1e-9) + 1}
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
+        raise ValueError(f"frame_area is {area!r} (allowed: two ranges, start and end [m])") from None
+
+
 class RadarSpec(Spec):
     """One radar: waveform, sampling, antenna, receiver settings under the names X4 users know, noise and mount.
 
+    The X4 driver's own names are taken as well: `frame_area=(start, end)` [m] sets `range_start_m` and `bins`,
+    `frame_area_offset` [m] sets `frame_area_offset_m`, `downconversion` 1 or 0 an `output` of baseband or rf.
     Lengths on the range axis use the vacuum speed of light, 299792458 m/s; the X4 driver labels its bins with 3e8.
     """
 
@@ -176,7 +241,16 @@ class RadarSpec(Spec):
         """
         if name not in cls.presets:
             raise InputError(f"no radar preset {name!r}", where="preset", allowed=", ".join(cls.presets))
-        return cls(**cls.presets[name] | changes)
+        return cls(**_over(cls.presets[name], changes))
+
+    def but(self, **changes: Any) -> Self:
+        """A checked copy with some fields changed."""
+        return type(self)(**_over({name: getattr(self, name) for name in type(self).model_fields}, changes))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _names_of_the_x4(cls, values: Any) -> Any:
+        return _of_the_x4(values) if isinstance(values, dict) else values
 
     @field_validator("antenna", mode="before")
     @classmethod
