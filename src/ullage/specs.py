@@ -194,6 +194,9 @@ class RadarSpec(Spec):
     name: str = "x4m05"
     center_hz: float = Field(7.29e9, gt=1e8, le=1e11)
     bandwidth_hz: float = Field(1.4e9, gt=1e6, le=2e10, description="-10 dB width of the pulse spectrum")
+    pulse: Literal["gaussian", "raised-cosine"] = Field(
+        "gaussian", description="envelope; raised-cosine at 1.46e9 Hz has all three widths of recorded X4 pulses"
+    )
     sampling_hz: float = Field(23.328e9, gt=1e8, le=1e12, description="RF sampling rate")
     decimation: int = Field(8, ge=1, le=64, description="RF samples per baseband bin")
     output: Literal["baseband", "rf"] = "baseband"

@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _OVERSAMPLING = 14.0  # grid rate over pulse bandwidth; a cubic B-spline then errs by less than 1e-6
+_RAISED = 2.5116  # length of a raised cosine times the width of its spectrum at -10 dB
 _FLOOR = 1e-6  # where the pulse's tails are cut, relative to the peak
 
 
@@ -63,8 +64,16 @@ def chip_filter(frequency_hz: Floats, sampling_hz: float) -> Floats:
 
 def spectrum(spec: RadarSpec, frequency_hz: Floats) -> Floats:
     """Amplitude spectrum of the received pulse at offsets from the carrier [Hz], 1 at the carrier."""
-    out = np.exp(-0.5 * (2 * np.pi * frequency_hz * spec.pulse_sigma_s) ** 2)
+    if spec.pulse == "raised-cosine":
+        out = _raised_cosine(frequency_hz * _RAISED / spec.bandwidth_hz)
+    else:
+        out = np.exp(-0.5 * (2 * np.pi * frequency_hz * spec.pulse_sigma_s) ** 2)
     return out * chip_filter(frequency_hz, spec.sampling_hz) if filtered(spec) else out
+
+
+def _raised_cosine(x: Floats) -> Floats:
+    """Spectrum of the envelope cos^2(pi t / T), |t| < T / 2, over x = f T [Harris1978]."""
+    return np.asarray(0.5 * np.sinc(x - 1) + np.sinc(x) + 0.5 * np.sinc(x + 1))
 
 
 def envelope(spec: RadarSpec, t_s: Floats) -> Floats:
@@ -113,4 +122,4 @@ def tabulate(spec: RadarSpec) -> Pulse:
     return _tabulated(bare)
 
 
-_SHAPING = ("center_hz", "bandwidth_hz", "sampling_hz", "decimation", "output")
+_SHAPING = ("center_hz", "bandwidth_hz", "pulse", "sampling_hz", "decimation", "output")

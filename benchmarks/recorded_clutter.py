@@ -1,0 +1,65 @@
+"""Where the clutter of the X4 recordings comes from: what stays with the radar when it is carried, and what breathes.
+
+    python benchmarks/recorded_clutter.py FOLDER
+
+FOLDER holds the two recordings of [X4Recordings]. In the long one the radar is carried from frame 5000 to 7500: what
+belongs to the receiver (its direct path, a tail of its antennas) stays as it is then, and what belongs to the room
+turns. In the other one the radar stands, somebody sits before it and later moves.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import ullage as ul
+
+LONG, SHORT = "xethru_datafloat_20190614_141837.dat", "xethru_baseband_iq_20170913_150437.dat"
+NOISE = 0.3455 * 1.16e-3 / 64
+"""Of one bin at N = 4096, in normalised units."""
+BIN_M = 0.05144
+
+
+def db(level):
+    return 20 * np.log10(np.maximum(np.abs(level), 1e-12))
+
+
+def rms(values):
+    return np.sqrt((np.abs(values) ** 2).mean())
+
+
+def carried(frames):
+    """Per piece of the range axis: level before, what of it stays while the radar is carried, what moves, and after."""
+    before, during, after = frames[200:4900].mean(0), frames[5200:7300], frames[7600:9100].mean(0)
+    print("long recording, dB over the noise of N = 4096: rms of bins, and coherence of before with after")
+    for first, last in ((0, 5), (5, 9), (9, 12), (12, 17), (17, 29), (29, 60), (60, 100), (100, 180)):
+        part = slice(first, last)
+        alike = abs(np.vdot(before[part], after[part])) / np.linalg.norm(before[part]) / np.linalg.norm(after[part])
+        levels = rms(before[part]), rms(during[:, part].mean(0)), rms(during[:, part].std(0)), rms(after[part])
+        told = "  ".join(f"{db(x / NOISE):5.1f}" for x in levels)
+        print(f"  bins {first:3d}-{last - 1:3d}, {first * BIN_M:4.2f} m on: before, stays, moves, after {told};"
+              f" {alike:.2f}")  # fmt: skip
+
+
+def breathing(frames, range_m, rate_hz=17.0):
+    """Per bin of the still second recording: how much of its change is slower than 0.6 Hz, and its rhythm."""
+    still = frames[:150]
+    print("second recording, still: static level, change [dB over the noise of N = 4096], share below 0.6 Hz, rhythm")
+    for k in (0, 2, 4, 6, 8, 12, 20, 30, 40, 50):
+        change = still[:, k] - still[:, k].mean()
+        power = abs(np.fft.fft(change * np.hanning(len(change)), 2048)) ** 2
+        rate = np.fft.fftfreq(2048, 1 / rate_hz)
+        slow = power[abs(rate) < 0.6].sum() / power.sum()
+        top = abs(rate[power.argmax()])
+        print(f"  {range_m[k]:4.2f} m: {db(still[:, k].mean() / NOISE):5.1f} {db(change.std() / NOISE):5.1f}"
+              f"  {slow:4.2f}  {top:4.2f} Hz")  # fmt: skip
+
+
+def main(folder):
+    long, short = (ul.open(str(Path(folder) / name)).frames() for name in (LONG, SHORT))
+    carried(np.asarray(long.samples, complex))
+    breathing(np.asarray(short.samples, complex), short.range_m)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[2] / "shared" / "data" / "x4")
