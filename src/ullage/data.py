@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -332,6 +332,15 @@ def joined(parts: Sequence[Frames]) -> Frames:
         truth=strung([p.truth for p in parts]),
         simulated=first.simulated if all(p.simulated is first.simulated for p in parts) else None,
     )
+
+
+def gathered(pieces: Iterable[Mapping[str, Frames]]) -> dict[str, Frames]:
+    """Pieces of a recording of several sensors, in order of time, as one Frames of each by name."""
+    parts: dict[str, list[Frames]] = {}
+    for piece in pieces:
+        for name, part in piece.items():
+            parts.setdefault(name, []).append(part)
+    return {name: joined(some) for name, some in parts.items()}
 
 
 def strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:

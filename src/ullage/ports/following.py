@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import Field
 
-from ullage.data import Floats, Frames, Trajectory, joined
+from ullage.data import Floats, Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.pace import Pace
 from ullage.ports.protocol import Item, one_or_all
@@ -74,11 +74,32 @@ class Endless(ABC):
     """A live source: it has no path or map of its own, and says what a person should know, but not too often.
 
     Args:
+        duration_s: how long it is listened to, by the clock of its frames [s]; None: until it ends.
         say: told it; None: it becomes a warning.
     """
 
-    def __init__(self, say: Say | None) -> None:
+    def __init__(self, duration_s: float | None, say: Say | None) -> None:
         self._say, self._told = say or tell, dict[str, float]()
+        self._duration_s = duration_s
+        self._first_ns: int | None = None  # of the frames heard
+        self._done_ns = -1  # the same of the last one
+
+    @abstractmethod
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Frames as they come, at most about `chunk` of each radar at a time."""
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything until the peer ends or the asked duration is over.
+
+        Raises:
+            InputError: no end was asked for, no frames came, or there is no such sensor.
+        """
+        if self._duration_s is None:
+            raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
+        whole = gathered(self.stream())
+        if not whole:
+            raise InputError("no frames came", where="frames")
+        return one_or_all(whole, sensor)
 
     def trajectory(self) -> Trajectory | None:
         """None: the path is not over."""
@@ -97,6 +118,11 @@ class Endless(ABC):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _over(self) -> bool:
+        if self._duration_s is None or self._first_ns is None:
+            return False
+        return self._done_ns - self._first_ns >= self._duration_s * 1e9
 
     def _tell(self, text: str, *, kind: str = "") -> None:
         """Say it, but the same no more often than every few seconds."""
@@ -126,7 +152,7 @@ class FollowSource(Endless):
     ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
-        super().__init__(say)
+        super().__init__(options.duration_s, say)
         self._options = options
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
@@ -137,8 +163,6 @@ class FollowSource(Endless):
         self._waiting: list[Sighting | Others] = []
         self._early: list[Others] = []  # from beyond a jump of the clock that the model's own pose has yet to tell of
         self._newest_ns, self._offset_ns = 0, 0  # of the simulator's clock, and what is added to it
-        self._first_ns: int | None = None
-        self._done_ns = -1  # nothing yet
         self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits for us
         self._radars.reset()
         self._feed = join()
@@ -170,29 +194,10 @@ class FollowSource(Endless):
         finally:
             self.close()
 
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything until the peer ends or the asked duration is over.
-
-        Raises:
-            InputError: no end was asked for, or there is no such sensor.
-        """
-        if self._options.duration_s is None:
-            raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
-
-        parts: dict[str, list[Frames]] = {}
-        for piece in self.stream():
-            for name, part in piece.items():
-                parts.setdefault(name, []).append(part)
-        return one_or_all({name: joined(some) for name, some in parts.items()}, sensor)
-
     def close(self) -> None:
         """Let go of sockets and threads."""
         self._feed.close()
         self._radars.close()
-
-    def _over(self) -> bool:
-        length = self._options.duration_s
-        return length is not None and self._first_ns is not None and self._done_ns - self._first_ns >= length * 1e9
 
     def _bunch(self, chunk: int) -> list[Sighting]:
         """Poses that wait, as many as give one chunk; empty: none came for a while."""

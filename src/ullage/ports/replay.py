@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
@@ -70,13 +70,10 @@ class McapSource:
         Raises:
             InputError: no frames are there, or no such sensor.
         """
-        parts: dict[str, list[Frames]] = {}
-        for chunk in self.stream(1024):
-            for name, part in chunk.items():
-                parts.setdefault(name, []).append(part)
-        if not parts:
+        whole = gathered(self.stream(1024))
+        if not whole:
             raise InputError("no radar frames in it", where=self.path, allowed=f"messages of {ros.FRAME}")
-        return one_or_all({name: joined(part) for name, part in parts.items()}, sensor)
+        return one_or_all(whole, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time.

@@ -9,10 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ullage.data import Floats, Frames, Trajectory, joined
+from ullage.data import Floats, Frames, Trajectory
 from ullage.errors import InputError
 from ullage.ports.following import LATE_NS, Endless, FollowOptions, Say
-from ullage.ports.protocol import one_or_all
 from ullage.ports.sightings import Note, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.scan import echoes_of_scans
@@ -101,10 +100,9 @@ class ScanSource(Endless):
         say: Say | None = None,
     ) -> None:
         self.scene = scene
-        super().__init__(say)
+        super().__init__(options.duration_s, say)
         self._radar, self._options = radar, options
-        self._first_ns: int | None = None
-        self._last_ns, self._offset_ns, self._count = -1, 0, 0
+        self._offset_ns, self._count = 0, 0
         self._feed = join()
 
     @property
@@ -127,35 +125,20 @@ class ScanSource(Endless):
         finally:
             self.close()
 
-    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything until the asked duration is over.
-
-        Raises:
-            InputError: no end was asked for, or there is no such sensor.
-        """
-        if self._options.duration_s is None:
-            raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
-        name = self._options.rays
-        return one_or_all({name: joined([piece[name] for piece in self.stream()])}, sensor)
-
     def close(self) -> None:
         """Let go of the sockets."""
         self._feed.close()
 
-    def _over(self) -> bool:
-        length = self._options.duration_s
-        return length is not None and self._first_ns is not None and self._last_ns - self._first_ns >= length * 1e9
-
     def _in_time(self, scan: Scan) -> bool:
         """Whether it is later than the one before, on a clock that is made to rise."""
         t_ns = scan.t_ns + self._offset_ns
-        if t_ns <= self._last_ns:
-            if self._last_ns - t_ns < LATE_NS:
+        if t_ns <= self._done_ns:
+            if self._done_ns - t_ns < LATE_NS:
                 return False
-            self._tell(f"time jumped back {(self._last_ns - t_ns) * 1e-9:.3g} s")
-            self._offset_ns, self._count = self._last_ns + LATE_NS - scan.t_ns, 0
-        self._last_ns = scan.t_ns + self._offset_ns
-        self._first_ns = self._last_ns if self._first_ns is None else self._first_ns
+            self._tell(f"time jumped back {(self._done_ns - t_ns) * 1e-9:.3g} s")
+            self._offset_ns, self._count = self._done_ns + LATE_NS - scan.t_ns, 0
+        self._done_ns = scan.t_ns + self._offset_ns
+        self._first_ns = self._done_ns if self._first_ns is None else self._first_ns
         return True
 
     def _frame(self, scan: Scan) -> Frames:
@@ -168,5 +151,5 @@ class ScanSource(Endless):
         seed = sensor_seed(self._options.seed, name)
         samples = receive_thesis(clean, spec, seed=seed, first_frame=self._count)
         self._count += 1
-        pose = Trajectory(np.array([self._last_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
+        pose = Trajectory(np.array([self._done_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
         return Frames(samples, spec.range_m, pose.t_ns, spec, pose, pose, name, "thesis")

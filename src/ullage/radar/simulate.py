@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 
 from ullage import kernels
-from ullage.data import Frames, Samples, SimulatedFrom, Trajectory, joined
+from ullage.data import Frames, Samples, SimulatedFrom, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.radar.copies import PAYS_S, Crew, cores
 from ullage.radar.rays import echoes_thesis
@@ -83,15 +83,11 @@ def simulate(
     Raises:
         InputError: an argument cannot be used.
     """
-    parts: dict[str, list[Frames]] = {}
     with kernels.telling():
         pieces = simulate_stream(scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed,
                                  believed=believed, progress=progress)  # fmt: skip
         warm_up(fidelity, max_bounces, scene)
-        for chunk in pieces:
-            for name, frames in chunk.items():
-                parts.setdefault(name, []).append(frames)
-    whole = {name: joined(pieces) for name, pieces in parts.items()}
+        whole = gathered(pieces)
     return whole if isinstance(radar, Rig) else next(iter(whole.values()))
 
 

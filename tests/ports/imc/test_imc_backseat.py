@@ -129,7 +129,7 @@ def test_forces_are_taken_down_as_ned_has_them() -> None:
         ("mission=world", "world of the library"),
         ("fly=hector&start=1", "start is '1'"),
         ("speed=3", "no option 'speed'.*speed_m_s"),
-        ("z=up", "z: "),
+        ("z=up", "z is .up.*height"),
         ("world=nowhere", "no world 'nowhere'.*cargo-hold"),
     ],
 )

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.ports.imc.codec import Packet, Parser, encode, make
@@ -116,13 +116,10 @@ class LsfSource:
         Raises:
             InputError: no frames are there, or no such sensor.
         """
-        parts: dict[str, list[Frames]] = {}
-        for piece in self.stream(4096):
-            for name, part in piece.items():
-                parts.setdefault(name, []).append(part)
-        if not parts:
+        whole = gathered(self.stream(4096))
+        if not whole:
             raise InputError("no radar frames in it", where=self.path, allowed="DevDataBinary of ullage, or SonarData")
-        return one_or_all({name: joined(part) for name, part in parts.items()}, sensor)
+        return one_or_all(whole, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports.imc.gather import Gatherer, Track
@@ -198,13 +198,10 @@ class ImcSource:
         Raises:
             InputError: no frames came, or none of this sensor.
         """
-        parts: dict[str, list[Frames]] = {}
-        for piece in self.stream():
-            for name, part in piece.items():
-                parts.setdefault(name, []).append(part)
-        if not parts:
+        whole = gathered(self.stream())
+        if not whole:
             raise InputError("no frames came", where="imc")
-        return one_or_all({name: joined(part) for name, part in parts.items()}, sensor)
+        return one_or_all(whole, sensor)
 
     def trajectory(self) -> Trajectory | None:
         """The vehicle's way, as far as it is remembered."""

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
@@ -97,13 +97,10 @@ class RosbagSource:
         Raises:
             InputError: no frames could be made, or no such sensor.
         """
-        parts: dict[str, list[Frames]] = {}
-        for chunk in self.stream(4096):
-            for name, part in chunk.items():
-                parts.setdefault(name, []).append(part)
-        if not parts:
+        whole = gathered(self.stream(4096))
+        if not whole:
             raise InputError("no frames could be made of it", where=self.path)
-        return one_or_all({name: joined(part) for name, part in parts.items()}, sensor)
+        return one_or_all(whole, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, Self
 
-from ullage.data import Frames, Trajectory, joined
+from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.ports import messages as ros
 from ullage.ports.protocol import Passed, Passing, one_or_all
@@ -95,13 +95,10 @@ class Ros2Source:
         """
         if self._options.duration_s is None and self._options.idle_s is None:
             raise InputError("a live port has no end", where="ros2:", allowed="duration_s=, idle_s=, or stream()")
-        parts: dict[str, list[Frames]] = {}
-        for piece in self.stream():
-            for name, part in piece.items():
-                parts.setdefault(name, []).append(part)
-        if not parts:
+        whole = gathered(self.stream())
+        if not whole:
             raise InputError("no frames came", where="ros2:")
-        return one_or_all({name: joined(some) for name, some in parts.items()}, sensor)
+        return one_or_all(whole, sensor)
 
     def trajectory(self) -> Trajectory | None:
         """None: the path is not over."""
