@@ -105,11 +105,11 @@ def _few() -> Frames:
 
 
 JOBS = (
-    Job("flight", "hector", 5, _flight),
+    Job("flight", "hector", 3.5, _flight),
     *radar.JOBS,
-    Job("Elfes' map", "elfes", 1.5, partial(_map, "elfes")),
-    Job("map", "ullage", 16, partial(_map, "ullage")),
-    Job("images", "backprojection", 1.5, _image),
+    Job("Elfes' map", "elfes", 0.8, partial(_map, "elfes")),
+    Job("map", "ullage", 12, partial(_map, "ullage")),
+    Job("images", "backprojection", 1, _image),
 )
 
 if __name__ == "__main__":

@@ -1,0 +1,87 @@
+"""Loops are compiled with less than Numba's whole ado, and come out as Numba alone would have them."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from numba.core.types.functions import BaseFunction
+
+from ullage.kernels.loops import loop
+from ullage.kernels.resolution import remembered
+
+
+def bent(points, order, out):  # type: ignore[no-untyped-def]
+    """Something of all that kernels do: nested loops, tuples, powers, complex numbers, early ends."""
+    for i in range(len(points)):
+        nearest, total = math.inf, 0j
+        for j in range(len(points)):
+            if i == j:
+                continue
+            x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            square = x**2 + y**2 + 1e-6
+            nearest = min(nearest, square)
+            total += complex(math.cos(square), -math.sin(square)) / square**order
+            if j > i + 20:
+                break
+        out[i] = total * math.sqrt(nearest)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """What Numba is asked for in earnest."""
+    questions: list[object] = []
+    real = BaseFunction.get_call_type
+
+    def get_call_type(function: object, context: object, args: object, kws: object) -> object:
+        questions.append((function.typing_key, args))  # type: ignore[attr-defined]
+        return real(function, context, args, kws)
+
+    monkeypatch.setattr("ullage.kernels.resolution.ASKED", get_call_type)
+    monkeypatch.setattr(BaseFunction, "get_call_type", get_call_type)
+    return questions
+
+
+def test_a_loop_gives_what_numba_alone_makes_of_it() -> None:
+    points, one, other = np.random.default_rng(1).normal(size=(50, 2)), np.empty(50, complex), np.empty(50, complex)
+    numba.njit(bent)(points, 2, one)
+    with remembered():
+        loop(cache=False)(bent)(points, 2, other)
+    assert np.array_equal(one, other)
+    twin = np.empty(50, complex)
+    bent(points, 2, twin)
+    np.testing.assert_allclose(one, twin, rtol=1e-12)
+
+
+def test_numba_is_asked_once_for_the_same_types_while_they_are_remembered(asked: list[object]) -> None:
+    points, out = np.zeros((3, 2)), np.empty(3, complex)
+    loop(cache=False)(bent)(points, 2, out)
+    plainly = len(asked)
+    asked.clear()
+    with remembered():
+        loop(cache=False)(bent)(points, 2, out)
+        first = len(asked)
+        loop(cache=False)(bent)(points, 2, out)
+    assert len(set(map(str, asked))) == first == len(asked)
+    assert first < 0.6 * plainly
+    asked.clear()
+    loop(cache=False)(bent)(points, 2, out)
+    assert len(asked) == plainly
+
+
+def test_what_numba_cannot_type_it_still_refuses_and_is_itself_again_afterwards() -> None:
+    real = BaseFunction.get_call_type
+
+    def wrong(a):  # type: ignore[no-untyped-def]
+        return a @ 1.5
+
+    def compile_wrong() -> None:
+        with remembered():
+            assert BaseFunction.get_call_type is not real
+            loop(cache=False)(wrong)(2.0)
+
+    with pytest.raises(numba.TypingError, match="No implementation of function"):
+        compile_wrong()
+    assert BaseFunction.get_call_type is real
