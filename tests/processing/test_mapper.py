@@ -61,6 +61,13 @@ def test_a_hall_is_mapped_far_better_than_by_the_baseline(flight, hall_map):
     assert ours["free_found"] >= 0.6
 
 
+def test_no_wall_is_thicker_than_the_two_rows_on_whose_border_it_stands(flight, hall_map):
+    for row in (hall_map.occupied[:, 40:60], hall_map.occupied[30:50].T):
+        walls = np.diff(np.pad(row.astype(int), ((1, 1), (0, 0))), axis=0)
+        for column in walls.T:
+            assert (np.flatnonzero(column < 0) - np.flatnonzero(column > 0) <= 2).all()
+
+
 def test_range_alone_carries_the_map_where_there_is_no_phase(flight):
     bare = {name: replace(f, samples=f.amplitude) for name, f in flight.items()}
     got = score(ul.map_occupancy(bare, GRID), flight)

@@ -72,7 +72,7 @@ def test_turning_everything_turns_the_answer() -> None:
 
 
 def look_at(k: int, ranges: list[float]) -> SimpleNamespace:
-    heard = SimpleNamespace(position=np.array([0.05 * k, 0.0, 1.0]), t_ns=k * 100_000_000)
+    heard = SimpleNamespace(position=np.array([0.05 * k, 0.0, 1.0]), t_ns=k * 100_000_000, axes=np.eye(3))
     echoes = np.zeros((len(ranges), 6))
     echoes[:, 0], echoes[:, 5] = ranges, 1.0
     return SimpleNamespace(heard=heard, track=np.array([1.0, 0.0, 0.0]), echoes=echoes)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import fresnel
 
 from ullage.processing.mapper_looks import Heard, Look
-from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of, rim_of, screens_of
+from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of, screens_of
 
 AHEAD = np.array([0.0, 1.0, 0.0])
 LEAST = float(np.cos(np.radians(40)))
@@ -89,25 +88,6 @@ def test_an_echo_of_a_known_floor_is_told_at_once():
     _, feet = follow_all(at, at[:, 2] + 1.5, levels=((-1, -1.5),))
     assert len(feet) == 6
     assert max(abs(foot.at[2] + 1.5) for foot in feet) < 0.03
-
-
-def near_an_edge(parameter: np.ndarray) -> list[Traced]:
-    """Echoes of a half plane at 3 m whose edge is at these Fresnel parameters off the foot, by Cornu's spiral."""
-    s, c = fresnel(parameter)
-    level = abs((0.5 + c) + 1j * (0.5 + s)) / np.sqrt(2)
-    at = waving(len(parameter))
-    return [Traced(k, at[k], AHEAD, 3.0, 0.0, level[k], 0.02, 0.9) for k in range(len(at))]
-
-
-@pytest.mark.parametrize("nearest", [2.2, 2.6, 3.2])
-def test_a_surface_is_never_drawn_past_its_edge(nearest):
-    assert rim_of(near_an_edge(np.linspace(nearest, nearest + 1.5, 48))) < nearest + 0.75
-
-
-def test_a_steady_level_draws_a_wall_twice_as_far_as_one_that_ripples():
-    slow = [Traced(k, np.zeros(3), AHEAD, 3.0, 0.0, 1 + 0.2 * (k / 48) ** 2, 0.02, 0.9) for k in range(48)]
-    assert rim_of(slow) == 4.0
-    assert rim_of(near_an_edge(np.linspace(-0.5, 2.0, 48))) == 2.0
 
 
 @pytest.mark.parametrize("slope_deg", [-25, 0, 20])

@@ -14,7 +14,7 @@ from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
 from ullage.kernels.occupancy import TORN
 from ullage.kernels.occupancy_reach import Beam
-from ullage.kernels.occupancy_show import in_view, render_cells
+from ullage.kernels.occupancy_show import in_view, render_cells, thin_lines
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
@@ -23,7 +23,8 @@ from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, ways_apart
-from ullage.processing.mapper_runs import EchoRuns, Run, edges_among
+from ullage.processing.mapper_rims import LEAST_RIM, rim_along
+from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_tracks import EchoTracks, Foot
 
 Floats = NDArray[np.float64]
@@ -33,15 +34,17 @@ DETECTION = 0.9
 ENOUGH_SIDES = 4
 VAGUE_TENTHS = {2: 7, 3: 10}
 HEARD_ODDS, SIDE_NATS = {2: -1.2, 3: -0.7}, 0.8
-SOLID_ODDS = float(np.log(0.65 / 0.35))
+SOLID = 65
+SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
-FRESNEL_SHARE, LOOK_SHARE, FLAT_SHARE = 0.85, 0.4, 0.9
+LOOK_SHARE, FLAT_SHARE = 0.4, 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
+HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
 RING = 2.0  # of an arc in a volume: its bearing names no place
 
@@ -71,7 +74,7 @@ class UllageMapper:
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
         self._tracks = EchoTracks()
-        self._late: deque[tuple[str, Look, Floats, NDArray[np.bool_]]] = deque()
+        self._late: deque[tuple[str, Look, Floats, Floats]] = deque()
         self._runs = EchoRuns()
         self._pending: deque[tuple[str, Look, Weighed | None, list[Run]]] = deque()
         self._waiting: list[tuple[int, str, Look]] = []
@@ -155,9 +158,10 @@ class UllageMapper:
         weighed, edge = edges_among(look, weighed, runs, self._lobe[name][0][0])
         look = replace(look, sharp=look.sharp.copy())
         look.sharp[edge, 3:] = 0, 1
-        self._insert(name, look, *self._arcs(look, weighed))
+        rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
+        self._insert(name, look, *self._arcs(look, weighed, rims))
 
-    def _insert(self, name: str, look: Look, arcs: Floats, flat: NDArray[np.bool_]) -> None:
+    def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> None:
         start, bin_m, far = self._axis[name]
         hit, free = self._lobe[name]
         heard = look.heard
@@ -186,24 +190,36 @@ class UllageMapper:
         screens = np.concatenate([walls, self._tracks.screens(walls)])
         self.blocks.insert(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
         if self.grid.dims == 2:
-            self._lay_strips(beam, arcs, flat, hit[0])
+            self._lay_strips(beam, arcs, rims, hit[0])
 
-    def _lay_strips(self, beam: Beam, arcs: Floats, flat: NDArray[np.bool_], least: float) -> None:
-        """Echoes of smooth surfaces stand for the first Fresnel zone round the foot of the perpendicular.
+    def _rims(self, look: Look, cosine: Floats, runs: list[Run], least: float) -> Floats:
+        """Fresnel parameter (k) out to which each echo's surface goes on about the foot of the perpendicular."""
+        out = np.full(len(runs), LEAST_RIM)
+        half = HALF_POWER * math.acos(least)
+        for k, run in enumerate(runs):
+            lit = lit_ways(look.heard.axes, look.track, float(np.clip(cosine[k], -1, 1)), least)
+            if len(lit) == 1:
+                out[k] = rim_along(near(run, look), lit[0][:2], self._wavelength_m, half)
+        return out
+
+    def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float) -> None:
+        """Echoes of smooth surfaces stand for what is about the foot of the perpendicular, as far as their level tells.
 
         The looks of one window share their frames, and their errors: each adds but a share of its log-odds. A nearer
         echo shades widely, so that silence beside it frees nothing, but what is surely heard is not hidden by it: only
         what the map holds is before it.
         """
         middle = (np.arange(self._reach.shape[1]) + 0.5) / self._reach.shape[1]
-        for arc in arcs[flat & (arcs[:, 9] < 0.5)]:
+        for arc, rim in zip(arcs, rims, strict=True):
+            if not rim or arc[9] >= 0.5:
+                continue
             for way in self._ways(beam.axes, arc, least):
                 side, fore = way @ beam.axes[:, 1], max(float(way @ beam.axes[:, 0]), 1e-3)
                 sector = int(np.argmin(abs((2 * middle - 1) * beam.tangent - side / fore)))
                 hidden = arc[0] > self._reach[0, sector] + 1.5 * self.grid.step_m
                 if hidden and (1 - arc[9] < SEEN_TRUST or not self.blocks.clear_to(beam.eye, way, float(arc[0]))):
                     continue
-                half = FRESNEL_SHARE * np.sqrt(self._wavelength_m * arc[0] / 2)
+                half = 0.5 * rim * np.sqrt(self._wavelength_m * arc[0])
                 blur = arc[0] * arc[6] / max(np.sqrt(max(1 - arc[5] ** 2, 0.0)), 0.1)
                 gain = LOOK_SHARE * np.log((1 - arc[9]) / arc[9]) * half / np.hypot(half, blur)
                 self.blocks.lay(beam.eye + arc[0] * way, way, (float(arc[1]), float(half), float(gain)))
@@ -224,10 +240,11 @@ class UllageMapper:
     def _weigh(self, look: Look) -> Weighed | None:
         return self._judge.weigh(look) if look.track.any() else None
 
-    def _arcs(self, look: Look, weighed: Weighed | None) -> tuple[Floats, NDArray[np.bool_]]:
+    def _arcs(self, look: Look, weighed: Weighed | None, rims: Floats | float = LEAST_RIM) -> tuple[Floats, Floats]:
         """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false.
 
-        With them, whether each may be off a smooth surface: focused at least nearly as well as a wall as as a point.
+        With them the rim of each that may be off a smooth surface, focused at least nearly as well as a wall as as a
+        point, and zero for the others.
         """
         step, echoes = self.grid.step_m, look.echoes
         arcs = np.zeros((len(echoes), 10))
@@ -236,7 +253,7 @@ class UllageMapper:
         arcs[:, 2:5] = look.track
         if weighed is None:
             arcs[:, 6], arcs[:, 7], arcs[:, 9] = 1e3, 0.5, 0.5
-            return arcs, np.zeros(len(arcs), bool)
+            return arcs, np.zeros(len(arcs))
         cosine, sigma, trust = weighed
         blur = 0.35 * step / np.maximum(echoes[:, 0], 0.1)
         arcs[:, 5] = np.clip(cosine, -1, 1)
@@ -246,7 +263,7 @@ class UllageMapper:
         flat = look.sharp[:, 3] >= FLAT_SHARE * look.sharp[:, 4]
         if self.grid.dims == 3:
             arcs[:, 8] = RING
-        return arcs[heard], flat[heard]
+        return arcs[heard], np.where(flat, rims, 0.0)[heard]
 
     def _ways(self, axes: Floats, arc: Floats, least: float) -> list[Floats]:
         """The direction on the plane that an arc's bearing leaves open, where only one is in the beam.
@@ -274,6 +291,9 @@ class UllageMapper:
         )  # fmt: skip
         percent = percent.reshape(percent.shape[3 - self.grid.dims :])
         corner = tuple(int(k) for k in box[3 - self.grid.dims :, 0])
+        if self.grid.dims == 2:
+            solid = percent.copy()
+            thin_lines(self.blocks.pools, self.blocks.edge, np.array(corner[::-1]), SOLID, solid, percent)
         self._forget_cut_off(percent, corner)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
 

@@ -31,7 +31,7 @@ class Run:
     """The echoes of one reflector."""
 
     t_ns: list[int] = field(default_factory=list)
-    rows: list[tuple[float, float, float]] = field(default_factory=list)  # position x, y and range [m]
+    rows: list[tuple[float, ...]] = field(default_factory=list)  # position x, y, range [m], height, boresight x, y
     last: tuple[Floats, Floats, float, float, float] | None = None  # position, track, range, cosine, height
 
     def miss(self, at: Floats, track: Floats, echo: tuple[float, float, float, float]) -> float:
@@ -56,7 +56,7 @@ class EchoRuns:
 
     def follow(self, name: str, look: Look, cosine: Floats, sigma: Floats, trust: Floats) -> list[Run]:
         """The run to which each echo of a look belongs, in their order."""
-        here, now = look.heard.position, look.heard.t_ns
+        here, now, ahead = look.heard.position, look.heard.t_ns, look.heard.axes[:2, 0].tolist()
         held = [
             one
             for one in self._open.get(name, [])
@@ -73,7 +73,7 @@ class EchoRuns:
                 held.append(out[k])
             run = out[k]
             run.t_ns.append(now)
-            run.rows.append((float(here[0]), float(here[1]), reach))
+            run.rows.append((float(here[0]), float(here[1]), reach, height, *ahead))
             run.last = here, look.track, reach, float(cosine[k]), height
             del run.t_ns[: -2 * MOST_ECHOES], run.rows[: -2 * MOST_ECHOES]
         self._open[name] = held
@@ -124,16 +124,20 @@ def edges_among(
 def _along(look: Look, runs: list[Run]) -> tuple[Floats, Floats]:
     """Positions from the look's own and ranges (k, n, 3) of each echo's run near it, and which of them are there."""
     at, use = np.zeros((len(runs), MOST_ECHOES, 3)), np.zeros((len(runs), MOST_ECHOES))
-    half = MOST_ECHOES // 2
     for k, run in enumerate(runs):
-        if look.heard.t_ns not in run.t_ns:
-            continue
-        middle = run.t_ns.index(look.heard.t_ns)
-        rows = np.array(run.rows[max(middle - half, 0) : middle + half + 1])
-        rows[:, :2] -= look.heard.position[:2]
-        rows = rows[np.hypot(rows[:, 0], rows[:, 1]) < REACH_M]
-        at[k, : len(rows)], use[k, : len(rows)] = rows, 1
+        rows = near(run, look)
+        at[k, : len(rows)], use[k, : len(rows)] = rows[:, :3], 1
     return at, use
+
+
+def near(run: Run, look: Look) -> Floats:
+    """Position from a look's own, range [m], height and boresight (n, 6) of its run's echoes within 1.2 m of it."""
+    if look.heard.t_ns not in run.t_ns:
+        return np.zeros((0, 6))
+    middle, half = run.t_ns.index(look.heard.t_ns), MOST_ECHOES // 2
+    rows = np.array(run.rows[max(middle - half, 0) : middle + half + 1])
+    rows[:, :2] -= look.heard.position[:2]
+    return np.asarray(rows[np.hypot(rows[:, 0], rows[:, 1]) < REACH_M])
 
 
 def fit_walls(at: Floats, use: Floats, reach: Floats, start: Floats) -> Floats:

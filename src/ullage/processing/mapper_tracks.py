@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.processing.mapper_looks import Look
+from ullage.processing.mapper_rims import rim_of
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ TOLD_APART, SAME_WAY = 9.0, 0.28
 SAME_WALL, SAME_WALL_M, BEYOND_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 1.0, 96, 15
 FITS_M, FITS_COSINE, LEVEL_M, EXPLAINED = 0.04, 0.08, 12.0, 3.0
 POST_BETTER, LEAST_SCATTER_M = 0.6, 0.004
-RIPPLE, LEAST_RIM, MOST_RIM = 0.225, 2.0, 4.0
+LEAST_RIM, MOST_RIM = 2.0, 4.0
 RING_STEP, RING_TRUST, MOST_GONE, SHADE_SLOPE = np.radians(15.0), 0.4, 32, 0.6
 
 
@@ -66,7 +67,8 @@ class Followed:
         if self.count >= LEAST_LOOKS and self.count % FIT_EVERY == 0:
             self.normal = normal_of(self.echoes, ahead, least)
             self.post = None if self.normal is None else post_of(self.echoes, self.normal)
-            self.rim = rim_of(self.echoes)
+            level = np.array([e.height * e.range_m for e in self.echoes])
+            self.rim = rim_of(level, least=LEAST_RIM, most=MOST_RIM)
             self.screens = np.zeros((0, 8)) if self.normal is not None else screens_of(self.echoes, ahead, least)
 
     def way(self, echo: Traced) -> tuple[Floats, bool]:
@@ -263,18 +265,6 @@ def _unexplained(echoes: list[Traced], walls: Floats) -> NDArray[np.int64]:
     miss = abs(walls[:, 3] - at @ walls[:, :3].T - reach) / FITS_M
     turn = abs(track @ walls[:, :3].T - cosine) / (FITS_COSINE + sigma)
     return np.flatnonzero(np.hypot(miss, turn).min(axis=1) >= EXPLAINED)
-
-
-def rim_of(echoes: list[Traced]) -> float:
-    """Fresnel parameter of the nearest straight edge that the echoes' steady level leaves room for [BornWolf1999].
-
-    An edge at v > 1 off the foot of the perpendicular makes the level of a mirror echo ripple by 0.225 / v as the
-    foot moves: Cornu's spiral winds about its end with a radius of 1 / (pi sqrt(2) v). Slow change is the antenna's.
-    """
-    level = np.log([max(e.height * e.range_m, 1e-30) for e in echoes])
-    basis = np.vander(np.linspace(-1, 1, len(level)), 3)
-    ripple = float(abs(level - basis @ np.linalg.lstsq(basis, level, rcond=None)[0]).max())
-    return float(np.clip(RIPPLE / max(ripple, 1e-6), LEAST_RIM, MOST_RIM))
 
 
 def screens_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats:

@@ -1,0 +1,55 @@
+"""How far a wall goes on about the foot of the perpendicular, heard from how steady its echo's level is.
+
+An edge at Fresnel parameter v > 1 off the foot makes the level of a mirror echo ripple by 0.225 / v as the foot moves:
+Cornu's spiral winds about its end with a radius of 1 / (pi sqrt(2) v) [BornWolf1999]. What the antenna's lobe makes of
+the level is taken out as far as its opening tells, and what is left of slow change too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+RIPPLE, LEAST_RIM, MOST_RIM = 0.225, 0.8, 4.0
+RIPPLES_HEARD, KEPT = 1.5, 0.8  # of the rim: what is taken for slow hides some of the ripple
+LEAST_ECHOES = 9
+SLOW = 4  # order of the polynomial that is slow change
+LOBE_NEPERS = 0.5 * math.log(2.0)  # by which one way of a lobe falls at its -3 dB half angle
+
+
+def rim_of(level: Floats, *, least: float, most: float, slow: int = 2) -> float:
+    """Fresnel parameter of the nearest straight edge that a steady level (n) of a mirror echo leaves room for.
+
+    Between `least` and `most`; what a polynomial of order `slow` follows is no ripple.
+    """
+    log_level = np.log(np.maximum(level, 1e-30))
+    basis = np.vander(np.linspace(-1, 1, len(level)), slow + 1)
+    ripple = float(abs(log_level - basis @ np.linalg.lstsq(basis, log_level, rcond=None)[0]).max())
+    return float(np.clip(RIPPLE / max(ripple, 1e-6), least, most))
+
+
+def rim_along(rows: Floats, way: Floats, wavelength_m: float, half_rad: float) -> float:
+    """The same for a run of echoes on a plane, which must have gone far enough to hear such an edge.
+
+    Args:
+        rows: position x, y, range [m], height and boresight x, y of each echo (n, 6).
+        way: (2) unit vector to the wall.
+        wavelength_m: of the carrier [m].
+        half_rad: angle from boresight at which the antenna has fallen by 3 dB one way, as a Gaussian lobe [rad].
+    """
+    if len(rows) < LEAST_ECHOES:
+        return LEAST_RIM
+    ahead = rows[:, 4:] @ way / np.maximum(np.hypot(rows[:, 4], rows[:, 5]), 1e-9)
+    lobe = np.exp(2 * LOBE_NEPERS * (np.arccos(np.clip(ahead, -1, 1)) / half_rad) ** 2)
+    level = rows[:, 3] * rows[:, 2] * lobe
+    rim = KEPT * rim_of(level, least=LEAST_RIM / KEPT, most=MOST_RIM / KEPT, slow=SLOW)
+    reach = float(rows[:, 2].mean())
+    aside = float(np.ptp(rows[:, 0] * -way[1] + rows[:, 1] * way[0]))
+    closer = float(np.ptp(rows[:, 2]))
+    # an edge h off has the phase 2 pi h^2 / (wavelength r) against the foot: turns of it while the drone flies
+    turns = rim * aside / math.sqrt(wavelength_m * reach) + 0.25 * rim**2 * closer / reach
+    return rim if turns > RIPPLES_HEARD else LEAST_RIM
