@@ -23,6 +23,9 @@ FULL = 0xFFFF
 CLEAR_SIDES = 6
 TORN, TORN_HITS = 3, 7  # of an arc that two places far apart may have made: neither becomes a wall by it
 NOWHERE = 255
+WALL_TENTHS = 20  # hits of a cell that is held occupied
+VAGUE = 3  # most hits that arcs which name no place give a cell
+LOUD, LOUD_WALL = 1, 2
 
 
 class Pools(NamedTuple):
@@ -33,7 +36,7 @@ class Pools(NamedTuple):
     hits: NDArray[np.int8]  # (pool, cells of a block)
     silent: NDArray[np.uint16]  # (pool, cells of a block)
     facing: NDArray[np.uint8]  # (pool, cells of a block)
-    loud: NDArray[np.uint8]  # (pool) 1 where a cell has hits
+    loud: NDArray[np.uint8]  # (pool) LOUD where a cell has hits, LOUD_WALL where one may be held occupied
     free_slots: NDArray[np.int32]  # stack of places not taken
     free_count: NDArray[np.int64]  # (1)
     size: NDArray[np.int64]  # (3) cells along x, y, z; one along z for a plane
@@ -112,15 +115,15 @@ def share_echoes(
     for i in range(candidates):
         slot, cell, k = found[i, 0], found[i, 1], found[i, 2]
         if arcs[k, 8] != 1 and arcs[k, 8] != TORN:
-            tenths = 1 if hits[slot, cell] < 3 else 0
+            tenths = 1 if hits[slot, cell] < VAGUE else 0
         else:
             others = none[k] / (1.0 - chance[i] * held_by[hits[slot, cell], found[i, 4]])
             tenths = int(math.log((1.0 - (1.0 - chance[i]) * others) / (1.0 - others)) * SCALE + 0.5)
             if arcs[k, 8] == TORN:
                 tenths = min(tenths, TORN_HITS - hits[slot, cell])
         if tenths > 0:
-            pools.loud[slot] = 1
             hits[slot, cell] = min(hits[slot, cell] + tenths, MOST_HITS)
+            pools.loud[slot] = max(pools.loud[slot], LOUD_WALL if hits[slot, cell] >= WALL_TENTHS else LOUD)
             if arcs[k, 8] == 1 and tenths >= 5:
                 pools.facing[slot, cell] = found[i, 3]
 
@@ -136,13 +139,13 @@ def collapse_blocks(pools: Pools) -> int:
                 if slot < 0:
                     continue
                 common = pools.common[bz, by, bx]
-                every, some, least, loud = FULL, 0, 16, False
+                every, some, least, most = FULL, 0, 16, 0
                 for cell in range(pools.hits.shape[1]):
                     mask = pools.silent[slot, cell] | common
-                    loud = loud or pools.hits[slot, cell] > 0
+                    most = max(most, pools.hits[slot, cell])
                     every, some, least = every & mask, some | mask, min(least, bit_count(mask))
-                pools.loud[slot] = loud
-                if not loud and (least >= CLEAR_SIDES or every == some):
+                pools.loud[slot] = LOUD_WALL if most >= WALL_TENTHS else LOUD if most > 0 else 0
+                if most == 0 and (least >= CLEAR_SIDES or every == some):
                     pools.common[bz, by, bx] = FULL if least >= CLEAR_SIDES else every
                     pools.slots[bz, by, bx] = EMPTY
                     pools.free_slots[pools.free_count[0]] = slot

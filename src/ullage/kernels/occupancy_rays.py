@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ullage.kernels.loops import loop
-from ullage.kernels.occupancy import EMPTY, MOST_HITS, Pools, cell_index, side_of, take_block
+from ullage.kernels.occupancy import EMPTY, LOUD_WALL, MOST_HITS, Pools, cell_index, side_of, take_block
 
 
 @loop()
@@ -38,7 +38,7 @@ def insert_rays(pools: Pools, step: float, edge: int, eye: np.ndarray, ends: np.
                 cell = cell_index(at[0], at[1], at[2], edge, size[2])
                 if left == 0:
                     pools.hits[slot, cell] = min(pools.hits[slot, cell] + gain, MOST_HITS)
-                    pools.facing[slot, cell], pools.loud[slot] = side, 1
+                    pools.facing[slot, cell], pools.loud[slot] = side, LOUD_WALL
                 else:
                     pools.silent[slot, cell] |= bit
             d = 0 if due[0] <= due[1] and due[0] <= due[2] else 1 if due[1] <= due[2] else 2

@@ -7,7 +7,18 @@ import math
 import numpy as np
 
 from ullage.kernels.loops import loop
-from ullage.kernels.occupancy import EMPTY, MOST_HITS, SCALE, Pools, cell_index, side_of, take_block
+from ullage.kernels.occupancy import (
+    EMPTY,
+    LOUD,
+    LOUD_WALL,
+    MOST_HITS,
+    SCALE,
+    WALL_TENTHS,
+    Pools,
+    cell_index,
+    side_of,
+    take_block,
+)
 
 
 @loop(fastmath=True)
@@ -44,8 +55,8 @@ def lay_strip(
                 if slot == EMPTY:
                     slot = take_block(pools, bz, by, bx)
                 cell = cell_index(ix, iy, iz, edge, pools.size[2])
-                pools.loud[slot] = 1
                 pools.hits[slot, cell] = min(pools.hits[slot, cell] + tenths, MOST_HITS)
+                pools.loud[slot] = max(pools.loud[slot], LOUD_WALL if pools.hits[slot, cell] >= WALL_TENTHS else LOUD)
                 pools.facing[slot, cell] = side
 
 

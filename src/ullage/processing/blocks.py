@@ -7,7 +7,16 @@ from numpy.typing import NDArray
 
 from ullage.errors import InputError
 from ullage.grids import EDGE, Grid
-from ullage.kernels.occupancy import EMPTY, MOST_HITS, NOWHERE, Pools, collapse_blocks, mark_flown, share_echoes
+from ullage.kernels.occupancy import (
+    EMPTY,
+    MOST_HITS,
+    NOWHERE,
+    WALL_TENTHS,
+    Pools,
+    collapse_blocks,
+    mark_flown,
+    share_echoes,
+)
 from ullage.kernels.occupancy_cone import hear_blocks, survey_blocks
 from ullage.kernels.occupancy_reach import Beam, cast_reach
 from ullage.kernels.occupancy_strip import is_clear, lay_strip
@@ -16,7 +25,6 @@ MOST_BYTES = 2 * 1024**3
 GROWTH = 16
 PRIOR = -3.5
 FREE_NATS = np.array([0, 0.3, 0.7, 1.2, 2.0, 2.7] + [3.5] * 11)
-WALL_TENTHS = 20
 HAZE_PER_M = 0.12
 STRIDE = {2: 1, 3: 4}
 MOST_FOUND = 60_000
@@ -60,7 +68,8 @@ class Blocks:
             origin=np.nan_to_num(np.asarray(grid.origin_m, float)),
         )
         self._held_by = chances()
-        self._found, self._chance = np.zeros((MOST_FOUND, 5), np.int32), np.zeros(MOST_FOUND)
+        most = MOST_FOUND if grid.dims == 2 else 0  # in a volume no arc names a place
+        self._found, self._chance = np.zeros((most, 5), np.int32), np.zeros(most)
         self._turn = 0
 
     def insert(
@@ -78,7 +87,7 @@ class Blocks:
         self._turn += 1
         met = _met(beam, walls)
         walls, sure = walls[met], int(np.count_nonzero(met[:sure]))
-        farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, sure, WALL_TENTHS, HAZE_PER_M * step)
+        farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, sure, HAZE_PER_M * step)
         rows = survey_blocks(self.pools, step, self.edge, beam, min(farthest + step, beam.far), self._turn, stride)
         self.reserve(int(np.count_nonzero(self.pools.slots[rows[:, 0], rows[:, 1], rows[:, 2]] == EMPTY)))
         found = hear_blocks(
