@@ -52,6 +52,21 @@ def test_a_perfect_map_scores_one():
     assert got["ece"] < 0.02
 
 
+@pytest.mark.parametrize("dims", [2, 3])
+def test_walls_on_the_border_of_the_grid_are_on_it(dims):
+    grid = ul.Grid.covering(ROOM.bounds, 0.1, dims=dims)
+    near_wall = np.ones(grid.shape, bool)
+    near_wall[(slice(1, -1),) * dims] = False
+    percent = np.where(near_wall, 99, 1).astype(np.int8)
+    got = {n: m.value for n, m in ul.metrics.map_quality(OccupancyMap(grid, percent), ROOM, flight()).items()}
+    assert got["precision"] == got["recall"] == 1.0
+    assert got["surface_declared_free"] == 0.0
+    percent[..., :, -1] = 1  # the wall ahead, on the upper border, is lost
+    got = {n: m.value for n, m in ul.metrics.map_quality(OccupancyMap(grid, percent), ROOM, flight()).items()}
+    assert got["recall"] < 0.9
+    assert got["surface_declared_free"] > 0.05
+
+
 def test_an_unknown_map_scores_nothing_and_is_not_punished_as_wrong():
     got = score(np.full(GRID.shape, UNKNOWN, np.int8))
     assert got["f1"] == got["precision"] == got["recall"] == got["free_found"] == 0.0

@@ -23,6 +23,8 @@ SPECULAR_RAD = np.radians(10.0)
 OBLIQUE_RAD = np.radians(75.0)
 LOOK_M, LOOK_RAD = 0.05, np.radians(4.0)
 EYES = 80
+BORDER = 1e-3
+"""How far beyond a grid's border a surface still lies on it [steps]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +68,7 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     plane = grid.at_height(float(np.mean(np.concatenate([true_path(p).position[:, 2] for p in parts]))))
     spacing = (min(0.025, grid.step_m / 2) if grid.dims == 2 else grid.step_m / 2) if spacing_m is None else spacing_m
     points, normals, owner = (_slice if grid.dims == 2 else _volume)(scene, plane, spacing)
-    _, inside = plane.index(points)
+    inside = _on_grid(plane, points)
     points, normals, owner = points[inside], normals[inside], owner[inside]
     if not len(points):
         raise InputError("no surface of the scene lies on the grid", where=scene.name)
@@ -76,6 +78,14 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     for part in parts:
         _count_looks(part, caster, points, normals, smooth, looks, seen)
     return Surface(points, normals, owner, looks, seen)
+
+
+def _on_grid(grid: Grid, points: Floats) -> Flags:
+    """Whether each point lies on the grid, its border on every side included: the walls of a room lie just there."""
+    low = np.asarray(grid.origin_m)[: grid.dims]
+    high = low + grid.step_m * np.asarray(grid.shape)[::-1]
+    hair, mine = BORDER * grid.step_m, points[:, : grid.dims]
+    return np.asarray(np.all((mine >= low - hair) & (mine <= high + hair), axis=1))
 
 
 def _count_looks(
