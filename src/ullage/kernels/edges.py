@@ -118,8 +118,8 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
         gap = max(step, -least if side == 1 else least - size)
         place = 0.0
         for _ in range(8):
-            place = least + sign * gap
-            if place <= 0 or place >= size:
+            place = min(max(least + sign * gap, 0.0), size)
+            if place == side * size:  # all of the edge on this side is slow
                 break
             for k in range(3):
                 spots[2 + side, k] = spots[0, k] + place * line[3, k]
