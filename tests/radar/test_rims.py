@@ -58,7 +58,7 @@ def test_a_long_girder_by_its_ends(length, height, yaw):
 
 
 def test_the_cargo_hold_by_the_ends_of_its_rims():
-    """Three of these four frames were once off by -5 dB of their peak: an edge's slow part can begin at its very end."""
+    """Three of these four were once off by -5 dB of their peak: an edge's slow part can begin at its very end."""
     hold = ul.load_scene(HOLD)
     whole = ul.Trajectory.line((-11.5, -7, 4), (11, -7, 4), 0.5, 17)
     path = whole[[33, 166, 332, 631]]
