@@ -124,12 +124,12 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
     """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
     from ullage.experiments.catalog import find_scenario, scenario_names
     from ullage.experiments.simulated import load_world
-    from ullage.experiments.warmup import begin, compiled, parts_of
+    from ullage.experiments.warmup import ahead, begin, compiled, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
     from ullage.view.progress import console, say
 
-    address, patient = Address.of(source), True
+    address, patient, work = Address.of(source), True, None
     if address and address.scheme.startswith("gazebo"):
         bounces = str(address.options.get("max_bounces", 1))
         fidelity = "thesis" if address.options.get("fidelity") == "thesis" else "physical"
@@ -139,14 +139,21 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
         scenario = find_scenario(source, options=options)
         parts = parts_of(scenario)
         if not compiled(parts):  # at least not all that any world may need
-            parts = parts_of(scenario, load_world(scenario.world))
+            work = ahead()
+            try:
+                parts = parts_of(scenario, load_world(scenario.world))
+            except BaseException:
+                work.close()
+                raise
     else:
         return None
     if compiled(parts):
+        if work is not None:
+            work.close()
         return None
     say(f"compiling kernels for {', '.join(parts)} (once after installation)")
     with console.status("compiling") as line:
-        work = begin(parts, tell=lambda what: line.update(f"compiling {what}"))
+        work = begin(parts, tell=lambda what: line.update(f"compiling {what}"), work=work)
         if not patient:
             work.wait_later()
         return work

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -47,20 +46,29 @@ def compiled(parts: Iterable[str] = tuple(NEEDED)) -> bool:
     return all(kernels.compiled(stem) for part in parts for stem in NEEDED[part])
 
 
-def begin(parts: Iterable[str], *, tell: Tell | None = None) -> Compiling:
+def begin(parts: Iterable[str], *, tell: Tell | None = None, work: Compiling | None = None) -> Compiling:
     """Compile what a run of these parts cannot begin without, in two processes where there are two cores.
 
     Args:
         parts: keys of `NEEDED`.
         tell: called with what is being compiled.
+        work: one whose other process has started, as `ahead` gives it.
 
     Returns:
         What goes on compiling; `wait_later` waits for it.
     """
     wanted = [job for job in JOBS if job.part in set(parts)]
     now, later = ([job for job in wanted if (job.part in LATER) == late] for late in (False, True))
-    work = Compiling(now, [job for job in later if not compiled((job.part,))], module=__name__, tell=tell)
+    work = work or Compiling(module=__name__)
+    work.now, work.later, work.tell = now, [job for job in later if not compiled((job.part,))], tell
     work.wait()
+    return work
+
+
+def ahead() -> Compiling:
+    """Python started beside this process, to compile what will turn out to be needed; `begin` tells it."""
+    work = Compiling(module=__name__)
+    work.open()
     return work
 
 
@@ -113,4 +121,4 @@ JOBS = (
 )
 
 if __name__ == "__main__":
-    radar.beside(JOBS, sys.argv[1:])
+    radar.beside(JOBS)

@@ -169,7 +169,8 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
     """
     one, two = np.empty(3), np.empty(3)
     planes1, planes2 = np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4))
-    clipped, at = np.empty((4, MOST, 3)), np.zeros(2, np.int64)
+    clipped, at = np.empty((4, MOST, 3)), np.empty(2, np.int64)
+    at[0], at[1] = 0, 0
     first[0] = 0
     for a in mirrors:
         p = np.int64(flat_of[a])

@@ -24,8 +24,9 @@ def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type
         out: (b, 3) gets the points, a hair inside the rim [m].
     """
     count = len(middle)
-    least, cut = np.full(count, np.inf), np.zeros(count, np.bool_)
+    least, cut = np.empty(count), np.empty(count, np.bool_)
     for i in range(count):
+        least[i], cut[i] = np.inf, False
         for k in range(3):
             out[i, k] = middle[i, k]
     for j in range(len(pieces)):

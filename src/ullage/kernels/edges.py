@@ -312,7 +312,8 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
     Returns:
         How many pieces and ends there are; only those that fit are written.
     """
-    at = np.zeros(3, np.int64)  # pieces, ends, first end of the face
+    at = np.empty(3, np.int64)  # pieces, ends, first end of the face
+    at[0], at[1], at[2] = 0, 0, 0
     line, spots, marks = np.empty((4, 3)), np.empty((69, 8)), np.empty((69, 2))
     wave = omega / C0
     for i in range(len(patches)):

@@ -360,8 +360,8 @@ def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, field
         echo: (m) gets the complex echo of each piece at the carrier.
         delay: (m) gets its delay [s].
     """
-    w, x, places = np.zeros(3, np.complex128), np.zeros(3), np.zeros(3)
-    base, cosine, tau = np.zeros(3), np.zeros(3), np.zeros(3)
+    w, x, places = np.empty(3, np.complex128), np.empty(3), np.empty(3)
+    base, cosine, tau = np.empty(3), np.empty(3), np.empty(3)
     last = t0 + grids.shape[1] * dt
     for k in range(len(leaves)):
         echo[k], delay[k] = 0j, 0.0

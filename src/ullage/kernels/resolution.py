@@ -14,6 +14,8 @@ from numba.core.targetconfig import ConfigStack
 from numba.core.types.functions import BaseFunction
 
 ASKED = BaseFunction.get_call_type
+WRAPPERS = {"no_cpython_wrapper", "no_cfunc_wrapper", "release_gil"}
+"""Flags that change nothing inside a kernel."""
 
 
 @contextmanager
@@ -57,5 +59,6 @@ class _Flags:
     def name(self) -> str:
         now = ConfigStack.top_or_none()
         if now is not self._of or not self._name:
-            self._of, self._name = now, repr(sorted(now.values().items())) if now is not None else "none"
+            told = {} if now is None else now.values()
+            self._of, self._name = now, repr(sorted((k, v) for k, v in told.items() if k not in WRAPPERS))
         return self._name

@@ -102,7 +102,7 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
     """
     unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
     last = t0 + grids.shape[1] * dt
-    weights, cosines = np.zeros(gamma.shape[1], np.complex128), np.zeros(gamma.shape[1])
+    weights, cosines = np.empty(gamma.shape[1], np.complex128), np.empty(gamma.shape[1])
     known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0

@@ -21,7 +21,7 @@ from ullage.errors import InputError
 from ullage.radar.copies import PAYS_S, Crew, cores
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
-from ullage.radar.warmup import warm_up
+from ullage.radar.warmup import warming_up
 from ullage.specs import RadarSpec, Rig
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -83,10 +83,10 @@ def simulate(
     Raises:
         InputError: an argument cannot be used.
     """
-    with kernels.telling():
+    with kernels.telling(), warming_up(fidelity) as compile_for:
         pieces = simulate_stream(scene, path, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed,
                                  believed=believed, progress=progress)  # fmt: skip
-        warm_up(fidelity, max_bounces, scene)
+        compile_for(max_bounces, scene)
         whole = gathered(pieces)
     return whole if isinstance(radar, Rig) else next(iter(whole.values()))
 

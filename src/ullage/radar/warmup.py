@@ -11,7 +11,7 @@ import gc
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import IO, TYPE_CHECKING, Literal
@@ -69,13 +69,34 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
 _DONE: set[str] = set()  # parts that this process has seen to
 
 
-def warm_up(fidelity: str, max_bounces: int, scene: Scene) -> None:
-    """Compiles what a radar needs in a world, in two processes, where there is much to compile and both have a core."""
+@contextmanager
+def warming_up(fidelity: str) -> Iterator[Callable[[int, Scene], None]]:
+    """Gives what compiles all that a radar needs, told greatest bounces and world; Python beside starts meanwhile."""
+    work = Compiling(module=__name__)
+    if fidelity == "physical" and "physical" not in _DONE and not _compiled("physical"):
+        work.open()
+    try:
+        yield lambda max_bounces, scene: warm_up(fidelity, max_bounces, scene, work=work)
+    finally:
+        work.close()
+
+
+def warm_up(fidelity: str, max_bounces: int, scene: Scene, *, work: Compiling | None = None) -> None:
+    """Compiles what a radar needs in a world, in two processes, where there is much to compile and both have a core.
+
+    Args:
+        fidelity: of the radar.
+        max_bounces: 1 to 3.
+        scene: the world.
+        work: one whose other process may have started.
+    """
     parts = set(radar_parts(fidelity, max_bounces, scene)) - _DONE
     _DONE.update(parts)
     wanted = [job for job in JOBS if job.part in parts and not _compiled(job.part)]
     if sum(job.seconds for job in wanted) > _WORTH_S and cores() > 1 and all(shared(wanted)):
-        Compiling(wanted, module=__name__).wait()
+        work = work or Compiling(module=__name__)
+        work.now = wanted
+        work.wait()
 
 
 _WORTH_S = 10.0  # less is compiled as it is met [s]
@@ -118,12 +139,23 @@ class Compiling:
         tell: called with what is being compiled.
     """
 
-    now: Sequence[Job]
+    now: Sequence[Job] = ()
     later: Sequence[Job] = ()
     module: str = ""
     tell: Tell | None = None
     _beside: subprocess.Popen[str] | None = field(default=None, init=False)
     _open: list[str] = field(default_factory=list, init=False)  # not yet done beside
+
+    def open(self) -> None:
+        """Start the process beside, where it has a core: it gets ready and then waits to be told what to do."""
+        if self._beside is not None or cores() < 2:
+            return
+        try:  # a group of its own: Ctrl-C is for this process, which ends the other
+            self._beside = subprocess.Popen([sys.executable, "-m", self.module], stdin=subprocess.PIPE,
+                                            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+                                            start_new_session=True)  # fmt: skip
+        except OSError:  # no Python to start: each kernel is compiled when it is met
+            return
 
     def wait(self) -> None:
         """Compile until all jobs of now are done."""
@@ -153,18 +185,22 @@ class Compiling:
 
     def close(self) -> None:
         """Let nothing go on beside."""
-        if self._beside is not None and self._beside.poll() is None:
+        self._open.clear()
+        if self._beside is None:
+            return
+        if self._beside.poll() is None:
             self._beside.terminate()
             self._beside.wait()
-        self._open.clear()
+        for pipe in (self._beside.stdin, self._beside.stdout):
+            if pipe is not None:
+                pipe.close()
 
     def _start(self, names: list[str]) -> None:
-        command = [sys.executable, "-m", self.module, *names]
-        try:  # a group of its own: Ctrl-C is for this process, which ends the other
-            self._beside = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                                            stderr=subprocess.DEVNULL, text=True, start_new_session=True)  # fmt: skip
-        except OSError:  # no Python to start: each kernel is compiled when it is met
+        self.open()
+        if self._beside is None or self._beside.stdin is None:
             return
+        with suppress(BrokenPipeError), self._beside.stdin as told:  # where it has died, all is done here
+            told.write("".join(f"{name}\n" for name in names))
         self._open[:] = names
 
     def _await(self, jobs: Sequence[Job]) -> None:
@@ -201,15 +237,17 @@ def shared(jobs: Sequence[Job]) -> tuple[list[Job], list[Job]]:
     return one, other
 
 
-_START_S = 2.5  # what the other process takes to start, about [s]
+_START_S = 1.0  # what the other process takes to start, about [s]
 
 
-def beside(jobs: Sequence[Job], names: Sequence[str]) -> None:
-    """What the process beside does: the jobs of these names, each told on its output when done."""
+def beside(jobs: Sequence[Job]) -> None:
+    """What the process beside does: the jobs whose names it is told line by line, each told back when done."""
+    from ullage.radar import fringes, multipath, simulate  # noqa: F401  while nothing is asked yet
+
     with in_haste():
-        for name in names:
-            next(job for job in jobs if job.name == name).run()
-            print(name, flush=True)
+        for line in sys.stdin:
+            next(job for job in jobs if job.name == line.strip()).run()
+            print(line.strip(), flush=True)
 
 
 def _frames(scene: Scene, *, fidelity: Literal["physical", "thesis"] = "physical", max_bounces: int = 1) -> None:
@@ -270,6 +308,21 @@ def _beams() -> None:
     beams_of(ready, ready.world.still.flats, view, 3)
 
 
+def _paths() -> None:
+    """The kernels of `multipath` beyond beams and rims, on no paths at all."""
+    from ullage.kernels import bounces
+
+    ready, view = _bench(_room())
+    flats, none, long = ready.world.still.flats, np.zeros(0, np.int32), np.zeros(0, np.int64)
+    points, paths, chains = np.zeros((0, 3)), np.zeros((0, 5, 3)), np.zeros((0, 2), np.int64)
+    bounces.middles(np.zeros(1, np.int32), np.zeros((0, 2, 3)), points)
+    bounces.legs(points, points, chains, flats.normals, flats.offsets, view.origins, points, paths)
+    bounces.cover(paths, chains, flats.normals, flats.widths, ready.spec.wavelength_m, np.zeros(0))
+    bounces.stand_ins(points, np.zeros((0, 12)), none, np.zeros((0, 9)), none, np.zeros((0, 9)), long, points)
+    bounces.reflect(paths, chains, long, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
+                    np.zeros(0, complex), np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)))  # fmt: skip
+
+
 def _shapes() -> None:
     from ullage.world import scenes
 
@@ -292,10 +345,17 @@ JOBS: tuple[Job, ...] = (
     Job("edges of conductors", "conductors", 7.5, _conductors),
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
+    Job("paths of bounces", "bounces", 3, _paths),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
-    Job("bounces", "bounces", 3.5, partial(_walls, max_bounces=2), ("rims of faces", "echoes of faces", "beams")),
+    Job(
+        "bounces",
+        "bounces",
+        0.5,
+        partial(_walls, max_bounces=2),
+        ("rims of faces", "echoes of faces", "beams", "paths of bounces"),
+    ),
 )
 
 if __name__ == "__main__":
-    beside(JOBS, sys.argv[1:])
+    beside(JOBS)
