@@ -1,3 +1,4 @@
+import itertools
 import warnings
 from dataclasses import replace
 
@@ -255,3 +256,19 @@ def test_a_wall_beside_a_panel_is_heard_past_the_panels_edge():
     column = round((4.0 + 5) / 0.1)
     wall = ul.map_occupancy(frames, GRID).occupied[:, column - 1 : column + 1].any(axis=1)
     assert wall[[round((y + 4) / 0.1) for y in (-1.0, -0.8, 0.8, 1.0)]].all()
+
+
+def test_one_radar_along_the_walls_of_a_low_room_maps_them_and_not_the_floor():
+    scene = ul.scenes.room((6.0, 4.0, 3.0))
+    corners = np.array([(-2.0, 1.0), (2.0, 1.0), (2.0, -1.0), (-2.0, -1.0), (-2.0, 1.0)])
+    legs = list(itertools.pairwise(corners))  # the walls are on the left, all at 1 m
+    way = [a + s * (b - a) for a, b in legs for s in np.arange(0, 1, 0.03 / np.linalg.norm(b - a))]
+    yaw = [np.arctan2(*(b - a)[::-1]) for a, b in legs for _ in np.arange(0, 1, 0.03 / np.linalg.norm(b - a))]
+    still = np.zeros(len(yaw))
+    path = Trajectory(np.arange(len(yaw)) * 60_000_000, np.column_stack([way, still]), rpy_quat(still, still, yaw))
+    left = ul.RadarSpec.preset("x4m05", mount={"yaw_deg": 90})
+    frames = ul.simulate(scene, path, left, seed=1)
+    omap = ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1))
+    score = ul.metrics.map_quality(omap, scene, frames)
+    assert score["recall"].value > 0.9  # all were taken for floor once the flight had turned: 0.33
+    assert score["precision"].value > 0.9

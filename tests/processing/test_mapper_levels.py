@@ -49,3 +49,43 @@ def test_what_keeps_its_range_on_all_headings_is_a_level_however_loud():
 
 def test_what_sensors_ahead_hear_square_to_the_way_is_a_level():
     assert left_of([look(k, heading_rad=0.3, abeam=k % 2 == 0, wall=1.4e-4) for k in range(80)]) == []
+
+
+def test_what_is_louder_than_a_mirror_at_the_rim_is_a_wall_on_all_headings_too():
+    """One radar that looks left along the walls of a room, a quarter turn at each corner."""
+    finder = LevelFinder()
+    finder.rim_m = 8e-4
+    looks = [look(k, heading_rad=np.pi / 2 * (k // 40), abeam=True, wall=2.5e-3) for k in range(160)]
+    for each in looks:
+        finder.hear(each)
+    assert finder.without_levels(looks[-1]).echoes[:, 0].tolist() == [WALL_M]
+
+
+def crowded(number: int, *, share: float, loud: float) -> Look:
+    """A look on a turn: of every ten, `share` hear the floor clearly; in the others its bearing is a wall's."""
+    one = look(number, heading_rad=0.1 * number, abeam=True, wall=2.5e-3)
+    one.echoes[0, 5] *= loud
+    one.echoes[1, 2] = 0.9
+    if number % 10 >= 10 * share:
+        one.echoes[0, 2] = 0.6
+    return one
+
+
+def heard_clearly(looks: list[Look]) -> Look:
+    return next(one for one in reversed(looks) if one.echoes[0, 2] == 0)
+
+
+def test_a_level_that_a_third_of_all_headings_hear_alike_is_one():
+    looks = [crowded(k, share=0.4, loud=1.0) for k in range(200)]
+    finder = LevelFinder()
+    for each in looks:
+        finder.hear(each)
+    assert finder.without_levels(heard_clearly(looks)).echoes[:, 0].tolist() == [WALL_M]
+
+
+def test_what_turning_sensors_hear_louder_and_weaker_is_a_wall():
+    looks = [crowded(k, share=0.4, loud=10.0 if k % 2 else 1.0) for k in range(200)]
+    finder = LevelFinder()
+    for each in looks:
+        finder.hear(each)
+    assert finder.without_levels(heard_clearly(looks)).echoes[:, 0].tolist() == [FLOOR_M, WALL_M]

@@ -14,6 +14,7 @@ FALSE_ALARM_SIGMAS = 6.0
 BLANKED_M = 0.45
 DYNAMIC = 10 ** (-40 / 20)
 X4A02_DEG, WIDEST_DEG = 65.0, 67.0
+RIM_DBI = -3.0
 
 
 def noise_sigma(frames: Frames) -> Floats:
@@ -53,6 +54,17 @@ def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Float
     peak[:, 1:-1] = (amplitude[:, 1:-1] >= amplitude[:, :-2]) & (amplitude[:, 1:-1] > amplitude[:, 2:])
     peak &= (amplitude >= level[:, None]) & (frames.range_m >= blank_m(frames))
     return frames.range_m[np.argmax(peak, axis=1)], np.asarray(peak.any(axis=1))
+
+
+def rim_mirror_m(frames: Frames) -> float:
+    """Amplitude times range of a perfect mirror a quarter turn off boresight [m]; infinite where that is not known.
+
+    An image lambda / (8 pi R) times the gain there, of the X4's antenna no more than -5 dBi [NoveldaX4A02]; 2 dB
+    are added for a body that tilts.
+    """
+    if frames.unit != "path_gain" or frames.spec.antenna.kind != "x4a02":
+        return float(np.inf)
+    return float(frames.spec.wavelength_m / (8 * np.pi) * 10 ** (RIM_DBI / 10))
 
 
 def heard_deg(antenna: AntennaSpec) -> tuple[float, float]:

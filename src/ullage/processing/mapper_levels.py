@@ -19,6 +19,8 @@ NEAR_M = 0.08
 LOUDER = 4.0
 REMEMBERED = 400
 ONE_HEADING, ABEAM, SOME = 0.94, 0.6, 0.25
+SECTORS, ENOUGH_SECTORS, ENOUGH_THERE = 4, 3, 10
+OFTEN, OFTEN_EACH, ALIKE = 0.35, 0.2, 2.5
 
 
 class LevelFinder:
@@ -28,12 +30,21 @@ class LevelFinder:
     half of the looks vote for is a level; its echoes are then left out of a map that is a plane. Walls at the same
     range in the beam are louder than a level at the beam's rim and stay.
 
+    Where walls' echoes run into a level's, as of a turn on one spot, a third of the looks is enough, if looks of all
+    headings are among them and all sensors hear it about as loud: a wall is some 10 dB louder or weaker as they turn.
+
     A wall abeam of a straight flight keeps its range too. While sensors that look abeam flew one heading alone, a sheet
     that echoes nearly as well as the best that is heard is taken for that wall: a level does not, at the beam's rim.
+    Nor does one echo better than a perfect mirror there (`rim_m`): one radar that follows walls hears them so.
+
+    Attributes:
+        rim_m: amplitude times range of a perfect mirror a quarter turn off boresight [m].
     """
 
     def __init__(self) -> None:
-        self._votes = {-1: np.zeros(2 * int(REACH_M / BIN_M)), 1: np.zeros(2 * int(REACH_M / BIN_M))}
+        self.rim_m = np.inf
+        self._votes = {sign: np.zeros((SECTORS, 2 * int(REACH_M / BIN_M))) for sign in (-1, 1)}
+        self._flown = np.zeros(SECTORS)  # looks of each sector of headings, opposite ones alike
         self._looks = 0
         self._base: float | None = None
         self._loud: dict[int, list[float]] = {}
@@ -52,27 +63,44 @@ class LevelFinder:
         z = float(look.heard.position[2])
         self._base = z if self._base is None else self._base
         self._looks += 1
+        sector = int(np.arctan2(look.track[1], look.track[0]) % np.pi / np.pi * SECTORS) % SECTORS
+        self._flown[sector] += 1
         self._notice(look)
         for sign in (-1, 1):
             seen: set[int] = set()
             for echo in look.echoes[self._vertical(look, sign)]:
                 place = int((z + sign * echo[0] - self._base + REACH_M) / BIN_M)
-                seen.update(k for k in (place, place + 1) if 0 <= k < len(self._votes[sign]))
+                seen.update(k for k in (place, place + 1) if 0 <= k < self._votes[sign].shape[1])
                 self._loud.setdefault(sign * (place + 1), []).append(float(echo[5]))
                 del self._loud[sign * (place + 1)][:-REMEMBERED]
-            self._votes[sign][list(seen)] += 1
+            self._votes[sign][sector, list(seen)] += 1
 
     def levels(self) -> list[tuple[int, float]]:
         """Heights [m] with -1 for a floor, 1 for a ceiling."""
         out: list[tuple[int, float]] = []
-        for sign, votes in self._votes.items():
-            strong = votes >= PERSISTENT * max(self._looks, 1)
-            for k in np.flatnonzero(strong):
+        for sign, by_sector in self._votes.items():
+            votes = by_sector.sum(0)
+            everywhere = self._everywhere(by_sector)
+            for k in np.flatnonzero((votes >= PERSISTENT * max(self._looks, 1)) | everywhere):
                 if votes[k] == votes[max(k - 3, 0) : k + 4].max() and self._base is not None:
                     height = self._base + k * BIN_M - REACH_M
-                    if not any(s == sign and abs(h - height) < 3 * BIN_M for s, h in out):
+                    often = votes[k] >= PERSISTENT * self._looks or self._alike(sign, height)
+                    if often and not any(s == sign and abs(h - height) < 3 * BIN_M for s, h in out):
                         out.append((sign, float(height)))
         return [level for level in out if not self._may_be_wall(*level)]
+
+    def _everywhere(self, votes: Floats) -> NDArray[np.bool_]:
+        """Heights (h) that looks of every heading vote for (sectors, h), of those with enough of them."""
+        flown = self._flown >= ENOUGH_THERE
+        if flown.sum() < ENOUGH_SECTORS:
+            return np.zeros(votes.shape[1], bool)
+        each = votes[flown] / self._flown[flown, None]
+        return np.asarray((each.min(0) >= OFTEN_EACH) & (votes.sum(0) >= OFTEN * self._looks))
+
+    def _alike(self, sign: int, height: float) -> bool:
+        """Whether the echoes from a height are about as loud for all that hear it."""
+        low, high = np.percentile(self._heard_at(sign, height) or [0.0], [25, 75])
+        return bool(high < ALIKE * low)
 
     def _notice(self, look: Look) -> None:
         """Take down where the look was flown, opposite headings alike, and how well its best echo reflects."""
@@ -83,7 +111,9 @@ class LevelFinder:
             self._strong.append(float((look.echoes[:, 0] * look.echoes[:, 5]).max()))
 
     def _may_be_wall(self, sign: int, height: float) -> bool:
-        """Whether a persistent sheet may stand upright: only while nothing but one way along it was flown."""
+        """Whether a persistent sheet may stand upright: it is too loud, or nothing but one way along it was flown."""
+        if self._base is not None and abs(height - self._base) * self._usual(sign, height) > self.rim_m:
+            return True
         turned = abs(self._headings) < ONE_HEADING * self._looks
         if turned or self._abeam < (1 - SOME) * self._looks or self._base is None:
             return False
@@ -99,9 +129,13 @@ class LevelFinder:
         return look.only(~drop)
 
     def _usual(self, sign: int, height: float) -> float:
-        place = int((height - (self._base or 0.0) + REACH_M) / BIN_M + 0.5)
-        near = [v for k in range(place - 1, place + 3) for v in self._loud.get(sign * k, [])]
+        near = self._heard_at(sign, height)
         return float(np.median(near)) if near else 0.0
+
+    def _heard_at(self, sign: int, height: float) -> list[float]:
+        """Amplitudes of the last echoes from about a height."""
+        place = int((height - (self._base or 0.0) + REACH_M) / BIN_M + 0.5)
+        return [v for k in range(place - 1, place + 3) for v in self._loud.get(sign * k, [])]
 
     @staticmethod
     def _vertical(look: Look, sign: int) -> NDArray[np.bool_]:
