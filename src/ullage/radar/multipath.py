@@ -20,6 +20,7 @@ from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.flats import lay_rim, parted
 from ullage.radar.physical import Bench, Laid, View, common
 from ullage.radar.visibility import between
+from ullage.radar.zones import shares
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -152,7 +153,8 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     lit = np.empty((len(beams), 3))
     bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, lit)
     path = _through(flats, view, beams, lit)
-    factor = np.where(clear(parts, path, weights), weights, 0) * view.factor
+    free = shares(ready, flats, view, beams, path, weights, lambda *asked: clear(parts, *asked))
+    factor = weights * free * view.factor
     frames, fields = np.empty((len(beams), 2, 3, 3)), np.empty((len(beams), 2, 3))
     bounces.reflect(path, beams.chains, on, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
                     factor, frames, fields)  # fmt: skip
