@@ -272,3 +272,29 @@ def test_one_radar_along_the_walls_of_a_low_room_maps_them_and_not_the_floor():
     score = ul.metrics.map_quality(omap, scene, frames)
     assert score["recall"].value > 0.9  # all were taken for floor once the flight had turned: 0.33
     assert score["precision"].value > 0.9
+
+
+def wall_beside(*, level: float, north_m: float):
+    """Cells 3 m beside a straight flight, whose other side is a wall, on a grid that reaches so far north."""
+    path = Trajectory.line((-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), speed_m_s=0.5, rate_hz=25)
+    heard = {}
+    for name, turn, y, loss in (("left", 0.5, 3.0, level), ("right", -0.5, -2.0, 1.0)):
+        quat = np.tile(rpy_quat(0.0, 0.0, turn * np.pi), (len(path), 1))
+        walls = [((-30, y), (30, y))]
+        one = world.listen(Trajectory(path.t_ns, path.position, quat), walls, sensor=name)
+        heard[name] = replace(one, samples=(loss * one.samples).astype(np.complex64))
+    omap = ul.map_occupancy(heard, ul.Grid.covering([[-4, -4, 0], [4, north_m, 0]], 0.1, z_m=0.0))
+    beside = (abs(omap.grid.y_m[:, None] - 3.0) < 0.1) & (abs(omap.grid.x_m[None]) < 1.5)
+    return omap, beside
+
+
+def test_what_may_be_a_far_wall_folded_is_no_wall():
+    fold = world.SPEC.unambiguous_range_m
+    folded = 3.0 / (3.0 + fold)
+    omap, beside = wall_beside(level=folded, north_m=15.0)
+    assert not omap.occupied[beside].any()
+    assert omap.ambiguous[beside].mean() > 0.5
+    omap, beside = wall_beside(level=1.0, north_m=15.0)
+    assert omap.occupied[beside].mean() > 0.8, "too loud for a wall so far off"
+    omap, beside = wall_beside(level=folded, north_m=10.0)
+    assert omap.occupied[beside].mean() > 0.8, "no room for a wall so far off"

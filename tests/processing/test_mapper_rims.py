@@ -62,3 +62,11 @@ def test_a_track_too_short_to_hear_an_edge_tells_of_none():
     assert rim_along(steady[:8], np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) == LEAST_RIM
     still = abeam(3.0, 50.0, span_m=0.05)
     assert rim_along(still, np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) == LEAST_RIM
+
+
+def test_the_fold_of_a_corner_is_drawn_no_wider_than_an_edge_however_steady_it_is():
+    x = np.linspace(-1, 1, 41)
+    for way in (np.array([0.0, 1.0]), np.array([0.6, 0.8])):
+        reach = np.linalg.norm(5.0 * way - np.column_stack([x, 0 * x]), axis=1)
+        rows = np.column_stack([x, 0 * x, reach, 1 / reach, 0 * x + way[0], 0 * x + way[1]])
+        assert rim_along(rows, way, WAVELENGTH_M, HALF_RAD) == LEAST_RIM

@@ -65,6 +65,11 @@ class EchoJudge:
         """Whether steady echoes have lately kept their phase along the track."""
         return self._phase and len(self._recent) >= ENOUGH and float(np.median(self._recent)) > FOCUSED
 
+    @property
+    def usual(self) -> float:
+        """Strength, range times height, of the strongest echoes lately heard; infinite before any was."""
+        return float(np.percentile(self._strong, 90)) if self._strong else np.inf
+
     def weigh(self, look: Look) -> tuple[Floats, Floats, Floats]:
         """Cosine to the track, its sigma, and the chance that the bearing is true, for each echo of a look."""
         share, sigma = look.echoes[:, 4], np.hypot(look.echoes[:, 3], look.wobble)

@@ -23,11 +23,12 @@ from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_levels import LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, ways_apart
-from ullage.processing.mapper_rims import LEAST_RIM, rim_along
+from ullage.processing.mapper_rims import LEAST_RIM, lobe_loss, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_tracks import EchoTracks, Foot
 
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Weighed = tuple[Floats, Floats, Floats]
 
 DETECTION = 0.9
@@ -46,6 +47,8 @@ SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
 HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
+TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
+BESIDE_M = 1.0  # what stands so near before a wall belongs to it
 RING = 2.0  # of an arc in a volume: its bearing names no place
 
 
@@ -66,6 +69,7 @@ class UllageMapper:
         self._listeners: dict[str, Listener] = {}
         self._axis: dict[str, tuple[float, float, float]] = {}
         self._lobe: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
+        self._fold_m: dict[str, float] = {}
         self._wavelength_m = 0.0
         self._rays: ElfesMapper | None = None
         self._published: OccupancyMap | None = None
@@ -101,6 +105,7 @@ class UllageMapper:
             self._levels.rim_m = rim_mirror_m(part)
             hit_deg, free_deg = heard_deg(part.spec.antenna)
             self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
+            self._fold_m[name] = part.spec.unambiguous_range_m
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
         self._insert_all(looks)
@@ -160,7 +165,8 @@ class UllageMapper:
         look = replace(look, sharp=look.sharp.copy())
         look.sharp[edge, 3:] = 0, 1
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
-        self._insert(name, look, *self._arcs(look, weighed, rims))
+        open_ = self._may_be_folded(name, look, weighed[0])
+        self._insert(name, look, *self._arcs(look, weighed, rims, open_))
 
     def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> None:
         start, bin_m, far = self._axis[name]
@@ -203,6 +209,26 @@ class UllageMapper:
                 out[k] = rim_along(near(run, look), lit[0][:2], self._wavelength_m, half)
         return out
 
+    def _may_be_folded(self, name: str, look: Look, cosine: Floats) -> Flags:
+        """Which echoes (k) may as well have come from a flat wall farther off by the range at which echoes fold.
+
+        Such a wall fits every range and bearing of the track alike. It is none where it would lie off the grid or
+        behind what the map holds, nor where its echo, which falls as one over its range, is too loud for it.
+        """
+        least, fold = self._lobe[name][0][0], self._fold_m[name]
+        half, eye = HALF_POWER * math.acos(least), look.heard.position
+        out = np.zeros(len(look.echoes), bool)
+        for k, (reach, height) in enumerate(look.echoes[:, [0, 5]]):
+            for way in lit_ways(look.heard.axes, look.track, float(np.clip(cosine[k], -1, 1)), least):
+                far = reach + fold
+                _, inside = self.grid.index(eye + far * way)
+                if not inside[0]:
+                    continue
+                lobe = lobe_loss(float(way @ look.heard.axes[:, 0]), half)
+                quiet = height * lobe * far < TOO_LOUD * self._judge.usual
+                out[k] |= bool(quiet and self.blocks.clear_to(eye, way, far - BESIDE_M))
+        return out
+
     def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float) -> None:
         """Echoes of smooth surfaces stand for what is about the foot of the perpendicular, as far as their level tells.
 
@@ -241,7 +267,9 @@ class UllageMapper:
     def _weigh(self, look: Look) -> Weighed | None:
         return self._judge.weigh(look) if look.track.any() else None
 
-    def _arcs(self, look: Look, weighed: Weighed | None, rims: Floats | float = LEAST_RIM) -> tuple[Floats, Floats]:
+    def _arcs(
+        self, look: Look, weighed: Weighed | None, rims: Floats | float = LEAST_RIM, folded: Flags | bool = False
+    ) -> tuple[Floats, Floats]:
         """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false.
 
         With them the rim of each that may be off a smooth surface, focused at least nearly as well as a wall as as a
@@ -264,6 +292,8 @@ class UllageMapper:
         flat = look.sharp[:, 3] >= FLAT_SHARE * look.sharp[:, 4]
         if self.grid.dims == 3:
             arcs[:, 8] = RING
+        arcs[:, 8] = np.where(folded, 0.0, arcs[:, 8])  # it names no place, and hides nothing
+        flat &= ~np.asarray(folded)
         return arcs[heard], np.where(flat, rims, 0.0)[heard]
 
     def _ways(self, axes: Floats, arc: Floats, least: float) -> list[Floats]:

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 RIPPLE, LEAST_RIM, MOST_RIM = 0.225, 0.8, 4.0
 RIPPLES_HEARD, KEPT = 1.5, 0.8  # of the rim: what is taken for slow hides some of the ripple
 LEAST_ECHOES = 9
+HALF_WAY, LEAST_SCATTER_M = 0.5, 0.002  # of the bend that an edge's ranges have; of ranges
 SLOW = 4  # order of the polynomial that is slow change
 LOBE_NEPERS = 0.5 * math.log(2.0)  # by which one way of a lobe falls at its -3 dB half angle
 
@@ -41,11 +42,10 @@ def rim_along(rows: Floats, way: Floats, wavelength_m: float, half_rad: float) -
         wavelength_m: of the carrier [m].
         half_rad: angle from boresight at which the antenna has fallen by 3 dB one way, as a Gaussian lobe [rad].
     """
-    if len(rows) < LEAST_ECHOES:
+    if len(rows) < LEAST_ECHOES or not is_straight(rows, way):
         return LEAST_RIM
     ahead = rows[:, 4:] @ way / np.maximum(np.hypot(rows[:, 4], rows[:, 5]), 1e-9)
-    lobe = np.exp(2 * LOBE_NEPERS * (np.arccos(np.clip(ahead, -1, 1)) / half_rad) ** 2)
-    level = rows[:, 3] * rows[:, 2] * lobe
+    level = rows[:, 3] * rows[:, 2] * lobe_loss(ahead, half_rad)
     rim = KEPT * rim_of(level, least=LEAST_RIM / KEPT, most=MOST_RIM / KEPT, slow=SLOW)
     reach = float(rows[:, 2].mean())
     aside = float(np.ptp(rows[:, 0] * -way[1] + rows[:, 1] * way[0]))
@@ -53,3 +53,23 @@ def rim_along(rows: Floats, way: Floats, wavelength_m: float, half_rad: float) -
     # an edge h off has the phase 2 pi h^2 / (wavelength r) against the foot: turns of it while the drone flies
     turns = rim * aside / math.sqrt(wavelength_m * reach) + 0.25 * rim**2 * closer / reach
     return rim if turns > RIPPLES_HEARD else LEAST_RIM
+
+
+def is_straight(rows: Floats, way: Floats) -> bool:
+    """Whether ranges show that a run's reflector is flat: no upright edge, nor the fold of a corner, at its range.
+
+    Along a wall, range and way to it add up to one number; about an edge the sum bends by one over the range.
+    """
+    aside = rows[:, 0] * -way[1] + rows[:, 1] * way[0]
+    basis = np.vander(aside - aside.mean(), 3)
+    total = rows[:, 2] + rows[:, :2] @ way
+    inverse = np.linalg.pinv(basis.T @ basis, rcond=1e-9)
+    bend = inverse @ basis.T @ total
+    scatter = max(float(np.std(total - basis @ bend)), LEAST_SCATTER_M)
+    doubt = 2 * scatter * math.sqrt(max(float(inverse[0, 0]), 0.0))
+    return bool(abs(2 * bend[0]) + 2 * doubt < HALF_WAY / float(rows[:, 2].mean()))
+
+
+def lobe_loss(ahead: Floats | float, half_rad: float) -> Floats:
+    """By how much a Gaussian lobe weakens an echo, both ways, at a cosine to boresight (n); at least 1."""
+    return np.asarray(np.exp(2 * LOBE_NEPERS * (np.arccos(np.clip(ahead, -1, 1)) / half_rad) ** 2))
