@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-RIPPLE, LEAST_RIM, MOST_RIM = 0.225, 0.8, 4.0
+RIPPLE, LEAST_RIM, UNTOLD_RIM, MOST_RIM = 0.225, 0.8, 1.2, 4.0
 RIPPLES_HEARD, KEPT = 1.5, 0.8  # of the rim: what is taken for slow hides some of the ripple
 LEAST_ECHOES = 9
 HALF_WAY, LEAST_SCATTER_M = 0.5, 0.002  # of the bend that an edge's ranges have; of ranges
@@ -42,8 +42,9 @@ def rim_along(rows: Floats, way: Floats, wavelength_m: float, half_rad: float) -
         wavelength_m: of the carrier [m].
         half_rad: angle from boresight at which the antenna has fallen by 3 dB one way, as a Gaussian lobe [rad].
     """
-    if len(rows) < LEAST_ECHOES or not is_straight(rows, way):
+    if len(rows) < LEAST_ECHOES:
         return LEAST_RIM
+    most = most_by_bend(rows, way)
     ahead = rows[:, 4:] @ way / np.maximum(np.hypot(rows[:, 4], rows[:, 5]), 1e-9)
     level = rows[:, 3] * rows[:, 2] * lobe_loss(ahead, half_rad)
     rim = KEPT * rim_of(level, least=LEAST_RIM / KEPT, most=MOST_RIM / KEPT, slow=SLOW)
@@ -52,22 +53,26 @@ def rim_along(rows: Floats, way: Floats, wavelength_m: float, half_rad: float) -
     closer = float(np.ptp(rows[:, 2]))
     # an edge h off has the phase 2 pi h^2 / (wavelength r) against the foot: turns of it while the drone flies
     turns = rim * aside / math.sqrt(wavelength_m * reach) + 0.25 * rim**2 * closer / reach
-    return rim if turns > RIPPLES_HEARD else LEAST_RIM
+    return min(rim if turns > RIPPLES_HEARD else LEAST_RIM, most)
 
 
-def is_straight(rows: Floats, way: Floats) -> bool:
-    """Whether ranges show that a run's reflector is flat: no upright edge, nor the fold of a corner, at its range.
+def most_by_bend(rows: Floats, way: Floats) -> float:
+    """The most that a run's reflector may be drawn by its ranges: little where they bend as about an edge.
 
-    Along a wall, range and way to it add up to one number; about an edge the sum bends by one over the range.
+    Along a wall, range and way to it add up to one number; about an upright edge, or the fold of a corner, the sum
+    bends by one over the range.
     """
     aside = rows[:, 0] * -way[1] + rows[:, 1] * way[0]
     basis = np.vander(aside - aside.mean(), 3)
     total = rows[:, 2] + rows[:, :2] @ way
     inverse = np.linalg.pinv(basis.T @ basis, rcond=1e-9)
-    bend = inverse @ basis.T @ total
-    scatter = max(float(np.std(total - basis @ bend)), LEAST_SCATTER_M)
-    doubt = 2 * scatter * math.sqrt(max(float(inverse[0, 0]), 0.0))
-    return bool(abs(2 * bend[0]) + 2 * doubt < HALF_WAY / float(rows[:, 2].mean()))
+    fit = inverse @ basis.T @ total
+    scatter = max(float(np.std(total - basis @ fit)), LEAST_SCATTER_M)
+    doubt = 2 * 2 * scatter * math.sqrt(max(float(inverse[0, 0]), 0.0))
+    half_way, bend = HALF_WAY / float(rows[:, 2].mean()), abs(2 * float(fit[0]))
+    if bend + doubt < half_way:
+        return MOST_RIM
+    return UNTOLD_RIM if bend - doubt < half_way else LEAST_RIM
 
 
 def lobe_loss(ahead: Floats | float, half_rad: float) -> Floats:
