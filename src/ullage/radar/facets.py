@@ -16,6 +16,7 @@ from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
 
 FLAT_M = 0.15
 """Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
@@ -182,14 +183,15 @@ def _across(normals: Floats) -> Floats:
 
 def _widths(normals: Floats, first: Ints, starts: Floats, ends: Floats) -> Floats:
     """Extent (p, 2) of each face along its longest edge and across it [m]."""
-    out = np.zeros((len(normals), 2))
-    for p in range(len(normals)):
-        mine = slice(first[p], first[p + 1])
-        edge = ends[mine] - starts[mine]
-        size = np.linalg.norm(edge, axis=1)
-        along = edge[size.argmax()] / size.max()
-        out[p] = np.ptp(starts[mine] @ np.stack([along, np.cross(normals[p], along)], 1), axis=0)
-    return out
+    edge = ends - starts
+    size = np.linalg.norm(edge, axis=1)
+    of = np.repeat(np.arange(len(normals)), np.diff(first))
+    rank = np.lexsort((np.arange(len(size)), -size, of))
+    longest = rank[first[:-1]]
+    along = edge[longest] / size[longest, None]
+    axes = np.stack([along, np.cross(normals, along)], 1)
+    places = np.einsum("nij,nj->ni", axes[of], starts)
+    return np.asarray(np.maximum.reduceat(places, first[:-1]) - np.minimum.reduceat(places, first[:-1]))
 
 
 def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> tuple[NDArray[np.int64], Ints, Ints]:
@@ -221,16 +223,12 @@ def _convex(
     owner: list[int] = []
     by_face = np.argsort(patch, kind="stable")
     bound = np.searchsorted(patch[by_face], np.arange(len(normal) + 1))
+    corners, begin, convex = _outlines(starts, first, normal)
     for p in range(len(normal)):
-        rim = starts[first[p] : first[p + 1]]
-        if loop_of[p + 1] - loop_of[p] == 1:
-            rim = _without_straight(rim)
-            step = np.roll(rim, -1, 0) - rim
-            bend = np.cross(step, np.roll(step, -1, 0)) @ normal[p]
-            if 3 <= len(rim) <= MIRROR_CORNERS and (bend > 0).all():
-                outlines.append(rim)
-                owner.append(p)
-                continue
+        if loop_of[p + 1] - loop_of[p] == 1 and convex[p] and 3 <= begin[p + 1] - begin[p] <= MIRROR_CORNERS:
+            outlines.append(corners[begin[p] : begin[p + 1]])
+            owner.append(p)
+            continue
         parts = triangles[by_face[bound[p] : bound[p + 1]]]
         outlines += list(parts)
         owner += [p] * len(parts)
@@ -240,12 +238,27 @@ def _convex(
     return out, np.array([len(o) for o in outlines], np.int32), np.asarray(owner, np.int32)
 
 
-def _without_straight(rim: Floats) -> Floats:
-    """An outline without the corners at which it runs straight on."""
-    back, ahead = rim - np.roll(rim, 1, 0), np.roll(rim, -1, 0) - rim
+def _outlines(starts: Floats, first: Ints, normal: Floats) -> tuple[Floats, Longs, NDArray[np.bool_]]:
+    """Rims as one loop each without the corners at which they run straight on, where each begins; which are convex."""
+    of = np.repeat(np.arange(len(normal)), np.diff(first))
+    before, after = _neighbours(first)
+    back, ahead = starts - starts[before], starts[after] - starts
     bend = np.linalg.norm(np.cross(back, ahead), axis=1)
-    size = np.linalg.norm(back, axis=1) * np.linalg.norm(ahead, axis=1)
-    return np.asarray(rim[bend > 1e-7 * size])
+    turns = bend > 1e-7 * np.linalg.norm(back, axis=1) * np.linalg.norm(ahead, axis=1)
+    corners, of = starts[turns], of[turns]
+    begin = np.searchsorted(of, np.arange(len(normal) + 1))
+    _, after = _neighbours(begin)
+    step = corners[after] - corners
+    inward = np.einsum("ni,ni->n", np.cross(step, step[after]), normal[of]) <= 0
+    return corners, begin, np.bincount(of[inward], minlength=len(normal)) == 0
+
+
+def _neighbours(first: NDArray[np.integer]) -> tuple[Longs, Longs]:
+    """Of every corner of loops that begin at `first`, the one before it and the one after it."""
+    count = np.diff(first)
+    here = np.arange(first[-1])
+    begin, last = np.repeat(first[:-1], count), np.repeat(first[1:], count) - 1
+    return np.where(here == begin, last, here - 1), np.where(here == last, begin, here + 1)
 
 
 def joined(parts: Sequence[Flats]) -> Flats:

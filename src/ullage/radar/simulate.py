@@ -139,27 +139,25 @@ def _stream(
     first_frame: int,
 ) -> Iterator[dict[str, Frames]]:
     """Pieces in order, while the next ones are under way on every core."""
+    cuts = pieces_of(len(path), chunk)
 
-    def cut(start: int) -> slice:
-        return slice(start, min(start + chunk, len(path)))
+    def samples(name: str, cut: slice) -> Samples:
+        return work.samples(name, path[cut], first_frame=first_frame + cut.start)
 
-    def samples(name: str, start: int) -> Samples:
-        return work.samples(name, path[cut(start)], first_frame=first_frame + start)
-
-    def piece(found: dict[str, Future[Samples]], start: int) -> dict[str, Frames]:
-        known = None if believed is None else believed[cut(start)]
-        return {name: work.frames(name, job.result(), path[cut(start)], believed=known) for name, job in found.items()}
+    def piece(found: dict[str, Future[Samples]], cut: slice) -> dict[str, Frames]:
+        known = None if believed is None else believed[cut]
+        return {name: work.frames(name, job.result(), path[cut], believed=known) for name, job in found.items()}
 
     ahead = max(2, math.ceil(2 * cores() / len(work.sensors)))
-    waiting: deque[tuple[dict[str, Future[Samples]], int]] = deque()
+    waiting: deque[tuple[dict[str, Future[Samples]], slice]] = deque()
     crew = Crew(samples)
     done = 0
     try:
-        for start in range(0, len(path), chunk):
-            last = start + chunk >= len(path)
-            waiting.append(({name: crew.submit(name, start) for name in work.sensors}, start))
-            if start == 0 and not last and work.fidelity == "physical":
-                _fork_where_it_pays(crew, waiting[0][0], math.ceil(len(path) / chunk))
+        for cut in cuts:
+            last = cut is cuts[-1]
+            waiting.append(({name: crew.submit(name, cut) for name in work.sensors}, cut))
+            if cut is cuts[0] and not last and work.fidelity == "physical":
+                _fork_where_it_pays(crew, waiting[0][0], len(path) / cut.stop)
             while len(waiting) >= ahead or (waiting and last):
                 ready = piece(*waiting.popleft())
                 done += sum(len(frames) for frames in ready.values())
@@ -170,7 +168,17 @@ def _stream(
         crew.close()
 
 
-def _fork_where_it_pays(crew: Crew[Samples], first: dict[str, Future[Samples]], pieces: int) -> None:
+LEAD = 16
+"""Frames of the first piece: somebody waits for it."""
+
+
+def pieces_of(count: int, chunk: int) -> list[slice]:
+    """Where a track of `count` frames is cut: a short piece first, then pieces of `chunk`."""
+    starts = [0, *range(min(LEAD, chunk), count, chunk)][:count]
+    return [slice(start, end) for start, end in zip(starts, [*starts[1:], count], strict=False)]
+
+
+def _fork_where_it_pays(crew: Crew[Samples], first: dict[str, Future[Samples]], pieces: float) -> None:
     """Copies of this process once the first pieces are made: kernels are compiled then, and the scene is ready."""
     began = time.process_time()
     wait(first.values())
