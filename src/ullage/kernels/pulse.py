@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ullage.kernels.loops import loop
 
 
@@ -17,20 +19,25 @@ def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
         out: (b) complex, added to.
     """
     half = (taps.shape[1] - 1) // 2
-    size = grids.shape[1]
+    size, long = grids.shape[1], taps.shape[1]
+    real, imag = np.empty(size), np.empty(size)  # apart, so that the sums below are done several at a time
+    turned, leaned = np.empty(long), np.empty(long)
     for kind in range(3):
         low, high = 0, size
         while low < size and grids[kind, low] == 0:
             low += 1
         while high > low and grids[kind, high - 1] == 0:
             high -= 1
-        if low == high:
-            continue
+        for g in range(low, high):
+            real[g], imag[g] = grids[kind, g].real, grids[kind, g].imag
+        for h in range(long):
+            turned[h], leaned[h] = taps[kind, long - 1 - h].real, taps[kind, long - 1 - h].imag
         for m in range(len(out)):
             first = m * every + shift - half
-            real, imag = 0.0, 0.0
-            for g in range(max(low, first), min(high, first + 2 * half + 1)):
-                value, tap = grids[kind, g], taps[kind, 2 * half - (g - first)]
-                real += value.real * tap.real - value.imag * tap.imag
-                imag += value.real * tap.imag + value.imag * tap.real
-            out[m] += complex(real, imag)
+            start, stop = max(low - first, 0), min(high - first, long)
+            x, y = 0.0, 0.0
+            for h in range(start, stop):
+                at, tap = np.uint64(first + h), np.uint64(h)  # never negative: what may be is looked at one by one
+                x += real[at] * turned[tap] - imag[at] * leaned[tap]
+                y += real[at] * leaned[tap] + imag[at] * turned[tap]
+            out[m] += complex(x, y)
