@@ -68,6 +68,12 @@ def beams_of(ready: Bench, flats: Flats, view: View, max_bounces: int) -> Beams:
     return trace(flats, view, max_bounces, ready.gate[1], chosen)
 
 
+def chosen_faces(ready: Bench, flats: Flats, view: View) -> tuple[Longs, Floats]:
+    """The faces (t) that look largest from one pose, and what each of all (p) counts as a mirror."""
+    chosen = _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m)
+    return chosen.targets, chosen.target_weights
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
     """Mirrors (convex parts) and faces where paths end, of all there are those that look largest."""

@@ -184,7 +184,12 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
     if max_bounces > 1:
         from ullage.radar.multipath import lay_bounces
 
-        out += lay_bounces(ready, parts, joined([part.flats for part in parts]), view, max_bounces, grids)
+        flats = joined([part.flats for part in parts])
+        out += lay_bounces(ready, parts, flats, view, max_bounces, grids)
+        if len(ready.lines):
+            from ullage.radar.wire_bounces import lay_wire_bounces
+
+            out += lay_wire_bounces(ready, parts, flats, view, poses, max_bounces, grids)
     return out
 
 

@@ -34,7 +34,8 @@ class Lines:
     ends: Floats  # (w, 3) [m]
     radii: Floats  # (w) [m]
     stuffs: NDArray[np.int32]  # (w) object
-    series: Complexes  # (w, 2, _SINES) TM and TE
+    series: Complexes  # (w, 2, _SINES) TM and TE, straight back
+    modes: Complexes  # (w, 2, n, _SINES) TM and TE by order, for other directions
 
     def __len__(self) -> int:
         return len(self.radii)
@@ -47,6 +48,16 @@ def backscatter(ka: ArrayLike, eps: complex | None = None, *, oblique: float = 1
         ka: wave number times radius.
         eps: relative permittivity; None: a perfect conductor.
         oblique: sine of the angle between wave and axis, for the inside of a dielectric.
+    """
+    tm, te = _orders(ka, eps, oblique=oblique)
+    sign = (-1.0) ** np.arange(len(tm))
+    return np.asarray(sign @ tm), np.asarray(-(sign @ te))
+
+
+def _orders(ka: ArrayLike, eps: complex | None = None, *, oblique: float = 1.0) -> tuple[Complexes, Complexes]:
+    """Terms (n, k) of the field scattered by the infinite cylinder: E along the axis (TM), H along it (TE).
+
+    Term n times cos(n psi) goes out at psi from the direction in which the wave came [Balanis2012, ch. 11].
     """
     from scipy.special import h2vp, hankel2, jv, jvp
 
@@ -63,23 +74,31 @@ def backscatter(ka: ArrayLike, eps: complex | None = None, *, oblique: float = 1
             ji, dji = jv(n, m * z), jvp(n, m * z)
             tm = (j * dji * m - dj * ji) / (h * dji * m - dh * ji)
             te = (j * dji * m / inner - dj * ji) / (h * dji * m / inner - dh * ji)
-    sign = np.where(order == 0, 1, 2) * (-1.0) ** order
-    tm, te = (np.where(np.isfinite(a), a, 0) for a in (tm, te))
-    return -(sign @ tm), sign @ te
+    twice = np.where(n == 0, -1, -2)
+    return np.asarray(twice * np.where(np.isfinite(tm), tm, 0)), np.asarray(twice * np.where(np.isfinite(te), te, 0))
 
 
 @lru_cache(maxsize=256)
-def _series(radius_m: float, material: Material, center_hz: float) -> Complexes:
-    """S over the sine of the angle to the axis (2, _SINES), less the phase of the near side's lead."""
+def _modes(radius_m: float, material: Material, center_hz: float) -> Complexes:
+    """Orders of the scattered field (2, n, _SINES) over the sine of the angle to the axis, less the lead."""
     k = 2 * np.pi * center_hz / C0
     sine = np.maximum(np.linspace(0, 1, _SINES), 1e-3)
     if material.conductor:
-        both = np.stack(backscatter(k * radius_m * sine))
+        both = np.stack(_orders(k * radius_m * sine))
     else:
         eps = material.permittivity(center_hz)
-        both = np.stack([np.concatenate(p) for p in zip(
-            *(backscatter(k * radius_m * s, eps, oblique=float(s)) for s in sine), strict=True)])  # fmt: skip
+        rows = [_orders(k * radius_m * s, eps, oblique=float(s)) for s in sine]
+        most = max(len(tm) for tm, _ in rows)
+        both = np.zeros((2, most, _SINES), complex)
+        for i, row in enumerate(rows):
+            both[:, : len(row[0]), i] = np.stack(row)[..., 0]
     return np.asarray(both * np.exp(-2j * k * radius_m * sine))
+
+
+def scattered(modes: Complexes, psi: ArrayLike) -> Complexes:
+    """Series (w, 2, _SINES) of what goes out at psi (w) [rad] from the wave's way: E along the axis, H along it."""
+    turns = np.cos(np.multiply.outer(np.asarray(psi, float), np.arange(modes.shape[2])))
+    return np.asarray(np.matmul(turns[:, None, None], modes)[:, :, 0])
 
 
 def strung(scene: Scene, center_hz: float) -> Lines:
@@ -95,9 +114,13 @@ def strung(scene: Scene, center_hz: float) -> Lines:
         raise InputError(f"wire {name!r} has a radius of {wires.radius_m[thin[0]] * 1e3:g} mm", where=scene.name,
                          allowed=f"at least {THINNEST_M * 1e3:g} mm")  # fmt: skip
     held = np.flatnonzero(np.linalg.norm(wires.end - wires.start, axis=1) > 1e-9)
-    rows = [_series(float(wires.radius_m[i]), scene.objects[wires.object_id[i]].material, center_hz) for i in held]
-    series = np.stack(rows) if rows else np.zeros((0, 2, _SINES), complex)
-    return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series)
+    rows = [_modes(float(wires.radius_m[i]), scene.objects[wires.object_id[i]].material, center_hz) for i in held]
+    modes = np.zeros((len(rows), 2, max([r.shape[1] for r in rows], default=0), _SINES), complex)
+    for i, row in enumerate(rows):
+        modes[i, :, : row.shape[1]] = row
+    # straight back the electric field across the axis points the other way for the same magnetic one
+    series = scattered(modes, np.full(len(rows), np.pi)) * np.array([[1], [-1]])
+    return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series, modes)
 
 
 def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:
