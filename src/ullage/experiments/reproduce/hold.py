@@ -40,8 +40,9 @@ def run(bench: Bench) -> None:
     draw_panels(path, [panels], walls=walls_of(rays), title="The cargo hold mapped", width_in=6.4)
     bench.findings.show(
         path, "figure 6.18", "The hold mapped in flying along its walls, 0.1 m: the thesis' method on ray frames, "
-        "ullage's mapper on physical frames of the same flight, ten a second. The straight lines in the middle, where "
-        "nothing stands, are the far walls: what comes from beyond 9.87 m the X4 hears at its range less 9.87 m.",
+        "ullage's mapper on physical frames of the same flight, ten a second. A straight line in the middle, where "
+        "nothing stands, is a far wall: what comes from beyond 9.87 m the X4 hears at its range less 9.87 m; most of "
+        "it is left ambiguous.",
     )  # fmt: skip
     bench.findings.tabulate("Scores", HEAD, rows)
     hold = bench.findings.hold
