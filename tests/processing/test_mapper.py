@@ -199,6 +199,21 @@ def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
     assert omap.free.sum() > 1000
 
 
+def test_work_that_is_spread_over_frames_changes_nothing_of_a_volume(flight):
+    grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
+    spread, at_once = Mapper(grid), Mapper(grid)
+    waited = 0
+    for start in range(0, 240):
+        piece = {name: f[start : start + 1] for name, f in flight.items()}
+        spread.update(piece)
+        at_once.update(piece)
+        waited = max(waited, len(spread._open))
+        at_once.map()
+    assert waited > 2, "looks do wait for frames that have none"
+    np.testing.assert_array_equal(spread.map().percent, at_once.map().percent)
+    assert not spread._open, "a map holds all that was heard"
+
+
 @pytest.mark.parametrize("slope_deg", [-20, 0, 20])
 def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope_deg):
     up = np.radians(slope_deg)

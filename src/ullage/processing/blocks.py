@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +30,7 @@ FREE_NATS = np.array([0, 0.3, 0.7, 1.2, 2.0, 2.7] + [3.5] * 11)
 HAZE_PER_M = 0.12
 STRIDE = {2: 1, 3: 4}
 MOST_FOUND = 60_000
-COLLAPSED_EVERY = 64
+COLLAPSED_EVERY, ROWS_A_STEP = 64, 48
 RAY_TENTHS = 20
 NO_WALLS = np.zeros((0, 8))
 
@@ -72,10 +74,10 @@ class Blocks:
         self._found, self._chance = np.zeros((most, 5), np.int32), np.zeros(most)
         self._turn = 0
 
-    def insert(
+    def insert_in_steps(
         self, beam: Beam, ways: NDArray[np.float64], walls: NDArray[np.float64] = NO_WALLS, *, sure: int = 0
-    ) -> None:
-        """Add one look.
+    ) -> Iterator[None]:
+        """Add one look, a step each time that the next is asked for; nothing else may be added before the last.
 
         Args:
             beam: the sensor, its echoes and its silence; `reach` and `hush` are filled in.
@@ -88,13 +90,19 @@ class Blocks:
         met = _met(beam, walls)
         walls, sure = walls[met], int(np.count_nonzero(met[:sure]))
         farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, sure, HAZE_PER_M * step)
-        rows = survey_blocks(self.pools, step, self.edge, beam, min(farthest + step, beam.far), self._turn, stride)
-        self.reserve(int(np.count_nonzero(self.pools.slots[rows[:, 0], rows[:, 1], rows[:, 2]] == EMPTY)))
-        found = hear_blocks(
-            self.pools, step, self.edge, beam, min(farthest + step, beam.far), rows, self._found, self._chance
-        )
-        share_echoes(self.pools, beam.arcs, self._found, self._chance, found, self._held_by)
+        farthest = min(farthest + step, beam.far)
+        yield
+        rows = survey_blocks(self.pools, step, self.edge, beam, farthest, self._turn, stride)
+        found, most = 0, ROWS_A_STEP if self.grid.dims == 3 else max(len(rows), 1)
+        for first in range(0, len(rows), most):
+            yield
+            some = rows[first : first + most]
+            self.reserve(int(np.count_nonzero(self.pools.slots[some[:, 0], some[:, 1], some[:, 2]] == EMPTY)))
+            found = hear_blocks(self.pools, step, self.edge, beam, farthest, some, self._found, self._chance)
+        if found:
+            share_echoes(self.pools, beam.arcs, self._found, self._chance, found, self._held_by)
         if self._turn % COLLAPSED_EVERY == 0:
+            yield
             self.collapse()
 
     def lay(self, foot: NDArray[np.float64], way: NDArray[np.float64], strip: tuple[float, float, float]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -49,6 +50,8 @@ HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
 TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
+DISCS_A_STEP, DONE = 4, object()
+STEPS, MOST_OPEN = 5, 16  # of work that a frame without a look does, and looks that may wait for it
 RING = 2.0  # of an arc in a volume: its bearing names no place
 
 
@@ -81,7 +84,8 @@ class UllageMapper:
         self._late: deque[tuple[str, Look, Floats, Floats]] = deque()
         self._runs = EchoRuns()
         self._pending: deque[tuple[str, Look, Weighed | None, list[Run]]] = deque()
-        self._waiting: list[tuple[int, str, Look]] = []
+        self._waiting: list[tuple[str, Look]] = []
+        self._open: deque[Iterator[None]] = deque()
         self._flown: dict[tuple[int, ...], None] = {}
 
     def update(self, frames: Recording) -> None:
@@ -108,67 +112,89 @@ class UllageMapper:
             self._fold_m[name] = part.spec.unambiguous_range_m
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
-        self._insert_all(looks)
+        frames_here = sum(len(part) for part in parts)
+        self._insert_all(looks, steps=STEPS * (frames_here - len(looks)))
 
     def finish(self) -> None:
         """Use the looks that waited for frames to come."""
         self._insert_all(
-            [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()], last=True
+            [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()], steps=0
         )
+        self._open.append(self._insert_last())
+        self._catch_up()
         self.blocks.collapse()
 
-    def _insert_all(self, looks: list[tuple[int, str, Look]], *, last: bool = False) -> None:
-        looks = sorted(looks, key=lambda item: item[:2])
-        for item in looks:
-            self._levels.hear(item[2])
-            self._waiting.append(item)
-            if self._levels.ready:
-                self._insert_waiting(self._levels)
-        if last:
-            self._insert_waiting(self._levels)
-            while self._late:
-                self._insert(*self._late.popleft())
-            while self._pending:
-                self._insert_pending()
+    def _insert_all(self, looks: list[tuple[int, str, Look]], *, steps: int) -> None:
+        """Take looks in, but spread the work over the frames that follow: most of them complete no look."""
+        self._open.extend(self._take_in(name, look) for _, name, look in sorted(looks, key=lambda item: item[:2]))
+        steps = max(steps, 0) + STEPS * max(len(self._open) - MOST_OPEN, 0)
+        while self._open and steps > 0:
+            steps -= 1
+            if next(self._open[0], DONE) is DONE:
+                self._open.popleft()
 
-    def _insert_waiting(self, levels: LevelFinder) -> None:
-        for _, name, look in self._waiting:
+    def _catch_up(self) -> None:
+        """Do all work that waits."""
+        while self._open:
+            deque(self._open[0], maxlen=0)
+            self._open.popleft()
+
+    def _take_in(self, name: str, look: Look) -> Iterator[None]:
+        """What one look says, in steps of about equal work; those of one look come before those of the next."""
+        self._levels.hear(look)
+        self._waiting.append((name, look))
+        if self._levels.ready:
+            yield from self._insert_waiting(self._levels)
+
+    def _insert_last(self) -> Iterator[None]:
+        yield from self._insert_waiting(self._levels)
+        while self._late:
+            yield from self._insert(*self._late.popleft())
+        while self._pending:
+            yield from self._insert_pending()
+
+    def _insert_waiting(self, levels: LevelFinder) -> Iterator[None]:
+        for name, look in self._waiting:
             if self.grid.dims == 2:
                 kept = self._lobes.without_sidelobes(name, levels.without_levels(look))
                 weighed = self._weigh(kept)
                 runs = [] if weighed is None else self._runs.follow(name, kept, *weighed)
                 self._pending.append((name, kept, weighed, runs))
                 if len(self._pending) > AHEAD[2] * len(self._axis):
-                    self._insert_pending()
+                    yield from self._insert_pending()
             else:
                 self._tracks.believe(levels.levels(), look.heard.position)
-                self._follow(name, self._lobes.without_sidelobes(name, look))
+                yield from self._follow(name, self._lobes.without_sidelobes(name, look))
         self._waiting.clear()
 
-    def _follow(self, name: str, look: Look) -> None:
+    def _follow(self, name: str, look: Look) -> Iterator[None]:
         """In a volume, silence waits until the walls around are known from how their echoes went on."""
         weighed = self._weigh(look)
+        yield
         if weighed is not None:
-            for foot in self._tracks.follow(name, look, *weighed, self._lobe[name][0][0]):
+            for k, foot in enumerate(self._tracks.follow(name, look, *weighed, self._lobe[name][0][0])):
                 self._lay_disc(foot)
+                if k % DISCS_A_STEP == DISCS_A_STEP - 1:
+                    yield
         self._late.append((name, look, *self._arcs(look, weighed)))
         if len(self._late) > AHEAD[3] * len(self._axis):
-            self._insert(*self._late.popleft())
+            yield
+            yield from self._insert(*self._late.popleft())
 
-    def _insert_pending(self) -> None:
+    def _insert_pending(self) -> Iterator[None]:
         """On a plane, looks wait a little until it shows which of their echoes go on as those of an edge do."""
         name, look, weighed, runs = self._pending.popleft()
         if weighed is None:
-            self._insert(name, look, *self._arcs(look, weighed))
+            yield from self._insert(name, look, *self._arcs(look, weighed))
             return
         weighed, edge = edges_among(look, weighed, runs, self._lobe[name][0][0])
         look = replace(look, sharp=look.sharp.copy())
         look.sharp[edge, 3:] = 0, 1
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
         open_ = self._may_be_folded(name, look, weighed[0])
-        self._insert(name, look, *self._arcs(look, weighed, rims, open_))
+        yield from self._insert(name, look, *self._arcs(look, weighed, rims, open_))
 
-    def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> None:
+    def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> Iterator[None]:
         start, bin_m, far = self._axis[name]
         hit, free = self._lobe[name]
         heard = look.heard
@@ -195,7 +221,7 @@ class UllageMapper:
         ways = [(*way, arc[0], SHADE) for arc in arcs[arcs[:, 8] > 0] for way in self._ways(heard.axes, arc, hit[0])]
         walls = self._tracks.walls
         screens = np.concatenate([walls, self._tracks.screens(walls)])
-        self.blocks.insert(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
+        yield from self.blocks.insert_in_steps(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
         if self.grid.dims == 2:
             self._lay_strips(beam, arcs, rims, hit[0])
 
@@ -310,6 +336,7 @@ class UllageMapper:
         """The map so far; free cells that no free way joins to the flight are unknown."""
         if self._rays is not None:
             return OccupancyMap(self.grid, self._rays.map().tiles, "ullage")
+        self._catch_up()
         known = self.blocks.known()
         if known is None:
             return OccupancyMap(self.grid, Tiles.unknown(self.grid.shape), "ullage")

@@ -38,6 +38,8 @@ def _refuse_bad_samples(frames: Frames) -> None:
 def jumps(frames: Frames) -> np.ndarray:
     """Index of the first frame after each jump of the poses: over 0.5 m at over 20 m/s."""
     path = frames.believed
+    if len(path) < 2:
+        return np.zeros(0, np.int64)
     gap = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
     speed = gap / np.maximum(np.diff(path.t_ns) * 1e-9, 1e-9)
     return np.flatnonzero((gap > JUMP_M) & (speed > JUMP_SPEED_M_S)) + 1
