@@ -214,6 +214,45 @@ def test_work_that_is_spread_over_frames_changes_nothing_of_a_volume(flight):
     assert not spread._open, "a map holds all that was heard"
 
 
+def test_a_level_flight_flags_what_lies_above_and_below_each_echo(flight):
+    """Cells at a true foot's range, 24 to 28 deg above and below it: nothing but a second height could tell."""
+    grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
+    omap = ul.map_occupancy(flight, grid)
+    said = []
+    for frames in flight.values():
+        path = frames.believed
+        ahead, axes = np.gradient(path.position, axis=0), ul.geometry.quat_matrix(path.quat_xyzw)
+        for i in range(0, len(path), 5):
+            for normal, far in (((1, 0, 0), 4), ((-1, 0, 0), 4), ((0, 1, 0), 3), ((0, -1, 0), 3)):
+                track, reach = ahead[i] / np.linalg.norm(ahead[i]), far - path.position[i] @ normal
+                along = track @ normal
+                aside = normal - along * track
+                if np.linalg.norm(aside) < 0.5 or axes[i][:, 0] @ normal < np.cos(np.radians(32.5)):
+                    continue
+                for turn in np.radians([-28, -24, 24, 28]):
+                    way = along * track + np.cos(turn) * aside + np.sin(turn) * np.cross(track, aside)
+                    at = path.position[i] + reach * way
+                    inside = abs(at[2]) < 1.3 and far - at @ normal > 0.15 and (abs(at[:2]) < (3.85, 2.85)).all()
+                    if inside and axes[i][:, 0] @ way > np.cos(np.radians(32.5)):
+                        said.append(omap.percent[tuple(grid.index(at[None])[0][0])])
+    assert len(said) > 100
+    assert np.mean(np.array(said) == AMBIGUOUS) >= 0.95
+
+
+def test_a_level_flight_frees_nothing_of_floor_and_ceiling():
+    grid = ul.Grid.covering([[-4.5, -3.5, -1.7], [4.5, 3.5, 1.7]], 0.1, dims=3)
+    frames = world.rig(loop(), PLAN, seed=1, heights=(-1.3, 1.3))
+    omap = ul.map_occupancy(frames, grid)
+    x, y = np.meshgrid(np.linspace(-3.8, 3.8, 77), np.linspace(-2.8, 2.8, 57))
+    for height in (-1.3, 1.3):
+        above, below = (
+            omap.free[tuple(grid.index(np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel() + height + gap]))[0].T)]
+            for gap in (-0.01, 0.01)
+        )
+        assert np.mean(above & below) < 0.01
+    assert omap.free.sum() > 1000
+
+
 @pytest.mark.parametrize("slope_deg", [-20, 0, 20])
 def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope_deg):
     up = np.radians(slope_deg)

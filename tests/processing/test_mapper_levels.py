@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ullage.processing.mapper_levels import LevelFinder
+from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_looks import Heard, Look
 
 FLOOR_M, WALL_M, HEIGHT_M = 1.1, 3.0, 1.1
@@ -89,3 +89,11 @@ def test_what_turning_sensors_hear_louder_and_weaker_is_a_wall():
     for each in looks:
         finder.hear(each)
     assert finder.without_levels(heard_clearly(looks)).echoes[:, 0].tolist() == [FLOOR_M, WALL_M]
+
+
+def test_what_some_looks_hear_may_be_a_level_and_is_none():
+    finder = LevelFinder()
+    for k in range(200):
+        finder.hear(crowded(k, share=0.4, loud=10.0 if k % 2 else 1.0))
+    assert finder.levels() == []
+    assert any(sign == -1 and abs(height) < 0.1 for sign, height in finder.levels(least=RETURNING))

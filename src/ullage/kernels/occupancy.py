@@ -22,6 +22,7 @@ MOST_HITS = 120
 FULL = 0xFFFF
 CLEAR_SIDES = 6
 TORN, TORN_HITS = 3, 7  # of an arc that two places far apart may have made: neither becomes a wall by it
+RING = 2  # of an arc in a volume: its bearing names no place
 NOWHERE = 255
 WALL_TENTHS = 20  # hits of a cell that is held occupied
 VAGUE = 3  # most hits that arcs which name no place give a cell

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.kernels.loops import inner, loop
-from ullage.kernels.occupancy import EMPTY, LOUD_WALL, WALL_TENTHS, Pools, bit_count, cell_index
+from ullage.kernels.occupancy import EMPTY, LOUD_WALL, RING, WALL_TENTHS, Pools, bit_count, cell_index
 
 
 class Beam(NamedTuple):
@@ -51,7 +51,7 @@ def cast_reach(
     way = _sector_ways(beam, pools.size[2] == 1)
     limit, hush = np.empty(way.shape[1]), np.empty(way.shape[1])
     limit[:], hush[:] = beam.far, beam.far
-    _stop_at_echoes(way, beam, ways, 2.0 * step, limit)
+    _stop_at_echoes(way, beam, ways, 2.0 * step, limit, hush)
     _stop_at_walls(way, beam, walls, sure, step, limit, hush)
     asked = 0.0
     for arc in beam.arcs:
@@ -137,14 +137,21 @@ def _sector_ways(beam: Beam, flat: bool) -> np.ndarray:
 
 
 @inner(fastmath=True)
-def _stop_at_echoes(way: np.ndarray, beam: Beam, ways: np.ndarray, slack: float, limit: np.ndarray) -> None:
-    """End what is learned a little behind each echo with a bearing, and behind surfaces square to the look."""
+def _stop_at_echoes(
+    way: np.ndarray, beam: Beam, ways: np.ndarray, slack: float, limit: np.ndarray, hush: np.ndarray
+) -> None:
+    """End what is learned a little behind each echo with a bearing, and behind surfaces square to the look.
+
+    An echo that names a ring of places may stand anywhere on it: it ends silence, but hides no other echo.
+    """
     for arc in beam.arcs:
         if arc[8] > 0:
-            wide = 2.5 * arc[6] + 0.05
+            wide, ring = 2.5 * arc[6] + 0.05, arc[8] == RING
             for k in range(len(limit)):
                 cosine = way[0, k] * arc[2] + way[1, k] * arc[3] + way[2, k] * arc[4]
-                limit[k] = min(limit[k], arc[0] + slack) if abs(cosine - arc[5]) < wide else limit[k]
+                near = abs(cosine - arc[5]) < wide
+                hush[k] = min(hush[k], arc[0] + slack) if near else hush[k]
+                limit[k] = min(limit[k], arc[0] + slack) if near and not ring else limit[k]
     for one in ways:
         for k in range(len(limit)):
             turn = way[0, k] * one[0] + way[1, k] * one[1] + way[2, k] * one[2]

@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, generate_binary_structure, label
 
 from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
-from ullage.kernels.occupancy import TORN
+from ullage.kernels.occupancy import RING, TORN
 from ullage.kernels.occupancy_reach import Beam
 from ullage.kernels.occupancy_show import in_view, render_cells, thin_lines
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
@@ -21,7 +21,7 @@ from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, rim_mirror_m
 from ullage.processing.mapper_door import in_order, plane_of
-from ullage.processing.mapper_levels import LevelFinder
+from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, ways_apart
 from ullage.processing.mapper_rims import LEAST_RIM, lobe_loss, rim_along
@@ -52,7 +52,6 @@ TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
 DISCS_A_STEP, DONE = 4, object()
 STEPS, MOST_OPEN = 5, 16  # of work that a frame without a look does, and looks that may wait for it
-RING = 2.0  # of an arc in a volume: its bearing names no place
 
 
 class UllageMapper:
@@ -163,7 +162,8 @@ class UllageMapper:
                 if len(self._pending) > AHEAD[2] * len(self._axis):
                     yield from self._insert_pending()
             else:
-                self._tracks.believe(levels.levels(), look.heard.position)
+                may_be = levels.levels(least=RETURNING)
+                self._tracks.believe(levels.levels(), look.heard.position, possible=may_be)
                 yield from self._follow(name, self._lobes.without_sidelobes(name, look))
         self._waiting.clear()
 

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 BIN_M = 0.05
 REACH_M = 12.0
-PERSISTENT = 0.55
+PERSISTENT, RETURNING = 0.55, 0.3
 ENOUGH_LOOKS = 60
 NEAR_M = 0.08
 LOUDER = 4.0
@@ -75,16 +75,16 @@ class LevelFinder:
                 del self._loud[sign * (place + 1)][:-REMEMBERED]
             self._votes[sign][sector, list(seen)] += 1
 
-    def levels(self) -> list[tuple[int, float]]:
-        """Heights [m] with -1 for a floor, 1 for a ceiling."""
+    def levels(self, *, least: float = PERSISTENT) -> list[tuple[int, float]]:
+        """Heights [m] with -1 for a floor, 1 for a ceiling; `least` is the share of looks that hear them."""
         out: list[tuple[int, float]] = []
         for sign, by_sector in self._votes.items():
             votes = by_sector.sum(0)
             everywhere = self._everywhere(by_sector)
-            for k in np.flatnonzero((votes >= PERSISTENT * max(self._looks, 1)) | everywhere):
+            for k in np.flatnonzero((votes >= least * max(self._looks, 1)) | everywhere):
                 if votes[k] == votes[max(k - 3, 0) : k + 4].max() and self._base is not None:
                     height = self._base + k * BIN_M - REACH_M
-                    often = votes[k] >= PERSISTENT * self._looks or self._alike(sign, height)
+                    often = votes[k] >= least * self._looks or self._alike(sign, height)
                     if often and not any(s == sign and abs(h - height) < 3 * BIN_M for s, h in out):
                         out.append((sign, float(height)))
         return [level for level in out if not self._may_be_wall(*level)]

@@ -97,7 +97,7 @@ class EchoTracks:
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
         self._held: list[list[Foot]] = []
-        self._levels = np.zeros((0, 8))
+        self._levels = self._sheets = np.zeros((0, 8))
         self._gone: deque[Followed] = deque(maxlen=MOST_GONE)
 
     @property
@@ -113,13 +113,13 @@ class EchoTracks:
         still = [one for held in self._open.values() for one in held if len(one.screens)]
         asked = [*self._gone, *still]
         left = _unexplained([one.echoes[-1] for one in asked], walls)
-        return np.concatenate([np.zeros((0, 8)), *(asked[k].screens for k in left)])
+        return np.concatenate([self._sheets, *(asked[k].screens for k in left)])
 
-    def believe(self, levels: list[tuple[int, float]], position: Floats) -> None:
-        """Take floor (-1) and ceiling (1) at these heights for walls around a place [m]."""
-        self._levels = np.array([[0, 0, sign, sign * z, *position[:2], z, LEVEL_M] for sign, z in levels]).reshape(
-            -1, 8
-        )
+    def believe(
+        self, levels: list[tuple[int, float]], position: Floats, *, possible: list[tuple[int, float]] | None = None
+    ) -> None:
+        """Take floor (-1) and ceiling (1) at these heights for walls around a place; others may be [m]."""
+        self._levels, self._sheets = _sheets(levels, position), _sheets(possible or [], position)
 
     def _known(self, echo: Traced) -> Floats | None:
         """Normal of the one known wall that range and bearing of an echo fit."""
@@ -219,6 +219,11 @@ class Foot:
     def at(self) -> Floats:
         """Where it is (3) [m]."""
         return np.asarray(self.echo.position + self.echo.range_m * self.way)
+
+
+def _sheets(levels: list[tuple[int, float]], position: Floats) -> Floats:
+    """Walls (p, 8) that are floor (-1) and ceiling (1) at these heights around a place [m]."""
+    return np.array([[0, 0, sign, sign * z, *position[:2], z, LEVEL_M] for sign, z in levels]).reshape(-1, 8)
 
 
 def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | None:
