@@ -352,3 +352,14 @@ def test_what_may_be_a_far_wall_folded_is_no_wall():
     assert omap.occupied[beside].mean() > 0.8, "too loud for a wall so far off"
     omap, beside = wall_beside(level=folded, north_m=10.0)
     assert omap.occupied[beside].mean() > 0.8, "no room for a wall so far off"
+
+
+@pytest.mark.parametrize(("chance", "kept"), [(69, False), (95, True)])
+def test_two_faint_cells_that_nothing_joins_to_free_space_are_no_wall(chance, kept):
+    mapper = UllageMapper(GRID)
+    mapper._flown[(0, 0, 0)] = None
+    percent = np.full(GRID.shape, AMBIGUOUS, np.int8)
+    percent[35:45, 45:55] = 1  # free about the flight
+    percent[60:62, [70, 71]] = np.where(np.eye(2, dtype=bool), chance, AMBIGUOUS)
+    mapper._forget_cut_off(percent, (0, 0))
+    assert (percent > 50).sum() == 2 * kept

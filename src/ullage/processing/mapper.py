@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, generate_binary_structure, label
+from scipy.ndimage import binary_dilation, generate_binary_structure, label, maximum
 
 from ullage.data import Recording
 from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
@@ -37,6 +37,7 @@ ENOUGH_SIDES = 4
 VAGUE_TENTHS = {2: 7, 3: 10}
 HEARD_ODDS, SIDE_NATS = {2: -1.2, 3: -0.7}, 0.8
 SOLID = 65
+FAINT = 80  # below it two cells by themselves, as of one look, are no more of a wall than a single one
 SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
@@ -377,7 +378,9 @@ class UllageMapper:
             deep = [np.pad(v.astype(float), ((0, 0), (3 - free.ndim, 0))) for v in (suspects, eyes)]
             in_view(solid.reshape((-1, *solid.shape[-2:])), *deep, HIDE_M / self.grid.step_m, seen)
             groups, _ = label(solid, ball)
-            alone = (np.bincount(groups.ravel()) == 1)[groups[tuple(suspects.T)]]
+            size = np.bincount(groups.ravel())
+            faint = maximum(percent, groups, np.arange(len(size))) < FAINT
+            alone = ((size == 1) | ((size == 2) & faint))[groups[tuple(suspects.T)]]
             percent[tuple(suspects[~seen | alone].T)] = AMBIGUOUS
 
     def changed(self) -> Changes:
