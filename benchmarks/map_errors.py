@@ -20,6 +20,23 @@ from ullage.world.scene import Scene
 from ullage.world.section import section
 
 NEAR_END_M = 0.45
+CELLS = (
+    "cells held occupied",
+    "of these false",
+    "second row, 0.15 m to a rounding",
+    "beside an end or corner",
+    "elsewhere",
+)
+SURFACE = (
+    "surface observable",
+    "of this missed",
+    "missed by a map told the walls",
+    "missed by both",
+    "by ours alone, under 10 looks",
+    "by ours alone, 10 to 30 looks",
+    "by ours alone, 30 looks and more",
+    "missed only by the map told the walls",
+)
 
 
 def centres(omap) -> np.ndarray:
@@ -46,15 +63,8 @@ def false_cells(omap, points: np.ndarray, ends: np.ndarray) -> Counter:
     to_end = cKDTree(ends).query(cells)[0]
     row = gap < MATCH_M + 0.01
     false, beside = gap > MATCH_M, to_end < NEAR_END_M
-    return Counter(
-        {
-            "cells held occupied": len(cells),
-            "of these false": int(false.sum()),
-            "second row, 0.15 m to a rounding": int((false & row).sum()),
-            "beside an end or corner": int((false & ~row & beside).sum()),
-            "elsewhere": int((false & ~row & ~beside).sum()),
-        }
-    )
+    kinds = (false, false & row, false & ~row & beside, false & ~row & ~beside)
+    return Counter(dict(zip(CELLS, (len(cells), *(int(kind.sum()) for kind in kinds)), strict=True)))
 
 
 def missed_surface(omap, perfect, surface) -> Counter:
@@ -62,18 +72,10 @@ def missed_surface(omap, perfect, surface) -> Counter:
     seen = surface.observable(3)
     points, looks = surface.points[seen, :2], surface.looks[seen]
     ours, best = (cKDTree(centres(m)).query(points)[0] > MATCH_M for m in (omap, perfect))
-    return Counter(
-        {
-            "surface observable": len(points),
-            "of this missed": int(ours.sum()),
-            "missed by a map told the walls": int(best.sum()),
-            "missed by both": int((ours & best).sum()),
-            "by ours alone, under 10 looks": int((ours & ~best & (looks < 10)).sum()),
-            "by ours alone, 10 to 30 looks": int((ours & ~best & (looks >= 10) & (looks < 30)).sum()),
-            "by ours alone, 30 looks and more": int((ours & ~best & (looks >= 30)).sum()),
-            "missed only by the map told the walls": int((best & ~ours).sum()),
-        }
-    )
+    alone = ours & ~best
+    kinds = (ours, best, ours & best, alone & (looks < 10), alone & (looks >= 10) & (looks < 30), alone & (looks >= 30),
+             best & ~ours)  # fmt: skip
+    return Counter(dict(zip(SURFACE, (len(points), *(int(kind.sum()) for kind in kinds)), strict=True)))
 
 
 def of_flight(scene: Scene, grid: ul.Grid, frames: dict[str, Frames]) -> Counter:
@@ -93,8 +95,8 @@ def main() -> None:
         frames = ul.simulate(scene, mapping_table.route(seed), ul.Rig.preset("thesis-4"), seed=seed)
         total += of_flight(scene, grid, frames)
     print("| | share |\n|---|---|")
-    for name, count in total.items():
-        whole = total["cells held occupied"] if name in list(total)[:5] else total["surface observable"]
+    for name in CELLS + SURFACE:
+        count, whole = total[name], total["cells held occupied" if name in CELLS else "surface observable"]
         print(f"| {name} | {100 * count / whole:.1f} % ({count}) |")
 
 
