@@ -22,6 +22,12 @@ QUIET = 100
 """Bins from here on hold hardly more than noise."""
 COUNTS = (4, 1)
 """Iterations and pulses per step of the recording, read from the lattice of its values."""
+WORDS = {
+    "noise": ("noise of a bin, rms, normalised", "{:.2e}"), "direct": ("direct path over noise [dB]", "{:.1f}"),
+    "lag 1": ("correlation of noise, one bin apart", "{:.3f}"), "lag 2": ("two bins", "{:.3f}"),
+    "lag 3": ("three bins", "{:.3f}"), "edge": ("spectrum at the band's edges over its middle [dB]", "{:.1f}"),
+    "phase": ("phase common to a frame [mrad]", "{:.1f}"),
+}  # fmt: skip
 
 
 def run(bench: Bench) -> None:
@@ -67,49 +73,19 @@ def measure(rows: Complexes, spec: RadarSpec) -> dict[str, float]:
 def state(bench: Bench, both: list[dict[str, float]]) -> None:
     """Each number of the recording beside the simulation's, with the bound on their difference."""
     real, ours = both
-    hold = bench.findings.hold
-    hold(
-        "noise: simulated over recorded",
-        "beyond",
-        20 * np.log10(ours["noise"] / real["noise"]),
-        "dB",
-        low=-0.5,
-        high=0.5,
+    less = {key: ours[key] - real[key] for key in real}
+    noise = 20 * np.log10(ours["noise"] / real["noise"])
+    bounds = (
+        ("noise: simulated over recorded", noise, "dB", -0.5, 0.5),
+        ("direct path over noise: simulated less recorded", less["direct"], "dB", -1, 1),
+        ("noise from bin to bin, lag 1: simulated less recorded", less["lag 1"], "", -0.03, 0.03),
+        ("noise from bin to bin, lag 2: simulated less recorded", less["lag 2"], "", -0.03, 0.03),
+        ("spectrum at the band's edges: simulated less recorded", less["edge"], "dB", -6, 6),
+        ("phase common to a frame: simulated over recorded", ours["phase"] / real["phase"], "", 0.8, 1.25),
     )
-    hold(
-        "direct path over noise: simulated less recorded",
-        "beyond",
-        ours["direct"] - real["direct"],
-        "dB",
-        low=-1,
-        high=1,
-    )
-    for lag in ("lag 1", "lag 2"):
-        hold(
-            f"noise from bin to bin, {lag}: simulated less recorded",
-            "beyond",
-            ours[lag] - real[lag],
-            low=-0.03,
-            high=0.03,
-        )
-    hold(
-        "spectrum at the band's edges: simulated less recorded",
-        "beyond",
-        ours["edge"] - real["edge"],
-        "dB",
-        low=-6,
-        high=6,
-    )
-    hold(
-        "phase common to a frame: simulated over recorded", "beyond", ours["phase"] / real["phase"], low=0.8, high=1.25
-    )
-    words = {
-        "noise": ("noise of a bin, rms, normalised", "{:.2e}"), "direct": ("direct path over noise [dB]", "{:.1f}"),
-        "lag 1": ("correlation of noise, one bin apart", "{:.3f}"), "lag 2": ("two bins", "{:.3f}"),
-        "lag 3": ("three bins", "{:.3f}"), "edge": ("spectrum at the band's edges over its middle [dB]", "{:.1f}"),
-        "phase": ("phase common to a frame [mrad]", "{:.1f}"),
-    }  # fmt: skip
-    rows = [(title, form.format(real[key]), form.format(ours[key])) for key, (title, form) in words.items()]
+    for what, value, dimension, low, high in bounds:
+        bench.findings.hold(what, "beyond", value, dimension, low=low, high=high)
+    rows = [(title, form.format(real[key]), form.format(ours[key])) for key, (title, form) in WORDS.items()]
     bench.findings.tabulate("X4 at rest, N = 4", ("", "recorded", "simulated"), rows)
     bench.findings.notes.append(
         "They differ in the spectrum, which falls lower at the band's edges in the recording (the real on-chip filter "
