@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
 TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
-DISCS_A_STEP, DONE = 4, object()
+DISCS_A_STEP, JOINED_A_LOOK, DONE = 4, 2, object()  # discs in one go; stretches of legs judged anew
 STEPS, MOST_OPEN = 5, 16  # of work that a frame without a look does, and looks that may wait for it
 
 
@@ -148,6 +149,7 @@ class UllageMapper:
 
     def _insert_last(self) -> Iterator[None]:
         yield from self._insert_waiting(self._levels)
+        deque(map(self._lay_disc, self._tracks.join()), maxlen=0)
         while self._late:
             yield from self._insert(*self._late.popleft())
         while self._pending:
@@ -173,7 +175,8 @@ class UllageMapper:
         weighed = self._weigh(look)
         yield
         if weighed is not None:
-            for k, foot in enumerate(self._tracks.follow(name, look, *weighed, self._lobe[name][0][0])):
+            told = self._tracks.follow(name, look, *weighed, self._lobe[name][0][0])
+            for k, foot in enumerate(chain(told, self._tracks.join(JOINED_A_LOOK))):
                 self._lay_disc(foot)
                 if k % DISCS_A_STEP == DISCS_A_STEP - 1:
                     yield

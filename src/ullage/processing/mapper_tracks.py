@@ -9,11 +9,13 @@ leave open.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look
 from ullage.processing.mapper_rims import rim_of
 
@@ -46,6 +48,7 @@ class Traced:
     sigma: float
     trust: float
     laid: bool = False
+    way: Floats | None = None  # (3) to the wall it was told to come from
 
 
 @dataclass(slots=True, eq=False)
@@ -58,6 +61,7 @@ class Followed:
     screens: Floats = field(default_factory=lambda: np.zeros((0, 8)))  # walls it may be while its direction is open
     rim: float = LEAST_RIM  # Fresnel parameter out to which no edge stands
     count: int = 0
+    fresh: list[Traced] = field(default_factory=list)  # echoes that are part of no stretch yet
 
     def add(self, echo: Traced, ahead: Floats, least: float) -> None:
         """Go on with an echo; every few of them, find the direction anew."""
@@ -99,6 +103,7 @@ class EchoTracks:
         self._held: list[list[Foot]] = []
         self._levels = self._sheets = np.zeros((0, 8))
         self._gone: deque[Followed] = deque(maxlen=MOST_GONE)
+        self._legs = Legs()
 
     @property
     def walls(self) -> Floats:
@@ -134,7 +139,7 @@ class EchoTracks:
         other = fits[normal @ normal[best] < 0.9]
         return normal[best] if fits[best] < 1 and (not len(other) or other.min() > 2) else None
 
-    def _remember(self, foot: Foot) -> list[Foot]:
+    def _remember(self, foot: Foot, *, hold: bool = True) -> list[Foot]:
         """Add a foot to its wall; the feet that are to be told, all of a wall's once it has enough."""
         at, normal = foot.at, foot.way
         for k, wall in enumerate(self._walls):
@@ -147,14 +152,14 @@ class EchoTracks:
                     wall[4:7] += grow / max(far, 1e-9) * apart
                     wall[7] += grow
                     if wall[8] < SURE_FEET:
-                        self._held[k].append(foot)
-                        return []
+                        self._held[k] += [foot] * hold
+                        return [foot] * (not hold)
                     out, self._held[k] = [*self._held[k], foot], []
                     return out
         self._walls.append(np.array([*normal, at @ normal, *at, 0.0, 1.0]))
-        self._held.append([foot])
+        self._held.append([foot] * hold)
         del self._walls[:-MOST_WALLS], self._held[:-MOST_WALLS]
-        return []
+        return [foot] * (not hold)
 
     def follow(self, name: str, look: Look, cosine: Floats, sigma: Floats, trust: Floats, least: float) -> list[Foot]:
         """Add a look's echoes; the feet of perpendiculars that are now known and were not told before.
@@ -189,20 +194,32 @@ class EchoTracks:
                 held.append(one)
             one.add(echo, look.heard.axes[:, 0], least)
             feet += self._told(one, echo)
+            one.fresh.append(echo)
+            if len(one.fresh) >= LEAST_ECHOES and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M:
+                self._legs.add(one.fresh, look.heard.axes[:, 0], least, one.rim)
+                one.fresh = []
         self._open[name] = held
         return feet
+
+    def join(self, most: int | None = None) -> Iterator[Foot]:
+        """The feet of echoes of straight legs that other legs have told by now; of at most so many stretches."""
+        for echoes, way, rim in self._legs.tell_all() if most is None else self._legs.tell(most):
+            for echo in echoes:
+                if not echo.laid:
+                    echo.laid, echo.way = True, way
+                    yield from self._remember(Foot(echo, way, True, rim), hold=False)
 
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
         if one.normal is not None:
             fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
             for foot in fresh:
-                foot.echo.laid = True
+                foot.echo.laid, foot.echo.way = True, foot.way
             return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
         way = None if echo.laid else self._known(echo)
         if way is None:
             return []
-        echo.laid = True
+        echo.laid, echo.way = True, way
         return [Foot(echo, way, True, one.rim)]
 
 

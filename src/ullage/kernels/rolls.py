@@ -1,0 +1,80 @@
+"""How well echoes of other legs bear out each direction that the echo of a straight leg leaves open."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ullage.kernels.loops import loop
+
+# columns of a stretch of track: place (3), direction (3), range, cosine, its sigma, leg, boresight (3), normal (3; zero
+# while it is open), cosine to boresight in which echoes are looked for
+PLACE, TRACK, RANGE, COSINE, DOUBT, LEG, AHEAD, NORMAL, WIDE, COLUMNS = 0, 3, 6, 7, 8, 9, 10, 13, 16, 17
+
+MOST_TURN = 0.7  # of a normal between two places that one bend describes [rad]
+
+
+@loop(fastmath=True)
+def weigh_rolls(
+    me: np.ndarray,
+    others: np.ndarray,
+    ways: np.ndarray,
+    range_sigma: float,
+    wander: float,
+    bends: np.ndarray,
+    outlier: float,
+    out: np.ndarray,
+    heard: np.ndarray,
+) -> None:
+    """Log-likelihood (w) of each way to a surface, and by how many legs it is borne out (w).
+
+    A distance to a surface obeys the eikonal equation: its gradient is the unit normal. Two places off one plane so
+    differ in range by n . (p1 - p2), off a surface of some curvature by the mean of both normals on that way. Each leg
+    counts once, by that of its stretches which fits best.
+
+    Args:
+        me: the stretch (17) that is asked about.
+        others: those around (m, 17), ordered by leg.
+        ways: unit vectors (w, 3) on its cone.
+        range_sigma: doubt of ranges [m].
+        wander: what it grows by for each metre between places.
+        bends: turn (w) of each way along the track, as the stretch's own ranges tell [rad/m]; zero for a plane.
+        outlier: chance that a leg has no echo of the surface.
+        out: the logarithm (w).
+        heard: number of legs (w).
+    """
+    for w in range(len(ways)):
+        nx, ny, nz = ways[w, 0], ways[w, 1], ways[w, 2]
+        along = nx * me[3] + ny * me[4] + nz * me[5]
+        scale = 1.0 / math.sqrt(max(1.0 - along * along, 1e-3))
+        ux, uy, uz = scale * (me[3] - along * nx), scale * (me[4] - along * ny), scale * (me[5] - along * nz)
+        total, legs, best, leg = 0.0, 0.0, 0.0, -1.0
+        for k in range(len(others)):
+            other = others[k]
+            if other[LEG] != leg:
+                if leg >= 0.0:
+                    total += math.log(outlier + (1.0 - outlier) * best)
+                    legs += best
+                leg, best = other[LEG], 0.0
+            dx, dy, dz = other[0] - me[0], other[1] - me[1], other[2] - me[2]
+            on = (dx * ux + dy * uy + dz * uz) * bends[w]
+            mx, my, mz = nx + on * ux, ny + on * uy, nz + on * uz
+            scale = 1.0 / math.sqrt(1.0 + on * on)
+            mx, my, mz = scale * mx, scale * my, scale * mz
+            turn = (mx * other[3] + my * other[4] + mz * other[5] - other[COSINE]) / (other[DOUBT] + 0.1 * abs(on))
+            if abs(turn) > 3.0 or abs(on) > MOST_TURN:
+                continue
+            fall = 0.5 * ((nx + mx) * dx + (ny + my) * dy + (nz + mz) * dz)
+            gap = dx * dx + dy * dy + dz * dz
+            miss = (me[RANGE] - fall - other[RANGE]) / math.sqrt(range_sigma**2 + wander**2 * gap)
+            if abs(miss) > 3.0:
+                continue
+            known = other[NORMAL] * mx + other[NORMAL + 1] * my + other[NORMAL + 2] * mz
+            if (other[NORMAL] != 0.0 or other[NORMAL + 1] != 0.0 or other[NORMAL + 2] != 0.0) and known < 0.94:
+                continue
+            best = max(best, math.exp(-0.5 * (miss * miss + turn * turn)))
+        if leg >= 0.0:
+            total += math.log(outlier + (1.0 - outlier) * best)
+            legs += best
+        out[w], heard[w] = total, legs

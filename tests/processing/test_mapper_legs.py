@@ -1,0 +1,139 @@
+"""Rings of different legs meet on the wall that made them, and stay open where geometry leaves them open."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ullage.processing import mapper_legs
+from ullage.processing.mapper_legs import Legs, bends_of, stretch_of
+from ullage.processing.mapper_tracks import Traced
+
+LEAST = float(np.cos(np.radians(50)))
+ABEAM = np.array([0.0, 1.0, 0.0])
+
+
+def leg(start, end) -> np.ndarray:
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    count = int(np.linalg.norm(end - start) / 0.05)
+    return start + np.linspace(0, 1, count)[:, None] * (end - start)
+
+
+def heard(legs: Legs, path: np.ndarray, distance, rng, *, ahead=ABEAM, told=None) -> list:
+    """Fly a leg that hears the surface at `distance` (of places), in stretches of thirteen echoes."""
+    reach = distance(path) + rng.normal(0, 0.004, len(path))
+    track = np.gradient(path, axis=0)
+    track /= np.linalg.norm(track, axis=1)[:, None]
+    out = [] if told is None else told
+    for k in range(0, len(path) - 12, 13):
+        echoes = [
+            Traced(j, path[j], track[j], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(k, min(k + 13, len(path)))
+        ]
+        legs.add(echoes, ahead, LEAST, 2.0)
+        out += legs.tell(2)
+    return out
+
+
+def plane(normal, distance: float):
+    return lambda at: distance - at @ np.asarray(normal)
+
+
+def told_ways(legs: Legs, told: list) -> np.ndarray:
+    return np.array([way for _, way, _ in [*told, *legs.tell_all()]]).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("slope_deg", [-25, 0, 15])
+def test_level_legs_at_three_heights_tell_how_a_wall_leans(slope_deg):
+    rng, legs, told = np.random.default_rng(1), Legs(), []
+    up = np.radians(slope_deg)
+    normal = np.array([0.0, np.cos(up), np.sin(up)])
+    for k, z in enumerate((-0.8, 0.0, 0.7)):
+        heard(legs, leg((-2, 0.2 * k, z), (2, 0.2 * k, z)), plane(normal, 2.5), rng, told=told)
+        if k == 0:
+            assert not told, "one straight line leaves its ring open"
+    ways = told_ways(legs, told)
+    assert len(ways) >= 15, "echoes of the first legs are told by the later ones"
+    assert (ways @ normal).min() > np.cos(np.radians(6))
+
+
+def test_legs_in_one_plane_never_choose_between_a_wall_and_its_mirror_image():
+    rng, legs, told = np.random.default_rng(2), Legs(), []
+    normal = np.array([0.0, np.cos(0.6), np.sin(0.6)])
+    for y in (-1.2, -0.6, 0.0, 0.5):
+        heard(legs, leg((-2, y, 0), (2, y, 0)), plane(normal, 3.0), rng, told=told)
+    for x in (-1.0, 0.5):
+        heard(legs, leg((x, -1.2, 0), (x, 1.0, 0)), plane(normal, 3.0), rng, told=told)
+    assert not len(told_ways(legs, told))
+
+
+def test_one_leg_out_of_that_plane_decides_it():
+    rng, legs, told = np.random.default_rng(3), Legs(), []
+    normal = np.array([0.0, np.cos(0.6), np.sin(0.6)])
+    for y, z in ((-1.2, 0), (-0.6, 0), (0.0, 0), (-0.3, 0.7)):
+        heard(legs, leg((-2, y, z), (2, y, z)), plane(normal, 3.0), rng, told=told)
+    ways = told_ways(legs, told)
+    assert len(ways) >= 15
+    assert (ways @ normal).min() > np.cos(np.radians(6))
+
+
+def test_a_straight_climb_and_level_legs_tell_walls_on_all_sides():
+    rng, legs, told = np.random.default_rng(4), Legs(), []
+    corners = [(-1.5, -1, -0.8), (1.5, -1, -0.4), (1.5, 1, 0.0), (-1.5, 1, 0.4), (-1.5, -1, 0.8), (1.5, -1, 0.8)]
+    right = 0
+    for sign in (-1.0, 1.0):
+        legs, told = Legs(), []
+        for a, b in pairwise(corners):
+            heard(legs, leg(a, b), plane((0, sign, 0), 2.2), rng, ahead=sign * ABEAM, told=told)
+        ways = told_ways(legs, told)
+        right += len(ways)
+        assert (ways[:, 1] * sign).min() > np.cos(np.radians(8))
+    assert right > 20
+
+
+def test_rounds_at_three_heights_tell_the_wall_of_a_round_tank():
+    rng, legs, told, at = np.random.default_rng(5), Legs(), [], []
+    turn = np.linspace(0, 2 * np.pi, 160)
+    for z in (-0.7, 0.0, 0.7):
+        path = np.column_stack([1.3 * np.cos(turn), 1.3 * np.sin(turn), np.full(len(turn), z)])
+        for part in range(0, 146, 13):
+            out = path[part + 6] * [1, 1, 0]
+            heard(legs, path[part : part + 14], lambda p: 3.2 - np.hypot(p[:, 0], p[:, 1]), rng,
+                  ahead=out / np.linalg.norm(out), told=told)  # fmt: skip
+    for echoes, way, _ in [*told, *legs.tell_all()]:
+        middle = np.mean([e.position for e in echoes], axis=0) * [1, 1, 0]
+        at.append(way @ middle / np.linalg.norm(middle))
+    assert len(at) >= 30
+    assert min(at) > np.cos(np.radians(8))
+
+
+def test_an_upright_edge_makes_no_wall():
+    rng, legs, told = np.random.default_rng(6), Legs(), []
+    for z in (-0.8, 0.0, 0.7):
+        heard(legs, leg((-1.2, 0, z), (1.2, 0, z)), lambda p: np.hypot(p[:, 0], p[:, 1] - 1.2), rng, told=told)
+    assert not len(told_ways(legs, told))
+
+
+def test_the_bend_of_an_edge_is_one_and_that_of_a_wall_nothing():
+    at = leg((-0.4, 0, 0), (0.4, 0, 0.2))
+    for reach, bend in ((1.5 - at[:, 1], 0.0), (np.hypot(at[:, 0], at[:, 1] - 1.5), 1.0)):
+        echoes = [Traced(j, at[j], at[1] - at[0], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(len(at))]
+        assert bends_of(echoes, ABEAM[None], stretch_of(echoes))[0] == pytest.approx(bend, abs=0.08)
+
+
+def test_what_scatters_or_is_not_believed_is_no_stretch():
+    at = leg((-0.4, 0, 0), (0.4, 0, 0))
+    rough = np.random.default_rng(7).normal(0, 0.05, len(at))
+    for reach, trust in ((2.0 + rough, 0.9), (np.full(len(at), 2.0), 0.1)):
+        assert stretch_of([Traced(j, at[j], at[1], reach[j], 0, 1e-3, 0.02, trust) for j in range(len(at))]) is None
+
+
+def test_only_so_much_is_kept(monkeypatch):
+    monkeypatch.setattr(mapper_legs, "MOST_STRETCHES", 17)
+    rng, legs, told = np.random.default_rng(8), Legs(), []
+    for z in (-0.8, 0.0, 0.7, -0.4, 0.4):
+        heard(legs, leg((-2, 0, z), (2, 0, z)), plane(ABEAM, 2.5), rng, told=told)
+    told += legs.tell_all()
+    assert len(legs._held) == 17
+    assert len(told) > 17, "what comes later still is told"
