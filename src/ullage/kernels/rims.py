@@ -190,16 +190,24 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
     return count
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@loop(nogil=True, error_model="numpy")
 def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
-    """Whether each point (m, 3) lies within the rim of its face (m)."""
+    """Whether each point (m, 3) lies within the rim of its face (m): a line from it crosses the rim an odd time."""
     for i in range(len(points)):
         p = owner[i]
-        n = normals[p]
-        turn = 0.0
+        ax, ay, az = abs(normals[p, 0]), abs(normals[p, 1]), abs(normals[p, 2])
+        u, v = np.int64(0), np.int64(1)  # the two axes across which the face is largest
+        if ax >= ay and ax >= az:
+            u, v = np.int64(1), np.int64(2)
+        elif ay >= az:
+            v = np.int64(2)
+        x, y = points[i, u], points[i, v]
+        odd = False
         for e in range(first[p], first[p + 1]):
-            ux, uy, uz = starts[e, 0] - points[i, 0], starts[e, 1] - points[i, 1], starts[e, 2] - points[i, 2]
-            vx, vy, vz = ends[e, 0] - points[i, 0], ends[e, 1] - points[i, 1], ends[e, 2] - points[i, 2]
-            cross = n[0] * (uy * vz - uz * vy) + n[1] * (uz * vx - ux * vz) + n[2] * (ux * vy - uy * vx)
-            turn += math.atan2(cross, ux * vx + uy * vy + uz * vz)
-        out[i] = abs(turn) > math.pi
+            above = starts[e, v] > y
+            if above != (ends[e, v] > y):
+                left = x - starts[e, u]
+                rise = ends[e, v] - starts[e, v]
+                if (left * rise < (ends[e, u] - starts[e, u]) * (y - starts[e, v])) == (rise > 0):
+                    odd = not odd
+        out[i] = odd

@@ -21,7 +21,9 @@ Longs = NDArray[np.int64]
 FLAT_M = 0.15
 """Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
 MIRROR_CORNERS = 12
-"""Convex outlines with more corners than this mirror by their triangles."""
+"""Convex outlines with more corners than this mirror in slices."""
+SMOOTH_DEG = 25.0
+"""Faces of one object that meet at less than this are facets of a curved surface [deg]."""
 _CLUSTER = 16  # triangles, about
 
 
@@ -43,6 +45,7 @@ class Flats:
     flat_of: Ints  # (c) face of each
     widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
     across: Floats  # (p, 2, 3) two unit vectors in each, at right angles
+    smooth: NDArray[np.bool_]  # (p) whether each is a facet of a curved surface
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -109,7 +112,8 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
     patch = coplanar(corners, normals, stuffs)
     large = _extents(corners, patch)[patch] >= FLAT_M
     sides = backs(corners, normals, stuffs)
-    flats = _flats(corners[large], normals[large], stuffs[large], patch[large])
+    curved = smooth(corners, normals, stuffs, patch)[patch[large]]
+    flats = _flats(corners[large], normals[large], stuffs[large], patch[large], curved)
     lead = np.unique(patch[large], return_index=True)[1]
     small = np.flatnonzero(~large)
     order, first = _clusters(corners[small].mean(1), np.sqrt(area[index][small]))
@@ -119,10 +123,8 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
                     sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part)  # fmt: skip
 
 
-def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:
-    """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object."""
-    if not len(corners):
-        return np.zeros(0, np.int64)
+def _twins(corners: Floats) -> tuple[Longs, Longs]:
+    """Pairs of triangles (f, 3, 3) that share an edge."""
     _, ids = np.unique(np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
     tri = ids.reshape(-1, 3)
     edge = np.sort(np.stack([tri, np.roll(tri, -1, 1)], -1), -1).reshape(-1, 2)
@@ -130,12 +132,31 @@ def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64
     order = np.lexsort((face, edge[:, 1], edge[:, 0]))
     edge, face = edge[order], face[order]
     twin = np.flatnonzero((edge[1:] == edge[:-1]).all(1))
-    a, b = face[twin], face[twin + 1]
+    return face[twin], face[twin + 1]
+
+
+def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:
+    """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object."""
+    if not len(corners):
+        return np.zeros(0, np.int64)
+    a, b = _twins(corners)
     gap = np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])
     size = np.linalg.norm(corners[b, 1] - corners[b, 0], axis=1) + np.linalg.norm(corners[b, 2] - corners[b, 0], axis=1)
     same = (abs(gap).max(1) < 1e-5 * np.maximum(size, 1e-2)) & (stuffs[a] == stuffs[b])
-    links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(tri), len(tri)))
+    links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(corners), len(corners)))
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
+
+
+def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDArray[np.bool_]:
+    """Whether each patch is a facet of a curved surface: one that goes on over two edges with hardly a bend."""
+    count = int(patch.max()) + 1 if len(patch) else 0
+    if not count:
+        return np.zeros(0, bool)
+    a, b = _twins(corners)
+    bend = abs(np.einsum("ni,ni->n", normals[a], normals[b]))
+    goes_on = (patch[a] != patch[b]) & (stuffs[a] == stuffs[b]) & (bend > np.cos(np.deg2rad(SMOOTH_DEG)))
+    ways = np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)
+    return np.asarray(ways >= 2)
 
 
 def _extents(corners: Floats, patch: NDArray[np.int64]) -> Floats:
@@ -147,7 +168,9 @@ def _extents(corners: Floats, patch: NDArray[np.int64]) -> Floats:
     return np.asarray(np.linalg.norm(high - low, axis=1))
 
 
-def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int64]) -> Flats:
+def _flats(
+    corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int64], curved: NDArray[np.bool_]
+) -> Flats:
     """Rims of patches: the directed edges that no neighbour of the same patch runs back along."""
     names, lead, patch = np.unique(patch, return_index=True, return_inverse=True)
     normal = normals[lead]
@@ -171,7 +194,7 @@ def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int
     spheres = _spheres(np.stack([a, b], 1), first)
     mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
     return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of,
-                 _widths(normal, first, a, b), _across(normal))  # fmt: skip
+                 _widths(normal, first, a, b), _across(normal), curved[lead])  # fmt: skip
 
 
 def _across(normals: Floats) -> Floats:
@@ -218,16 +241,17 @@ def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> t
 def _convex(
     triangles: Floats, patch: NDArray[np.int64], normal: Floats, starts: Floats, first: Ints, loop_of: Ints
 ) -> tuple[Floats, Ints, Ints]:
-    """Convex outlines that cover each face: its rim where that is one convex loop, otherwise its triangles."""
+    """Convex outlines that cover each face: its rim, sliced, where that is one convex loop; otherwise its triangles."""
     outlines: list[Floats] = []
     owner: list[int] = []
     by_face = np.argsort(patch, kind="stable")
     bound = np.searchsorted(patch[by_face], np.arange(len(normal) + 1))
     corners, begin, convex = _outlines(starts, first, normal)
     for p in range(len(normal)):
-        if loop_of[p + 1] - loop_of[p] == 1 and convex[p] and 3 <= begin[p + 1] - begin[p] <= MIRROR_CORNERS:
-            outlines.append(corners[begin[p] : begin[p + 1]])
-            owner.append(p)
+        if loop_of[p + 1] - loop_of[p] == 1 and convex[p] and begin[p + 1] - begin[p] >= 3:
+            slices = _slices(corners[begin[p] : begin[p + 1]])
+            outlines += slices
+            owner += [p] * len(slices)
             continue
         parts = triangles[by_face[bound[p] : bound[p + 1]]]
         outlines += list(parts)
@@ -236,6 +260,12 @@ def _convex(
     for i, outline in enumerate(outlines):
         out[i, : len(outline)] = outline
     return out, np.array([len(o) for o in outlines], np.int32), np.asarray(owner, np.int32)
+
+
+def _slices(outline: Floats) -> list[Floats]:
+    """A convex outline (n, 3) in slices of at most `MIRROR_CORNERS` corners about its first corner."""
+    step = MIRROR_CORNERS - 2
+    return [np.concatenate([outline[:1], outline[i : i + step + 1]]) for i in range(1, len(outline) - 1, step)]
 
 
 def _outlines(starts: Floats, first: Ints, normal: Floats) -> tuple[Floats, Longs, NDArray[np.bool_]]:
@@ -289,7 +319,7 @@ def joined(parts: Sequence[Flats]) -> Flats:
                  strung("first", "starts"), loose("starts"), loose("ends"),
                  np.concatenate(loop_of).astype(np.int32), np.concatenate(loops).astype(np.int32), loose("mirrors"),
                  loose("sizes").astype(np.int32), np.concatenate(flat_of).astype(np.int32),
-                 loose("widths"), loose("across"))  # fmt: skip
+                 loose("widths"), loose("across"), loose("smooth").astype(np.bool_))  # fmt: skip
 
 
 def _clusters(centres: Floats, sizes: Floats) -> tuple[NDArray[np.int64], Ints]:

@@ -73,29 +73,34 @@ def lay_flats(
     if not len(which):
         return []
     limits = limits_of(flats, view, ready.gate[1], ready.fold_s)
-    return lay_parted(ready, parts, flats, view, which, rims(ready, flats, view, which, limits), limits, grids)
+    rim = rims(ready, flats, view, which, limits)
+    return [lay_parted(ready, flats, view, which, rim, limits, lambda at, _: shading(ready, parts, view, at), grids)]
+
+
+Shading = Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
+"""Factor (m) and delay (m) [s] of what stands before points (m, 3), told the face (m) of each."""
 
 
 def lay_parted(
     ready: Bench,
-    parts: list[Surfaces],
     flats: Flats,
     view: View,
     which: Longs,
     rim: Rim,
     limits: Floats,
+    shading_of: Shading,
     grids: Complexes,
-) -> list[Laid]:
+) -> Laid:
     """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends."""
     points = np.empty((len(which), 9))
     count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, view.origins[None], limits,
                            points)  # fmt: skip
     points, which = points[:count], which[:count]
-    looks, seats, open_ = _looks(ready, flats, rim, points, which)
-    shade, extra = shading(ready, parts, view, looks)
+    looks, owner, seats, open_ = _looks(ready, flats, rim, points, which)
+    shade, extra = shading_of(looks, owner)
     factor, late = _mean(shade[len(shade) - open_.size :], extra[len(extra) - open_.size :], open_)
     shade, extra = np.concatenate([shade[seats], factor]), np.concatenate([extra[seats], late])
-    return [lay_rim(rim, points, which, shade, extra, (flats.normals, flats.stuffs, *common(ready, view, grids)))]
+    return lay_rim(rim, points, which, shade, extra, (flats.normals, flats.stuffs, *common(ready, view, grids)))
 
 
 def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /) -> Laid:
@@ -113,11 +118,11 @@ def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Flo
 
 def _looks(
     ready: Bench, flats: Flats, rim: Rim, points: Floats, which: Longs
-) -> tuple[Floats, Longs, NDArray[np.bool_]]:
+) -> tuple[Floats, NDArray[np.integer], Longs, NDArray[np.bool_]]:
     """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 
-    Ends from which a piece goes on are seen where it is. Also which of these looks each piece and end is seen by, and
-    which points of the zones lie on their faces (k, _ZONE).
+    Ends from which a piece goes on are seen where it is. Also on which face each look lies, which of the looks each
+    piece and end is seen by, and which points of the zones lie on their faces (k, _ZONE).
     """
     free = rim.ties < 0
     lone = rim.tips[free]
@@ -128,11 +133,12 @@ def _looks(
     radius = np.sqrt(ready.spec.wavelength_m * points[:, 3] / 4)[:, None, None]
     spread = _ZONE @ flats.across[which]
     zone = (points[:, None, :3] + radius * spread).reshape(-1, 3)
+    around = np.repeat(which, len(_ZONE))
     within = np.empty(len(zone), np.bool_)
-    draw.inside(zone, np.repeat(which, len(_ZONE)), flats.normals, flats.first, flats.starts, flats.ends, within)
+    draw.inside(zone, around, flats.normals, flats.first, flats.starts, flats.ends, within)
     held = within.reshape(len(points), len(_ZONE))
     held[:, 0] = True
-    return np.concatenate([spots, zone]), seats, held
+    return np.concatenate([spots, zone]), np.concatenate([rim.owner, rim.holders[free], around]), seats, held
 
 
 def _mean(shade: Complexes, extra: Floats, held: NDArray[np.bool_]) -> tuple[Complexes, Floats]:

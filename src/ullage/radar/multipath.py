@@ -18,6 +18,7 @@ from ullage.kernels import bounces, edges
 from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.flats import lay_rim, parted
+from ullage.radar.mirrors import mirrored
 from ullage.radar.physical import Bench, Laid, View, common
 from ullage.radar.visibility import between
 from ullage.radar.zones import shares
@@ -28,6 +29,8 @@ Longs = NDArray[np.int64]
 
 MIRRORS = 32
 """At most so many mirrors are used, those that look largest from the radar."""
+PLAIN = 500
+"""In worlds of more flat faces than this curved surfaces are not seen over others: they would cost more than these."""
 FADE = 0.1
 """Mirrors and end faces fade in over this share of the size at which they are taken, so that none comes at a stroke."""
 FAINT = 1e-3
@@ -90,24 +93,40 @@ def _chosen(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Cho
     Each has a weight that rises from 0 as it comes to look larger than the largest one left out, so that the choice,
     made anew at each pose, changes nothing suddenly along a track.
     """
+    look = looks(flats, view, gate_m, wavelength_m)
+    narrow = curved(flats) & (flats.widths.min(1, initial=np.inf) < np.sqrt(wavelength_m * gate_m / 2))
+    look[narrow] = 0  # done by `curves`, with one bounce at them
+    mirrors, mirror_weights = most_looked(look[flats.flat_of])
+    return Chosen(mirrors, mirror_weights, *most_looked(look))
+
+
+def curved(flats: Flats) -> NDArray[np.bool_]:
+    """Which faces (p) are facets of curved surfaces, seen over other faces by `curves`; none in large worlds."""
+    return flats.smooth & bool((~flats.smooth).sum() <= PLAIN)
+
+
+def looks(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Floats:
+    """How large each face (p) looks, less what it lacks of a Fresnel zone; 0 beyond the gate."""
     away = flats.spheres[:, :3] - view.origins[0]
     gap = np.sqrt(np.einsum("ni,ni->n", away, away)) + 1e-3
     near = np.flatnonzero(gap - flats.spheres[:, 3] <= gate_m)
     gap = gap[near]
     zone = np.sqrt(wavelength_m * gap / 2)
-    looks = np.zeros(len(flats))
-    looks[near] = flats.spheres[near, 3] / gap
+    out = np.zeros(len(flats))
+    out[near] = flats.spheres[near, 3] / gap
     for side in range(2):
-        looks[near] *= np.minimum(flats.widths[near, side] / zone, 1)
+        out[near] *= np.minimum(flats.widths[near, side] / zone, 1)
+    return out
 
-    def largest(look: Floats) -> tuple[Longs, Floats]:
-        least = np.partition(look, -MIRRORS - 1)[-MIRRORS - 1] if len(look) > MIRRORS else 0.0
-        which = np.flatnonzero(look > least)
-        weights = np.zeros(len(look))
-        weights[which] = np.minimum((look[which] / max(least, 1e-12) - 1) / FADE, 1)
-        return which, weights
 
-    return Chosen(*largest(looks[flats.flat_of]), *largest(looks))
+def most_looked(look: Floats, count: int | None = None) -> tuple[Longs, Floats]:
+    """Which of all (n) look largest, `MIRRORS` or so many, and what each of all counts."""
+    count = MIRRORS if count is None else count
+    least = np.partition(look, -count - 1)[-count - 1] if len(look) > count else 0.0
+    which = np.flatnonzero(look > least)
+    weights = np.zeros(len(look))
+    weights[which] = np.minimum((look[which] / max(least, 1e-12) - 1) / FADE, 1)
+    return which, weights
 
 
 def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:
@@ -125,17 +144,15 @@ def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
     chain, on = chain[:made], on[:made]
     weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
+    bent = curved(flats)
+    if bent.any():
+        met = np.concatenate([flats.flat_of[chain], on[:, None]], 1)
+        weights[(bent[met] & (np.column_stack([chain, on]) >= 0)).sum(1) == 1] = 0
     double = chain[:, 1] >= 0
     weights[double] *= chosen.mirror_weights[chain[double, 1]]
     faces = np.where(chain >= 0, flats.flat_of[chain], -1).astype(np.int64)
-    firsts = _mirrored(view.origins[0], flats, faces[:, 0]) if made else np.zeros((0, 3))
+    firsts = mirrored(view.origins[0], flats, faces[:, 0]) if made else np.zeros((0, 3))
     return Beams(apex[:made], firsts, faces, on, first[: made + 1], edges[:used], weights)
-
-
-def _mirrored(point: Floats, flats: Flats, faces: Longs) -> Floats:
-    """Mirror images of a point in faces."""
-    n = flats.normals[faces]
-    return np.asarray(point - 2 * (n @ point - flats.offsets[faces])[:, None] * n)
 
 
 def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: Beams, grids: Complexes) -> list[Laid]:

@@ -182,10 +182,12 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
 
         out.append(lay_grit(ready, parts, view, poses, grids))
     if max_bounces > 1:
+        from ullage.radar.curves import lay_curves
         from ullage.radar.multipath import lay_bounces
 
         flats = joined([part.flats for part in parts])
         out += lay_bounces(ready, parts, flats, view, max_bounces, grids)
+        out += lay_curves(ready, parts, flats, view, max_bounces, grids)
         if len(ready.lines):
             from ullage.radar.wire_bounces import lay_wire_bounces
 
@@ -208,11 +210,24 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | 
 
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
     leaves, owner = triangles(ready, part, view)
-    middle = leaves.mean(1)
-    shade, extra = shading(ready, parts, view, middle)
+    shade, extra = shading(ready, parts, view, leaves.mean(1))
+    return lay_triangles(ready, part.normals, part.stuffs, (leaves, owner), (shade, extra), view, grids)
+
+
+def lay_triangles(
+    ready: Bench,
+    normals: Floats,
+    stuffs: NDArray[np.int32],
+    pieces: tuple[Floats, NDArray[np.int32]],
+    between: tuple[Complexes, Floats],
+    view: View,
+    grids: Complexes,
+) -> Laid:
+    """Lays pieces of triangles, as `triangles` gives them, with factor and delay [s] of what stands before each."""
+    (leaves, owner), (shade, extra) = pieces, between
     echo, delay = np.empty(len(leaves), complex), np.empty(len(leaves))
-    kernel.deposit(leaves, owner, shade, extra, part.normals, part.stuffs, *common(ready, view, grids), echo, delay)
-    return Laid(part.stuffs[owner], middle, echo, delay)
+    kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *common(ready, view, grids), echo, delay)
+    return Laid(stuffs[owner], leaves.mean(1), echo, delay)
 
 
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
@@ -236,7 +251,11 @@ def grown(
 
 def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
     """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
-    dark = part.backs.hidden(view.origins, ~ready.sheets.thin[part.stuffs])
+    opaque = ~ready.sheets.thin[part.stuffs]
+    if near(*view.origins):
+        dark = part.backs.hidden(view.origins, opaque)
+    else:  # a face takes from one place and gives to the other
+        dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
         part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
         KAPPA * ready.spec.wavelength_m, REACH, out, owner))  # fmt: skip
@@ -245,10 +264,15 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
 def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
     """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
     one, other = view.origins
-    if ((one - other) ** 2).sum() < _ONE_EYE_M**2:
+    if near(one, other):
         return seen(parts, (one + other) / 2, points, ready.sheets)
     (factor, late), (back, later) = (seen(parts, eye, points, ready.sheets) for eye in (one, other))
     return np.sqrt(factor) * np.sqrt(back), (late + later) / 2
+
+
+def near(one: Floats, other: Floats) -> bool:
+    """Whether two antennas (3) see the same, being as near to each other as this."""
+    return bool(((one - other) ** 2).sum() < _ONE_EYE_M**2)
 
 
 _ONE_EYE_M = 0.1  # antennas nearer to each other than this see the same, as seen from between them

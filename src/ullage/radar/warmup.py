@@ -35,6 +35,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "rough": ("grit",),
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
+    "curves": ("ways",),
     "conductors": ("lines", "fringe", "double_fringe"),
 }
 """Kernel modules behind each part of a radar."""
@@ -55,13 +56,16 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     """The parts of `NEEDED` behind a radar, in a world where that is known."""
     if fidelity != "physical":
         return (fidelity,)
-    there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True}
+    there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True, "curves": max_bounces > 1}
     if scene is not None:
+        from ullage.radar.multipath import PLAIN
         from ullage.radar.prepared import prepare
 
         made = prepare(scene)
         there["rough"] = any(material.roughness_m > 0 for material in made.materials)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
+        curvy = made.still.flats.smooth.any() or len(made.still.corners) or made.moving.any()
+        there["curves"] &= bool(curvy and 0 < (~made.still.flats.smooth).sum() <= PLAIN)
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
 
@@ -293,11 +297,13 @@ def _rims() -> None:
 
 def _echoes() -> None:
     from ullage.radar.flats import Rim, lay_parted
+    from ullage.radar.physical import shading
 
     ready, view = _bench(_room())
     flats, none = ready.world.still.flats, np.zeros(0, np.int32)
     rim = Rim(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(len(flats)))
-    lay_parted(ready, ready.world.parts(), flats, view, np.arange(len(flats)), rim, np.full(len(flats), 9.0),
+    lay_parted(ready, flats, view, np.arange(len(flats)), rim, np.full(len(flats), 9.0),
+               lambda at, _: shading(ready, ready.world.parts(), view, at),
                np.zeros((3, ready.places), complex))  # fmt: skip
 
 
@@ -323,6 +329,18 @@ def _paths() -> None:
                     np.zeros(0, complex), np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)))  # fmt: skip
 
 
+def _curves() -> None:
+    """The kernels of `curves` alone, on no points at all."""
+    from ullage.kernels import ways
+
+    ready, view = _bench(_room())
+    flats, faces = ready.world.still.flats, np.full((2, 2), -1, np.int64)
+    points, stops = np.zeros((0, 3)), np.zeros((2, 4, 0, 3))
+    ways.corners(points, faces, np.zeros((2, 3, 3)), flats.normals, flats.offsets, stops, np.zeros(0, np.bool_))
+    ways.weigh(stops, np.zeros(0, np.int64), faces, view.fields, flats.normals, flats.stuffs, flats.widths,
+               ready.spec.wavelength_m, ready.gamma, np.zeros(0, np.int32), np.zeros(0, complex))  # fmt: skip
+
+
 def _shapes() -> None:
     from ullage.world import scenes
 
@@ -346,6 +364,7 @@ JOBS: tuple[Job, ...] = (
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 3, _paths),
+    Job("ways to curved faces", "curves", 2, _curves),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
     Job(

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.kernels import rims as draw
 from ullage.kernels import wires as string
 from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.mirrors import across, crossing, dot, mirrored, reflected, unit
 from ullage.radar.multipath import chosen_faces
 from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown
 from ullage.radar.visibility import between
@@ -54,7 +54,7 @@ def lay_wire_bounces(
     starts, ends = placed(ready.lines, poses)
     faces, weights = chosen_faces(ready, flats, view)
     away = flats.spheres[faces, :3] - view.origins[0]
-    looks = flats.spheres[faces, 3] / np.maximum(np.sqrt(_dot(away, away)), 1e-3) * weights[faces]
+    looks = flats.spheres[faces, 3] / np.maximum(np.sqrt(dot(away, away)), 1e-3) * weights[faces]
     faces = faces[np.argsort(-looks)[:FACES]]
     out = []
     same = bool((view.origins[0] == view.origins[1]).all())  # there over the face and back over it are one wave, twice
@@ -62,7 +62,7 @@ def lay_wire_bounces(
         if same and bent == (False, True):
             continue
         times = 2.0 if same and not all(bent) else 1.0
-        at = np.stack([_mirrored(o, flats, faces) if b else np.broadcast_to(o, (len(faces), 3))
+        at = np.stack([mirrored(o, flats, faces) if b else np.broadcast_to(o, (len(faces), 3))
                        for o, b in zip(view.origins, bent, strict=True)], 1)  # fmt: skip
         spot, held = _held(flats, faces, bent, at, view, starts, ends, ready.gate[1])
         for row in np.flatnonzero(held.any(1)):
@@ -71,11 +71,6 @@ def lay_wire_bounces(
             laid = _lay(ready, parts, flats, view, way, np.flatnonzero(held[row]), spot[row], (starts, ends), grids)
             out += [laid] if laid is not None else []
     return out
-
-
-def _mirrored(point: Floats, flats: Flats, faces: Longs) -> Floats:
-    n = flats.normals[faces]
-    return np.asarray(point - 2 * (n @ point - flats.offsets[faces])[:, None] * n)
 
 
 def _held(
@@ -95,23 +90,9 @@ def _held(
     for side in range(2):
         if bent[side]:
             f, w = np.nonzero(held)
-            _, met = _crossing(flats, faces[f], at[f, side], view.origins[side], spot[f, w])
+            _, met = crossing(flats, faces[f], at[f, side], view.origins[side], spot[f, w])
             held[f, w] = met
     return spot, held
-
-
-def _crossing(
-    flats: Flats, faces: Longs, images: Floats, origin: Floats, points: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Where the lines from images to points (n, 3) cross their faces, and whether within their rims, from in front."""
-    n, d = flats.normals[faces], flats.offsets[faces]
-    here, there = np.einsum("ni,ni->n", n, images) - d, np.einsum("ni,ni->n", n, points) - d
-    span = here - there
-    share = here / np.where(abs(span) < 1e-12, 1.0, span)
-    out = np.ascontiguousarray(images + share[:, None] * (points - images))
-    within = np.empty(len(out), np.bool_)
-    draw.inside(out, np.ascontiguousarray(faces), flats.normals, flats.first, flats.starts, flats.ends, within)
-    return out, within & ((n @ origin - d) * there > 0)
 
 
 def _lay(
@@ -128,7 +109,7 @@ def _lay(
         seen_from = np.broadcast_to(view.origins[side], middle.shape)
         if way.bent[side]:
             faces = np.full(len(middle), way.face, np.int64)
-            corner, met = _crossing(
+            corner, met = crossing(
                 flats, faces, np.broadcast_to(origins[side], middle.shape), view.origins[side], middle
             )
             free &= met
@@ -139,7 +120,7 @@ def _lay(
         return None
     series = np.zeros((len(which), *lines.series.shape[1:]), complex)
     lit = np.unique(owner[free])
-    series[lit] = _series(ready, flats, view, way, lines.modes[which[lit]], _unit(ends - starts)[lit], spot[which[lit]])
+    series[lit] = _series(ready, flats, view, way, lines.modes[which[lit]], unit(ends - starts)[lit], spot[which[lit]])
     n, frames = flats.normals[way.face], view.frames.copy()
     for side in range(2):
         if way.bent[side]:
@@ -159,13 +140,13 @@ def _series(
 ) -> Complexes:
     """Series (w, 2, sines) of wires as the receiver's polarisation takes it: both rows alike."""
     n, stuff = flats.normals[way.face], int(flats.stuffs[way.face])
-    coming, going = _unit(spot - way.ends[0]), _unit(way.ends[1] - spot)
+    coming, going = unit(spot - way.ends[0]), unit(way.ends[1] - spot)
     sent, taken = (_field(ready, view.fields[s], u, n, stuff, way.bent[s]) for s, u in ((0, coming), (1, -going)))
-    cosine = _dot(_along(coming, axis), _along(going, axis))
+    cosine = dot(across(coming, axis), across(going, axis))
     tm, te = np.moveaxis(scattered(modes, np.arccos(np.clip(cosine, -1, 1))), 1, 0)
-    plane = _dot(sent, _along(axis, coming)) * _dot(taken, _along(axis, going))
-    across = _dot(sent, _unit(np.cross(axis, coming))) * _dot(taken, _unit(np.cross(axis, going)))
-    both = plane[:, None] * tm + across[:, None] * te
+    plane = dot(sent, across(axis, coming)) * dot(taken, across(axis, going))
+    level = dot(sent, unit(np.cross(axis, coming))) * dot(taken, unit(np.cross(axis, going)))
+    both = plane[:, None] * tm + level[:, None] * te
     return np.stack([both, both], 1)
 
 
@@ -175,24 +156,8 @@ def _field(ready: Bench, field: Floats, u: Floats, n: Floats, stuff: int, bent: 
     A receiver's is that of the wave which it would send.
     """
     first = u - 2 * (u @ n)[:, None] * n if bent else u
-    start = _along(np.broadcast_to(field, u.shape), first).astype(complex)
+    start = across(np.broadcast_to(field, u.shape), first).astype(complex)
     if not bent:
         return start
-    cosine, grid = abs(first @ n), np.linspace(0, 1, ready.gamma.shape[3])
-    te, tm = (np.interp(cosine, grid, ready.gamma[stuff, 0, k])[:, None] for k in range(2))
-    side = _unit(np.cross(first, n))
-    out = tm * start + (te - tm) * _dot(side, start)[:, None] * side
-    return np.asarray(out - 2 * (out @ n)[:, None] * n)
-
-
-def _dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
-    return np.asarray((a * b).sum(1))
-
-
-def _along(vectors: Floats, u: Floats) -> Floats:
-    """Unit vectors along those parts of some that stand across u."""
-    return _unit(vectors - _dot(vectors, u)[:, None] * u)
-
-
-def _unit(vectors: Floats) -> Floats:
-    return np.asarray(vectors / np.maximum(np.sqrt(_dot(vectors, vectors)), 1e-12)[:, None])
+    normals, stuffs = np.broadcast_to(n, u.shape), np.full(len(u), stuff)
+    return reflected(ready.gamma, stuffs, start, first, normals)

@@ -1,0 +1,259 @@
+"""Curved surfaces over flat faces: against a plate that is not meshed, image and object, a dense sum; shadow, names."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.radar import curves
+from ullage.radar.multipath import beams_of, curved
+from ullage.radar.penetration import fresnel
+from ullage.radar.physical import bench, path_gain_cw, view_of
+from ullage.world import scenes
+from ullage.world.scene import Scene
+
+WAVELENGTH = 299792458 / 7.29e9
+K = 2 * np.pi / WAVELENGTH
+
+
+def radar(**changes):
+    antenna = {"kind": "isotropic", "polarization": "horizontal"}
+    return ul.RadarSpec.preset("x4m05", noise=None, antenna=antenna, **changes)
+
+
+def at(*position, roll_deg=0.0):
+    half = np.deg2rad(roll_deg) / 2
+    pose = ul.Trajectory.stationary(position)
+    return replace(pose, quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
+
+
+def mesh(vertices, faces, name, material="pec"):
+    return Scene.of_mesh(np.asarray(vertices, float), np.asarray(faces), name=name, made_of=material)
+
+
+def floor(size=8.0, material="pec", centre=(2.0, 0.0), depth=1.0, half=None):
+    x, y = half or (size / 2, size / 2)
+    corners = [[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]]
+    return mesh(np.array(corners) + np.array([*centre, -depth]), [[0, 1, 2], [0, 2, 3]], "floor", material)
+
+
+def wall(cells, width=0.6, height=0.6, ahead=2.0, foot=-1.0, yaw_deg=0.0, tilt_deg=0.0, dent_m=5e-5):
+    """An upright plate in cells x cells quadrangles, whose inner corners lie a little off its plane where it is cut."""
+    u = np.linspace(-0.5, 0.5, cells + 1)
+    y, z = (a.ravel() for a in np.meshgrid(u * width, u * height, indexing="ij"))
+    x = np.random.default_rng(3).uniform(-dent_m, dent_m, len(y)) if cells > 1 else np.zeros(len(y))
+    a, b = np.deg2rad(tilt_deg), np.deg2rad(yaw_deg)
+    points = np.stack([x, y, z + height / 2], 1)
+    points = points @ np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    points = points @ np.array([[np.cos(b), np.sin(b), 0], [-np.sin(b), np.cos(b), 0], [0, 0, 1]])
+    k = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
+    n = cells + 1
+    faces = np.concatenate([np.stack([k, k + n, k + n + 1], 1), np.stack([k, k + n + 1, k + 1], 1)])
+    return mesh(points + np.array([ahead, 0, foot]), faces, "wall")
+
+
+def ball(radius=0.1, centre=(2.0, 0.0, -0.5), step_m=0.02):
+    """A closed sphere of small triangles."""
+    lone = scenes.sphere(radius, 2.0, edge_m=step_m)
+    return replace(lone, vertices=lone.vertices + np.array(centre) - [2.0, 0, 0])
+
+
+def tank(strips, radius=2.0, height=1.2, rows=1, material="pec"):
+    angle = 2 * np.pi * np.arange(strips) / strips
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], 1)
+    levels = np.linspace(0, height, rows + 1)
+    side = np.concatenate([ring + np.array([0, 0, z]) for z in levels])
+    i = np.arange(strips)
+    j = (i + 1) % strips
+    faces = [np.stack(f, 1) + r * strips for r in range(rows)
+             for f in ((i, j, j + strips), (i, j + strips, i + strips))]  # fmt: skip
+    ground = [[0, k, k + 1] for k in range(1, strips - 1)]
+    return Scene.union([mesh(ring, ground, "floor", material), mesh(side, np.concatenate(faces), "wall", material)])
+
+
+def order(scene, pose, spec, bounces):
+    """What the paths of just so many bounces add, at the carrier."""
+    return path_gain_cw(scene, pose, spec, max_bounces=bounces)[0] - path_gain_cw(
+        scene, pose, spec, max_bounces=bounces - 1)[0]  # fmt: skip
+
+
+def db(ratio):
+    return 20 * np.log10(abs(ratio))
+
+
+def kinds(scene):
+    still = bench(scene, radar()).world.still
+    return len(still.corners), int(still.flats.smooth.sum()), len(still.flats)
+
+
+def test_what_is_curved():
+    assert kinds(Scene.union([floor(), wall(12)])) == (288, 0, 1)  # small triangles
+    assert kinds(Scene.union([floor(), wall(3)]))[:2] == (0, 16)  # two triangles have but one neighbour
+    assert kinds(Scene.union([floor(), wall(1)])) == (0, 0, 2)
+    assert kinds(tank(24)) == (0, 24, 25)
+    assert kinds(tank(12))[1] == 0  # walls that meet at 30 deg are flat walls
+    assert kinds(scenes.room((4, 3, 2)))[1] == 0
+
+
+@pytest.mark.parametrize("cells", [3, 12])
+@pytest.mark.parametrize(("yaw_deg", "tilt_deg", "height"), [(0, 0, 0.0), (0, 0, 0.7), (8, 0, 0.3), (20, 0, 0.0)])
+def test_a_meshed_plate_on_a_floor_is_the_plate(cells, yaw_deg, tilt_deg, height):
+    """Facets of 0.2 m and triangles of 0.05 m against the one face of the same plate, amplitude and phase."""
+    spec, pose = radar(), at(0, 0, height)
+    whole, cut = (
+        order(Scene.union([floor(), wall(n, yaw_deg=yaw_deg, tilt_deg=tilt_deg)]), pose, spec, 2) for n in (1, cells)
+    )
+    if yaw_deg <= 10:
+        assert db(cut / whole) == pytest.approx(0, abs=0.5)
+        assert abs(np.angle(cut / whole)) < 0.06
+    else:  # 23 dB under the facing plate; a sum point by point lies between the two
+        facing = order(Scene.union([floor(), wall(1)]), pose, spec, 2)
+        assert abs(cut - whole) < 0.01 * abs(facing)
+
+
+@pytest.mark.parametrize(("step_m", "within_db"), [(0.02, 0.1), (0.2, 0.5)])
+def test_a_ball_over_a_floor_is_the_ball_and_its_image(step_m, within_db):
+    """With the floor away and the antennas where the floor has their images: across the plane of incidence a
+    conductor turns the sign at each bounce. Small triangles, and facets large enough to be done by their rims."""
+    radius = 0.1 if step_m < 0.1 else 0.8
+    alone = ball(radius, centre=(3.0, 0, 0.0), step_m=step_m)
+    both, ground = Scene.union([floor(12.0), alone]), floor(12.0)
+    spec, here = radar(), at(0, 0, 0)
+    upright = spec.but(antenna_offset_m=2.0, antenna={"kind": "isotropic", "polarization": "vertical"})
+    cross = path_gain_cw(alone, at(0, 0, -1.0, roll_deg=90), upright, edges=False)[0]
+    image = path_gain_cw(alone, at(0, 0, -2.0), spec, edges=False)[0]
+    once = order(both, here, spec, 2) - order(ground, here, spec, 2)
+    twice = order(both, here, spec, 3)
+    assert db(once / (-2 * cross)) == pytest.approx(0, abs=within_db)
+    assert abs(np.angle(once / (-2 * cross))) < 0.2 * within_db
+    assert db(twice / image) == pytest.approx(0, abs=within_db)
+    assert abs(np.angle(twice / image)) < 0.2 * within_db
+
+
+def test_a_floor_of_concrete_keeps_of_the_wave_what_fresnel_says():
+    spec, pose = radar(), at(0, 0, 0)
+    both = [order(Scene.union([floor(12.0, m), ball()]), pose, spec, 2) for m in ("concrete", "pec")]
+    eps = floor(1.0, "concrete").objects[0].material.permittivity(spec.center_hz)
+    cosine = 1.5 / np.hypot(2.0, 1.5)  # by the image of the ball's middle
+    assert abs(both[0] / both[1]) == pytest.approx(abs(fresnel(eps, cosine)[0]), rel=0.02)
+
+
+@pytest.mark.parametrize("target", [ball(), wall(12, yaw_deg=10), tank(24)])
+def test_sending_and_receiving_may_be_exchanged(target):
+    if target.objects[0].name == "floor":
+        scene = replace(target, vertices=target.vertices - [0.3, 0, 0.5])
+    else:
+        scene = Scene.union([floor(material="concrete"), target])
+    spec = radar(antenna_offset_m=0.4)
+    for bounces in (2, 3):
+        one, other = (order(scene, at(0, 0.1, 0, roll_deg=r), spec, bounces) for r in (0, 180))
+        assert one == pytest.approx(other, rel=1e-3)
+
+
+def test_a_small_offset_of_the_antennas_changes_little():
+    scene = Scene.union([floor(), ball()])
+    together, apart = (order(scene, at(0, 0, 0), radar(antenna_offset_m=d), 2) for d in (0.0, 1e-6))
+    assert together == pytest.approx(apart, rel=1e-4)
+
+
+def test_nothing_is_counted_twice():
+    """Of paths with one bounce at a curved surface, none is left to the mirrors; flat faces leave none to this."""
+    spec = radar()
+    ready = bench(tank(24), spec)
+    flats, view = ready.world.still.flats, view_of(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
+    beams = beams_of(ready, flats, view, 3)
+    faces = np.column_stack([beams.chains, beams.ends_on])
+    bent = (curved(flats)[faces] & (faces >= 0)).sum(1)
+    assert not beams.weights[bent == 1].any()
+    room = bench(scenes.room((4, 3, 2)), spec)
+    grids = np.zeros((3, room.places), complex)
+    assert curves.lay_curves(room, [room.world.still], room.world.still.flats, view, 3, grids) == []
+
+
+def test_a_tanks_corner_of_floor_and_wall_is_the_dense_sum_over_its_wall():
+    """Kirchhoff's integral from the image over 40 strips, point by point; the floor alone has no corner."""
+    pose, spec = np.array([0.5, 0.2, 0.5]), radar()
+    strips, radius, height = 40, 2.0, 1.2
+    angle = 2 * np.pi * np.arange(strips + 1) / strips
+    ring = radius * np.stack([np.cos(angle), np.sin(angle)], 1)
+    step = 0.01
+    v = (np.arange(int(height / step)) + 0.5) * step
+    total = np.zeros(2, complex)
+    for p, q in pairwise(ring):
+        u = (np.arange(32) + 0.5) / 32
+        points = np.concatenate([np.repeat(p + u[:, None] * (q - p), len(v), 0), np.tile(v, 32)[:, None]], 1)
+        normal = np.append((q - p)[::-1] * [1, -1], 0) / np.linalg.norm(q - p)
+        patch = np.linalg.norm(q - p) * height / len(points)
+        for k, ends in enumerate((([1, 1, -1], [1, 1, 1]), ([1, 1, -1], [1, 1, -1]))):
+            legs = [points - pose * end for end in ends]
+            sizes = [np.linalg.norm(leg, axis=1) for leg in legs]
+            ways = [leg / size[:, None] for leg, size in zip(legs, sizes, strict=True)]
+            fields = []
+            for way, end in zip(ways, ends, strict=True):
+                sent = way * end
+                field = np.array([0, 1.0, 0]) - sent[:, 1:2] * sent
+                field /= np.linalg.norm(field, axis=1)[:, None]
+                fields.append(field * end * -1 if end[2] < 0 else field)  # a conductor keeps the normal part
+            half = ways[0] + ways[1]
+            half /= np.linalg.norm(half, axis=1)[:, None]
+            back = 2 * (fields[0] * half).sum(1)[:, None] * half - fields[0]
+            cosine = abs(ways[0] @ normal + ways[1] @ normal) / 2
+            wave = np.exp(-1j * K * (sizes[0] + sizes[1])) / (sizes[0] * sizes[1])
+            total[k] += 1j / (4 * np.pi) * patch * ((back * fields[1]).sum(1) * cosine * wave).sum()
+    for rows in (1, 12):
+        scene = tank(strips, radius, height, rows)
+        found = [order(scene, at(*pose), spec, b) for b in (2, 3)]
+        assert abs(found[0] - 2 * total[0]) < 0.05 * abs(2 * total[0])
+        assert abs(found[1] - total[1]) < 0.1 * abs(total[1]) + 0.01 * abs(total[0])
+
+
+def test_a_dihedral_with_one_side_meshed_has_its_radar_cross_section():
+    edge, away = 0.2, 7.0
+    root = np.sqrt(0.5)
+    spec, pose = radar(), at(-away * root, 0, away * root)
+    ground = floor(half=(edge / 2, edge / 2), centre=(-edge / 2, 0.0), depth=0.0)
+    scene = Scene.union([ground, wall(4, edge, edge, ahead=0.0, foot=0.0)])
+    section = 8 * np.pi * edge**4 / WAVELENGTH**2  # on the axis, sides of edge x edge
+    want = np.sqrt(WAVELENGTH**2 * section / (4 * np.pi) ** 3) / away**2
+    assert db(abs(order(scene, pose, spec, 2)) / want) == pytest.approx(0, abs=0.7)
+
+
+def heard_over_floor(scene):
+    told = ul.explain(scene, at(0, 0, 0), radar(), 0, max_bounces=2, count=200)
+    return [c for c in told if c.object == "sphere" and c.via == ("floor",)]
+
+
+def test_it_is_told_by_name_and_a_leg_that_is_blocked_gives_nothing():
+    open_ = Scene.union([floor(), ball()])
+    best = max(heard_over_floor(open_), key=lambda c: c.path_gain_db)
+    image = np.linalg.norm(np.array([2.0, 0, -0.5]) - [0, 0, -2.0])
+    direct = np.linalg.norm([2.0, 0, -0.5])
+    assert best.bounces == 2
+    assert best.range_m == pytest.approx((image + direct) / 2 - 0.1, abs=0.03)
+    assert np.linalg.norm(np.array(best.point) - [2.0, 0, -0.5]) == pytest.approx(0.1, abs=0.01)
+    # the wave to the floor passes x = 0.6 at z = -0.45, the wave to the ball at z = -0.15
+    fence = mesh([[0.6, -3, -1.0], [0.6, 3, -1.0], [0.6, 3, -0.25], [0.6, -3, -0.25]], [[0, 1, 2], [0, 2, 3]], "fence")
+    assert heard_over_floor(Scene.union([floor(), ball(), fence])) == []
+    assert any(c.object == "sphere" for c in ul.explain(Scene.union([floor(), ball(), fence]), at(0, 0, 0), radar(), 0))
+    short = Scene.union([floor(centre=(-3.0, 0.0)), ball()])  # ends at x = 1, before the wave would meet it
+    assert heard_over_floor(short) == []
+
+
+def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
+    monkeypatch.setattr(curves, "FACES", 2)
+    scene = Scene.union([scenes.room((5, 4, 2.4)), ball(centre=(1.0, 0.0, 0.0))])
+    path = ul.Trajectory.line((-0.6, -0.02, 0.3), (-0.6, 0.02, 0.3), 0.5, 400)
+    spec = radar()
+    faces = set()
+    flats = bench(scene, spec).world.still.flats
+    for place in path.position:
+        ready = bench(scene, spec)
+        view = view_of(spec, place, np.eye(3))
+        faces.add(tuple(w.legs[0].faces + w.legs[1].faces for w in curves._ways(ready, flats, view, 2)))
+    both = [ul.simulate(scene, path, spec, max_bounces=b).samples for b in (1, 2)]
+    bare = [ul.simulate(scenes.room((5, 4, 2.4)), path, spec, max_bounces=b).samples for b in (1, 2)]
+    change = abs(np.diff((both[1] - both[0]) - (bare[1] - bare[0]), axis=0)).max(1)
+    assert len(faces) > 0
+    assert change.max() < 0.3 * abs(both[1] - both[0]).max()
