@@ -70,7 +70,11 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert radar_parts("physical", 1, ul.scenes.sphere(0.2, 2.0, material="wood")) == ("physical", "shapes")
     assert radar_parts("physical", 1, ul.scenes.wire(0.001, 0.5, 2.0)) == ("physical", "shapes")
     assert radar_parts("physical", 1, ul.scenes.plate(0.5, 0.5, 2.0)) == ("physical", "conductors")
-    assert set(radar_parts("physical")) == {"physical", "rough", "bounces", "shapes", "conductors"}
+    tank = ul.scenes.tank(2.0, 1.0, "concrete", strips=30)
+    assert radar_parts("physical", 1, tank) == ("physical",)
+    assert radar_parts("physical", 2, tank) == ("physical", "bounces", "curves")
+    assert "curves" not in radar_parts("physical", 3, ul.scenes.hold())
+    assert set(radar_parts("physical")) == {"physical", "rough", "bounces", "shapes", "conductors", "curves"}
 
 
 def test_jobs_are_shared_evenly_and_what_needs_others_waits_in_this_process() -> None:

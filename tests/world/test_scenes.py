@@ -136,6 +136,18 @@ def test_room_is_closed_named_and_holds_its_plate():
     assert (inward < 0).all()
 
 
+def test_tank_is_round_upright_and_open():
+    tank = ul.scenes.tank(2.0, 1.5, strips=60)
+    assert [o.name for o in tank.objects] == ["floor", "wall"]
+    corners = tank.corners()
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    wall = tank.face_object == 1
+    assert area[wall].sum() == pytest.approx(60 * 4 * np.sin(np.pi / 60) * 1.5)
+    assert area[~wall].sum() == pytest.approx(30 * 4 * np.sin(2 * np.pi / 60))
+    np.testing.assert_allclose(np.hypot(*tank.vertices[:, :2].T), 2.0)
+    np.testing.assert_allclose(tank.bounds[:, 2], [0, 1.5])
+
+
 def test_floor_lies_level():
     scene = ul.scenes.floor((4, 2), -1.2)
     assert scene.bounds == pytest.approx(np.array([[-2, -1, -1.2], [2, 1, -1.2]]))
@@ -165,6 +177,8 @@ def test_floor_lies_level():
         ),
         (lambda: ul.scenes.room(plate={"width_m": 1, "height_m": 1, "distance_m": 3.5}), "reaches through a wall"),
         (lambda: ul.scenes.floor("ab"), "floor: size_m"),
+        (lambda: ul.scenes.tank(0), "tank: radius_m is 0"),
+        (lambda: ul.scenes.tank(strips=2), "tank: strips is 2"),
     ],
 )
 def test_bad_numbers_are_refused_by_name(call, words):

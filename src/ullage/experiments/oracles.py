@@ -53,6 +53,42 @@ def dense_dihedral(edge_m: float, distance_m: float, frequency_hz: float, yaw_de
     return complex(1j / (4 * np.pi) * total)
 
 
+def dense_tank(
+    strips: int, radius_m: float, height_m: float, position_m: Floats, frequency_hz: float
+) -> tuple[complex, complex]:
+    """Floor and wall, then floor, wall and floor, of a conducting tank of flat strips; fields level, along y.
+
+    Kirchhoff's integrals over the wall from the image in the floor to the radar, both ways, and to the image, sampled
+    every centimetre.
+    """
+    k, step, total = wave_number(frequency_hz), 0.01, [0j, 0j]
+    angle = 2 * np.pi * np.arange(strips + 1) / strips
+    up = (np.arange(round(height_m / step)) + 0.5) * step
+    for p, q in itertools.pairwise(radius_m * np.stack([np.cos(angle), np.sin(angle)], 1)):
+        width = float(np.linalg.norm(q - p))
+        along = p + (np.arange(n := int(width / step) + 1) + 0.5)[:, None] / n * (q - p)
+        points = np.concatenate([np.repeat(along, len(up), 0), np.tile(up, n)[:, None]], 1)
+        normal = np.array([q[1] - p[1], p[0] - q[0], 0]) / width
+        for which, ends in enumerate(((-1, 1), (-1, -1))):
+            path, ways, fields = np.zeros(len(points)), [], []
+            spread = np.full(len(points), width * height_m / len(points))
+            for end in ends:
+                mirror = np.array([1, 1, end])
+                leg = points - position_m * mirror
+                size = np.linalg.norm(leg, axis=1)
+                path, spread, way = path + size, spread / size, leg / size[:, None]
+                field = np.array([0.0, 1, 0]) - way[:, 1:2] * way * mirror  # as sent, before the floor
+                field *= end * mirror / np.linalg.norm(field, axis=1)[:, None]  # a conductor keeps the normal part
+                ways.append(way)
+                fields.append(field)
+            half = ways[0] + ways[1]
+            half /= np.linalg.norm(half, axis=1)[:, None]
+            back = 2 * np.sum(fields[0] * half, 1)[:, None] * half - fields[0]
+            slope = abs((ways[0] + ways[1]) @ normal) / 2 * np.sum(back * fields[1], 1)
+            total[which] += (2 if which == 0 else 1) * np.sum(slope * spread * np.exp(-1j * k * path))
+    return complex(1j / (4 * np.pi) * total[0]), complex(1j / (4 * np.pi) * total[1])
+
+
 def mie_width(radius_m: float, frequency_hz: float) -> float:
     """Radar cross section of a conducting sphere [m^2] [Balanis2012, ch. 11]."""
     x = wave_number(frequency_hz) * radius_m

@@ -148,6 +148,19 @@ def corners() -> Iterator[Row]:
         yield Row(f"dihedral turned {yaw} deg, dense", db(want), db(double), 2.0)
 
 
+def tanks() -> Iterator[Row]:
+    """Curved surfaces over flat faces: the corner of a round tank against a dense integral over its wall."""
+    at = np.array([0.5, 0.2, 0.5])
+    pose = Trajectory.stationary((0.5, 0.2, 0.5))
+    for strips in (40, 96):
+        scene = scenes.tank(2.0, 1.2, "pec", strips=strips)
+        single, double, triple = (complex(path_gain_cw(scene, pose, radar("horizontal"), max_bounces=b)[0])
+                                  for b in (1, 2, 3))  # fmt: skip
+        want = oracles.dense_tank(strips, 2.0, 1.2, at, 7.29e9)
+        yield Row(f"tank of {strips} strips, floor and wall", db(want[0]), db(double - single), 0.5)
+        yield Row(f"tank of {strips} strips, floor, wall, floor", db(want[1]), db(triple - double), 1.5)
+
+
 def rooms() -> Iterator[Row]:
     """Oracle 6: mirror paths of a room against the image method."""
     size, at = np.array([6.0, 4.0, 3.0]), np.array([0.31, -0.42, 0.17])
@@ -197,7 +210,9 @@ def _carried(scene: Scene, rpy_rad: Floats, shift_m: Floats) -> tuple[Scene, Tra
     return replace(scene, vertices=apply(pose, scene.vertices)), there
 
 
-ORACLES: tuple[Callable[[], Iterator[Row]], ...] = (point_targets, plates, edges, spheres, wires, corners, rooms, laws)
+ORACLES: tuple[Callable[[], Iterator[Row]], ...] = (
+    point_targets, plates, edges, spheres, wires, corners, tanks, rooms, laws,
+)  # fmt: skip
 
 
 def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:

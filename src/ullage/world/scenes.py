@@ -216,6 +216,34 @@ def floor(
     return Scene.of_mesh(corners, _QUAD, name=name, made_of=material)
 
 
+def tank(radius_m: float = 4.0, height_m: float = 3.0, material: str = "steel", *, strips: int = 128) -> Scene:
+    """An upright round tank without a roof: a level floor at z = 0 about the origin, and a wall of flat strips.
+
+    Args:
+        radius_m: to the strips' edges [m].
+        height_m: of the wall [m].
+        material: name in the table of materials.
+        strips: flat facets of the wall.
+
+    Raises:
+        InputError: a size is not above zero, there are too few or too many strips, or the material is unknown.
+    """
+    if not isinstance(strips, int) or isinstance(strips, bool) or not 3 <= strips <= 10_000:
+        raise InputError(f"strips is {strips!r}", where="tank", allowed="a whole number 3 to 10000")
+    angle = 2 * np.pi * np.arange(strips) / strips
+    ring = length("radius_m", radius_m, "tank") * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    top = ring + np.array([0, 0, length("height_m", height_m, "tank")])
+    here, after = np.arange(strips), np.roll(np.arange(strips), -1)
+    wall = np.concatenate(
+        [np.stack([here, here + strips, after], 1), np.stack([after, here + strips, after + strips], 1)]
+    )
+    ground = np.stack([np.zeros(strips - 2, int), here[1:-1], here[2:]], 1)
+    both = np.concatenate([ring, top])
+    below = Scene.of_mesh(ring, ground.astype(np.int32), name="floor", made_of=material)
+    around = Scene.of_mesh(both, wall.astype(np.int32), name="wall", made_of=material)
+    return Scene.union([below, around], name="tank")
+
+
 def room(
     size_m: Sequence[float] = (6.0, 4.0, 3.0),
     material: str = "concrete",
