@@ -90,6 +90,15 @@ def test_brewster_and_normal_incidence():
     assert abs(tm[1]) < 1e-12
 
 
+@pytest.mark.filterwarnings("error")
+def test_air_reflects_nothing_even_at_grazing():
+    cosine = np.linspace(0, 1, 5)
+    assert not np.any(fresnel(1.0, cosine))
+    te, tm, through_te, through_tm = slab(1.0, 0.1, 7.29e9, cosine)
+    assert not np.any([te, tm])
+    np.testing.assert_allclose([through_te, through_tm], 1)
+
+
 def test_lossless_slab_keeps_energy():
     te, tm, through_te, through_tm = slab(3.0 + 0j, 0.013, 7.29e9, np.linspace(0.05, 1, 40))
     assert abs(te) ** 2 + abs(through_te) ** 2 == pytest.approx(np.ones(40))

@@ -13,7 +13,7 @@ from ullage.experiments import oracles
 from ullage.experiments.validate import db, gain, radar
 from ullage.geometry import C0
 from ullage.radar.explain import explain
-from ullage.radar.physical import echoes
+from ullage.radar.physical import echoes, path_gain_cw
 from ullage.world import scenes
 
 
@@ -34,6 +34,11 @@ def draw(folder: Path) -> list[tuple[str, str]]:
             "A 0.3 m trihedral at 5 m turned about the vertical; dotted: closed form on axis",
             "trihedral.png",
             _trihedral,
+        ),
+        (
+            "Corner of floor and wall of a round tank of 2 m radius and 48 strips, along x at y = 0.2 m",
+            "tank.png",
+            _tank,
         ),
         ("Fresnel zones of a growing plate at 3 m", "growing_plate.png", _growing),
         ("Echogram of a concrete room with a plate, up to three bounces", "room.png", _room),
@@ -110,6 +115,18 @@ def _trihedral(axes: Any) -> None:
     axes.axhline(axis, color="0.6", ls=":", lw=2)
     axes.plot(x, ours, color="C0", lw=1.2)
     axes.set_xlabel("turn [deg]")
+
+
+def _tank(axes: Any) -> None:
+    scene, spec = scenes.tank(2.0, 1.2, "pec", strips=48), radar("horizontal")
+    track = Trajectory.line((0.6, 0.2, 0.5), (1.0, 0.2, 0.5), 0.5, 60)
+    single, double, triple = (path_gain_cw(scene, track, spec, max_bounces=b) for b in (1, 2, 3))
+    want = [oracles.dense_tank(48, 2.0, 1.2, at, spec.center_hz) for at in track.position]
+    x = track.position[:, 0]
+    _both(axes, x, [db(v) for v in double - single], [db(v[0]) for v in want], "dense integral", "x [m]")
+    axes.plot(x, [db(v[1]) for v in want], color="0.6", lw=3)
+    axes.plot(x, [db(v) for v in triple - double], color="C1", lw=1.2, label="ullage, over the floor there and back")
+    axes.legend()
 
 
 def _growing(axes: Any) -> None:

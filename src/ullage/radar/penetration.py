@@ -29,9 +29,11 @@ _FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
 
 
 def fresnel(eps: complex, cosine: ArrayLike) -> tuple[Complexes, Complexes]:
-    """Reflection of a half-space from air, TE and TM, against cos(incidence)."""
+    """Reflection of a half-space from air, TE and TM, against cos(incidence); of air from air none, at grazing too."""
     c = np.asarray(cosine, float)
     inner = np.sqrt(eps - (1 - c * c) + 0j)
+    if eps == 1:
+        return np.zeros_like(inner), np.zeros_like(inner)
     return (c - inner) / (c + inner), -(eps * c - inner) / (eps * c + inner)
 
 

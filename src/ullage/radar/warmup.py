@@ -364,7 +364,7 @@ JOBS: tuple[Job, ...] = (
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 3, _paths),
-    Job("ways to curved faces", "curves", 2, _curves),
+    Job("ways to curved faces", "curves", 1.3, _curves),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
     Job(
