@@ -47,12 +47,6 @@ class Edges:
     def __len__(self) -> int:
         return len(self.angles)
 
-    @property
-    def outward(self) -> Floats:
-        """Unit vectors from each edge into the middle of its open side (w, 3)."""
-        half = (self.angles * np.pi / 2)[:, None]
-        return np.asarray(np.cos(half) * self.inward[:, 0] + np.sin(half) * self.normals[:, 0])
-
     def take(self, index: NDArray[np.bool_] | Longs) -> Edges:
         """Some of them."""
         return Edges(*(getattr(self, f.name)[index] for f in fields(self)))
@@ -75,7 +69,7 @@ class Rims:
     pairs: double.Pairs
     both: NDArray[np.bool_]  # (p) the wave runs over both sides
     bare: NDArray[np.bool_]  # (p) of a sheet, which a wave from behind meets too
-    gaps_m: Floats  # (p) how far the edges of each pair are apart [m]
+    strong: Floats  # (p) strength of the wave across over that of an edge by itself, at most
 
 
 def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
@@ -121,7 +115,8 @@ def rims_of(sharp: Sharp, wavelength_m: float) -> Rims:
     held = replace(held, inward=held.inward[row, order], normals=held.normals[row, order],
                    widths=held.widths[row, order])  # fmt: skip
     pairs, both, bare = double.at_wavelength(sharp.pairs, NARROW * wavelength_m)
-    return Rims(held, np.asarray(~wide.all(1)), pairs, both, bare, np.linalg.norm(pairs.gaps, axis=1))
+    gaps_m = np.linalg.norm(pairs.gaps, axis=1)
+    return Rims(held, np.asarray(~wide.all(1)), pairs, both, bare, 4 * np.sqrt(wavelength_m / gaps_m) / (2 * np.pi))
 
 
 def placed(edges: Edges, poses: Floats | None) -> Edges:
@@ -138,6 +133,12 @@ def facing(edges: Edges, sheets: NDArray[np.bool_], origin: Floats) -> NDArray[n
     """Which edges (w) have the point (3) in their open side; of a thin body, over its wide face."""
     lit = np.einsum("nfi,ni->nf", edges.normals, origin - edges.starts) > 0
     return np.asarray(lit[:, 0] | (lit[:, 1] & ~sheets))
+
+
+def outward(edges: Edges, which: Ints | Longs) -> Floats:
+    """Unit vectors (n, 3) from some of the edges into the middle of their open sides."""
+    half = (edges.angles[which] * np.pi / 2)[:, None]
+    return np.asarray(np.cos(half) * edges.inward[which, 0] + np.sin(half) * edges.normals[which, 0])
 
 
 def _none() -> Edges:

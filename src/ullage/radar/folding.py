@@ -31,9 +31,10 @@ def limits_of(flats: Flats, view: View, gate_m: float, fold_s: float) -> NDArray
     Faces that mirror are those whose plane lies at the ranges of the folds, with the perpendicular's foot near them.
     """
     far_m = gate_m + FOLDS * fold_s * C0 / 2
-    origin = view.origins.mean(0)
+    origin = (view.origins[0] + view.origins[1]) / 2
     gap = flats.normals @ origin - flats.offsets
-    far = np.flatnonzero((abs(gap) > gate_m - 0.5) & (abs(gap) < far_m))
+    away = abs(gap)
+    far = np.flatnonzero((away > gate_m - 0.5) & (away < far_m))
     foot = origin - gap[far, None] * flats.normals[far]
     beside = ((foot - flats.spheres[far, :3]) ** 2).sum(1) < (flats.spheres[far, 3] + 0.5) ** 2
     limits = np.full(len(flats), gate_m)

@@ -30,30 +30,28 @@ _NUDGE_M = 5e-3  # an edge is looked at this far out in its open side
 def lay_edges(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> list[Laid]:
     """Adds the echoes of conducting edges at one pose to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
     edges, pairs = diffraction.placed(ready.rims.edges, poses), double.placed(ready.rims.pairs, poses)
-    wave, centre = ready.pulse.omega / C0, view.origins.mean(0)
+    centre = (view.origins[0] + view.origins[1]) / 2
     lit = diffraction.facing(edges, ready.rims.sheets, centre)
-    heard = _heard(ready, view, edges.starts, edges.ends, lit)
-    edges, sheets = edges.take(heard), ready.rims.sheets[heard]
-    alone = _parted(ready, view, edges.starts, edges.ends)
+    alone = _parted(ready, view, edges.starts, edges.ends, _heard(ready, view, edges.starts, edges.ends, lit))
     above = np.einsum("ni,ni->n", pairs.normals, centre - pairs.starts)
     lit = (above > 0) | ready.rims.bare
     starts, ends = pairs.starts + pairs.gaps / 2, pairs.ends + pairs.gaps / 2
-    heard = _heard(ready, view, starts, ends, lit, 4 / np.sqrt(2 * np.pi * wave * ready.rims.gaps_m))
-    pairs, both, above = pairs.take(heard), ready.rims.both[heard], above[heard]
+    heard = _heard(ready, view, starts, ends, lit, ready.rims.strong)
     over, of = _cut(ready, view, starts[heard], ends[heard], KAPPA)
+    of = heard[of].astype(np.int32)
     side = np.where(above[of] < 0, -_NUDGE_M, _NUDGE_M)[:, None]
-    outward = _NUDGE_M * edges.outward
+    outward = diffraction.outward(edges, np.concatenate([alone.owner, alone.holders])) * _NUDGE_M
     free = alone.ties < 0
     cut = len(alone.owner)
     seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), alone.ties)])
     shade, extra = shading(ready, parts, view, np.concatenate([
-        _middles(alone.pieces) + outward[alone.owner], alone.tips[free, 0] + outward[alone.holders[free]],
+        _middles(alone.pieces) + outward[:cut], alone.tips[free, 0] + outward[cut:][free],
         _middles(over) + side * pairs.normals[of]]))  # fmt: skip
     count = len(shade) - len(of)
     across = shade[count:], extra[count:]
     over -= pairs.gaps[of, None] / 2
-    return [_lay_fringes(ready, view, edges, sheets, alone, (shade[seats], extra[seats]), grids),
-            _lay_doubles(ready, view, pairs, both, over, of, across, grids)]  # fmt: skip
+    return [_lay_fringes(ready, view, edges, alone, (shade[seats], extra[seats]), grids),
+            _lay_doubles(ready, view, pairs, over, of, across, grids)]  # fmt: skip
 
 
 def _middles(pieces: Floats) -> Floats:
@@ -89,11 +87,12 @@ def _cut(ready: Bench, view: View, starts: Floats, ends: Floats, fine: float) ->
         starts, ends, view.origins, np.array(ready.gate), fine * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
 
 
-def _parted(ready: Bench, view: View, starts: Floats, ends: Floats) -> Parted:
-    """Some lines within the gate, most of them by their ends."""
+def _parted(ready: Bench, view: View, starts: Floats, ends: Floats, which: Longs) -> Parted:
+    """Some of the lines, as far as they lie within the gate, most of them by their ends."""
+    starts, ends = starts[which], ends[which]
     if ready.whole_rims:
         pieces, owner = _cut(ready, view, starts, ends, _COARSE * KAPPA)
-        return Parted(pieces, owner, np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64))
+        return Parted(pieces, which[owner].astype(np.int32), np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64))
     near, held = np.empty((len(starts), 2, 3)), np.empty(len(starts), np.bool_)
     tips, holders = np.empty((4 * len(starts), 2, 3)), np.empty(4 * len(starts), np.int32)
     sides = np.empty(4 * len(starts), np.int32)
@@ -108,14 +107,14 @@ def _parted(ready: Bench, view: View, starts: Floats, ends: Floats) -> Parted:
     ties = np.where(sides == 0, np.searchsorted(owner, holders, "right") - 1, np.searchsorted(owner, holders))
     cut = sides < 0
     cut |= owner[np.clip(ties, 0, len(owner) - 1)] == holders if len(owner) else False
-    return Parted(pieces, owner, tips[cut], holders[cut], np.where(sides < 0, -1, ties)[cut])
+    return Parted(pieces, which[owner].astype(np.int32), tips[cut], which[holders[cut]].astype(np.int32),
+                  np.where(sides < 0, -1, ties)[cut])  # fmt: skip
 
 
 def _lay_fringes(
     ready: Bench,
     view: View,
     edges: diffraction.Edges,
-    sheets: NDArray[np.bool_],
     alone: Parted,
     seen: tuple[Complexes, Floats],
     grids: Complexes,
@@ -123,7 +122,7 @@ def _lay_fringes(
     told = common(ready, view, grids)
     owner = np.concatenate([alone.owner, alone.holders])
     echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
-    fringe.lay_fringes(alone.pieces, alone.tips, owner, *seen, edges.angles, edges.inward, edges.normals, sheets,
+    fringe.lay_fringes(alone.pieces, alone.tips, owner, *seen, edges.angles, edges.inward, edges.normals, ready.rims.sheets,
                        *told[:6], *told[8:], echo, delay)  # fmt: skip
     return Laid(edges.stuffs[owner], np.concatenate([_middles(alone.pieces), alone.tips[:, 0]]), echo, delay)
 
@@ -132,7 +131,6 @@ def _lay_doubles(
     ready: Bench,
     view: View,
     pairs: double.Pairs,
-    both: NDArray[np.bool_],
     pieces: Floats,
     owner: Ints,
     across: tuple[Complexes, Floats],
@@ -141,5 +139,5 @@ def _lay_doubles(
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     told = common(ready, view, grids)
     double_fringe.lay_doubles(pieces, owner, *across, pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
-                              both, *told[:6], *told[8:], echo, delay)  # fmt: skip
+                              ready.rims.both, *told[:6], *told[8:], echo, delay)  # fmt: skip
     return Laid(pairs.stuffs[owner], _middles(pieces) + pairs.gaps[owner] / 2, echo, delay)

@@ -107,15 +107,13 @@ def curved(flats: Flats) -> NDArray[np.bool_]:
 
 def looks(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Floats:
     """How large each face (p) looks, less what it lacks of a Fresnel zone; 0 beyond the gate."""
-    away = flats.spheres[:, :3] - view.origins[0]
-    gap = np.sqrt(np.einsum("ni,ni->n", away, away)) + 1e-3
-    near = np.flatnonzero(gap - flats.spheres[:, 3] <= gate_m)
-    gap = gap[near]
+    *centre, radius = flats.spheres.T.copy()  # long rows are quicker than many of three
+    x, y, z = (row - here for row, here in zip(centre, view.origins[0], strict=True))
+    gap = np.sqrt(x * x + y * y + z * z) + 1e-3
     zone = np.sqrt(wavelength_m * gap / 2)
-    out = np.zeros(len(flats))
-    out[near] = flats.spheres[near, 3] / gap
-    for side in range(2):
-        out[near] *= np.minimum(flats.widths[near, side] / zone, 1)
+    out = np.where(gap - radius <= gate_m, radius / gap, 0.0)
+    for width in flats.widths.T:
+        out *= np.minimum(width / zone, 1)
     return out
 
 

@@ -126,11 +126,7 @@ class Curtains:
 
     factor: Complexes  # (o, COSINES) two-way amplitude, the carrier's turn over `delay_s` taken out; 0: opaque
     delay_s: Floats  # (o, COSINES) two-way delay over that of the air replaced [s]
-
-    @property
-    def thin(self) -> NDArray[np.bool_]:
-        """Which objects let anything through (o)."""
-        return np.asarray(abs(self.factor).max(1) > 0)
+    thin: NDArray[np.bool_]  # (o) which objects let anything through
 
 
 def curtains(materials: Sequence[Material], spec: RadarSpec) -> Curtains:
@@ -140,7 +136,8 @@ def curtains(materials: Sequence[Material], spec: RadarSpec) -> Curtains:
         InputError: the carrier lies outside a material's data.
     """
     rows = [_curtain(m, spec.center_hz) for m in materials] or [(np.zeros(COSINES, complex), np.zeros(COSINES))]
-    return Curtains(np.stack([r[0] for r in rows]), np.stack([r[1] for r in rows]))
+    factor = np.stack([r[0] for r in rows])
+    return Curtains(factor, np.stack([r[1] for r in rows]), np.asarray(abs(factor).max(1) > 0))
 
 
 @lru_cache(maxsize=512)

@@ -28,8 +28,9 @@ class Backs:
         out = opaque.copy()
         for origin in origins[:1] if (origins == origins[0]).all() else origins:
             out &= self.outward @ np.append(origin, 1.0) < 0
-            low, high = self.boxes[out, 0], self.boxes[out, 1]
-            out[out] = ((origin < low - _CLEAR_M) | (origin > high + _CLEAR_M)).any(1)
+            low, high = self.boxes.transpose(1, 2, 0).copy()  # long rows are quicker than many of three
+            place = origin[:, None]
+            out &= ((place < low - _CLEAR_M) | (place > high + _CLEAR_M)).any(0)
         return out
 
     def take(self, index: NDArray[np.integer]) -> Backs:

@@ -154,6 +154,8 @@ class _Body:
 
     def open(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> NDArray[np.bool_]:
         """Whether nothing of this body stands between points, but for the first and last metres given."""
+        if not len(ends):  # Embree takes as long to say nothing as to answer a hundred rays
+            return np.ones(0, bool)
         origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
         reach = np.empty(len(ends), np.float32)
         aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
