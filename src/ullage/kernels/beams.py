@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from ullage.kernels.edges import mirror
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, loop
 
 MOST = 96  # corners of a clipped outline
 FACE, LIT, NONE = np.int64(0), np.int64(2), np.int64(-1)  # outlines of faces and mirrors; no mirror. No literals
 SLIVER_M = 1e-7  # parts no wider than this are none: a face that touches a beam is not lit
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
     """Keeps the part of a closed outline where plane . (x, 1) >= 0 for every plane (Sutherland-Hodgman).
 
@@ -54,7 +54,7 @@ def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
     return count, at
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ignore[no-untyped-def]
     """Planes of the beam from an image through outlines[at] in face p, on the side where it comes out; their count."""
     cx, cy, cz = 0.0, 0.0, 0.0
@@ -83,7 +83,7 @@ def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ign
     return made + 1
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
     """Whether the sphere of face p meets the beam and can echo within the gate."""
     x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
@@ -95,7 +95,7 @@ def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no
     return 0.5 * (math.sqrt(a) + math.sqrt(b)) - radius <= gate
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _emit(target, planes, made, loop_of, loops, starts, outlines, edges, at):  # type: ignore[no-untyped-def]
     """Writes the clipped outline of a face as edges (m, 2, 3) from `at` on; gives where it ends."""
     for ring in range(loop_of[target], loop_of[target + 1]):
@@ -117,7 +117,7 @@ def _emit(target, planes, made, loop_of, loops, starts, outlines, edges, at):  #
     return at
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _ends(apex, planes, made, a, b, skip, receiver, gate, targets, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
           outlines, apexes, chains, ends_on, first, edges, at):  # fmt: skip
     """Writes the beams from an image through `made` planes to every face they may end on.
@@ -202,7 +202,7 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
     return at[0], at[1]
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _gap(point, normals, offsets, p):  # type: ignore[no-untyped-def]
     """How far a point is from the plane of face p."""
     return abs(normals[p, 0] * point[0] + normals[p, 1] * point[1] + normals[p, 2] * point[2] - offsets[p])

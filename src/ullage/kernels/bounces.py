@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, lean, loop
 
 
 @loop(nogil=True, error_model="numpy")
@@ -54,7 +54,7 @@ def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type
             out[i, k] += share * (middle[i, k] - out[i, k])
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
     """Where the line from an image to a target crosses a face's plane."""
     here, there = -offset, -offset
@@ -68,7 +68,7 @@ def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = image[k] + share * (target[k] - image[k])
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: ignore[no-untyped-def]
     """Corners (b, 5, 3) of each path from transmitter to receiver; one mirror only: the first corner twice.
 
@@ -95,7 +95,7 @@ def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: 
             _cross(firsts[i], out[i, 2], normals[first], offsets[first], out[i, 1])
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def middles(first, edges, out):  # type: ignore[no-untyped-def]
     """Mean corner (b, 3) of the outlines of beams."""
     for i in range(len(first) - 1):
@@ -144,7 +144,7 @@ def cover(paths, chains, normals, widths, wavelength, out):  # type: ignore[no-u
                 out[i] *= min(1.0, widths[face, k] * math.sqrt(cosine) / max(zone, 1e-9))
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _unit(a, b, out):  # type: ignore[no-untyped-def]
     size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
     for k in range(3):
@@ -152,7 +152,7 @@ def _unit(a, b, out):  # type: ignore[no-untyped-def]
     return size
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _across(field, unit, out):  # type: ignore[no-untyped-def]
     """The unit field across the direction of travel."""
     along = field[0] * unit[0] + field[1] * unit[1] + field[2] * unit[2]
@@ -164,7 +164,7 @@ def _across(field, unit, out):  # type: ignore[no-untyped-def]
         out[k] /= max(math.sqrt(square), 1e-9)
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
     """Turns the field (3) into that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
@@ -183,7 +183,7 @@ def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
         field[k] -= twice * n[k]
 
 
-@inner(nogil=True, error_model="numpy")
+@core(nogil=True, error_model="numpy")
 def _mirrored(n, vector):  # type: ignore[no-untyped-def]
     twice = 2 * (n[0] * vector[0] + n[1] * vector[1] + n[2] * vector[2])
     for k in range(3):

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, lean, loop
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def transition(x):  # type: ignore[no-untyped-def]
     """The transition function F(x) of uniform diffraction, 1 far from the shadow's border [KouyoumjianPathak1974]."""
     if x > 12:
@@ -31,7 +31,7 @@ def transition(x):  # type: ignore[no-untyped-def]
     return 2j * s * turned(-x) * tail
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """One edge of a pair: diffraction along the face, with gains over ranges; out gets hz of both ends and path."""
     ux, uy, uz, g, path = 0.0, 0.0, 0.0, 1.0, 0.0
@@ -75,7 +75,7 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
     return g * d * transition(2 * wave * width * half * half)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
            out):  # fmt: skip
     """Strength per length of the wave that runs over the face from edge to edge; and path length."""

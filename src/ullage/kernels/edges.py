@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, loop
 
 C0 = 299_792_458.0
 START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
@@ -22,7 +22,7 @@ NONE = np.int64(-1)
 FAR = 0.1  # a rim is done by its ends where the second term there is no more of the first than this
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
     """The mirror image of a point in the plane normal . x = offset."""
     gap = 2 * (normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset)
@@ -30,7 +30,7 @@ def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = point[k] - gap * normal[k]
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
     """Fills a spot, row i, whose place is known: path length, weight K / (r s) and offset from the axis follow it.
 
@@ -53,11 +53,10 @@ def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
     r, s = max(math.sqrt(r2), 1e-4), max(math.sqrt(s2), 1e-4)
     spots[i, 3] = r + s
     excess = (r + s) * (r + s) - length * length
-    weight = 2 * length * rho2 / excess if rho2 > 1e-9 * r2 else 2 * r * s / length
-    spots[i, 4] = weight / (r * s)
+    spots[i, 4] = 2 * length * rho2 / (excess * r * s) if rho2 > 1e-9 * r2 else 2 / length
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
     """Angle from spot i to spot j around the axis."""
     ux, uy, uz, vx, vy, vz = spots[i, 5], spots[i, 6], spots[i, 7], spots[j, 5], spots[j, 6], spots[j, 7]
@@ -70,7 +69,7 @@ def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
     return math.atan2(cross, dot)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
     """What a rim that ends at spot i, far from where its path is shortest, adds there.
 
@@ -88,17 +87,17 @@ def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
     x, y, z = spots[i, 5], spots[i, 6], spots[i, 7]
     swept = (line[2, 0] * (y * line[3, 2] - z * line[3, 1]) + line[2, 1] * (z * line[3, 0] - x * line[3, 2])
              + line[2, 2] * (x * line[3, 1] - y * line[3, 0]))  # fmt: skip
-    r, s = math.sqrt(r2), math.sqrt(s2)
-    r1, s1 = r1 / r, s1 / s
+    per_r, per_s = 1 / math.sqrt(r2), 1 / math.sqrt(s2)
+    r1, s1 = r1 * per_r, s1 * per_s
     rate = r1 + s1
-    bend = (1 - r1 * r1) / r + (1 - s1 * s1) / s
-    slow = rate if abs(rate) > 1e-9 else 1e-9
+    bend = (1 - r1 * r1) * per_r + (1 - s1 * s1) * per_s
+    slow = 1 / (wave * (rate if abs(rate) > 1e-9 else 1e-9))
     excess = max(spots[i, 3] * spots[i, 3] - length * length, 1e-12)
-    fade = -r1 / r - s1 / s - 2 * spots[i, 3] * rate / excess
-    return rate, spots[i, 4] * swept / (rho2 * slow * wave), (fade - bend / slow) / (wave * slow)
+    fade = -r1 * per_r - s1 * per_s - 2 * spots[i, 3] * rate / excess
+    return rate, spots[i, 4] * swept * slow / rho2, (fade - wave * bend * slow) * slow
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
     """Shares of an edge, from spot 0 to 1, between which its path is too near to its shortest to be done by its ends.
 
@@ -135,19 +134,18 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
     return begins, stops
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
-def _end(spots, i, line, length, wave, into, normals, p, sign, tie, ends, holders, ties, at):  # type: ignore[no-untyped-def]
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _end(spots, i, line, strong, y, into, normals, p, sign, tie, ends, holders, ties, at):  # type: ignore[no-untyped-def]
     """Writes the end of a rim at spot i, or adds it to the one at the same corner of the same face.
 
     Args:
-        spots, i, line, length, wave: as in `_steep`.
+        spots, i, line: as in `_steep`, and strong, y: what that gives.
         into: 1 where the rim begins there, -1 where it ends.
         normals: (p, 3) of the faces; p: the face; sign: of its side.
         tie: piece that goes on from there; negative: none.
         ends, holders, ties: as in `cut`.
         at: (3) how many ends there are in at[1], the face's first in at[2].
     """
-    _, strong, y = _steep(spots, i, line, length, wave)
     row = at[1]
     if tie < 0 and row <= len(ends):
         known = at[1] - 1
@@ -170,7 +168,7 @@ def _end(spots, i, line, length, wave, into, normals, p, sign, tie, ends, holder
         ends[row, 6 + k] += normals[p, a] * line[3, b] - normals[p, b] * line[3, a] + into * line[3, k]
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ignore[no-untyped-def]
     """Whether face p can echo within the limit to radar o; its image, the receiver and the axis go to `line`.
 
@@ -200,7 +198,7 @@ def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ign
     return length
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, sign, p, pieces, owner, at):  # type: ignore[no-untyped-def]
     """Halves the rim from spot 4 to spot 5 until each piece's delay is nearly linear in phi.
 
@@ -246,13 +244,13 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
     return winding
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
           ties, at):  # fmt: skip
     """Parts one edge of a face, from spot 0 to 1; gives its turn around the axis."""
     farthest = min(2 * limit, length + most)
-    rate0, _, y0 = _steep(spots, START, line, length, wave)
-    rate1, _, y1 = _steep(spots, STOP, line, length, wave)
+    rate0, strong0, y0 = _steep(spots, START, line, length, wave)
+    rate1, strong1, y1 = _steep(spots, STOP, line, length, wave)
     begins, stops = 0.0, 1.0
     if not whole:
         if abs(y0) <= FAR and abs(y1) <= FAR and rate0 * rate1 > 0:
@@ -270,7 +268,7 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
         winding += _turn(spots, START, BEGINS, line) if first == BEGINS else 0.0
         winding += _turn(spots, STOPS, STOP, line) if last == STOPS else 0.0
     for step in range(4):  # the edge's start, both ends of its slow part, its end
-        i, tie = START if step == 0 else STOP, NONE
+        i, tie, strong, y = (START, NONE, strong0, y0) if step == 0 else (STOP, NONE, strong1, y1)
         if cut and (stops >= 1 if step > 1 else begins <= 0):
             continue
         if 0 < step < 3:
@@ -279,7 +277,9 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
                 continue
         if spots[i, 3] > farthest:
             continue
-        _end(spots, i, line, length, wave, 1.0 if step % 2 == 0 else -1.0, normals, p, sign, tie, tips, holders, ties,
+        if 0 < step < 3:
+            _, strong, y = _steep(spots, i, line, length, wave)
+        _end(spots, i, line, strong, y, 1.0 if step % 2 == 0 else -1.0, normals, p, sign, tie, tips, holders, ties,
              at)  # fmt: skip
     return winding
 
@@ -352,7 +352,8 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
                 spots[1, k] = ends[e, k]
             _spot(spots, STOP, line, length)
             # the path over an edge is at least this: ends less half its length there and back
-            if not round_axis and 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + most):
+            if 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + most):
+                winding += _turn(spots, START, STOP, line) if round_axis else 0.0
                 continue
             winding += _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces,
                              owner, tips, holders, ties, at)  # fmt: skip

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, lean, loop
 
 C0 = 299_792_458.0
 # numbers handed to other kernels are no literals: Numba compiles a function anew for each literal integer
@@ -70,14 +70,14 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
     return count
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _mean_range(x, y, z, origins):  # type: ignore[no-untyped-def]
     a = math.sqrt((x - origins[0, 0]) ** 2 + (y - origins[0, 1]) ** 2 + (z - origins[0, 2]) ** 2)
     b = math.sqrt((x - origins[1, 0]) ** 2 + (y - origins[1, 1]) ** 2 + (z - origins[1, 2]) ** 2)
     return 0.5 * (a + b)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-def]
     """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
     cx, cy, cz = (
@@ -106,7 +106,7 @@ def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-
     return -1
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
     a, b, c = edge, (edge + 1) % 3, (edge + 2) % 3
     for k in range(3):
@@ -116,7 +116,7 @@ def _halve(stack, top, edge):  # type: ignore[no-untyped-def]
         stack[top + 1, 0, k], stack[top + 1, 1, k], stack[top + 1, 2, k] = middle, pb, pc
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def toward(table, flat, frames, o, s, ux, uy, uz):  # type: ignore[no-untyped-def]
     """One-way amplitude gain along u in the world, for a sensor_from_world rotation frames[o, s].
 
@@ -144,14 +144,14 @@ def toward(table, flat, frames, o, s, ux, uy, uz):  # type: ignore[no-untyped-de
     return low * (1 - u) + high * u
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def same(origins, o):  # type: ignore[no-untyped-def]
     """Whether transmitter and receiver of a radar stand at one place."""
     return (origins[o, 0, 0] == origins[o, 1, 0] and origins[o, 0, 1] == origins[o, 1, 1]
             and origins[o, 0, 2] == origins[o, 1, 2])  # fmt: skip
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def turned(x):  # type: ignore[no-untyped-def]
     """e^{-jx}, to 1e-11 and less for thousands of radians: nearest quarter turn, then Taylor's series."""
     n = math.floor(x * (2 / math.pi) + 0.5)
@@ -167,7 +167,7 @@ def turned(x):  # type: ignore[no-untyped-def]
     return complex(cosine, -sine)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _lay(grids, kind, place, value):  # type: ignore[no-untyped-def]
     """Adds an impulse at a fractional place of one grid, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
@@ -181,7 +181,7 @@ def _lay(grids, kind, place, value):  # type: ignore[no-untyped-def]
     grids[kind, i + 2] += value * (u * u * u / 6)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Echo of one triangle: unit area, complex amplitude `w` and phase `x` [rad] at its corners, both linear between.
 
@@ -213,7 +213,7 @@ def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     return total
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Corners nearly at one delay: the moment series to sixth order."""
     middle = (x[0] + x[1] + x[2]) / 3
@@ -229,7 +229,7 @@ def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     return value
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     """Corners b and c nearly at one delay, a far from it: strips parallel to bc, integrated exactly along the rest."""
     z = 0.5 * (x[b] + x[c]) - x[a]
@@ -256,7 +256,7 @@ def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     return at_a + edge + rest
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _reflection(gamma, stuff, tap, cosine, across):  # type: ignore[no-untyped-def]
     """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
     n = gamma.shape[3] - 1
@@ -268,7 +268,7 @@ def _reflection(gamma, stuff, tap, cosine, across):  # type: ignore[no-untyped-d
     return across * te + (1 - across) * tm
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _late(lag, stuff, tap, cosine):  # type: ignore[no-untyped-def]
     """Delay of an inner echo from the table over cos(incidence) [s]."""
     n = lag.shape[2] - 1
@@ -277,7 +277,7 @@ def _late(lag, stuff, tap, cosine):  # type: ignore[no-untyped-def]
     return lag[stuff, tap, i] * (1 - u + i) + lag[stuff, tap, i + 1] * (u - i)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
     """Share of the electric field across the plane of incidence, for a wave along u at a face with normal n."""
     sx, sy, sz = uy * nz - uz * ny, uz * nx - ux * nz, ux * ny - uy * nx
@@ -289,7 +289,7 @@ def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
     return min(es * es / square, 1.0)
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
     """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
     mono = same(origins, ONE)

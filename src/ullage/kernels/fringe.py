@@ -12,13 +12,13 @@ import math
 import numpy as np
 
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, _lay, same, toward, turned
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, lean, loop
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     """Fringe current of one face of a wedge, integrated from the edge: along it (soft) and across it (hard).
 
@@ -45,7 +45,7 @@ def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     out[1] = ratio / (n * gap) - lit / plain
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def fringe(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     """As `excess`, also where exact and optical current grow without bound together."""
     if phi < math.pi and abs(math.cos(phi) + mu) < 0.03:
@@ -60,7 +60,7 @@ def fringe(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     excess(open_angle, phi, mu, out)
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no-untyped-def]
     """One face's share of an edge's strength straight back, times the wave number.
 
@@ -99,7 +99,7 @@ def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no
     return seen_along * along + seen_across * across
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def strength(places, k, end, w, angles, inward, normals, sheets, origins, frames, fields, table, flat, rows):  # type: ignore[no-untyped-def]
     """Antenna gains over ranges times the strength of edge w at places[k, end]; path length and its bend."""
     g, path, bend = 1.0, 0.0, 0.0

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from ullage.kernels.facets import BULK, ONE, _lay, te_share, toward, turned
-from ullage.kernels.loops import loop
+from ullage.kernels.loops import lean
 
 C0 = 299_792_458.0
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
              factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of scatterers on the delay grids.
@@ -67,7 +67,7 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
         delay[k] = total / max(first[k + 1] - first[k], 1)
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def lobe(roughness, length, sine, terms):  # type: ignore[no-untyped-def]
     """Spectrum of exp(j phase) of a rough surface less its mean, per area, at 2 k sine [the area of its correlation].
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from ullage.kernels.edges import FAR
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, inner, loop
 
 C0 = 299_792_458.0
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-def]
     """As `edges._steep`, at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
     path, rate, bend, fade = 0.0, 0.0, 0.0, 0.0

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import loop
+from ullage.kernels.loops import lean
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, distance, cosine):  # type: ignore[no-untyped-def]
     """Put the hits of one body into `face`, `distance` and `cosine` where they are nearer than what is there.
 
@@ -37,7 +37,7 @@ def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, dista
             cosine[i] = min(abs(along), 1.0)
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignore[no-untyped-def]
     """Rays between points (1 or n, 3) and (n, 3) in float32 about `centre`, short of both by `before` and `after`."""
     for i in range(len(ends)):
@@ -53,7 +53,7 @@ def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignor
         reach[i] = max(length - before - after, 0.0)
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def refine_wires(  # type: ignore[no-untyped-def]
     prim, tfar, origin, direction, first, per_wire, start, axis, length, radius, ids, face, distance, cosine
 ):
@@ -86,7 +86,7 @@ def refine_wires(  # type: ignore[no-untyped-def]
             cosine[i] = min(c, 1.0)
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
     """Directions (n, m, 3) of a fan (m, 3) under n rotations (n, 3, 3)."""
     for f in range(len(rotation)):
@@ -97,7 +97,7 @@ def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
                 out[f, i, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):  # type: ignore[no-untyped-def]
     """Sum I_m cos(theta) (|v| / far_m)^2 of the rays (n, m) into range bins `out` (n, b)."""
     frames, bins = out.shape
@@ -111,7 +111,7 @@ def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, o
                 out[f, k] += reflection[face[f, i]] * cosine[f, i] * (r / far_m) ** 2
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def smooth(values, weights, out):  # type: ignore[no-untyped-def]
     """Weighted moving sum of rows (n, b) with an odd, centred window; nothing stands beyond the ends."""
     half = len(weights) // 2

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import loop
+from ullage.kernels.loops import lean
 
 
-@loop(nogil=True)
+@lean(nogil=True)
 def limit_envelope(values, limit):  # type: ignore[no-untyped-def]
     """Hard limiting of the carrier under a complex envelope (n, b), in place: what stays at the carrier frequency.
 

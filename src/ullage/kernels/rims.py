@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from ullage.kernels.facets import EDGE, VERTEX, _late, _lay, _reflection, same, te_share, toward, turned
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, lean, loop
 
 C0 = 299_792_458.0
 START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def look_at(pieces, tips, owner, normals, inward, out):  # type: ignore[no-untyped-def]
     """Where to look for pieces and ends of rims: (m + n, 3) points on their faces, `inward` of them [m]."""
     for i in range(len(pieces)):
@@ -34,7 +34,7 @@ def look_at(pieces, tips, owner, normals, inward, out):  # type: ignore[no-untyp
             out[len(pieces) + i, k] = tips[i, k] + scale * tips[i, 6 + k]
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point, rows[k, at : at + 3], of a face; and cos(incidence)."""
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
@@ -59,7 +59,7 @@ def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, tabl
     return gain * _reflection(gamma, stuffs[face], tap, cosine, share), cosine
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def lay_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-untyped-def]
     """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
 
@@ -154,7 +154,7 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
                 shift += fold
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def crossings(patches, windings, normals, offsets, origins, limits, points):  # type: ignore[no-untyped-def]
     """Where the lines from image to receiver cross the faces that hold them: (k, 9) rows as for ends of rims.
 
@@ -190,7 +190,7 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
     return count
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
     """Whether each point (m, 3) lies within the rim of its face (m): a line from it crosses the rim an odd time."""
     for i in range(len(points)):

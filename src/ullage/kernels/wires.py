@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ullage.kernels.facets import FROM, ONE, TO, _mean_range, toward
-from ullage.kernels.loops import inner, loop
+from ullage.kernels.loops import core, loop
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -55,7 +55,7 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
     return count
 
 
-@inner(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _element(pieces, k, end, axis, radius, series, w, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
