@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numba
 import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 from numba.core.types.functions import BaseFunction
 
-from ullage.kernels.loops import loop
+from ullage.kernels.loops import lean, loop
 from ullage.kernels.resolution import remembered
 
 
@@ -53,6 +55,25 @@ def test_a_loop_gives_what_numba_alone_makes_of_it() -> None:
     twin = np.empty(50, complex)
     bent(points, 2, twin)
     np.testing.assert_allclose(one, twin, rtol=1e-12)
+
+
+def test_a_lean_loop_gives_the_same_and_leaves_what_it_is_handed_to_its_owner() -> None:
+    points, one, other = np.random.default_rng(1).normal(size=(50, 2)), np.empty(50, complex), np.empty(50, complex)
+    loop(cache=False)(bent)(points, 2, one)
+    quick, held = lean(cache=False)(bent), sys.getrefcount(points)
+    for _ in range(3):
+        quick(points, 2, other)
+    assert np.array_equal(one, other)
+    assert sys.getrefcount(points) == held
+
+
+def test_a_lean_loop_that_makes_an_array_is_refused() -> None:
+    def made(out):  # type: ignore[no-untyped-def]
+        own = np.empty(3)
+        out[0] = own[0]
+
+    with pytest.raises(NumbaError, match="empty"):
+        lean(cache=False)(made)(np.zeros(1))
 
 
 def test_numba_is_asked_once_for_the_same_types_while_they_are_remembered(asked: list[object]) -> None:

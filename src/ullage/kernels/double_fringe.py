@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
-from ullage.kernels.loops import core, lean, loop
+from ullage.kernels.loops import core, lean
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -94,9 +92,9 @@ def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave
     return value, path + width
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
-                flat, factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+                flat, factor, omega, t0, dt, fold, grids, echo, delay, rows):  # fmt: skip
     """Lays the echoes of waves that cross a face between two parallel edges, there and back.
 
     Args:
@@ -110,11 +108,11 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
         normals: (p, 3) of the face.
         sheets: (p) whether the wave runs over both sides.
         origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
+        rows: (3, 3), scratch.
     """
     wave = omega / C0
     scale = factor[0] / (4 * math.pi * wave)
     last = t0 + grids.shape[1] * dt
-    out = np.empty((3, 3))
     for k in range(len(pieces)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
@@ -125,9 +123,9 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
             width += gaps[w, j] * gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
         w0, path0 = _twice(pieces, k, FROM, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames,
-                           fields, table, flat, out)  # fmt: skip
+                           fields, table, flat, rows)  # fmt: skip
         w1, path1 = _twice(pieces, k, TO, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames,
-                           fields, table, flat, out)  # fmt: skip
+                           fields, table, flat, rows)  # fmt: skip
         w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
         early = size * size / 12 * 4 / max(path0 + path1 - 2 * width, 0.02)
         late = extra[k] - early / C0

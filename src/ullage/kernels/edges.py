@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import core, loop
+from ullage.kernels.loops import core, lean
 
 C0 = 299_792_458.0
 START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
@@ -284,9 +284,9 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
     return winding
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
-        tips, holders, ties, windings):  # fmt: skip
+        tips, holders, ties, windings, line, spots, marks, at):  # fmt: skip
     """Parts the rims of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
 
     Args:
@@ -308,13 +308,12 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
         holders: (n) gets the face of each end.
         ties: (n) gets the piece that goes on from there, whose shade it has; -1: none.
         windings: (k) gets the turns of the rim around the line image - receiver, 0 where there is no echo.
+        line, spots, marks, at: (4, 3), (69, 8), (69, 2) and whole numbers (3), scratch.
 
     Returns:
         How many pieces and ends there are; only those that fit are written.
     """
-    at = np.empty(3, np.int64)  # pieces, ends, first end of the face
-    at[0], at[1], at[2] = 0, 0, 0
-    line, spots, marks = np.empty((4, 3)), np.empty((69, 8)), np.empty((69, 2))
+    at[0], at[1], at[2] = 0, 0, 0  # pieces, ends, first end of the face
     wave = omega / C0
     for i in range(len(patches)):
         p = patches[i]

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, _lay, same, toward, turned
-from ullage.kernels.loops import core, lean, loop
+from ullage.kernels.loops import core, lean
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -143,8 +141,8 @@ def strength(places, k, end, w, angles, inward, normals, sheets, origins, frames
     return g * total, path, bend
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
-def audible(starts, ends, lit, factors, across, origins, frames, fields, table, flat, wave, gate, least, out):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def audible(starts, ends, lit, factors, across, origins, frames, fields, table, flat, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
     """Whether each edge (w, 3)-(w, 3) can return more than `least`, by the most its strength and length allow.
 
     Args:
@@ -157,9 +155,9 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
         wave: wave number [1/m].
         gate: (2) least and greatest range [m].
         least: path gain amplitude.
+        t: (3), scratch.
         out: (w) gets the answer.
     """
-    t = np.empty(3)
     ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
     for w in range(len(starts)):
         out[w] = False
@@ -203,9 +201,9 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
         out[w] = 1.5 * factors[w] * strong > least
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
-                flat, factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+                flat, factor, omega, t0, dt, fold, grids, echo, delay, rows):  # fmt: skip
     """Lays the echoes of pieces of edge and of ends of edges on the delay grids.
 
     Args:
@@ -219,9 +217,9 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         normals: (w, 2, 3) their unit normals, into the free space.
         sheets: (w) whether it is the rim of a thin body, whose first face is the wide one.
         origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
+        rows: (4, 3), scratch.
     """
     last, many = t0 + grids.shape[1] * dt, len(pieces)
-    rows = np.empty((4, 3))
     known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ullage.kernels.facets import EDGE, VERTEX, _late, _lay, _reflection, same, te_share, toward, turned
-from ullage.kernels.loops import core, lean, loop
+from ullage.kernels.loops import core, lean
 
 C0 = 299_792_458.0
 START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
@@ -86,9 +86,9 @@ def lay_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-unt
     return at0 + at1
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-             gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+             gamma, lag, omega, t0, dt, fold, grids, echo, delay, weights, cosines):  # fmt: skip
     """Lays the echoes of faces on the delay grids: pieces of rim, ends of rims, and mirror points.
 
     Args:
@@ -99,10 +99,10 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
         shade: (m + n) complex two-way factor of what lies between.
         extra: (m + n) delay added by it [s].
         origins: (1 or p, 2, 3) radars for all or for each face, as in `facets.deposit`, and so the rest.
+        weights, cosines: (taps), (taps), scratch.
     """
     unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
     last = t0 + grids.shape[1] * dt
-    weights, cosines = np.empty(gamma.shape[1], np.complex128), np.empty(gamma.shape[1])
     known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0

@@ -13,6 +13,7 @@ from ullage.kernels import edges as kernel
 from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.folding import limits_of
+from ullage.radar.penetration import TAPS
 from ullage.radar.physical import Bench, Laid, View, common, shading
 
 Floats = NDArray[np.float64]
@@ -39,14 +40,15 @@ class Rim:
     windings: Floats  # (k) turns of each face's rim around the axis
 
 
-def parted(count: int, edges: int, fill: Callable[[Floats, Ints, Floats, Ints, Ints, Floats], tuple[int, int]]) -> Rim:
+def parted(count: int, edges: int, fill: Callable[..., tuple[int, int]]) -> Rim:
     """Runs the kernel that parts the rims of `count` faces of `edges` edges, again where there was too little room."""
     rooms = [2048 + 4 * edges, 1024 + 2 * edges]
     windings = np.empty(count)
+    scratch = np.empty((4, 3)), np.empty((69, 8)), np.empty((69, 2)), np.empty(3, np.int64)
     while True:
         pieces, owner = np.empty((rooms[0], 12)), np.empty(rooms[0], np.int32)
         tips, holders, ties = np.empty((rooms[1], 9)), np.empty(rooms[1], np.int32), np.empty(rooms[1], np.int32)
-        made, ends = fill(pieces, owner, tips, holders, ties, windings)
+        made, ends = fill(pieces, owner, tips, holders, ties, windings, *scratch)
         if made <= rooms[0] and ends <= rooms[1]:
             return Rim(pieces[:made], owner[:made], tips[:ends], holders[:ends], ties[:ends], windings)
         rooms = [max(rooms[0], int(1.2 * made)), max(rooms[1], int(1.2 * ends))]
@@ -111,7 +113,8 @@ def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Flo
     owner = np.concatenate([rim.owner, rim.holders, which.astype(np.int32)])
     echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
     ends = np.concatenate([rim.tips, points])
-    draw.lay_rims(rim.pieces, ends, len(rim.tips), owner, shade, extra, *told, echo, delay)
+    draw.lay_rims(rim.pieces, ends, len(rim.tips), owner, shade, extra, *told, echo, delay, np.empty(TAPS, complex),
+                  np.empty(TAPS))  # fmt: skip
     middle = 0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6])
     return Laid(told[1][owner], np.concatenate([middle, ends[:, :3]]), echo, delay)
 

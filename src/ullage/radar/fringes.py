@@ -77,7 +77,7 @@ def _heard(
     out = np.empty(len(lit), np.bool_)
     fringe.audible(starts, ends, lit, strong, factors is not None, view.origins[None], view.frames[None],
                    view.fields[None], ready.table, ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0,
-                   np.array(ready.gate), FAINT, out)  # fmt: skip
+                   np.array(ready.gate), FAINT, np.empty(3), out)  # fmt: skip
     return np.flatnonzero(out)
 
 
@@ -92,7 +92,9 @@ def _parted(ready: Bench, view: View, starts: Floats, ends: Floats, which: Longs
     starts, ends = starts[which], ends[which]
     if ready.whole_rims:
         pieces, owner = _cut(ready, view, starts, ends, _COARSE * KAPPA)
-        return Parted(pieces, which[owner].astype(np.int32), np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64))
+        return Parted(
+            pieces, which[owner].astype(np.int32), np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64)
+        )
     near, held = np.empty((len(starts), 2, 3)), np.empty(len(starts), np.bool_)
     tips, holders = np.empty((4 * len(starts), 2, 3)), np.empty(4 * len(starts), np.int32)
     sides = np.empty(4 * len(starts), np.int32)
@@ -122,8 +124,8 @@ def _lay_fringes(
     told = common(ready, view, grids)
     owner = np.concatenate([alone.owner, alone.holders])
     echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
-    fringe.lay_fringes(alone.pieces, alone.tips, owner, *seen, edges.angles, edges.inward, edges.normals, ready.rims.sheets,
-                       *told[:6], *told[8:], echo, delay)  # fmt: skip
+    fringe.lay_fringes(alone.pieces, alone.tips, owner, *seen, edges.angles, edges.inward, edges.normals,
+                       ready.rims.sheets, *told[:6], *told[8:], echo, delay, np.empty((4, 3)))  # fmt: skip
     return Laid(edges.stuffs[owner], np.concatenate([_middles(alone.pieces), alone.tips[:, 0]]), echo, delay)
 
 
@@ -139,5 +141,5 @@ def _lay_doubles(
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     told = common(ready, view, grids)
     double_fringe.lay_doubles(pieces, owner, *across, pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
-                              ready.rims.both, *told[:6], *told[8:], echo, delay)  # fmt: skip
+                              ready.rims.both, *told[:6], *told[8:], echo, delay, np.empty((3, 3)))  # fmt: skip
     return Laid(pairs.stuffs[owner], _middles(pieces) + pairs.gaps[owner] / 2, echo, delay)
