@@ -28,6 +28,7 @@ NARROW = 0.25
 """Faces narrower than this part of a wave are the side of a thin plate, or no face at all."""
 _WELD_M = 1e-6
 _AROUND_M = 0.01  # nothing may cut a circle of this radius about an edge
+_FEW = 100  # so many corners are looked at twice sooner than sorted
 _STEP_M = 0.25  # an edge is tested at its middle, and cut so that there is one at least so often
 
 
@@ -252,7 +253,9 @@ def _widths(corners: Floats, smooth: Longs, a: Floats, into: Floats, piece: Long
     rank = np.argsort(smooth, kind="stable")
     bound = np.searchsorted(smooth[rank], np.arange(smooth.max() + 2))
     for p in np.unique(piece):
-        points = np.unique(corners[rank[bound[p] : bound[p + 1]]].reshape(-1, 3), axis=0)
+        points = corners[rank[bound[p] : bound[p + 1]]].reshape(-1, 3)
+        if len(points) > _FEW:
+            points = np.unique(points, axis=0)
         for side in range(2):
             mine = np.flatnonzero(piece[:, side] == p)
             for e in mine:
