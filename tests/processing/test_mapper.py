@@ -12,6 +12,7 @@ from ullage.geometry import rpy_quat
 from ullage.grids import AMBIGUOUS
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper import UllageMapper
+from ullage.processing.mapper_show import without_cut_off
 from ullage.processing.occupancy import Mapper
 from ullage.world.scene import Scene
 
@@ -356,10 +357,8 @@ def test_what_may_be_a_far_wall_folded_is_no_wall():
 
 @pytest.mark.parametrize(("chance", "kept"), [(69, False), (95, True)])
 def test_two_faint_cells_that_nothing_joins_to_free_space_are_no_wall(chance, kept):
-    mapper = UllageMapper(GRID)
-    mapper._flown[(0, 0, 0)] = None
     percent = np.full(GRID.shape, AMBIGUOUS, np.int8)
     percent[35:45, 45:55] = 1  # free about the flight
     percent[60:62, [70, 71]] = np.where(np.eye(2, dtype=bool), chance, AMBIGUOUS)
-    mapper._forget_cut_off(percent, (0, 0))
+    without_cut_off(percent, (0, 0), GRID, np.zeros((1, 3)))
     assert (percent > 50).sum() == 2 * kept

@@ -10,13 +10,12 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, generate_binary_structure, label, maximum
 
 from ullage.data import Recording
-from ullage.grids import AMBIGUOUS, UNKNOWN, Changes, Grid, OccupancyMap, Tiles
+from ullage.grids import Changes, Grid, OccupancyMap, Tiles
 from ullage.kernels.occupancy import RING, TORN
 from ullage.kernels.occupancy_reach import Beam
-from ullage.kernels.occupancy_show import in_view, render_cells, thin_lines
+from ullage.kernels.occupancy_show import render_cells, thin_lines
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
@@ -27,7 +26,9 @@ from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, ways_apart
 from ullage.processing.mapper_rims import LEAST_RIM, lobe_loss, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
+from ullage.processing.mapper_show import without_cut_off
 from ullage.processing.mapper_tracks import EchoTracks, Foot
+from ullage.processing.mapper_turns import MOST_LOOKS, Stretch, Turns, bearings
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -38,14 +39,12 @@ ENOUGH_SIDES = 4
 VAGUE_TENTHS = {2: 7, 3: 10}
 HEARD_ODDS, SIDE_NATS = {2: -1.2, 3: -0.7}, 0.8
 SOLID = 65
-FAINT = 80  # below it two cells by themselves, as of one look, are no more of a wall than a single one
 SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
 LOOK_SHARE, FLAT_SHARE = 0.4, 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
-EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
 HALF_POWER = 0.65  # of the half angle in which echoes are looked for
@@ -84,7 +83,8 @@ class UllageMapper:
         self._tracks = EchoTracks()
         self._late: deque[tuple[str, Look, Floats, Floats]] = deque()
         self._runs = EchoRuns()
-        self._pending: deque[tuple[str, Look, Weighed | None, list[Run]]] = deque()
+        self._pending: deque[tuple[str, Look, Weighed | None, list[Run], Stretch]] = deque()
+        self._turns = Turns()
         self._waiting: list[tuple[str, Look]] = []
         self._open: deque[Iterator[None]] = deque()
         self._flown: dict[tuple[int, ...], None] = {}
@@ -152,8 +152,14 @@ class UllageMapper:
         deque(map(self._lay_disc, self._tracks.join()), maxlen=0)
         while self._late:
             yield from self._insert(*self._late.popleft())
+        self._turns.end()
         while self._pending:
             yield from self._insert_pending()
+
+    def _long_enough(self) -> bool:
+        """Whether the first look of a plane has waited as long as what comes after may tell of it."""
+        turning = self._pending[0][4].open
+        return len(self._pending) > (MOST_LOOKS if turning else AHEAD[2]) * len(self._axis)
 
     def _insert_waiting(self, levels: LevelFinder) -> Iterator[None]:
         for name, look in self._waiting:
@@ -161,8 +167,8 @@ class UllageMapper:
                 kept = self._lobes.without_sidelobes(name, levels.without_levels(look))
                 weighed = self._weigh(kept)
                 runs = [] if weighed is None else self._runs.follow(name, kept, *weighed)
-                self._pending.append((name, kept, weighed, runs))
-                if len(self._pending) > AHEAD[2] * len(self._axis):
+                self._pending.append((name, kept, weighed, runs, self._turns.hear(name, kept)))
+                while self._pending and self._long_enough():
                     yield from self._insert_pending()
             else:
                 may_be = levels.levels(least=RETURNING)
@@ -187,7 +193,10 @@ class UllageMapper:
 
     def _insert_pending(self) -> Iterator[None]:
         """On a plane, looks wait a little until it shows which of their echoes go on as those of an edge do."""
-        name, look, weighed, runs = self._pending.popleft()
+        name, look, weighed, runs, stretch = self._pending.popleft()
+        if stretch.turned:
+            yield from self._insert_turned(name, look, stretch)
+            return
         if weighed is None:
             yield from self._insert(name, look, *self._arcs(look, weighed))
             return
@@ -197,6 +206,15 @@ class UllageMapper:
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
         open_ = self._may_be_folded(name, look, weighed[0])
         yield from self._insert(name, look, *self._arcs(look, weighed, rims, open_))
+
+    def _insert_turned(self, name: str, look: Look, stretch: Stretch) -> Iterator[None]:
+        """A look of a turn on the spot: what has no bearing by its loudness names no place."""
+        half = HALF_POWER * math.acos(self._lobe[name][0][0])
+        seen, weighed = bearings(look, stretch, half)
+        told = weighed[2] > 0
+        arcs, rims = self._arcs(seen.only(told), (weighed[0][told], weighed[1][told], weighed[2][told]))
+        vague, none = self._arcs(look.only(~told), None)
+        yield from self._insert(name, look, np.concatenate([arcs, vague]), np.concatenate([rims, none]))
 
     def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> Iterator[None]:
         start, bin_m, far = self._axis[name]
@@ -356,35 +374,9 @@ class UllageMapper:
         if self.grid.dims == 2:
             solid = percent.copy()
             thin_lines(self.blocks.pools, self.blocks.edge, np.array(corner[::-1]), SOLID, solid, percent)
-        self._forget_cut_off(percent, corner)
+        flown = np.array(list(self._flown), float).reshape(-1, 3) * self.grid.step_m
+        without_cut_off(percent, corner, self.grid, flown)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
-
-    def _forget_cut_off(self, percent: NDArray[np.int8], corner: tuple[int, ...]) -> None:
-        """Free cells that only a narrow gap joins to the flight become unknown; walls hidden by walls, ambiguous."""
-        free = (percent >= 0) & (percent < 50)
-        solid = percent >= 50
-        ball = generate_binary_structure(free.ndim, free.ndim)
-        wide = max(1, round(GAP_M / 2 / self.grid.step_m))
-        open_, count = label(free & ~binary_dilation(solid | (percent == AMBIGUOUS), ball, iterations=wide))
-        if not count or not self._flown:
-            return
-        flown = np.array(list(self._flown), float) * self.grid.step_m
-        cells, inside = self.grid.index(flown)
-        cells = cells[inside] - corner
-        names = np.unique(open_[tuple(cells.T)])
-        joined = binary_dilation(np.isin(open_, names[names > 0]), ball, iterations=wide + 1)
-        percent[free & ~joined] = UNKNOWN
-        suspects = np.argwhere(solid & ~binary_dilation(joined, ball, iterations=2))
-        if len(suspects):
-            eyes = cells[np.linspace(0, len(cells) - 1, min(EYES, len(cells))).astype(int)]
-            seen = np.zeros(len(suspects), bool)
-            deep = [np.pad(v.astype(float), ((0, 0), (3 - free.ndim, 0))) for v in (suspects, eyes)]
-            in_view(solid.reshape((-1, *solid.shape[-2:])), *deep, HIDE_M / self.grid.step_m, seen)
-            groups, _ = label(solid, ball)
-            size = np.bincount(groups.ravel())
-            faint = maximum(percent, groups, np.arange(len(size))) < FAINT
-            alone = ((size == 1) | ((size == 2) & faint))[groups[tuple(suspects.T)]]
-            percent[tuple(suspects[~seen | alone].T)] = AMBIGUOUS
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""
