@@ -8,6 +8,7 @@ import pytest
 import ullage as ul
 from ullage.experiments.oracles import dense_tank
 from ullage.radar import curves
+from ullage.radar.antenna import gain
 from ullage.radar.multipath import beams_of, curved
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import bench, path_gain_cw, view_of
@@ -124,6 +125,22 @@ def test_a_floor_of_concrete_keeps_of_the_wave_what_fresnel_says():
     eps = floor(1.0, "concrete").objects[0].material.permittivity(spec.center_hz)
     cosine = 1.5 / np.hypot(2.0, 1.5)  # by the image of the ball's middle
     assert abs(both[0] / both[1]) == pytest.approx(abs(fresnel(eps, cosine)[0]), rel=0.02)
+
+
+def test_the_antenna_weighs_the_way_to_the_floor_and_the_way_from_the_ball():
+    """Turned down by 25 deg, so that the two ways leave it unlike each other."""
+    scene, spec = Scene.union([floor(12.0), ball()]), radar()
+    patch = spec.but(antenna={"kind": "x4a02", "polarization": "horizontal"})
+    middle, image = np.array([2.0, 0, -0.5]), np.array([0, 0, -2.0])
+    half = (middle - image) / np.linalg.norm(middle - image) + middle / np.linalg.norm(middle)
+    spot = middle - 0.1 * half / np.linalg.norm(half)
+    ways = np.stack([spot, (spot - image) * [1, 1, -1]])
+    turn = np.deg2rad(25.0)
+    down = replace(at(0, 0, 0), quat_xyzw=np.array([[0, np.sin(turn / 2), 0, np.cos(turn / 2)]]))
+    axes = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
+    sent, taken = gain(patch.antenna, ways / np.linalg.norm(ways, axis=1)[:, None] @ axes.T)
+    found = [order(scene, down, s, 2) for s in (patch, spec)]
+    assert abs(found[0] / found[1]) == pytest.approx(sent * taken, rel=0.01)
 
 
 @pytest.mark.parametrize("target", [ball(), wall(12, yaw_deg=10), scenes.tank(2.0, 1.2, strips=24)])
