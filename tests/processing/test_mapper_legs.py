@@ -31,7 +31,7 @@ def heard(legs: Legs, path: np.ndarray, distance, rng, *, ahead=ABEAM, told=None
         echoes = [
             Traced(j, path[j], track[j], reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(k, min(k + 13, len(path)))
         ]
-        legs.add(echoes, ahead, LEAST, 2.0)
+        legs.add(echoes, echoes, ahead, LEAST, 2.0)
         out += legs.tell(2)
     return out
 

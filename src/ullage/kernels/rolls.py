@@ -70,9 +70,6 @@ def weigh_rolls(
             miss = (me[RANGE] - fall - other[RANGE]) / math.sqrt(range_sigma**2 + wander**2 * gap)
             if abs(miss) > 3.0:
                 continue
-            known = other[NORMAL] * mx + other[NORMAL + 1] * my + other[NORMAL + 2] * mz
-            if (other[NORMAL] != 0.0 or other[NORMAL + 1] != 0.0 or other[NORMAL + 2] != 0.0) and known < 0.94:
-                continue
             best = max(best, math.exp(-0.5 * (miss * miss + turn * turn)))
         if leg >= 0.0:
             total += math.log(outlier + (1.0 - outlier) * best)

@@ -33,9 +33,10 @@ RANGE_SIGMA_M, WANDER, COSINE_SIGMA = 0.02, 0.01, 0.05
 OUTLIER = 0.06  # chance that a leg has no echo of a surface
 UNLIT, UNHEARD, BEHIND = 0.3, 0.02, -0.3  # chance of an echo from beside the beam, from behind, from where on
 ONE_SIDE = float(np.cos(np.radians(17.0)))
-SURE, ENOUGH_LEGS = 0.9, 1.6
+STRICT_SIDE = float(np.cos(np.radians(11.0)))
+SURE, ENOUGH_LEGS, MANY_LEGS = 0.9, 1.6, 2.5  # beside the beam, where echoes are weak, more is asked
 MOST_STRETCHES = 2048
-EDGE_BEND, FOCUSED = 0.5, 1.7  # bend of ranges, as a share of that of an edge or pole
+LEAST_BEND, EDGE_BEND, FOCUSED = 0.3, 0.5, 1.7  # bend of ranges, as a share of that of an edge or pole
 Told = tuple[list["Traced"], Floats, float]
 
 
@@ -45,6 +46,7 @@ class Legs:
     def __init__(self) -> None:
         self._line: Floats | None
         self._rows = np.zeros((MOST_STRETCHES, COLUMNS))
+        self._bends = np.zeros((MOST_STRETCHES, ROLLS), np.float32)
         self._kept: list[tuple[list[Traced], float]] = [([], 0.0)] * MOST_STRETCHES
         self._added = 0
         self._waiting: dict[int, None] = {}
@@ -54,8 +56,16 @@ class Legs:
     def _held(self) -> Floats:
         return self._rows[: min(self._added, MOST_STRETCHES)]
 
-    def add(self, echoes: list[Traced], ahead: Floats, least: float, rim: float) -> None:
-        """Take in a stretch of one reflector's echoes; those around it that are open wait to be judged anew."""
+    def add(self, echoes: list[Traced], lately: list[Traced], ahead: Floats, least: float, rim: float) -> None:
+        """Take in a stretch of one reflector's echoes; those around it that are open wait to be judged anew.
+
+        Args:
+            echoes: of the stretch.
+            lately: these and some before, which tell how the surface bends.
+            ahead: boresight (3).
+            least: cosine to it in which echoes are looked for.
+            rim: Fresnel parameter out to which the surface goes on.
+        """
         row = stretch_of(echoes)
         if row is None:
             return
@@ -67,7 +77,7 @@ class Legs:
             row[NORMAL : NORMAL + 3] = known[-1]
         at = self._added % MOST_STRETCHES
         self._waiting.pop(at, None)
-        self._rows[at], self._kept[at] = row, (echoes, rim)
+        self._rows[at], self._kept[at], self._bends[at] = row, (echoes, rim), bends_of(lately, cone(row), row)
         self._added += 1
         held = self._held
         open_ = self._around(at, AROUND_M) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
@@ -112,9 +122,9 @@ class Legs:
             return None
         others = np.ascontiguousarray(others[np.argsort(others[:, LEG], kind="stable")])
         ways = cone(me)
-        bends, lit = bends_of(self._kept[at][0], ways, me), ways @ me[AHEAD : AHEAD + 3]
+        bends, lit = self._bends[at].astype(float), ways @ me[AHEAD : AHEAD + 3]
         focused = (bends > FOCUSED) & (lit > me[WIDE])
-        fits = (bends < EDGE_BEND) | focused if bent else abs(bends) < EDGE_BEND
+        fits = (abs(bends) > LEAST_BEND) & ((bends < EDGE_BEND) | focused) if bent else abs(bends) < EDGE_BEND
         ways, bends, lit = ways[fits], bends[fits] if bent else np.zeros(np.count_nonzero(fits)), lit[fits]
         if not len(ways):
             return None
@@ -122,9 +132,10 @@ class Legs:
         weigh_rolls(me, others, ways, RANGE_SIGMA_M, WANDER, -bends / me[RANGE], OUTLIER, odds, legs)
         odds += np.log(np.where(lit > me[WIDE], 1.0, np.where(lit > BEHIND, UNLIT, UNHEARD)))
         best = int(np.argmax(odds))
+        enough, narrow = (ENOUGH_LEGS, ONE_SIDE) if lit[best] > me[WIDE] else (MANY_LEGS, STRICT_SIDE)
         share = np.exp(odds - odds[best])
-        side = share * (ways @ ways[best] > ONE_SIDE)
-        if legs[best] < ENOUGH_LEGS or side.sum() < SURE * share.sum():
+        side = share * (ways @ ways[best] > narrow)
+        if legs[best] < enough or side.sum() < SURE * share.sum():
             return None
         mean = side @ ways
         return np.asarray(mean / np.linalg.norm(mean))

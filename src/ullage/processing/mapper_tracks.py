@@ -196,7 +196,7 @@ class EchoTracks:
             feet += self._told(one, echo)
             one.fresh.append(echo)
             if len(one.fresh) >= LEAST_ECHOES and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M:
-                self._legs.add(one.fresh, look.heard.axes[:, 0], least, one.rim)
+                self._legs.add(one.fresh, one.echoes[-2 * len(one.fresh) :], look.heard.axes[:, 0], least, one.rim)
                 one.fresh = []
         self._open[name] = held
         return feet
