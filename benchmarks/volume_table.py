@@ -3,7 +3,9 @@
 Beside it, on the same frames, what the yardstick allows: a map of all surface within eight Fresnel zones of the true
 foot of a perpendicular from one of the looks ("told the walls").
 
-python benchmarks/volume_table.py [--flights 0,1,2] [--only WORD] [--level] [--keep FOLDER]
+With --missions, ordinary inspection missions through worlds of `volume_missions` instead, a row for each.
+
+python benchmarks/volume_table.py [--flights 0,1,2] [--only WORD] [--level] [--missions room,tank] [--keep FOLDER]
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from mapping_table import SIZE, believed, print_table, told
 from mapping_table import route as level_route
+from volume_missions import MISSIONS, frames_of, world
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
@@ -66,12 +69,28 @@ def cases(frames: dict[str, Frames], seed: int):
     yield "told the walls", None
 
 
+def missions(names: str, flights: str, only: str, folder: Path) -> dict[str, list[dict[str, float]]]:
+    """Scores of all missions whose name holds a word, through the worlds named."""
+    scores: dict[str, list[dict[str, float]]] = {}
+    for name in names.split(","):
+        scene = world(name)
+        grid = ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5)
+        for mission in (m for m in MISSIONS if only in m):
+            for seed in map(int, flights.split(",")):
+                frames = frames_of(name, mission, seed, folder)
+                got = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
+                scores.setdefault(f"{name}, {mission}", []).append({key: got[key].value for key in COLUMNS})
+                print(f"{seed} {name}, {mission}: F1 {got['f1'].value:.3f}", file=sys.stderr, flush=True)
+    return scores
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--flights", default="0,1,2", help="seeds of the flights, as 0,1,2")
     parser.add_argument("--only", default="", help="rows that hold this word")
     parser.add_argument("--level", action="store_true", help="fly level instead")
     parser.add_argument("--keep", type=Path, help="folder that keeps simulated frames for the next run")
+    parser.add_argument("--missions", default="", help="worlds to fly ordinary missions through, as room,tank")
     options = parser.parse_args()
     scene = ul.scenes.room(SIZE, plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
     grid = ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5)
@@ -79,6 +98,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as own:
         folder = options.keep or Path(own)
         folder.mkdir(parents=True, exist_ok=True)
+        if options.missions:
+            made = missions(options.missions, options.flights, options.only, folder)
+            print_table("mission", COLUMNS, made)
+            return
         for seed in map(int, options.flights.split(",")):
             frames = flown(scene, seed, folder, level=options.level)
             for name, recording in cases(frames, seed):
