@@ -76,8 +76,10 @@ class Blocks:
 
     def insert_in_steps(
         self, beam: Beam, ways: NDArray[np.float64], walls: NDArray[np.float64] = NO_WALLS, *, sure: int = 0
-    ) -> Iterator[None]:
+    ) -> Iterator[int]:
         """Add one look, a step each time that the next is asked for; nothing else may be added before the last.
+
+        Each step gives how much work the next is, in such as the silence of some blocks takes.
 
         Args:
             beam: the sensor, its echoes and its silence; `reach` and `hush` are filled in.
@@ -91,18 +93,18 @@ class Blocks:
         walls, sure = walls[met], int(np.count_nonzero(met[:sure]))
         farthest = cast_reach(self.pools, step, self.edge, beam, ways, walls, sure, HAZE_PER_M * step)
         farthest = min(farthest + step, beam.far)
-        yield
+        yield 1
         rows = survey_blocks(self.pools, step, self.edge, beam, farthest, self._turn, stride)
         found, most = 0, ROWS_A_STEP if self.grid.dims == 3 else max(len(rows), 1)
         for first in range(0, len(rows), most):
-            yield
+            yield 1
             some = rows[first : first + most]
             self.reserve(int(np.count_nonzero(self.pools.slots[some[:, 0], some[:, 1], some[:, 2]] == EMPTY)))
             found = hear_blocks(self.pools, step, self.edge, beam, farthest, some, self._found, self._chance)
         if found:
             share_echoes(self.pools, beam.arcs, self._found, self._chance, found, self._held_by)
         if self._turn % COLLAPSED_EVERY == 0:
-            yield
+            yield 1
             self.collapse()
 
     def lay(self, foot: NDArray[np.float64], way: NDArray[np.float64], strip: tuple[float, float, float]) -> None:

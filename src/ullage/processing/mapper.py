@@ -52,7 +52,8 @@ AHEAD = {2: 12, 3: 24}
 TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
 DISCS_A_STEP, JOINED_A_LOOK, DONE = 4, 2, object()  # discs in one go; stretches of legs judged anew
-STEPS, MOST_OPEN = 5, 16  # of work that a frame without a look does, and looks that may wait for it
+UNITS, MOST_OPEN = 9, 16  # of work that a frame without a look does, and looks that may wait for it
+HEAR, WEIGH, FOLLOW, CAST = 4, 5, 3, 2  # units of work that steps take, one about as long as silence in some blocks
 
 
 class UllageMapper:
@@ -86,7 +87,8 @@ class UllageMapper:
         self._pending: deque[tuple[str, Look, Weighed | None, list[Run], Stretch]] = deque()
         self._turns = Turns()
         self._waiting: list[tuple[str, Look]] = []
-        self._open: deque[Iterator[None]] = deque()
+        self._open: deque[Iterator[int]] = deque()
+        self._due = HEAR
         self._flown: dict[tuple[int, ...], None] = {}
 
     def update(self, frames: Recording) -> None:
@@ -114,40 +116,43 @@ class UllageMapper:
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
         frames_here = sum(len(part) for part in parts)
-        self._insert_all(looks, steps=STEPS * (frames_here - len(looks)))
+        self._insert_all(looks, units=UNITS * (frames_here - len(looks)))
 
     def finish(self) -> None:
         """Use the looks that waited for frames to come."""
         self._insert_all(
-            [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()], steps=0
+            [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()], units=0
         )
         self._open.append(self._insert_last())
         self._catch_up()
         self.blocks.collapse()
 
-    def _insert_all(self, looks: list[tuple[int, str, Look]], *, steps: int) -> None:
+    def _insert_all(self, looks: list[tuple[int, str, Look]], *, units: int) -> None:
         """Take looks in, but spread the work over the frames that follow: most of them complete no look."""
         self._open.extend(self._take_in(name, look) for _, name, look in sorted(looks, key=lambda item: item[:2]))
-        steps = max(steps, 0) + STEPS * max(len(self._open) - MOST_OPEN, 0)
-        while self._open and steps > 0:
-            steps -= 1
-            if next(self._open[0], DONE) is DONE:
+        units = max(units, 0) + UNITS * max(len(self._open) - MOST_OPEN, 0)
+        while self._open and self._due <= units:
+            units -= self._due
+            self._due = next(self._open[0], 0)
+            if not self._due:
                 self._open.popleft()
+                self._due = HEAR
 
     def _catch_up(self) -> None:
         """Do all work that waits."""
         while self._open:
             deque(self._open[0], maxlen=0)
             self._open.popleft()
+        self._due = HEAR
 
-    def _take_in(self, name: str, look: Look) -> Iterator[None]:
-        """What one look says, in steps of about equal work; those of one look come before those of the next."""
+    def _take_in(self, name: str, look: Look) -> Iterator[int]:
+        """What one look says, in steps that tell the work of the next; those of a look come before the next look's."""
         self._levels.hear(look)
         self._waiting.append((name, look))
         if self._levels.ready:
             yield from self._insert_waiting(self._levels)
 
-    def _insert_last(self) -> Iterator[None]:
+    def _insert_last(self) -> Iterator[int]:
         yield from self._insert_waiting(self._levels)
         deque(map(self._lay_disc, self._tracks.join()), maxlen=0)
         while self._late:
@@ -161,7 +166,7 @@ class UllageMapper:
         turning = self._pending[0][4].open
         return len(self._pending) > (MOST_LOOKS if turning else AHEAD[2]) * len(self._axis)
 
-    def _insert_waiting(self, levels: LevelFinder) -> Iterator[None]:
+    def _insert_waiting(self, levels: LevelFinder) -> Iterator[int]:
         for name, look in self._waiting:
             if self.grid.dims == 2:
                 kept = self._lobes.without_sidelobes(name, levels.without_levels(look))
@@ -169,6 +174,7 @@ class UllageMapper:
                 runs = [] if weighed is None else self._runs.follow(name, kept, *weighed)
                 self._pending.append((name, kept, weighed, runs, self._turns.hear(name, kept)))
                 while self._pending and self._long_enough():
+                    yield WEIGH
                     yield from self._insert_pending()
             else:
                 may_be = levels.levels(least=RETURNING)
@@ -176,22 +182,22 @@ class UllageMapper:
                 yield from self._follow(name, self._lobes.without_sidelobes(name, look))
         self._waiting.clear()
 
-    def _follow(self, name: str, look: Look) -> Iterator[None]:
+    def _follow(self, name: str, look: Look) -> Iterator[int]:
         """In a volume, silence waits until the walls around are known from how their echoes went on."""
         weighed = self._weigh(look)
-        yield
+        yield FOLLOW
         if weighed is not None:
             told = self._tracks.follow(name, look, *weighed, self._lobe[name][0][0])
             for k, foot in enumerate(chain(told, self._tracks.join(JOINED_A_LOOK))):
                 self._lay_disc(foot)
                 if k % DISCS_A_STEP == DISCS_A_STEP - 1:
-                    yield
+                    yield CAST
         self._late.append((name, look, *self._arcs(look, weighed)))
         if len(self._late) > AHEAD[3] * len(self._axis):
-            yield
+            yield CAST
             yield from self._insert(*self._late.popleft())
 
-    def _insert_pending(self) -> Iterator[None]:
+    def _insert_pending(self) -> Iterator[int]:
         """On a plane, looks wait a little until it shows which of their echoes go on as those of an edge do."""
         name, look, weighed, runs, stretch = self._pending.popleft()
         if stretch.turned:
@@ -203,11 +209,12 @@ class UllageMapper:
         weighed, edge = edges_among(look, weighed, runs, self._lobe[name][0][0])
         look = replace(look, sharp=look.sharp.copy())
         look.sharp[edge, 3:] = 0, 1
+        yield FOLLOW
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
         open_ = self._may_be_folded(name, look, weighed[0])
         yield from self._insert(name, look, *self._arcs(look, weighed, rims, open_))
 
-    def _insert_turned(self, name: str, look: Look, stretch: Stretch) -> Iterator[None]:
+    def _insert_turned(self, name: str, look: Look, stretch: Stretch) -> Iterator[int]:
         """A look of a turn on the spot: what has no bearing by its loudness names no place."""
         half = HALF_POWER * math.acos(self._lobe[name][0][0])
         seen, weighed = bearings(look, stretch, half)
@@ -216,7 +223,7 @@ class UllageMapper:
         vague, none = self._arcs(look.only(~told), None)
         yield from self._insert(name, look, np.concatenate([arcs, vague]), np.concatenate([rims, none]))
 
-    def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> Iterator[None]:
+    def _insert(self, name: str, look: Look, arcs: Floats, rims: Floats) -> Iterator[int]:
         start, bin_m, far = self._axis[name]
         hit, free = self._lobe[name]
         heard = look.heard
@@ -245,6 +252,7 @@ class UllageMapper:
         screens = np.concatenate([walls, self._tracks.screens(walls)])
         yield from self.blocks.insert_in_steps(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
         if self.grid.dims == 2:
+            yield CAST
             self._lay_strips(beam, arcs, rims, hit[0])
 
     def _rims(self, look: Look, cosine: Floats, runs: list[Run], least: float) -> Floats:
