@@ -102,12 +102,14 @@ class Ros2Sink:
         if not wanted:
             return
         self._peer.publisher("/tf", ros.TRANSFORMS, "transforms")
+        self._peer.publisher("map", ros.GRID, "latched")
         said = time.monotonic()
         while (found := self._peer.listeners("/tf")) < wanted and not self._closing.wait(0.05):
             if time.monotonic() - said > 10.0:
                 warnings.warn(f"waiting for subscribers of /tf: {found} of {wanted}", UllageWarning, stacklevel=2)
                 said = time.monotonic()
         self._closing.wait(SETTLE_S)
+        self._map_listeners = self._peer.listeners("map")  # they are no newcomers: the first map goes to them whole
 
     def _wait(self, t_ns: int) -> None:
         """Until the stamp is due; meanwhile the clock goes on."""
