@@ -155,7 +155,8 @@ class PoseFeed:
         return self._options.tf == "on"
 
     def close(self) -> None:
-        """Leave the network."""
+        """Leave the network, once what was sent reliably has arrived."""
+        self._peer.settle(1.0)
         self._peer.close()
 
 
