@@ -125,7 +125,7 @@ def _places(world: Prepared, position: Floats, t_ns: NDArray[np.int64], name: st
     if near < NEAREST_M:
         k = int(distance.argmin())
         thing = world.scene.objects[rays.owner[face[k]]].name
-        out.append(f"sensor {name!r} comes within {near * 1e3:.0f} mm of {thing!r}, nearer than a wave; its echoes "
+        out.append(f"sensor {name!r} comes within {abs(near) * 1e3:.0f} mm of {thing!r}, nearer than a wave; its echoes "
                    "there are rough")  # fmt: skip
     solid = _solids(world.scene)
     owner = np.where(met, rays.owner[np.maximum(face, 0)].reshape(met.shape), -1)
