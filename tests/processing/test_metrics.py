@@ -42,6 +42,8 @@ def score(percent, frames=None, scene=ROOM):
 def test_a_perfect_map_scores_one():
     got = score(perfect())
     assert got["f1"] == got["precision"] == got["recall"] == 1.0
+    assert got["recall_half_cell"] == 1.0
+    assert got["precision_half_cell"] > 0.97  # all but the four cells that only touch a corner of the room
     assert got["accuracy_median"] == pytest.approx(0.05, abs=3e-3)
     assert got["surface_declared_free"] < 0.01
     assert got["known_behind"] == 0
@@ -82,6 +84,17 @@ def test_shifted_walls_lose_half_a_cell_score_first_and_give_their_shift():
     assert got["precision"] < 0.9
     assert got["accuracy_p90"] == pytest.approx(0.95, abs=0.06)
     assert got["f1_half_cell"] <= got["f1"]
+
+
+def test_a_wall_one_cell_off_counts_within_15_cm_but_not_within_half_a_cell():
+    x, y = np.meshgrid(GRID.x_m, GRID.y_m)
+    wall = (abs(abs(x) - 3.15) < 0.02) & (abs(y) < 2.2) | (abs(abs(y) - 2.15) < 0.02) & (abs(x) < 3.2)
+    percent = np.where(wall, 99, UNKNOWN).astype(np.int8)
+    got = {
+        n: m.value for n, m in ul.metrics.map_quality(OccupancyMap(GRID, percent), ROOM, flight(), match_m=0.16).items()
+    }
+    assert got["precision"] > 0.9  # all but those about the corners
+    assert got["precision_half_cell"] == got["recall_half_cell"] == 0.0
 
 
 def test_free_walls_free_space_behind_them_and_false_obstacles_are_counted():

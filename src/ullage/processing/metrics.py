@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ullage.data import Metric, Recording, sensors_of
 from ullage.grids import Grid, OccupancyMap
-from ullage.processing.truth import Surface, in_sight, surface_of
+from ullage.processing.truth import BORDER, Surface, in_sight, surface_of
 from ullage.world.scene import Scene
 
 with contextlib.suppress(ImportError):
@@ -41,6 +41,8 @@ class _Scored:
     occupied: Floats  # (o, 3) centres of occupied cells
     occupied_gap: Floats  # (o) to the nearest true surface [m]
     surface_gap: Floats  # (s) to the nearest occupied cell [m], inf without one
+    on_surface: Flags  # (o) occupied cells that hold true surface, on their border or within
+    on_cells: Flags  # (s) surface in occupied cells, on their border or within
     cells: NDArray[np.int64]  # (c) flat index of the cells that are judged one by one
     cell_gap: Floats  # (c) to the nearest true surface [m]
     cell_open: Flags  # (c) seen from the flight
@@ -54,7 +56,8 @@ def map_quality(
     Surface counts as observable when at least `min_looks` looks (5 cm or 4 deg apart) had it in the 65 deg beam, in
     range, in line of sight and, where it is smooth, within 10 deg of its normal (75 deg for the thesis' ray model,
     whose cosine law lights oblique walls). Recall, completeness and F1 are over observable surface; precision and
-    accuracy over every occupied cell against every surface. A plane is judged in the slice at its height.
+    accuracy over every occupied cell against every surface. Those named `_half_cell` match only surface that lies in an
+    occupied cell or on its border. A plane is judged in the slice at its height.
 
     Args:
         omap: the map.
@@ -71,8 +74,8 @@ def map_quality(
     """
     judged = _judge(omap, scene, frames, min_looks)
     scores = (
-        _matches(judged, match_m, "")
-        + _matches(judged, omap.grid.step_m / 2, "_half_cell")
+        _matches(judged, judged.occupied_gap <= match_m, judged.surface_gap <= match_m, "")
+        + _matches(judged, judged.on_surface, judged.on_cells, "_half_cell")
         + _distances(judged)
         + _shares(judged)
         + _false_alarms(judged, match_m)
@@ -89,10 +92,11 @@ def _judge(omap: OccupancyMap, scene: Scene, frames: Recording, min_looks: int) 
     dims = grid.dims
     occupied = cell_centres(grid, np.flatnonzero(omap.occupied))
     tree = cKDTree(surface.points[:, :dims])
-    gap = np.asarray(tree.query(occupied[:, :dims])[0] if len(occupied) else np.zeros(0))
-    surface_gap = np.full(len(surface.points), np.inf)
+    reach = (0.5 + BORDER) * grid.step_m
+    gap, on_surface = _gaps(tree, occupied[:, :dims], reach)
+    surface_gap, on_cells = np.full(len(surface.points), np.inf), np.zeros(len(surface.points), bool)
     if len(occupied):
-        surface_gap[:] = cKDTree(occupied[:, :dims]).query(surface.points[:, :dims])[0]
+        surface_gap, on_cells = _gaps(cKDTree(occupied[:, :dims]), surface.points[:, :dims], reach)
     cells = np.arange(grid.size)
     if grid.size > MOST_CELLS:
         cells = np.sort(np.random.default_rng(0).choice(grid.size, MOST_CELLS, replace=False))
@@ -100,9 +104,16 @@ def _judge(omap: OccupancyMap, scene: Scene, frames: Recording, min_looks: int) 
     centres = cell_centres(grid.at_height(height), cells)
     open_ = in_sight(scene, frames, centres)
     return _Scored(
-        omap, surface, surface.observable(min_looks), occupied, gap, surface_gap, cells,
+        omap, surface, surface.observable(min_looks), occupied, gap, surface_gap, on_surface, on_cells, cells,
         np.asarray(tree.query(centres[:, :dims])[0]), open_,
     )  # fmt: skip
+
+
+def _gaps(tree: cKDTree, points: Floats, reach: float) -> tuple[Floats, Flags]:
+    """Distance of each point (p, d) to the nearest in a tree, and whether one lies within `reach` along every axis."""
+    if not len(points):
+        return np.zeros(0), np.zeros(0, bool)
+    return np.asarray(tree.query(points)[0]), np.asarray(tree.query(points, p=np.inf)[0] <= reach)
 
 
 def cell_centres(grid: Grid, cells: NDArray[np.int64]) -> Floats:
@@ -116,9 +127,8 @@ def _share(flags: Flags, empty: float = 0.0) -> float:
     return float(np.mean(flags)) if flags.size else empty
 
 
-def _matches(judged: _Scored, within: float, suffix: str) -> list[Metric]:
-    precision = _share(judged.occupied_gap <= within)
-    recall = _share(judged.surface_gap[judged.observable] <= within)
+def _matches(judged: _Scored, true: Flags, found: Flags, suffix: str) -> list[Metric]:
+    precision, recall = _share(true), _share(found[judged.observable])
     f1 = 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
     return [Metric(name + suffix, value) for name, value in (("f1", f1), ("precision", precision), ("recall", recall))]
 

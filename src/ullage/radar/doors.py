@@ -125,8 +125,8 @@ def _places(world: Prepared, position: Floats, t_ns: NDArray[np.int64], name: st
     if near < NEAREST_M:
         k = int(distance.argmin())
         thing = world.scene.objects[rays.owner[face[k]]].name
-        out.append(f"sensor {name!r} comes within {abs(near) * 1e3:.0f} mm of {thing!r}, nearer than a wave; its echoes "
-                   "there are rough")  # fmt: skip
+        out.append(f"sensor {name!r} comes within {abs(near) * 1e3:.0f} mm of {thing!r}, nearer than a wave; its "
+                   "echoes there are rough")  # fmt: skip
     solid = _solids(world.scene)
     owner = np.where(met, rays.owner[np.maximum(face, 0)].reshape(met.shape), -1)
     inside = met.all(1) & (owner == owner[:, :1]).all(1) & solid[np.maximum(owner[:, 0], 0)]
