@@ -33,46 +33,95 @@ def insert_reading(
     far = reach + spread if echo else reach
     low_x, high_x, low_y, high_y = _lobe_square(x, y, yaw, half, far)
     rows, columns = empty.shape
-    first_row = max(0, math.floor((low_y - row0) / step))
-    last_row = min(rows - 1, math.floor((high_y - row0) / step))
-    first_column = max(0, math.floor((low_x - column0) / step))
-    last_column = min(columns - 1, math.floor((high_x - column0) / step))
-    box[0], box[1], box[2], box[3] = first_row, last_row + 1, first_column, last_column + 1
-    cos_yaw, sin_yaw, cos_half = math.cos(yaw), math.sin(yaw), math.cos(half)
+    box[0] = max(0, math.floor((low_y - row0) / step))
+    box[1] = min(rows, math.floor((high_y - row0) / step) + 1)
+    box[2] = max(0, math.floor((low_x - column0) / step))
+    box[3] = min(columns, math.floor((high_x - column0) / step) + 1)
+    corner = column0 - x, row0 - y, step
+    lobe = math.cos(yaw), math.sin(yaw), math.cos(half), half
     clear = max(reach - spread, near) if echo else reach
+    total = _add_emptiness(empty, box, corner, lobe, near, clear, far, reach, spread)
+    if echo and total > 0.0:
+        _add_echo(empty, occupied, box, corner, lobe, clear, far, reach, spread, total)
+
+
+@inner(fastmath=True)
+def _add_emptiness(
+    empty: np.ndarray,
+    box: np.ndarray,
+    corner: tuple[float, float, float],
+    lobe: tuple[float, float, float, float],
+    near: float,
+    clear: float,
+    far: float,
+    reach: float,
+    spread: float,
+) -> float:
+    """Blend f_e into the cells before the arc; returns the sum of f_o over it, each weakened by its cell's emptiness.
+
+    The arc is what lies from `clear` to `far`; there is none where these are the same.
+    """
     total = 0.0
-    for row in range(first_row, last_row + 1):
-        dy = row0 + (row + 0.5) * step - y
-        for column in range(first_column, last_column + 1):
-            dx = column0 + (column + 0.5) * step - x
-            distance = math.sqrt(dx * dx + dy * dy)
-            along = dx * cos_yaw + dy * sin_yaw
-            if distance > far or along < cos_half * distance:
+    for row in range(box[0], box[1]):
+        for column in range(box[2], box[3]):
+            distance, angle = _seen(row, column, corner, lobe, near, far)
+            if angle > 1.0:
                 continue
-            angle = math.atan2(dy * cos_yaw - dx * sin_yaw, along) / half
             across = 1.0 - angle * angle
-            if near <= distance < clear:
+            if distance < clear:
                 part = (distance - near) / (clear - near)
                 weight = (1.0 - part * part) * across
                 empty[row, column] += weight - empty[row, column] * weight
-            elif echo and distance >= clear:
+            elif clear < far:
                 part = (distance - reach) / spread
-                if abs(part) < 1.0:
-                    total += (1.0 - part * part) * across * (1.0 - empty[row, column])
-    if not echo or total <= 0.0:
-        return
-    for row in range(first_row, last_row + 1):
-        dy = row0 + (row + 0.5) * step - y
-        for column in range(first_column, last_column + 1):
-            dx = column0 + (column + 0.5) * step - x
-            distance = math.sqrt(dx * dx + dy * dy)
-            part = (distance - reach) / spread
-            along = dx * cos_yaw + dy * sin_yaw
-            if abs(part) >= 1.0 or distance < clear or along < cos_half * distance:
+                total += (1.0 - part * part) * across * (1.0 - empty[row, column])
+    return total
+
+
+@inner(fastmath=True)
+def _add_echo(
+    empty: np.ndarray,
+    occupied: np.ndarray,
+    box: np.ndarray,
+    corner: tuple[float, float, float],
+    lobe: tuple[float, float, float, float],
+    clear: float,
+    far: float,
+    reach: float,
+    spread: float,
+    total: float,
+) -> None:
+    """Blend f_o into the cells of the arc, weakened by their emptiness and normalised to `total`."""
+    for row in range(box[0], box[1]):
+        for column in range(box[2], box[3]):
+            distance, angle = _seen(row, column, corner, lobe, clear, far)
+            if angle > 1.0:
                 continue
-            angle = math.atan2(dy * cos_yaw - dx * sin_yaw, along) / half
+            part = (distance - reach) / spread
             weight = (1.0 - part * part) * (1.0 - angle * angle) * (1.0 - empty[row, column]) / total
             occupied[row, column] += weight - occupied[row, column] * weight
+
+
+@inner(fastmath=True)
+def _seen(
+    row: int,
+    column: int,
+    corner: tuple[float, float, float],
+    lobe: tuple[float, float, float, float],
+    low: float,
+    high: float,
+) -> tuple[float, float]:
+    """Distance of a cell's centre [m] and its angle off the axis, in halves of the lobe; 2 outside lobe or range.
+
+    `corner` is that of cell (0, 0) from the sensor and the cells' side [m], `lobe` cosine and sine of the yaw, cosine
+    of the half angle and that angle.
+    """
+    dx, dy = corner[0] + (column + 0.5) * corner[2], corner[1] + (row + 0.5) * corner[2]
+    distance = math.sqrt(dx * dx + dy * dy)
+    along = dx * lobe[0] + dy * lobe[1]
+    if distance < low or distance > high or along < lobe[2] * distance:
+        return distance, 2.0
+    return distance, abs(math.atan2(dy * lobe[0] - dx * lobe[1], along)) / lobe[3]
 
 
 @inner()

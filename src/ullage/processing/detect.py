@@ -98,10 +98,7 @@ def detect(
             "train": train, "correlation": correlation, "max_echoes": max_echoes, "window_m": window_m,
         }  # fmt: skip
         return {name: detect(part, **kept) for name, part in frames.items()}
-    if method not in get_args(Method):
-        raise InputError(f"no method {method!r}", where="detect", allowed=", ".join(get_args(Method)))
-    if threshold is not None and not threshold > 0:
-        raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
+    _refuse_unknown(method, threshold)
     sigma = noise_sigma(checked(frames))
     least_m = _blind_m(frames) if min_range_m is None else min_range_m
     if method == "track":
@@ -112,16 +109,19 @@ def detect(
     if method in ("cfar", "os-cfar"):
         settings: dict[str, Any] = {"pfa": pfa, "guard": guard, "train": train, "correlation": correlation}
         over = values > cfar_threshold(frames, ordered=method == "os-cfar", **settings)
-        frame, bin_ = np.nonzero(peaks(values) & over & far)
-        return _at_peaks(frames, values, frame, bin_, sigma)
-    level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
-    if method == "clean":
-        return _cleaned(frames, far, level, sigma, max_echoes)
-    frame, bin_ = np.nonzero(peaks(values) & (values > level) & far)
-    if method == "first_peak":
-        frame, first = np.unique(frame, return_index=True)
-        bin_ = bin_[first]
-    return _at_peaks(frames, values, frame, bin_, sigma)
+    else:
+        level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
+        if method == "clean":
+            return _cleaned(frames, far, level, sigma, max_echoes)
+        over = values > level
+    return _at_peaks(frames, values, peaks(values) & over & far, sigma, first=method == "first_peak")
+
+
+def _refuse_unknown(method: str, threshold: float | None) -> None:
+    if method not in get_args(Method):
+        raise InputError(f"no method {method!r}", where="detect", allowed=", ".join(get_args(Method)))
+    if threshold is not None and not threshold > 0:
+        raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
 
 
 def _blind_m(frames: Frames) -> float:
@@ -151,7 +151,11 @@ def _vertex(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     return shift, b - 0.25 * (a - c) * shift
 
 
-def _at_peaks(frames: Frames, values: Floats, frame: Ints, bin_: Ints, sigma: float) -> Detections:
+def _at_peaks(frames: Frames, values: Floats, at: NDArray[np.bool_], sigma: float, *, first: bool) -> Detections:
+    frame, bin_ = np.nonzero(at)
+    if first:
+        frame, nearest = np.unique(frame, return_index=True)
+        bin_ = bin_[nearest]
     shift, amplitude = _vertex(*(values[frame, bin_ + k] for k in (-1, 0, 1)))
     return _detections(frames, frame, frames.range_m[bin_] + shift * _bin_m(frames), amplitude, sigma)
 
