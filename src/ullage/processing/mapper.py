@@ -21,10 +21,11 @@ from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, rim_mirror_m
 from ullage.processing.mapper_door import in_order, plane_of
+from ullage.processing.mapper_folds import may_be_folded
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, ways_apart
-from ullage.processing.mapper_rims import LEAST_RIM, lobe_loss, rim_along
+from ullage.processing.mapper_rims import LEAST_RIM, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_show import without_cut_off
 from ullage.processing.mapper_tracks import EchoTracks, Foot
@@ -49,8 +50,6 @@ SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
 HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
-TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
-BESIDE_M = 1.0  # what stands so near before a wall belongs to it
 DISCS_A_STEP, JOINED_A_LOOK, DONE = 4, 2, object()  # discs in one go; stretches of legs judged anew
 UNITS, MOST_OPEN = 9, 16  # of work that a frame without a look does, and looks that may wait for it
 HEAR, WEIGH, FOLLOW, CAST = 4, 5, 3, 2  # units of work that steps take, one about as long as silence in some blocks
@@ -266,24 +265,17 @@ class UllageMapper:
         return out
 
     def _may_be_folded(self, name: str, look: Look, cosine: Floats) -> Flags:
-        """Which echoes (k) may as well have come from a flat wall farther off by the range at which echoes fold.
-
-        Such a wall fits every range and bearing of the track alike. It is none where it would lie off the grid or
-        behind what the map holds, nor where its echo, which falls as one over its range, is too loud for it.
-        """
-        least, fold = self._lobe[name][0][0], self._fold_m[name]
-        half, eye = HALF_POWER * math.acos(least), look.heard.position
-        out = np.zeros(len(look.echoes), bool)
-        for k, (reach, height) in enumerate(look.echoes[:, [0, 5]]):
-            for way in lit_ways(look.heard.axes, look.track, float(np.clip(cosine[k], -1, 1)), least):
-                far = reach + fold
-                _, inside = self.grid.index(eye + far * way)
-                if not inside[0]:
-                    continue
-                lobe = lobe_loss(float(way @ look.heard.axes[:, 0]), half)
-                quiet = height * lobe * far < TOO_LOUD * self._judge.usual
-                out[k] |= bool(quiet and self.blocks.clear_to(eye, way, far - BESIDE_M))
-        return out
+        least = self._lobe[name][0][0]
+        return may_be_folded(
+            look,
+            cosine,
+            self.blocks,
+            least=least,
+            half_rad=HALF_POWER * math.acos(least),
+            wave_m=self._wavelength_m,
+            fold_m=self._fold_m[name],
+            usual=self._judge.usual,
+        )
 
     def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float) -> None:
         """Echoes of smooth surfaces stand for what is about the foot of the perpendicular, as far as their level tells.
