@@ -207,9 +207,9 @@ def draw(tally: Tally, path: str) -> None:
         left.scatter(r[ok > 0], a[ok > 0], s=26, color=COLORS[name], label=f"{name}, found")
         left.scatter(r[ok == 0], a[ok == 0], s=40, facecolors="none", edgecolors=COLORS[name], label=f"{name}, missed")
     left.set(
-        xlabel="range at the nearest look [m]", ylabel="angle off the boresight there [°]", xlim=(0, 4.6), ylim=(0, 75)
+        xlabel="range at the nearest look [m]", ylabel="angle off the boresight there [°]", xlim=(0, 4.6), ylim=(0, 60)
     )
-    left.legend(fontsize=7, loc="upper right", ncols=2)
+    left.legend(fontsize=7, loc="lower center", ncols=4, bbox_to_anchor=(0.5, 1.0))
     middles = np.arange(len(RANGES))
     for k, (c, d) in enumerate(ANGLES):
         for there, shade in ((True, 0.9), (False, 0.4)):
@@ -220,7 +220,7 @@ def draw(tally: Tally, path: str) -> None:
             right.bar(at, rate, 0.12, color=f"C{k}", alpha=shade, label=label)
     right.set_xticks(middles, [f"{a:g} to {b:g} m" for a, b in RANGES])
     right.set(xlabel="range at the nearest look", ylabel="false cells of 1000 open ones")
-    right.legend(fontsize=7)
+    right.legend(fontsize=7, loc="lower center", ncols=3, bbox_to_anchor=(0.5, 1.0))
     for axes in (left, right):
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=100)

@@ -77,3 +77,26 @@ def test_frames_without_poses_or_noise_are_refused():
     assert noise_sigma(quiet) < 1e-6
     with pytest.raises(ul.InputError, match="no exponential noise"):
         tracked(quiet, 0.0, pfa=1e-4, window_m=0.6, min_range_m=0.0)
+
+
+def test_frames_beyond_a_bend_are_left_out():
+    corner = np.r_[np.arange(-0.3, 0, 0.02), np.zeros(15)], np.r_[np.zeros(15), np.arange(0, 0.3, 0.02)]
+    path = ul.Trajectory(
+        np.arange(30) * 40_000_000, np.column_stack([*corner, np.zeros(30)]), np.tile([0, 0, 0, 1.0], (30, 1))
+    )
+    for index in (12, 17):
+        rows, _ = window(path, index, 0.6)
+        assert index in rows
+        assert np.ptp(rows) == len(rows) - 1, "one stretch"
+        aside = path.position[rows][:, 1 if index < 15 else 0]
+        assert abs(aside).max() < 0.05
+
+
+def test_few_hyperbolas_that_only_cross_a_strong_echo_count():
+    """Flying at a thing, those of the other bearing meet it at an end of the track, half a metre off in the middle."""
+    path = ul.Trajectory.line((0.0, 0, 0), (1.2, 0, 0), speed_m_s=0.5, rate_hz=25, yaw_deg=0)
+    frames = frames_of_points([(2.6, 0.0, 0)], path, spec=SPEC, noise=0.003, seed=6)
+    hits = ul.detect(frames, method="track")
+    gap = (2.6 - path.position[:, 0])[hits.frame] - hits.range_m
+    assert np.isin(np.arange(len(frames)), hits.frame[abs(gap) < 0.1]).all()
+    assert len(set(hits.frame[abs(gap) > 0.25])) < 0.2 * len(frames)  # half of the frames, were all power added

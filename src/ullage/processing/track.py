@@ -20,6 +20,7 @@ BEND_M = 0.02
 MOST_FRAMES = 41
 LEAST_FRAMES = 3
 COSINES = 33
+OUTSTANDING = 4.0  # times their median: of frames of noise alone one in sixteen has so much power
 
 
 def tracked(
@@ -57,7 +58,8 @@ def tracked(
         m = len(rows)
         over = excess > 1
         top = np.flatnonzero(over[1:-1] & (excess[1:-1] > excess[:-2]) & (excess[1:-1] >= excess[2:])) + 1
-        for b in top[frames.range_m[top] >= min_range_m]:
+        top = top[frames.range_m[top] >= min_range_m]
+        for b in top[heard_all_along(power[rows], along, frames.range_m, top, best, levels)]:
             mean = float(excess[b] * levels[m] / m)
             left, middle, right = excess[b - 1], excess[b], excess[b + 1]
             shift = 0.5 * (left - right) / (left - 2 * middle + right)
@@ -65,6 +67,31 @@ def tracked(
             out.append((i, place, sigma * np.sqrt(mean), 10 * np.log10(max(mean - 1, 1e-3))))
     columns = np.array(out, float).reshape(-1, 4)
     return columns[:, 0].astype(np.int64), columns[:, 1], columns[:, 2], columns[:, 3]
+
+
+def heard_all_along(
+    power: Floats, along: Floats, range_m: Floats, top: NDArray[np.int64], cosine: Floats, levels: Floats
+) -> NDArray[np.bool_]:
+    """Which peaks (k) are heard in most frames: not those of a few in which they cross what a strong echo draws.
+
+    A hyperbola of the wrong bearing meets that of a strong echo near an end of the track, and those frames alone may
+    lift its sum over the level. So none counts for more than OUTSTANDING times the median of all.
+
+    Args:
+        power: (m, b) in units of the mean noise power.
+        along: (m) places on the track [m].
+        range_m: of the bins (b) [m].
+        top: bins of the peaks (k).
+        cosine: to the track, of the best hyperbola at each bin (b).
+        levels: what noise exceeds seldom enough in a sum of so many frames.
+    """
+    r, c = range_m[top, None], cosine[top, None]
+    runs = np.sqrt(np.maximum(r**2 + along**2 - 2 * r * along * c, 0.0))
+    bins = np.floor((runs - range_m[0]) / (range_m[1] - range_m[0]) + 0.5).astype(int)
+    there = (bins >= 0) & (bins < len(range_m))
+    mine = np.where(there, power[np.arange(len(along)), np.where(there, bins, 0)], np.nan)
+    most = OUTSTANDING * np.nanmedian(mine, axis=1, keepdims=True)
+    return np.asarray(np.nansum(np.minimum(mine, most), axis=1) > levels[there.sum(1)])
 
 
 def level_of_sums(pfa: float) -> Floats:
@@ -75,7 +102,7 @@ def level_of_sums(pfa: float) -> Floats:
 
 
 def window(path: Trajectory, index: int, window_m: float) -> tuple[NDArray[np.int64], Floats]:
-    """Frames about one, and their way along the straight track through it [m]; the frame alone where it bends."""
+    """Frames about one, up to where the track bends, and their way along it [m]; the frame alone where they are few."""
     away = path.position - path.position[index]
     gap = np.linalg.norm(away, axis=1)
     out = gap > window_m / 2
@@ -88,6 +115,8 @@ def window(path: Trajectory, index: int, window_m: float) -> tuple[NDArray[np.in
         return np.array([index]), np.zeros(1)
     ahead = away[far] / gap[far]
     along = away[rows] @ ahead
-    straight = np.linalg.norm(away[rows] - along[:, None] * ahead, axis=1) < BEND_M
-    rows, along = rows[straight], along[straight]
+    bent = np.flatnonzero(np.linalg.norm(away[rows] - along[:, None] * ahead, axis=1) >= BEND_M)
+    here = int(np.flatnonzero(rows == index)[0])
+    part = slice(bent[bent < here].max(initial=-1) + 1, bent[bent > here].min(initial=len(rows)))
+    rows, along = rows[part], along[part]
     return (rows, along) if len(rows) >= LEAST_FRAMES else (np.array([index]), np.zeros(1))
