@@ -5,10 +5,10 @@
 Without words all four tables. CPU times are the least of several short runs, since machines are shared.
 """
 
+import argparse
 import contextlib
 import os
 import resource
-import sys
 import time
 from collections import defaultdict
 
@@ -152,5 +152,10 @@ def stages():
 
 if __name__ == "__main__":
     tables = {"scenes": scenes, "grow": grow, "cores": cores, "stages": stages}
-    for word in sys.argv[1:] or tables:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", nargs="*", help=", ".join(tables))
+    asked = parser.parse_args().table or list(tables)
+    if unknown := [word for word in asked if word not in tables]:
+        parser.error(f"no table {unknown[0]!r}; there are {', '.join(tables)}")
+    for word in asked:
         tables[word]()
