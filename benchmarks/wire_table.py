@@ -106,7 +106,6 @@ def draw(table, path: str, runs: int) -> None:
             chance = [1 - table[name][case, r, method] for r in RANGES]
             axes[0].plot(RANGES, chance, line, color=color, marker="o", ms=4, label=f"{name}, {method}")
     axes[0].set(xlabel="range [m]", ylabel="chance of detection in a frame", ylim=(-0.03, 1.03), title=f"{case}")
-    axes[0].legend(fontsize=8)
     hard = {"on boresight, level": 8.0, "60° off, upright": 8.0, "60° off, level": 4.0}
     for (case, range_m), color in zip(hard.items(), ("tab:blue", "tab:orange", "tab:green"), strict=True):
         for method, line in (("cfar", ":"), ("track", "-")):
@@ -114,9 +113,9 @@ def draw(table, path: str, runs: int) -> None:
             axes[1].semilogx(*points.T, line, color=color, marker=".", label=f"{case}, {range_m:.0f} m, {method}")
     axes[1].set(xlabel="false alarms for each bin and frame", ylabel="chance of detection in a frame")
     axes[1].set(ylim=(-0.03, 1.03), title="3 mm wire")
-    axes[1].legend(fontsize=8)
     for a in axes:
         a.grid(alpha=0.3)
+        a.legend(fontsize=7, loc="upper center", ncols=3, bbox_to_anchor=(0.5, -0.14))
     figure.savefig(path, dpi=100)
 
 
