@@ -7,9 +7,9 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.oracles import dense_tank
-from ullage.radar import curves
+from ullage.radar import curves, physical, ways
 from ullage.radar.antenna import gain
-from ullage.radar.multipath import beams_of, curved
+from ullage.radar.multipath import beams_of
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import bench, path_gain_cw, view_of
 from ullage.world import scenes
@@ -168,11 +168,11 @@ def test_nothing_is_counted_twice():
     flats, view = ready.world.still.flats, view_of(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
     beams = beams_of(ready, flats, view, 3)
     faces = np.column_stack([beams.chains, beams.ends_on])
-    bent = (curved(flats)[faces] & (faces >= 0)).sum(1)
+    bent = (flats.smooth[faces] & (faces >= 0)).sum(1)
     assert not beams.weights[bent == 1].any()
-    room = bench(scenes.room((4, 3, 2)), spec)
-    grids = np.zeros((3, room.places), complex)
-    assert curves.lay_curves(room, [room.world.still], room.world.still.flats, view, 3, grids) == []
+    led = ways.ways_of(ready, flats, view, 3)
+    assert len(led)
+    assert not (flats.smooth[led.faces] & (led.faces >= 0)).any()
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.2, 0.5), (0.0, 0.0, 0.4), (-0.2, 0.9, 0.8)])
@@ -225,7 +225,7 @@ def test_it_is_told_by_name_and_a_leg_that_is_blocked_gives_nothing():
 
 
 def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
-    monkeypatch.setattr(curves, "FACES", 2)
+    monkeypatch.setattr(ways, "FACES", 2)
     scene = Scene.union([scenes.room((5, 4, 2.4)), ball(centre=(1.0, 0.0, 0.0))])
     path = ul.Trajectory.line((-0.6, -0.02, 0.3), (-0.6, 0.02, 0.3), 0.5, 400)
     spec = radar()
@@ -234,9 +234,67 @@ def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
     for place in path.position:
         ready = bench(scene, spec)
         view = view_of(spec, place, np.eye(3))
-        faces.add(tuple(w.legs[0].faces + w.legs[1].faces for w in curves._ways(ready, flats, view, 2)))
+        faces.add(tuple(ways.ways_of(ready, flats, view, 2).faces.ravel()))
     both = [ul.simulate(scene, path, spec, max_bounces=b).samples for b in (1, 2)]
     bare = [ul.simulate(scenes.room((5, 4, 2.4)), path, spec, max_bounces=b).samples for b in (1, 2)]
     change = abs(np.diff((both[1] - both[0]) - (bare[1] - bare[0]), axis=0)).max(1)
     assert len(faces) > 0
     assert change.max() < 0.3 * abs(both[1] - both[0]).max()
+
+
+def afar(count=520, away=60.0):
+    """Small upright plates far beyond any gate, each a flat face of its own."""
+    one = wall(1, width=0.2, height=0.2, ahead=0.0)
+    places = away + 0.5 * np.stack([np.arange(count) % 26, np.arange(count) // 26, np.zeros(count)], 1)
+    vertices = (one.vertices[None] + places[:, None]).reshape(-1, 3)
+    faces = (one.faces[None] + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)
+    return mesh(vertices, faces, "afar")
+
+
+def drum(radius=0.15, height=0.7, strips=24):
+    """An upright closed drum of narrow strips, 2 m ahead over the floor."""
+    angle = 2 * np.pi * np.arange(strips) / strips
+    ring = np.stack([radius * np.cos(angle) + 2.0, radius * np.sin(angle), 0 * angle - 0.8], 1)
+    here, after = np.arange(strips), np.roll(np.arange(strips), -1)
+    sides = [np.stack([here, after, here + strips], 1), np.stack([after, after + strips, here + strips], 1)]
+    lid = np.stack([np.full(strips - 2, strips), here[1:-1] + strips, here[2:] + strips], 1)
+    base = np.stack([np.zeros(strips - 2, int), here[2:], here[1:-1]], 1)
+    return mesh(np.concatenate([ring, ring + np.array([0, 0, height])]), np.concatenate([*sides, lid, base]), "drum")
+
+
+def wire():
+    return Scene.of_wires([[2.0, -1, 0]], [[2.0, 1, 0]], 0.002, name="wire")
+
+
+@pytest.mark.parametrize("thing", [ball(), drum(), wire()])
+def test_what_is_far_away_changes_nothing_of_what_is_near(thing):
+    """Hundreds of faces beyond the gate, as in a hall or a hold: the echoes over the floor are those without them."""
+    spec, near = radar(bins=100), Scene.union([floor(material="concrete"), thing])
+    wide = Scene.union([near, afar()])
+    assert (~bench(wide, spec).world.still.flats.smooth).sum() > 500
+    for bounces in (2, 3):
+        alone, padded = (ul.simulate(s, at(0, 0, 0), spec, max_bounces=bounces).samples[0] for s in (near, wide))
+        fewer = ul.simulate(near, at(0, 0, 0), spec, max_bounces=bounces - 1).samples[0]
+        assert abs(alone - fewer).max() > 1e-6
+        assert abs(padded - alone).max() < 0.01 * abs(alone - fewer).max()
+
+
+@pytest.mark.parametrize("strips", [256, 512])
+def test_facets_too_faint_to_count_are_left_out_and_no_others(monkeypatch, strips):
+    """Strips of a drum over a floor, of a third of a wave and a sixth: it is a smooth surface however it is cut."""
+    scene, spec = Scene.union([floor(), drum(radius=0.5, strips=strips)]), radar()
+    held = []
+    met = curves.met
+
+    def counted(*told):
+        known = met(*told)
+        held.append(len(known.on))
+        return known
+
+    monkeypatch.setattr(curves, "met", counted)
+    found = []
+    for faint in (physical.FAINT, 0.0):
+        monkeypatch.setattr(physical, "FAINT", faint)
+        found.append(order(scene, at(0, 0, 0), spec, 2))
+    assert held[0] < 0.97 * held[-1]
+    assert db(found[0] / found[1]) == pytest.approx(0, abs=0.1)

@@ -192,22 +192,27 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
 
 @lean(nogil=True, error_model="numpy")
 def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
-    """Whether each point (m, 3) lies within the rim of its face (m): a line from it crosses the rim an odd time."""
+    """Whether each point (m, 3) lies within the rim of its face (m)."""
     for i in range(len(points)):
-        p = owner[i]
-        ax, ay, az = abs(normals[p, 0]), abs(normals[p, 1]), abs(normals[p, 2])
-        u, v = np.int64(0), np.int64(1)  # the two axes across which the face is largest
-        if ax >= ay and ax >= az:
-            u, v = np.int64(1), np.int64(2)
-        elif ay >= az:
-            v = np.int64(2)
-        x, y = points[i, u], points[i, v]
-        odd = False
-        for e in range(first[p], first[p + 1]):
-            above = starts[e, v] > y
-            if above != (ends[e, v] > y):
-                left = x - starts[e, u]
-                rise = ends[e, v] - starts[e, v]
-                if (left * rise < (ends[e, u] - starts[e, u]) * (y - starts[e, v])) == (rise > 0):
-                    odd = not odd
-        out[i] = odd
+        out[i] = held(points[i], owner[i], normals, first, starts, ends)
+
+
+@core(nogil=True, error_model="numpy")
+def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def]
+    """Whether a point lies within the rim of face p: a line from it crosses the rim an odd time."""
+    ax, ay, az = abs(normals[p, 0]), abs(normals[p, 1]), abs(normals[p, 2])
+    u, v = np.int64(0), np.int64(1)  # the two axes across which the face is largest
+    if ax >= ay and ax >= az:
+        u, v = np.int64(1), np.int64(2)
+    elif ay >= az:
+        v = np.int64(2)
+    x, y = point[u], point[v]
+    odd = False
+    for e in range(first[p], first[p + 1]):
+        above = starts[e, v] > y
+        if above != (ends[e, v] > y):
+            left = x - starts[e, u]
+            rise = ends[e, v] - starts[e, v]
+            if (left * rise < (ends[e, u] - starts[e, u]) * (y - starts[e, v])) == (rise > 0):
+                odd = not odd
+    return odd

@@ -1,4 +1,4 @@
-"""Loops over ways by flat mirrors to points of other surfaces, and back: where they go, what becomes of the field."""
+"""Loops over ways by flat mirrors to other things, and back: where they go, what becomes of the field."""
 
 from __future__ import annotations
 
@@ -6,56 +6,208 @@ import math
 
 import numpy as np
 
-from ullage.kernels.bounces import _across, _reflect, _unit
-from ullage.kernels.loops import loop
+from ullage.kernels.bounces import _across, _mirrored, _reflect, _unit
+from ullage.kernels.edges import mirror
+from ullage.kernels.lit import spot as shortest
+from ullage.kernels.loops import core, loop
+from ullage.kernels.rims import held
+
+PLANES = 20  # of the beams of both legs of a way: five for each of two mirrors
 
 
 @loop(nogil=True, error_model="numpy")
-def corners(points, faces, images, normals, offsets, out, met):  # type: ignore[no-untyped-def]
-    """Where both legs of the ways to points meet their mirrors; whether from in front.
+def lead(faces, origins, frames, normals, offsets, spheres, across, first, starts, images, turned, planes, counts,  # type: ignore[no-untyped-def]
+         reach):  # fmt: skip
+    """Where ways (n) over mirrors lead: images of the antennas, and the beams that come through the mirrors' boxes.
 
     Args:
-        points: (m, 3) [m].
-        faces: (2, 2) mirrors of each leg from its antenna on, -1 for none.
-        images: (2, 3, 3) each antenna, then its images in them [m].
-        normals: (p, 3) and offsets: (p) of the faces.
-        out: (2, 4, m, 3) gets the corners of each leg: antenna, at the mirrors, point; those not needed are left [m].
-        met: (m) gets whether every mirror stands between an image and what it mirrors to.
+        faces: (n, 2, 2) mirrors of each leg from its antenna on, -1 for none.
+        origins: (2, 3) antennas [m]; frames: (2, 3, 3) sensor_from_world.
+        normals: (p, 3), offsets: (p), spheres: (p, 4), across: (p, 2, 3), first: (p + 1), starts: (e, 3) of the faces.
+        images: (n, 2, 3, 3) gets each antenna, then its images, the last one again where there are fewer [m].
+        turned: (n, 2, 3, 3) gets the frames of the last images.
+        planes: (n, PLANES, 4) gets planes within which, where plane . (x, 1) >= 0, all lies that a way can reach.
+        counts: (n) gets how many.
+        reach: (n) gets the mean of both legs at the least [m].
     """
-    for i in range(len(points)):
-        met[i] = True
+    box = np.empty((2, 2))
+    for i in range(len(faces)):
+        counts[i], reach[i] = 0, 0.0
         for side in range(2):
-            count = 0
-            while count < 2 and faces[side, count] >= 0:
-                count += 1
             for k in range(3):
-                out[side, 0, i, k] = images[side, 0, k]
-                out[side, count + 1, i, k] = points[i, k]
-            for step in range(count, 0, -1):
-                p = faces[side, step - 1]
-                before, here, there = -offsets[p], -offsets[p], -offsets[p]
+                for row in range(3):
+                    turned[i, side, row, k] = frames[side, row, k]
+                for step in range(3):
+                    images[i, side, step, k] = origins[side, k]
+            begin, least = counts[i], 0.0
+            for step in range(2):
+                p = faces[i, side, step]
+                if p < 0:
+                    break
+                n, apex = normals[p], images[i, side, step + 1]
+                mirror(images[i, side, step], n, offsets[p], apex)
                 for k in range(3):
-                    before += normals[p, k] * images[side, step - 1, k]
-                    here += normals[p, k] * images[side, step, k]
-                    there += normals[p, k] * out[side, step + 1, i, k]
-                if before * there <= 0:
-                    met[i] = False
-                span = here - there
-                share = here / (span if abs(span) > 1e-12 else 1.0)
+                    images[i, side, 2, k] = apex[k]
+                for row in range(3):
+                    _mirrored(n, turned[i, side, row])
+                for w in range(begin, counts[i]):  # those of the mirror before, as seen in this one
+                    along = 0.0
+                    for k in range(3):
+                        along += planes[i, w, k] * n[k]
+                    for k in range(3):
+                        planes[i, w, k] -= 2 * along * n[k]
+                    planes[i, w, 3] += 2 * along * offsets[p]
+                _box(across[p], starts, first[p], first[p + 1], box)
+                counts[i] = _beam(apex, n, offsets[p], across[p], box, planes[i], counts[i])
+                gap, square = -offsets[p], 0.0
                 for k in range(3):
-                    out[side, step, i, k] = images[side, step, k] + share * (
-                        out[side, step + 1, i, k] - images[side, step, k]
-                    )
+                    gap += n[k] * apex[k]
+                    square += (spheres[p, k] - apex[k]) ** 2
+                least = max(math.sqrt(square) - spheres[p, 3], abs(gap))
+            reach[i] += 0.5 * least
+
+
+@core(nogil=True, error_model="numpy")
+def _box(axes, starts, begin, end, box):  # type: ignore[no-untyped-def]
+    """Least and greatest places (2, 2) of the corners of a rim along two axes (2, 3)."""
+    for a in range(2):
+        box[a, 0], box[a, 1] = math.inf, -math.inf
+        for e in range(begin, end):
+            place = axes[a, 0] * starts[e, 0] + axes[a, 1] * starts[e, 1] + axes[a, 2] * starts[e, 2]
+            box[a, 0], box[a, 1] = min(box[a, 0], place), max(box[a, 1], place)
+
+
+@core(nogil=True, error_model="numpy")
+def _beam(apex, n, offset, axes, box, planes, made):  # type: ignore[no-untyped-def]
+    """Adds the planes of what an image shines on through a box (2, 2) along axes (2, 3) in its mirror; their count."""
+    gap = n[0] * apex[0] + n[1] * apex[1] + n[2] * apex[2] - offset
+    sign = -1.0 if gap > 0 else 1.0
+    for k in range(3):
+        planes[made, k] = sign * n[k]
+    planes[made, 3] = -sign * offset
+    made += 1
+    if abs(gap) < 1e-6:
+        return made
+    for a in range(2):
+        here = axes[a, 0] * apex[0] + axes[a, 1] * apex[1] + axes[a, 2] * apex[2]
+        for end in range(2):
+            # across the mirror a point at depth z behind the image may lie within z / |gap| of the box's side
+            inward = 1.0 if end == 0 else -1.0
+            slope = -inward * (box[a, end] - here) / abs(gap)
+            size = math.sqrt(1 + slope * slope)
+            d = 0.0
+            for k in range(3):
+                planes[made, k] = (inward * axes[a, k] + slope * sign * n[k]) / size
+                d -= planes[made, k] * apex[k]
+            planes[made, 3] = d
+            made += 1
+    return made
+
+
+@core(nogil=True, error_model="numpy")
+def _stops(i, point, faces, images, normals, offsets, first, starts, ends, side, out):  # type: ignore[no-untyped-def]
+    """Corners (4, 3) of one leg of way i to a point: antenna, at the mirrors, point. How many mirrors it has.
+
+    -1 where a mirror does not stand between an image and what it mirrors to, or is passed beside its rim.
+    """
+    count = 0
+    while count < 2 and faces[i, side, count] >= 0:
+        count += 1
+    for k in range(3):
+        out[0, k] = images[i, side, 0, k]
+        out[count + 1, k] = point[k]
+    for step in range(count, 0, -1):
+        p = faces[i, side, step - 1]
+        before, here, there = -offsets[p], -offsets[p], -offsets[p]
+        for k in range(3):
+            before += normals[p, k] * images[i, side, step - 1, k]
+            here += normals[p, k] * images[i, side, step, k]
+            there += normals[p, k] * out[step + 1, k]
+        if before * there <= 0:
+            return -1
+        share = here / (here - there)
+        for k in range(3):
+            out[step, k] = images[i, side, step, k] + share * (out[step + 1, k] - images[i, side, step, k])
+        if not held(out[step], p, normals, first, starts, ends):
+            return -1
+    return count
 
 
 @loop(nogil=True, error_model="numpy")
-def weigh(stops, todo, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out):  # type: ignore[no-untyped-def]
+def corners(points, of, faces, images, alike, normals, offsets, first, starts, ends, stops, met, a, b, owner):  # type: ignore[no-untyped-def]
+    """Where both legs of the ways to points meet their mirrors, whether they do, and which stretches must be free.
+
+    Args:
+        points: (m, 3) [m]; of: (m) way to each.
+        faces, images: as in `lead`.
+        alike: (n) whether the way back is the way there.
+        normals: (p, 3), offsets: (p), first: (p + 1), starts: (e, 3), ends: (e, 3) of the faces.
+        stops: (m, 2, 4, 3) gets the corners of each leg: antenna, at the mirrors, point [m].
+        met: (m) gets whether every mirror is met, from in front and within its rim.
+        a, b: (6 m, 3) get ends of stretches of those that are [m]; owner: (6 m) their points.
+
+    Returns:
+        How many stretches there are.
+    """
+    made = 0
+    for j in range(len(points)):
+        i = of[j]
+        begin = made
+        met[j] = True
+        for side in range(2):
+            count = _stops(i, points[j], faces, images, normals, offsets, first, starts, ends, side, stops[j, side])
+            if count < 0:
+                met[j] = False
+                made = begin
+                break
+            if side == 1 and alike[i]:
+                break
+            for step in range(count + 1):
+                for k in range(3):
+                    a[made, k], b[made, k] = stops[j, side, step, k], stops[j, side, step + 1, k]
+                owner[made] = j
+                made += 1
+    return made
+
+
+@core(nogil=True, error_model="numpy")
+def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, last, wave):  # type: ignore[no-untyped-def]
+    """The field (3) of an antenna at the end of one leg (4, 3) over its mirrors (2), and what share of it they cover.
+
+    `last` (3) gets the direction in which it comes.
+    """
+    count, total, before, cover = 0, 0.0, 0.0, 1.0
+    while count < 2 and faces[count] >= 0:
+        count += 1
+    for step in range(count + 1):
+        total += _unit(stops[step], stops[step + 1], last)
+    size = _unit(stops[0], stops[1], last)
+    along = field[0] * last[0] + field[1] * last[1] + field[2] * last[2]
+    square = 0.0
+    for k in range(3):
+        square += (field[k] - along * last[k]) ** 2
+    for k in range(3):
+        wave[k] = (field[k] - along * last[k]) / max(math.sqrt(square), 1e-9)
+    for step in range(count):
+        p = faces[step]
+        before += size
+        zone = math.sqrt(wavelength * before * max(total - before, 0.0) / max(total, 1e-9))
+        slope = abs(normals[p, 0] * last[0] + normals[p, 1] * last[1] + normals[p, 2] * last[2])
+        for k in range(2):
+            cover *= min(1.0, widths[p, k] * math.sqrt(slope) / max(zone, 1e-9))
+        _reflect(gamma, stuffs[p], normals[p], last, wave)
+        size = _unit(stops[step + 1], stops[step + 2], last)
+    return cover
+
+
+@loop(nogil=True, error_model="numpy")
+def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out):  # type: ignore[no-untyped-def]
     """What the bounces of each way make of a wave, by polarisation; the point's is that of a mirror for these legs.
 
     Args:
-        stops: (2, 4, m, 3) as `corners` gives them [m].
-        todo: (n) which points to do.
-        faces: (2, 2) mirrors of each leg from its antenna on, -1 for none.
+        stops: (m, 2, 4, 3) as `corners` gives them [m].
+        todo: (k) which points to do; of: (m) way to each.
+        faces: (n, 2, 2) mirrors of each leg from its antenna on, -1 for none.
         fields: (2, 3) unit fields of the antennas.
         normals: (p, 3), stuffs: (p) and widths: (p, 2) of the faces [m].
         wavelength: [m].
@@ -63,38 +215,78 @@ def weigh(stops, todo, faces, fields, normals, stuffs, widths, wavelength, gamma
         owned: (m) object of each point.
         out: (m) gets the factor of the points to do.
     """
-    units, sizes, start = np.empty((2, 3, 3)), np.empty(3), np.empty(3)
-    waves, between = np.empty((2, 3), np.complex128), np.empty(3)
-    counts = np.zeros(2, np.int64)
-    for side in range(2):
-        while counts[side] < 2 and faces[side, counts[side]] >= 0:
-            counts[side] += 1
-    for i in todo:
-        cover = 1.0
-        for side in range(2):
-            total = 0.0
-            for step in range(counts[side] + 1):
-                sizes[step] = _unit(stops[side, step, i], stops[side, step + 1, i], units[side, step])
-                total += sizes[step]
-            _across(fields[side], units[side, 0], start)
-            for k in range(3):
-                waves[side, k] = start[k]
-            before = 0.0
-            for step in range(counts[side]):
-                p = faces[side, step]
-                before += sizes[step]
-                zone = math.sqrt(wavelength * before * max(total - before, 0.0) / max(total, 1e-9))
-                along = 0.0
-                for k in range(3):
-                    along += normals[p, k] * units[side, step, k]
-                for k in range(2):
-                    cover *= min(1.0, widths[p, k] * math.sqrt(abs(along)) / max(zone, 1e-9))
-                _reflect(gamma, stuffs[p], normals[p], units[side, step], waves[side])
+    sent, taken, between = np.empty(3), np.empty(3), np.empty(3)
+    there, back = np.empty(3, np.complex128), np.empty(3, np.complex128)
+    for j in todo:
+        i, cover = of[j], 1.0
+        cover *= _followed(stops[j, 0], faces[i, 0], fields[0], normals, stuffs, widths, wavelength, gamma, sent, there)
+        cover *= _followed(stops[j, 1], faces[i, 1], fields[1], normals, stuffs, widths, wavelength, gamma, taken, back)
         square = 0.0
         for k in range(3):
-            between[k] = units[0, counts[0], k] + units[1, counts[1], k]
+            between[k] = sent[k] + taken[k]
             square += between[k] * between[k]
         for k in range(3):
             between[k] /= max(math.sqrt(square), 1e-9)
-        _reflect(gamma, owned[i], between, units[0, counts[0]], waves[0])
-        out[i] = cover * (waves[0, 0] * waves[1, 0] + waves[0, 1] * waves[1, 1] + waves[0, 2] * waves[1, 2])
+        _reflect(gamma, owned[j], between, sent, there)
+        out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
+
+
+@loop(nogil=True, error_model="numpy")
+def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, stuffs, widths, first, starts, ends,  # type: ignore[no-untyped-def]
+           wavelength, gamma, of, on, waves, turns):  # fmt: skip
+    """Which wires each way can reach within the gate at their points of shortest path, and what becomes of the field.
+
+    Args:
+        begins, stops_at: (w, 3) ends of the wires [m].
+        images, faces: as in `lead`.
+        gate: largest mean range [m]; the rest as in `corners` and `weigh`.
+        of, on: (n w) get way and wire of each pair.
+        waves: (n w, 2) get the factors of the cylinder's series for fields along it (TM) and across (TE).
+        turns: (n w) get the angle between the way on and the way it came, about the wire [rad].
+
+    Returns:
+        How many pairs there are.
+    """
+    axis, spot, stops, coming = np.empty(3), np.empty(3), np.empty((2, 4, 3)), np.empty((2, 3))
+    field, part = np.empty((2, 3), np.complex128), np.empty((2, 3))
+    count = 0
+    for w in range(len(begins)):
+        size = _unit(begins[w], stops_at[w], axis)
+        for i in range(len(images)):
+            path = shortest(begins[w], axis, size, images[i, 0, 2], images[i, 1, 2], spot)
+            if path > 2 * gate:
+                continue
+            cover, met = 1.0, True
+            for side in range(2):
+                if met:
+                    over = _stops(i, spot, faces, images, normals, offsets, first, starts, ends, side, stops[side])
+                    met = over >= 0
+                if met:
+                    cover *= _followed(stops[side], faces[i, side], fields[side], normals, stuffs, widths, wavelength,
+                                       gamma, coming[side], field[side])  # fmt: skip
+            if not met:
+                continue
+            along, across = complex(cover, 0.0), complex(cover, 0.0)
+            for side in range(2):
+                _across(axis, coming[side], part[0])
+                _cross(axis, coming[side], part[1])
+                wave = field[side]
+                along *= wave[0] * part[0, 0] + wave[1] * part[0, 1] + wave[2] * part[0, 2]
+                across *= wave[0] * part[1, 0] + wave[1] * part[1, 1] + wave[2] * part[1, 2]
+            across = -across  # the wave goes on against the way in which the receiver's would come
+            _across(coming[0], axis, part[0])
+            _across(coming[1], axis, part[1])
+            cosine = -(part[0, 0] * part[1, 0] + part[0, 1] * part[1, 1] + part[0, 2] * part[1, 2])
+            of[count], on[count] = i, w
+            waves[count, 0], waves[count, 1] = along, across
+            turns[count] = math.acos(min(max(cosine, -1.0), 1.0))
+            count += 1
+    return count
+
+
+@core(nogil=True, error_model="numpy")
+def _cross(a, b, out):  # type: ignore[no-untyped-def]
+    """The unit vector across two others."""
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+    out[0], out[1], out[2] = x / size, y / size, z / size

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.facets import FROM, ONE, TO, _mean_range, toward
+from ullage.kernels.facets import FROM, TO, _mean_range, toward
 from ullage.kernels.loops import core, loop
 from ullage.kernels.rims import lay_line
 
@@ -15,11 +15,15 @@ C0 = 299_792_458.0
 
 @loop(fastmath=True, nogil=True, error_model="numpy")
 def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):  # type: ignore[no-untyped-def]
-    """Halves each wire (w, 3)-(w, 3) within the gate until each piece's delay is nearly linear; gives the count."""
+    """Halves each wire (w, 3)-(w, 3) within the gate until each piece's delay is nearly linear; gives the count.
+
+    The radar is at origins (1 or w, 2, 3), one for all or one for each.
+    """
     count = 0
     stack = np.empty((64, 2))
     p = np.empty(3)
     for w in range(len(starts)):
+        radar = origins[w if len(origins) > 1 else 0]
         size = 0.0
         for k in range(3):
             size += (ends[w, k] - starts[w, k]) ** 2
@@ -33,9 +37,9 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
             along, square = 0.0, 0.0
             for k in range(3):
                 p[k] = starts[w, k] + half * (ends[w, k] - starts[w, k])
-                along += (p[k] - origins[0, k]) * (ends[w, k] - starts[w, k]) / size
-                square += (p[k] - origins[0, k]) ** 2
-            r = _mean_range(p[0], p[1], p[2], origins)
+                along += (p[k] - radar[0, k]) * (ends[w, k] - starts[w, k]) / size
+                square += (p[k] - radar[0, k]) ** 2
+            r = _mean_range(p[0], p[1], p[2], radar)
             piece = (s1 - s0) * size
             if r - 0.5 * piece > gate[1]:
                 continue
@@ -56,22 +60,22 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _element(pieces, k, end, axis, radius, series, w, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
+def _element(pieces, k, end, axis, radius, series, w, origins, o, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
     share = 0.0
     for s in range(2):
-        dx, dy, dz = (pieces[k, end, 0] - origins[0, s, 0], pieces[k, end, 1] - origins[0, s, 1],
-                      pieces[k, end, 2] - origins[0, s, 2])  # fmt: skip
+        dx, dy, dz = (pieces[k, end, 0] - origins[o, s, 0], pieces[k, end, 1] - origins[o, s, 1],
+                      pieces[k, end, 2] - origins[o, s, 2])  # fmt: skip
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
         ux, uy, uz = dx / r, dy / r, dz / r
         along = axis[0] * ux + axis[1] * uy + axis[2] * uz
         slope = math.sqrt(max(1 - along * along, 0.0))
-        ex, ey, ez = fields[0, s, 0], fields[0, s, 1], fields[0, s, 2]
+        ex, ey, ez = fields[o, s, 0], fields[o, s, 1], fields[o, s, 2]
         eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
         square = slope * slope * max(1 - eu * eu, 1e-12)
         share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
-        g *= toward(table, flat, frames, ONE, s, ux, uy, uz) / r
+        g *= toward(table, flat, frames, o, s, ux, uy, uz) / r
         path += r - radius * slope
         bend += (1 - along * along) / r
         sine += 0.5 * slope
@@ -97,9 +101,9 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         extra: (m) delay added by it [s].
         radii: (w) [m].
         series: (w, 2, c) complex backscatter series, TM and TE, over the sine of the angle to the axis.
-        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
+        origins: (1 or w, 2, 3) radars for all or for each wire, as in `facets.deposit`, and so the rest.
     """
-    scale = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi) * factor[0]
+    unit = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi)
     last = t0 + grids.shape[1] * dt
     axis, out = np.empty(3), np.empty(2)
     for k in range(len(pieces)):
@@ -107,15 +111,17 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         if shade[k] == 0:
             continue
         w, size = owner[k], 0.0
+        o = w if len(origins) > 1 else 0
+        scale = unit * factor[o]
         for j in range(3):
             axis[j] = pieces[k, 1, j] - pieces[k, 0, j]
             size += axis[j] * axis[j]
         size = math.sqrt(size)
         for j in range(3):
             axis[j] /= size
-        w0 = _element(pieces, k, FROM, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
+        w0 = _element(pieces, k, FROM, axis, radii[w], series, w, origins, o, frames, fields, table, flat, out)
         path0, bend = out[0], out[1]
-        w1 = _element(pieces, k, TO, axis, radii[w], series, w, origins, frames, fields, table, flat, out)
+        w1 = _element(pieces, k, TO, axis, radii[w], series, w, origins, o, frames, fields, table, flat, out)
         path1, bend = out[0], 0.5 * (bend + out[1])
         w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
         early = bend * size * size / 12  # mean of bend s (L - s) / 2, by which the chord lies beyond the path

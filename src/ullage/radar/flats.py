@@ -76,33 +76,49 @@ def lay_flats(
         return []
     limits = limits_of(flats, view, ready.gate[1], ready.fold_s)
     rim = rims(ready, flats, view, which, limits)
-    return [lay_parted(ready, flats, view, which, rim, limits, lambda at, _: shading(ready, parts, view, at), grids)]
+    told = flats.normals, flats.stuffs, *common(ready, view, grids)
+    return [lay_parted(ready, flats, which, rim, limits, lambda at, _: shading(ready, parts, view, at), told)[0]]
 
 
 Shading = Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
 """Factor (m) and delay (m) [s] of what stands before points (m, 3), told the face (m) of each."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlined:
+    """Of flat faces what their echoes are done by."""
+
+    normals: Floats  # (p, 3)
+    offsets: Floats  # (p) [m]
+    spheres: Floats  # (p, 4) [m]
+    across: Floats  # (p, 2, 3)
+    first: Ints  # (p + 1)
+    starts: Floats  # (e, 3) [m]
+    ends: Floats  # (e, 3) [m]
+
+
 def lay_parted(
     ready: Bench,
-    flats: Flats,
-    view: View,
+    flats: Flats | Outlined,
     which: Longs,
     rim: Rim,
     limits: Floats,
     shading_of: Shading,
-    grids: Complexes,
-) -> Laid:
-    """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends."""
+    told: tuple[Any, ...],
+) -> tuple[Laid, Longs]:
+    """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends.
+
+    What the kernel that lays them is `told` begins with normals, stuffs and origins. Gives the face of each echo too.
+    """
     points = np.empty((len(which), 9))
-    count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, view.origins[None], limits,
-                           points)  # fmt: skip
+    count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, told[2], limits, points)
     points, which = points[:count], which[:count]
     looks, owner, seats, open_ = _looks(ready, flats, rim, points, which)
     shade, extra = shading_of(looks, owner)
     factor, late = _mean(shade[len(shade) - open_.size :], extra[len(extra) - open_.size :], open_)
     shade, extra = np.concatenate([shade[seats], factor]), np.concatenate([extra[seats], late])
-    return lay_rim(rim, points, which, shade, extra, (flats.normals, flats.stuffs, *common(ready, view, grids)))
+    laid = lay_rim(rim, points, which, shade, extra, told)
+    return laid, np.concatenate([rim.owner, rim.holders, which])
 
 
 def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /) -> Laid:
@@ -120,7 +136,7 @@ def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Flo
 
 
 def _looks(
-    ready: Bench, flats: Flats, rim: Rim, points: Floats, which: Longs
+    ready: Bench, flats: Flats | Outlined, rim: Rim, points: Floats, which: Longs
 ) -> tuple[Floats, NDArray[np.integer], Longs, NDArray[np.bool_]]:
     """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 

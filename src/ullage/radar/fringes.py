@@ -83,8 +83,9 @@ def _heard(
 
 def _cut(ready: Bench, view: View, starts: Floats, ends: Floats, fine: float) -> tuple[Floats, Ints]:
     """Pieces (m, 2, 3) of some lines within the gate, and the line of each."""
+    gate, fresnel = np.array(ready.gate), fine * ready.spec.wavelength_m
     return grown(1024, (2, 3), lambda out, of: string.cut_wires(
-        starts, ends, view.origins, np.array(ready.gate), fine * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
+        starts, ends, view.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
 
 
 def _parted(ready: Bench, view: View, starts: Floats, ends: Floats, which: Longs) -> Parted:

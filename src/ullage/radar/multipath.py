@@ -29,8 +29,6 @@ Longs = NDArray[np.int64]
 
 MIRRORS = 32
 """At most so many mirrors are used, those that look largest from the radar."""
-PLAIN = 500
-"""In worlds of more flat faces than this curved surfaces are not seen over others: they would cost more than these."""
 FADE = 0.1
 """Mirrors and end faces fade in over this share of the size at which they are taken, so that none comes at a stroke."""
 FAINT = 1e-3
@@ -71,12 +69,6 @@ def beams_of(ready: Bench, flats: Flats, view: View, max_bounces: int) -> Beams:
     return trace(flats, view, max_bounces, ready.gate[1], chosen)
 
 
-def chosen_faces(ready: Bench, flats: Flats, view: View) -> tuple[Longs, Floats]:
-    """The faces (t) that look largest from one pose, and what each of all (p) counts as a mirror."""
-    chosen = _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m)
-    return chosen.targets, chosen.target_weights
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
     """Mirrors (convex parts) and faces where paths end, of all there are those that look largest."""
@@ -94,15 +86,10 @@ def _chosen(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Cho
     made anew at each pose, changes nothing suddenly along a track.
     """
     look = looks(flats, view, gate_m, wavelength_m)
-    narrow = curved(flats) & (flats.widths.min(1, initial=np.inf) < np.sqrt(wavelength_m * gate_m / 2))
+    narrow = flats.smooth & (flats.widths.min(1, initial=np.inf) < np.sqrt(wavelength_m * gate_m / 2))
     look[narrow] = 0  # done by `curves`, with one bounce at them
     mirrors, mirror_weights = most_looked(look[flats.flat_of])
     return Chosen(mirrors, mirror_weights, *most_looked(look))
-
-
-def curved(flats: Flats) -> NDArray[np.bool_]:
-    """Which faces (p) are facets of curved surfaces, seen over other faces by `curves`; none in large worlds."""
-    return flats.smooth & bool((~flats.smooth).sum() <= PLAIN)
 
 
 def looks(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Floats:
@@ -142,10 +129,9 @@ def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
     chain, on = chain[:made], on[:made]
     weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
-    bent = curved(flats)
-    if bent.any():
+    if flats.smooth.any():
         met = np.concatenate([flats.flat_of[chain], on[:, None]], 1)
-        weights[(bent[met] & (np.column_stack([chain, on]) >= 0)).sum(1) == 1] = 0
+        weights[(flats.smooth[met] & (np.column_stack([chain, on]) >= 0)).sum(1) == 1] = 0
     double = chain[:, 1] >= 0
     weights[double] *= chosen.mirror_weights[chain[double, 1]]
     faces = np.where(chain >= 0, flats.flat_of[chain], -1).astype(np.int64)

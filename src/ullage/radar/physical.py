@@ -24,7 +24,7 @@ from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.radar.antenna import cube
 from ullage.radar.diffraction import Rims, nowhere, rims_of
-from ullage.radar.facets import Surfaces, joined
+from ullage.radar.facets import Flats, Surfaces, joined
 from ullage.radar.penetration import Curtains, curtains, reflection_tables
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
@@ -38,6 +38,9 @@ Complexes = NDArray[np.complex128]
 
 KAPPA = 1 / 8
 """Largest squared transverse edge of a piece over wavelength times range."""
+FAINT = 1e-2
+"""Of curved surfaces over flat faces facets of which half a wave returns less than this of a frame's strongest echo are
+left out; those wider than that if they return less than `lit.LONE` of this."""
 REACH = 0.3
 """Longest edge of a piece over its range."""
 
@@ -186,24 +189,37 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
 
         out.append(lay_grit(ready, parts, view, poses, grids))
     if max_bounces > 1:
-        from ullage.radar.curves import lay_curves
         from ullage.radar.multipath import lay_bounces
 
         flats = joined([part.flats for part in parts])
         out += lay_bounces(ready, parts, flats, view, max_bounces, grids)
-        out += lay_curves(ready, parts, flats, view, max_bounces, grids)
-        if len(ready.lines):
-            from ullage.radar.wire_bounces import lay_wire_bounces
-
-            out += lay_wire_bounces(ready, parts, flats, view, poses, max_bounces, grids)
+        out += _lay_over(ready, parts, flats, view, poses, max_bounces, grids)
     return out
+
+
+def _lay_over(
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, poses: Floats | None, most: int, grids: Complexes
+) -> list[Laid]:
+    """Adds the echoes of what is no mirror by way of flat faces; the grids hold all others."""
+    curved = flats.smooth.any() or any(len(part.corners) for part in parts)
+    if not (curved or len(ready.lines)) or flats.smooth.all():
+        return []
+    from ullage.radar.curves import lay_curves
+    from ullage.radar.ways import ways_of
+    from ullage.radar.wire_bounces import lay_wire_bounces
+
+    ways = ways_of(ready, flats, view, most)
+    faint = FAINT * float(abs(grids).max())
+    out = lay_curves(ready, parts, flats, view, ways, faint, grids) if curved else []
+    return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])
 
 
 def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> Laid:
     lines = ready.lines
     starts, ends = placed(lines, poses)
+    gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
-        starts, ends, view.origins, np.array(ready.gate), KAPPA * ready.spec.wavelength_m, REACH, out, of))  # fmt: skip
+        starts, ends, view.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
     shade, extra = shading(ready, parts, view, middle)
     echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))

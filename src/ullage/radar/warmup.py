@@ -35,7 +35,8 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "rough": ("grit",),
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
-    "curves": ("ways",),
+    "ways": ("ways",),
+    "curves": ("lit",),
     "conductors": ("lines", "fringe", "double_fringe"),
 }
 """Kernel modules behind each part of a radar."""
@@ -56,16 +57,18 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     """The parts of `NEEDED` behind a radar, in a world where that is known."""
     if fidelity != "physical":
         return (fidelity,)
-    there = {"rough": True, "bounces": max_bounces > 1, "shapes": True, "conductors": True, "curves": max_bounces > 1}
+    many = max_bounces > 1
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "curves": many}
     if scene is not None:
-        from ullage.radar.multipath import PLAIN
         from ullage.radar.prepared import prepare
 
         made = prepare(scene)
+        flats = made.still.flats
         there["rough"] = any(material.roughness_m > 0 for material in made.materials)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
-        curvy = made.still.flats.smooth.any() or len(made.still.corners) or made.moving.any()
-        there["curves"] &= bool(curvy and 0 < (~made.still.flats.smooth).sum() <= PLAIN)
+        over = bool((~flats.smooth).any())
+        there["curves"] &= over and bool(flats.smooth.any() or len(made.still.corners) or made.moving.any())
+        there["ways"] &= there["curves"] or (over and bool(len(scene.wires)))
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
 
@@ -297,14 +300,14 @@ def _rims() -> None:
 
 def _echoes() -> None:
     from ullage.radar.flats import Rim, lay_parted
-    from ullage.radar.physical import shading
+    from ullage.radar.physical import common, shading
 
     ready, view = _bench(_room())
     flats, none = ready.world.still.flats, np.zeros(0, np.int32)
+    told = flats.normals, flats.stuffs, *common(ready, view, np.zeros((3, ready.places), complex))
     rim = Rim(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(len(flats)))
-    lay_parted(ready, flats, view, np.arange(len(flats)), rim, np.full(len(flats), 9.0),
-               lambda at, _: shading(ready, ready.world.parts(), view, at),
-               np.zeros((3, ready.places), complex))  # fmt: skip
+    lay_parted(ready, flats, np.arange(len(flats)), rim, np.full(len(flats), 9.0),
+               lambda at, _: shading(ready, ready.world.parts(), view, at), told)  # fmt: skip
 
 
 def _beams() -> None:
@@ -329,16 +332,32 @@ def _paths() -> None:
                     np.zeros(0, complex), np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)))  # fmt: skip
 
 
-def _curves() -> None:
-    """The kernels of `curves` alone, on no points at all."""
+def _ways() -> None:
+    """The kernels of ways over flat faces, to no points and wires at all."""
     from ullage.kernels import ways
+    from ullage.radar.ways import reached, ways_of
 
     ready, view = _bench(_room())
-    flats, faces = ready.world.still.flats, np.full((2, 2), -1, np.int64)
-    points, stops = np.zeros((0, 3)), np.zeros((2, 4, 0, 3))
-    ways.corners(points, faces, np.zeros((2, 3, 3)), flats.normals, flats.offsets, stops, np.zeros(0, np.bool_))
-    ways.weigh(stops, np.zeros(0, np.int64), faces, view.fields, flats.normals, flats.stuffs, flats.widths,
-               ready.spec.wavelength_m, ready.gamma, np.zeros(0, np.int32), np.zeros(0, complex))  # fmt: skip
+    flats, none, long = ready.world.still.flats, np.zeros((0, 3)), np.zeros(0, np.int64)
+    led = ways_of(ready, flats, view, 3)
+    stops, _ = reached([], flats, led, long, none)
+    mirrors = flats.normals, flats.stuffs, flats.widths, ready.spec.wavelength_m, ready.gamma
+    ways.weigh(stops, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32), np.zeros(0, complex))
+    ways.meet_wires(none, none, led.images, led.faces, 9.0, view.fields, flats.normals, flats.offsets, *mirrors[1:3],
+                    flats.first, flats.starts, flats.ends, *mirrors[3:], long, long, np.zeros((0, 2), complex),
+                    np.zeros(0))  # fmt: skip
+
+
+def _curves() -> None:
+    """The kernels that ask what ways can reach, of nothing."""
+    from ullage.radar import curves
+    from ullage.radar.ways import ways_of
+
+    ready, view = _bench(_room())
+    still = ready.world.still
+    led = ways_of(ready, still.flats, view, 3)
+    curves.met(ready, still.flats, still.flat_backs, led, np.zeros(0, np.int64), 0.0)
+    curves.dark(ready, still, led, 0, np.zeros(0, np.bool_))
 
 
 def _shapes() -> None:
@@ -364,7 +383,8 @@ JOBS: tuple[Job, ...] = (
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 3, _paths),
-    Job("ways to curved faces", "curves", 1.3, _curves),
+    Job("ways over faces", "ways", 2, _ways),
+    Job("what ways can reach", "curves", 1, _curves),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
     Job(

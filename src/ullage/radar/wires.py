@@ -24,6 +24,7 @@ Complexes = NDArray[np.complex128]
 THINNEST_M = 1e-4
 """Wires thinner than this are refused [m]."""
 _SINES = 65
+_LEAST = 1e-10  # orders weaker than this are left out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +36,8 @@ class Lines:
     radii: Floats  # (w) [m]
     stuffs: NDArray[np.int32]  # (w) object
     series: Complexes  # (w, 2, _SINES) TM and TE, straight back
-    modes: Complexes  # (w, 2, n, _SINES) TM and TE by order, for other directions
+    modes: Complexes  # (k, 2, n, _SINES) TM and TE by order, for other directions, of every kind of wire
+    kinds: NDArray[np.int64]  # (w) which of these each wire is
 
     def __len__(self) -> int:
         return len(self.radii)
@@ -92,13 +94,8 @@ def _modes(radius_m: float, material: Material, center_hz: float) -> Complexes:
         both = np.zeros((2, most, _SINES), complex)
         for i, row in enumerate(rows):
             both[:, : len(row[0]), i] = np.stack(row)[..., 0]
-    return np.asarray(both * np.exp(-2j * k * radius_m * sine))
-
-
-def scattered(modes: Complexes, psi: ArrayLike) -> Complexes:
-    """Series (w, 2, _SINES) of what goes out at psi (w) [rad] from the wave's way: E along the axis, H along it."""
-    turns = np.cos(np.multiply.outer(np.asarray(psi, float), np.arange(modes.shape[2])))
-    return np.asarray(np.matmul(turns[:, None, None], modes)[:, :, 0])
+    count = int(np.flatnonzero(abs(both).max((0, 2)) > _LEAST * abs(both).max())[-1]) + 1
+    return np.asarray((both * np.exp(-2j * k * radius_m * sine))[:, :count])
 
 
 def strung(scene: Scene, center_hz: float) -> Lines:
@@ -114,13 +111,17 @@ def strung(scene: Scene, center_hz: float) -> Lines:
         raise InputError(f"wire {name!r} has a radius of {wires.radius_m[thin[0]] * 1e3:g} mm", where=scene.name,
                          allowed=f"at least {THINNEST_M * 1e3:g} mm")  # fmt: skip
     held = np.flatnonzero(np.linalg.norm(wires.end - wires.start, axis=1) > 1e-9)
-    rows = [_modes(float(wires.radius_m[i]), scene.objects[wires.object_id[i]].material, center_hz) for i in held]
+    told = [(float(wires.radius_m[i]), scene.objects[wires.object_id[i]].material) for i in held]
+    known = list(dict.fromkeys(told))
+    rows = [_modes(radius, material, center_hz) for radius, material in known]
     modes = np.zeros((len(rows), 2, max([r.shape[1] for r in rows], default=0), _SINES), complex)
     for i, row in enumerate(rows):
         modes[i, :, : row.shape[1]] = row
-    # straight back the electric field across the axis points the other way for the same magnetic one
-    series = scattered(modes, np.full(len(rows), np.pi)) * np.array([[1], [-1]])
-    return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series, modes)
+    kinds = np.array([known.index(kind) for kind in told], np.int64)
+    straight_back = (-1.0) ** np.arange(modes.shape[2])
+    # the electric field across the axis then points the other way for the same magnetic one
+    series = np.einsum("n,kpns->kps", straight_back, modes)[kinds] * np.array([[1], [-1]])
+    return Lines(wires.start[held], wires.end[held], wires.radius_m[held], wires.object_id[held], series, modes, kinds)
 
 
 def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:

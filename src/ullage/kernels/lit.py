@@ -1,0 +1,233 @@
+"""Loops over what ways by flat mirrors can reach: within their beams and the gate, on its lit side, loud enough."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ullage.kernels.facets import ONE, toward
+from ullage.kernels.loops import core, loop
+
+LONE = 0.02  # facets narrower than half a wave make up a smooth surface, of which only where paths are shortest counts
+
+
+@core(nogil=True, error_model="numpy")
+def _shone(x, y, z, radius, planes, count, one, other, gate):  # type: ignore[no-untyped-def]
+    """Whether some of a sphere lies in the beams and within the gate of a way that ends at two images."""
+    a = (x - one[0]) ** 2 + (y - one[1]) ** 2 + (z - one[2]) ** 2
+    b = (x - other[0]) ** 2 + (y - other[1]) ** 2 + (z - other[2]) ** 2
+    if 0.5 * (math.sqrt(a) + math.sqrt(b)) - radius > gate:
+        return False
+    held = True
+    for w in range(count):
+        held = held and planes[w, 0] * x + planes[w, 1] * y + planes[w, 2] * z + planes[w, 3] >= -radius
+    return held
+
+
+@core(nogil=True, error_model="numpy")
+def _strength(point, ends, turned, table, flat, axes, slopes):  # type: ignore[no-untyped-def]
+    """Antenna gains over both ranges at a point, for a radar at two images; the path's slopes (3) there go to `slopes`.
+
+    Args:
+        point: (3) [m].
+        ends: (2, 3, 3), the last of each three are the images [m].
+        turned: (1, 2, 3, 3) sensor_from_world of the images.
+        table, flat: as in `facets.deposit`.
+        axes: (2 or more, 3) unit vectors.
+        slopes: (5) gets them, and how the path bends along the first two axes [1/m].
+    """
+    strong = 1.0
+    for k in range(5):
+        slopes[k] = 0.0
+    for side in range(2):
+        x, y, z = point[0] - ends[side, 2, 0], point[1] - ends[side, 2, 1], point[2] - ends[side, 2, 2]
+        r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
+        x, y, z = x / r, y / r, z / r
+        strong *= toward(table, flat, turned, ONE, side, x, y, z) / r
+        slopes[0], slopes[1], slopes[2] = slopes[0] + x, slopes[1] + y, slopes[2] + z
+        for a in range(2):
+            along = axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z
+            slopes[3 + a] += (1 - along * along) / r
+    return strong
+
+
+@core(nogil=True, error_model="numpy")
+def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, axes, places, slopes):  # type: ignore[no-untyped-def]
+    """What a face can return at the most, about, to a radar at two images, per path gain amplitude.
+
+    Along each of two axes counts the face's width or, if that is less, what a phase that turns leaves of it: two ends,
+    2 / (k slope) [BornWolf1999], or where its path is shortest the Fresnel zone. Asked for at three places along
+    the middle of the face, `places` (3, 3): where the path is shortest, and next to each image. And the width [m].
+    """
+    longest = 0.0
+    for e in range(first[p], first[p + 1]):
+        f = e + 1 if e + 1 < first[p + 1] else first[p]
+        square = 0.0
+        for k in range(3):
+            square += (starts[f, k] - starts[e, k]) ** 2
+        if square > longest:
+            longest = square
+            for k in range(3):
+                axes[0, k] = (starts[f, k] - starts[e, k]) / math.sqrt(square)
+    for k in range(3):
+        a, b = (k + 1) % 3, (k + 2) % 3
+        axes[1, k] = normals[p, a] * axes[0, b] - normals[p, b] * axes[0, a]
+    low, high, under, over = math.inf, -math.inf, math.inf, -math.inf
+    for e in range(first[p], first[p + 1]):
+        u, v = 0.0, 0.0
+        for k in range(3):
+            u, v = u + axes[0, k] * (starts[e, k] - spheres[p, k]), v + axes[1, k] * (starts[e, k] - spheres[p, k])
+        low, high, under, over = min(low, u), max(high, u), min(under, v), max(over, v)
+    for k in range(3):
+        axes[2, k] = spheres[p, k] + low * axes[0, k] + 0.5 * (under + over) * axes[1, k]
+    for side in range(2):
+        foot = 0.0
+        for k in range(3):
+            foot += axes[0, k] * (ends[side, 2, k] - axes[2, k])
+        foot = min(max(foot, 0.0), high - low)
+        for k in range(3):
+            places[1 + side, k] = axes[2, k] + foot * axes[0, k]
+    spot(axes[2], axes[0], high - low, ends[0, 2], ends[1, 2], places[0])
+    least, bend, best = math.inf, math.inf, 0.0
+    for step in range(3):
+        strong = _strength(places[step], ends, turned, table, flat, axes, slopes)
+        along, across, facing = 0.0, 0.0, 0.0
+        for k in range(3):
+            along, across = along + slopes[k] * axes[0, k], across + slopes[k] * axes[1, k]
+            facing += 0.5 * slopes[k] * normals[p, k]
+        least, bend = min(least, abs(along)), min(bend, slopes[3])
+        across = max(abs(across) - 0.5 * (over - under) * slopes[4], 1e-9)
+        best = max(best, strong * abs(facing) * min(over - under, 2 / (wave * across)))
+    zone = 1.5 * math.sqrt(2 * math.pi / (wave * max(bend, 1e-9)))
+    loud = best * min(high - low, zone, 2 / (wave * max(least, 1e-9))) / (4 * math.pi)
+    return loud, over - under
+
+
+@loop(nogil=True, error_model="numpy")
+def meet_faces(images, turned, planes, counts, weights, gate, faint, items, spheres, normals, offsets, outward, boxes,  # type: ignore[no-untyped-def]
+               first, starts, table, flat, wave, of, on, shares):  # fmt: skip
+    """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
+
+    Args:
+        images, turned, planes, counts: as in `lead`; weights: (n) of the ways.
+        gate: largest mean range [m].
+        faint: path gain amplitude that half a wave of those left out cannot reach; `LONE` of it for wider ones.
+        items: (k) faces to ask for.
+        spheres: (p, 4), normals: (p, 3), offsets: (p), first: (p + 1) and starts: (e, 3) of the faces.
+        outward: (p, 4) and boxes: (p, 2, 3) as in `solids.Backs`.
+        table, flat: as in `facets.deposit`; wave: wave number [1/m].
+        of, on: (m), (m) get way and face of each pair; shares: (m) gets what it counts: it fades in above `faint`.
+
+    Returns:
+        How many pairs there are; only those that fit are written.
+    """
+    axes, places, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty(5)
+    count = 0
+    for p in items:
+        x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
+        direct, inside = 0.0, True
+        for side in range(2):
+            square = 0.0
+            for k in range(3):
+                here = images[0, side, 0, k]
+                square += (spheres[p, k] - here) ** 2
+                inside = inside and boxes[p, 0, k] - 1e-3 <= here <= boxes[p, 1, k] + 1e-3
+            direct += 0.5 * math.sqrt(square)
+        if direct - radius > gate:  # no way is shorter
+            continue
+        for i in range(len(images)):
+            one, other = images[i, 0, 2], images[i, 1, 2]
+            if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
+                continue
+            ahead, behind, out = -offsets[p], -offsets[p], outward[p, 3]
+            for k in range(3):
+                ahead, behind = ahead + normals[p, k] * one[k], behind + normals[p, k] * other[k]
+                out += outward[p, k] * one[k]
+            if ahead * behind <= 1e-9 or (out < 0 and not inside):
+                continue
+            if not _cornered(planes[i], counts[i], starts, first[p], first[p + 1]):
+                continue
+            loud, width = _loud(p, images[i], turned[i : i + 1], table, flat, wave, normals, spheres, first, starts,
+                                axes, places, slopes)  # fmt: skip
+            half = math.pi / wave
+            least = faint * width / half if width < half else LONE * faint  # however finely a surface is cut
+            if weights[i] * loud <= least:
+                continue
+            if count < len(of):
+                of[count], on[count], shares[count] = i, p, min(weights[i] * loud / max(least, 1e-30) - 1, 1.0)
+            count += 1
+    return count
+
+
+@loop(nogil=True, error_model="numpy")
+def meet_triangles(images, turned, planes, counts, weights, gate, spheres, first, corners, normals, outward,  # type: ignore[no-untyped-def]
+                   boxes, table, flat, dark):  # fmt: skip
+    """Which small triangles one way (n = 1) cannot reach, and what the others can return at the most, all in phase.
+
+    Args:
+        images, turned, planes, counts, weights, gate: as in `meet_faces`.
+        spheres: (c, 4) and first: (c + 1) of the clusters; corners: (f, 3, 3) and normals: (f, 3) of the triangles.
+        outward: (f, 4) and boxes: (f, 2, 3) as in `solids.Backs`; table, flat: as in `facets.deposit`.
+        dark: (f) gets which cannot.
+
+    Returns:
+        The path gain amplitude of those that can be reached; 0 where none can.
+    """
+    slopes, point, loud = np.empty(5), np.empty(3), 0.0
+    one, other = images[0, 0, 2], images[0, 1, 2]
+    for c in range(len(spheres)):
+        begin, end, x, y, z = first[c], first[c + 1], spheres[c, 0], spheres[c, 1], spheres[c, 2]
+        for f in range(begin, end):
+            dark[f] = True
+        if not _shone(x, y, z, spheres[c, 3], planes[0], counts[0], one, other, gate):
+            continue
+        for f in range(begin, end):
+            out, inside = outward[f, 3], True
+            for k in range(3):
+                out += outward[f, k] * one[k]
+                for side in range(2):
+                    inside = inside and boxes[f, 0, k] - 1e-3 <= images[0, side, 0, k] <= boxes[f, 1, k] + 1e-3
+            if (out < 0 and not inside) or not _cornered(planes[0], counts[0], corners[f], 0, 3):
+                continue
+            for k in range(3):
+                point[k] = (corners[f, 0, k] + corners[f, 1, k] + corners[f, 2, k]) / 3
+            strong = _strength(point, images[0], turned, table, flat, corners[f], slopes)
+            square, facing = 0.0, 0.0
+            for k in range(3):
+                a, b = (k + 1) % 3, (k + 2) % 3
+                cross = ((corners[f, 1, a] - corners[f, 0, a]) * (corners[f, 2, b] - corners[f, 0, b])
+                         - (corners[f, 1, b] - corners[f, 0, b]) * (corners[f, 2, a] - corners[f, 0, a]))  # fmt: skip
+                square, facing = square + cross * cross, facing + 0.5 * slopes[k] * normals[f, k]
+            loud += strong * 0.5 * math.sqrt(square) * abs(facing) / (4 * math.pi)
+            dark[f] = False
+    return weights[0] * loud
+
+
+@core(nogil=True, error_model="numpy")
+def _cornered(planes, count, starts, begin, end):  # type: ignore[no-untyped-def]
+    """Whether no plane leaves all corners of a rim outside."""
+    for w in range(count):
+        some = False
+        for e in range(begin, end):
+            x, y, z = starts[e, 0], starts[e, 1], starts[e, 2]
+            if planes[w, 0] * x + planes[w, 1] * y + planes[w, 2] * z + planes[w, 3] >= 0:
+                some = True
+                break
+        if not some:
+            return False
+    return True
+
+
+@core(nogil=True, error_model="numpy")
+def spot(begin, axis, size, one, other, out):  # type: ignore[no-untyped-def]
+    """Point of a wire over which the path between two places is shortest, and that path [m]."""
+    z0, z1, h0, h1 = 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        a, b = one[k] - begin[k], other[k] - begin[k]
+        z0, z1, h0, h1 = z0 + a * axis[k], z1 + b * axis[k], h0 + a * a, h1 + b * b
+    h0, h1 = math.sqrt(max(h0 - z0 * z0, 1e-12)), math.sqrt(max(h1 - z1 * z1, 1e-12))
+    place = min(max((z0 * h1 + z1 * h0) / (h0 + h1), 0.0), size)
+    for k in range(3):
+        out[k] = begin[k] + place * axis[k]
+    return math.sqrt(h0 * h0 + (place - z0) ** 2) + math.sqrt(h1 * h1 + (place - z1) ** 2)

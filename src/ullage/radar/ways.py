@@ -1,0 +1,124 @@
+"""Ways over large flat faces to what is no mirror, and back: curved surfaces and wires over a floor, beside a wall.
+
+A way goes over one or two of the faces that look largest, before the thing, after it, or one each; the mirror images of
+the radar see the thing as the radar itself does [AllenBerkley1979]. A way and its reverse are one wave twice where the
+antennas are in one place. All ways of a frame are followed at once, and what none of their beams meets within
+the gate is left out before anything else is asked of it: cost follows what is heard, not the size of the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels import ways as kernel
+from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.multipath import looks, most_looked
+from ullage.radar.physical import Bench, View
+from ullage.radar.visibility import between
+
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Legs = tuple[tuple[int, ...], tuple[int, ...]]
+
+FACES = 3
+"""Only so many flat faces, those that look largest, pass on waves to curved surfaces and wires."""
+PAIRS = 2
+"""So many where a wave goes over two of them."""
+_CHAINS: dict[int, tuple[tuple[int, int], ...]] = {2: ((1, 0), (0, 1)), 3: ((1, 1), (2, 0), (0, 2))}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ways:
+    """Ways there and back, over none, one or two faces on each leg."""
+
+    faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
+    via: Longs  # (n, 2) objects that mirror on the way, -1 for none
+    alike: Bools  # (n) whether the way back is the way there
+    weights: Floats  # (n)
+    images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
+    frames: Floats  # (n, 2, 3, 3) of the last images
+    planes: Floats  # (n, 20, 4) that bound what a way can reach
+    counts: Longs  # (n) how many of them there are
+
+    def __len__(self) -> int:
+        return len(self.faces)
+
+    @property
+    def ends(self) -> Floats:
+        """The radars (n, 2, 3) as what the ways lead to sees them [m]."""
+        return np.ascontiguousarray(self.images[:, :, 2])
+
+    def view(self, way: int, view: View, share: float) -> View:
+        """The radar as one way's end sees it, its antennas' last images, mirrored, where so much of it counts."""
+        ends = np.ascontiguousarray(self.images[way, :, 2])
+        return View(ends, self.frames[way], view.fields, view.factor * self.weights[way] * share)
+
+
+def ways_of(ready: Bench, flats: Flats, view: View, most: int) -> Ways:
+    """Ways of two bounces up to as many over the faces that look largest, those that fade in as mirrors do.
+
+    Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
+    """
+    look = looks(flats, view, ready.gate[1], ready.spec.wavelength_m) * ~flats.smooth
+    taken = [most_looked(look, count) for count in (FACES, PAIRS)[: most - 1]]
+    one = bool((view.origins[0] == view.origins[1]).all())
+    rows, over, twice = _rows(tuple(len(which) for which, _ in taken), one)
+    chosen = np.concatenate([*(which for which, _ in taken), np.array([-1])])
+    shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])
+    faces, count = chosen[rows], len(rows)
+    images, frames = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3, 3))
+    planes, counts, reach = np.empty((count, kernel.PLANES, 4)), np.empty(count, np.int64), np.empty(count)
+    kernel.lead(faces, view.origins, view.frames, flats.normals, flats.offsets, flats.spheres, flats.across,
+                flats.first, flats.starts, images, frames, planes, counts, reach)  # fmt: skip
+    via = np.where(chosen >= 0, flats.stuffs[chosen], -1)[over]
+    alike = (twice == 1) & one
+    held = reach <= ready.gate[1]
+    all_ = faces, via, alike, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
+    return Ways(*(all_ if held.all() else (row[held] for row in all_)))
+
+
+@lru_cache(maxsize=64)
+def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats]:
+    """Ways over so many faces for two bounces and for three, by places in one list of all these and then of none.
+
+    Places of the faces (n, 2, 2) of both legs and, one after the other, (n, 2); how often each way counts (n).
+    """
+    told: list[Legs] = []
+    for bounces, count in enumerate(counts, 2):
+        start = sum(counts[: bounces - 2])
+        for chains in _CHAINS[bounces]:
+            if not (one and chains[0] < chains[1]):
+                told += _picks(range(start, start + count), chains, one)
+    rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in told]
+    over = [(*there, *back, -1)[:2] for there, back in told]
+    twice = np.array([2.0 if one and there != back else 1.0 for there, back in told])
+    return np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 2), twice
+
+
+def _picks(ids: range, chains: tuple[int, int], one: bool) -> Iterator[Legs]:
+    """Faces for both legs, as many as `chains` says; where antennas are in one place no path and its reverse."""
+    if chains == (1, 1):
+        for i, a in enumerate(ids):
+            yield from (((a,), (b,)) for b in (ids[i:] if one else ids))
+        return
+    long = max(chains)
+    rows = [(a,) for a in ids] if long == 1 else [(a, b) for a in ids for b in ids if a != b]
+    for row in rows:
+        yield (row, ()) if chains[0] else ((), row)
+
+
+def reached(parts: list[Surfaces], flats: Flats, ways: Ways, of: Longs, points: Floats) -> tuple[Floats, Bools]:
+    """Corners (m, 2, 4, 3) [m] of both legs of ways (m) to points (m, 3), and whether all is met and free (m)."""
+    count = len(points)
+    stops, met = np.empty((count, 2, 4, 3)), np.empty(count, np.bool_)
+    a, b, owner = np.empty((6 * count, 3)), np.empty((6 * count, 3)), np.empty(6 * count, np.int64)
+    made = kernel.corners(points, of, ways.faces, ways.images, ways.alike, flats.normals, flats.offsets, flats.first,
+                          flats.starts, flats.ends, stops, met, a, b, owner)  # fmt: skip
+    met[owner[:made][~between(parts, a[:made], b[:made])]] = False
+    return stops, met
