@@ -73,11 +73,11 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert radar_parts("physical", 1, ul.scenes.plate(0.5, 0.5, 2.0)) == ("physical", "conductors")
     tank = ul.scenes.tank(2.0, 1.0, "concrete", strips=30)
     assert radar_parts("physical", 1, tank) == ("physical",)
-    assert radar_parts("physical", 2, tank) == ("physical", "bounces", "ways", "curves")
+    assert radar_parts("physical", 2, tank) == ("physical", "bounces", "ways")
     assert radar_parts("physical", 2, ul.Scene.union([room, ul.scenes.wire(0.001, 0.5, 2.0)])) == (
         "physical", "bounces", "shapes", "ways")  # fmt: skip
-    assert "curves" in radar_parts("physical", 3, ul.scenes.hold())
-    everything = {"physical", "rough", "bounces", "shapes", "conductors", "ways", "curves"}
+    assert "ways" in radar_parts("physical", 3, ul.scenes.hold())
+    everything = {"physical", "rough", "bounces", "shapes", "conductors", "ways"}
     assert set(radar_parts("physical")) == everything
 
 

@@ -9,7 +9,7 @@ import ullage as ul
 from ullage.experiments.oracles import dense_tank
 from ullage.radar import curves, physical, ways
 from ullage.radar.antenna import gain
-from ullage.radar.multipath import beams_of
+from ullage.radar.multipath import beams_of, looks
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import bench, path_gain_cw, view_of
 from ullage.world import scenes
@@ -166,11 +166,12 @@ def test_nothing_is_counted_twice():
     spec = radar()
     ready = bench(scenes.tank(2.0, 1.2, strips=24), spec)
     flats, view = ready.world.still.flats, view_of(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
-    beams = beams_of(ready, flats, view, 3)
+    look = looks(ready, flats, view)
+    beams = beams_of(ready, flats, view, 3, look)
     faces = np.column_stack([beams.chains, beams.ends_on])
     bent = (flats.smooth[faces] & (faces >= 0)).sum(1)
     assert not beams.weights[bent == 1].any()
-    led = ways.ways_of(ready, flats, view, 3)
+    led = ways.ways_of(ready, flats, view, 3, look)
     assert len(led)
     assert not (flats.smooth[led.faces] & (led.faces >= 0)).any()
 
@@ -234,7 +235,7 @@ def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
     for place in path.position:
         ready = bench(scene, spec)
         view = view_of(spec, place, np.eye(3))
-        faces.add(tuple(ways.ways_of(ready, flats, view, 2).faces.ravel()))
+        faces.add(tuple(ways.ways_of(ready, flats, view, 2, looks(ready, flats, view)).faces.ravel()))
     both = [ul.simulate(scene, path, spec, max_bounces=b).samples for b in (1, 2)]
     bare = [ul.simulate(scenes.room((5, 4, 2.4)), path, spec, max_bounces=b).samples for b in (1, 2)]
     change = abs(np.diff((both[1] - both[0]) - (bare[1] - bare[0]), axis=0)).max(1)

@@ -7,7 +7,7 @@ import ullage as ul
 from ullage.kernels import bounces
 from ullage.radar import multipath
 from ullage.radar.multipath import between
-from ullage.radar.physical import view_of
+from ullage.radar.physical import bench, view_of
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
 from ullage.world.scene import Scene
@@ -92,7 +92,8 @@ def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     flats = prepare(scene).still.flats
     radar = ul.RadarSpec.preset("x4m05", noise=None)
     view = view_of(radar, np.array([0.3, 0.2, height]), np.eye(3))
-    beams = multipath.trace(flats, view, 3, 9.0, multipath._chosen(flats, view, 9.0, radar.wavelength_m))
+    look = multipath.looks(bench(scene, radar), flats, view)
+    beams = multipath.trace(flats, view, 3, 9.0, multipath._chosen(flats, look, 9.0, radar.wavelength_m))
     sides = np.flatnonzero(flats.stuffs == 0)
     assert len(sides) == 2
     assert np.isin(beams.chains, sides).any()

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ullage.kernels.facets import ONE, toward
-from ullage.kernels.loops import core, loop
+from ullage.kernels.loops import core, lean
 
 LONE = 0.02  # facets narrower than half a wave make up a smooth surface, of which only where paths are shortest counts
 
@@ -104,9 +102,9 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
     return loud, over - under
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def meet_faces(images, turned, planes, counts, weights, gate, faint, items, spheres, normals, offsets, outward, boxes,  # type: ignore[no-untyped-def]
-               first, starts, table, flat, wave, of, on, shares):  # fmt: skip
+               first, starts, table, flat, wave, of, on, shares, scratch):  # fmt: skip
     """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
 
     Args:
@@ -118,11 +116,12 @@ def meet_faces(images, turned, planes, counts, weights, gate, faint, items, sphe
         outward: (p, 4) and boxes: (p, 2, 3) as in `solids.Backs`.
         table, flat: as in `facets.deposit`; wave: wave number [1/m].
         of, on: (m), (m) get way and face of each pair; shares: (m) gets what it counts: it fades in above `faint`.
+        scratch: (7, 5).
 
     Returns:
         How many pairs there are; only those that fit are written.
     """
-    axes, places, slopes = np.empty((3, 3)), np.empty((3, 3)), np.empty(5)
+    axes, places, slopes = scratch[:3], scratch[3:6], scratch[6]
     count = 0
     for p in items:
         x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
@@ -160,21 +159,21 @@ def meet_faces(images, turned, planes, counts, weights, gate, faint, items, sphe
     return count
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def meet_triangles(images, turned, planes, counts, weights, gate, spheres, first, corners, normals, outward,  # type: ignore[no-untyped-def]
-                   boxes, table, flat, dark):  # fmt: skip
+                   boxes, table, flat, dark, scratch):  # fmt: skip
     """Which small triangles one way (n = 1) cannot reach, and what the others can return at the most, all in phase.
 
     Args:
         images, turned, planes, counts, weights, gate: as in `meet_faces`.
         spheres: (c, 4) and first: (c + 1) of the clusters; corners: (f, 3, 3) and normals: (f, 3) of the triangles.
         outward: (f, 4) and boxes: (f, 2, 3) as in `solids.Backs`; table, flat: as in `facets.deposit`.
-        dark: (f) gets which cannot.
+        dark: (f) gets which cannot; scratch: (7, 5).
 
     Returns:
         The path gain amplitude of those that can be reached; 0 where none can.
     """
-    slopes, point, loud = np.empty(5), np.empty(3), 0.0
+    slopes, point, loud = scratch[0], scratch[1], 0.0
     one, other = images[0, 0, 2], images[0, 1, 2]
     for c in range(len(spheres)):
         begin, end, x, y, z = first[c], first[c + 1], spheres[c, 0], spheres[c, 1], spheres[c, 2]

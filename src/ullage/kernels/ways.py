@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ullage.kernels.bounces import _across, _mirrored, _reflect, _unit
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
-from ullage.kernels.loops import core, loop
+from ullage.kernels.loops import core, lean
 from ullage.kernels.rims import held
 
 PLANES = 20  # of the beams of both legs of a way: five for each of two mirrors
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def lead(faces, origins, frames, normals, offsets, spheres, across, first, starts, images, turned, planes, counts,  # type: ignore[no-untyped-def]
-         reach):  # fmt: skip
+         reach, box):  # fmt: skip
     """Where ways (n) over mirrors lead: images of the antennas, and the beams that come through the mirrors' boxes.
 
     Args:
@@ -28,9 +26,8 @@ def lead(faces, origins, frames, normals, offsets, spheres, across, first, start
         turned: (n, 2, 3, 3) gets the frames of the last images.
         planes: (n, PLANES, 4) gets planes within which, where plane . (x, 1) >= 0, all lies that a way can reach.
         counts: (n) gets how many.
-        reach: (n) gets the mean of both legs at the least [m].
+        reach: (n) gets the mean of both legs at the least [m]; box: (2, 2), scratch.
     """
-    box = np.empty((2, 2))
     for i in range(len(faces)):
         counts[i], reach[i] = 0, 0.0
         for side in range(2):
@@ -133,7 +130,7 @@ def _stops(i, point, faces, images, normals, offsets, first, starts, ends, side,
     return count
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def corners(points, of, faces, images, alike, normals, offsets, first, starts, ends, stops, met, a, b, owner):  # type: ignore[no-untyped-def]
     """Where both legs of the ways to points meet their mirrors, whether they do, and which stretches must be free.
 
@@ -200,8 +197,8 @@ def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, l
     return cover
 
 
-@loop(nogil=True, error_model="numpy")
-def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out, units, waves):  # type: ignore[no-untyped-def]
     """What the bounces of each way make of a wave, by polarisation; the point's is that of a mirror for these legs.
 
     Args:
@@ -214,9 +211,9 @@ def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, g
         gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
         owned: (m) object of each point.
         out: (m) gets the factor of the points to do.
+        units, waves: (3, 3), (2, 3) complex, scratch.
     """
-    sent, taken, between = np.empty(3), np.empty(3), np.empty(3)
-    there, back = np.empty(3, np.complex128), np.empty(3, np.complex128)
+    sent, taken, between, there, back = units[0], units[1], units[2], waves[0], waves[1]
     for j in todo:
         i, cover = of[j], 1.0
         cover *= _followed(stops[j, 0], faces[i, 0], fields[0], normals, stuffs, widths, wavelength, gamma, sent, there)
@@ -231,9 +228,9 @@ def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, g
         out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, stuffs, widths, first, starts, ends,  # type: ignore[no-untyped-def]
-           wavelength, gamma, of, on, waves, turns):  # fmt: skip
+           wavelength, gamma, of, on, waves, turns, scratch, field):  # fmt: skip
     """Which wires each way can reach within the gate at their points of shortest path, and what becomes of the field.
 
     Args:
@@ -243,12 +240,12 @@ def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, 
         of, on: (n w) get way and wire of each pair.
         waves: (n w, 2) get the factors of the cylinder's series for fields along it (TM) and across (TE).
         turns: (n w) get the angle between the way on and the way it came, about the wire [rad].
+        scratch, field: (5, 4, 3), (2, 3) complex.
 
     Returns:
         How many pairs there are.
     """
-    axis, spot, stops, coming = np.empty(3), np.empty(3), np.empty((2, 4, 3)), np.empty((2, 3))
-    field, part = np.empty((2, 3), np.complex128), np.empty((2, 3))
+    axis, spot, coming, part, stops = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2], scratch[3:]
     count = 0
     for w in range(len(begins)):
         size = _unit(begins[w], stops_at[w], axis)

@@ -101,7 +101,7 @@ def dark(ready: Bench, part: Surfaces, ways: Ways, way: int, out: NDArray[np.boo
     return float(lit.meet_triangles(
         ways.images[own], ways.frames[own], ways.planes[own], ways.counts[own], ways.weights[own], ready.gate[1],
         part.spheres, part.first, part.corners, part.normals, part.backs.outward, part.backs.boxes, ready.table,
-        ready.spec.antenna.kind == "isotropic", out))  # fmt: skip
+        ready.spec.antenna.kind == "isotropic", out, np.empty((7, 5))))  # fmt: skip
 
 
 def _lay_strips(
@@ -143,7 +143,7 @@ def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, fai
         count = lit.meet_faces(ways.images, ways.frames, ways.planes, ways.counts, ways.weights, ready.gate[1], faint,
                                smooth, flats.spheres, flats.normals, flats.offsets, backs.outward, backs.boxes,
                                flats.first, flats.starts, ready.table, ready.spec.antenna.kind == "isotropic",
-                               ready.pulse.omega / C0, of, on, shares)  # fmt: skip
+                               ready.pulse.omega / C0, of, on, shares, np.empty((7, 5)))  # fmt: skip
         if count <= size:
             break
         size = int(1.2 * count)
@@ -167,5 +167,6 @@ def heard(
     stops, free = reached(parts, flats, ways, of, points)
     out = np.zeros(len(points), complex)
     kernel.weigh(stops, np.flatnonzero(free), of, ways.faces, view.fields, flats.normals, flats.stuffs, flats.widths,
-                 ready.spec.wavelength_m, ready.gamma, stuffs, out)  # fmt: skip
+                 ready.spec.wavelength_m, ready.gamma, stuffs, out, np.empty((3, 3)),
+                 np.empty((2, 3), complex))  # fmt: skip
     return out

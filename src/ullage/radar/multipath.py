@@ -54,18 +54,18 @@ class Beams:
 
 
 def lay_bounces(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, max_bounces: int, grids: Complexes
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, max_bounces: int, look: Floats, grids: Complexes
 ) -> list[Laid]:
-    """Adds the echoes of two and three bounces between flat faces to the delay grids."""
+    """Adds the echoes of two and three bounces between flat faces, which look so large (p), to the delay grids."""
     if len(flats) < 2:
         return []
-    beams = beams_of(ready, flats, view, max_bounces)
+    beams = beams_of(ready, flats, view, max_bounces, look)
     return _lay(ready, parts, flats, view, beams, grids) if len(beams) else []
 
 
-def beams_of(ready: Bench, flats: Flats, view: View, max_bounces: int) -> Beams:
-    """All beams of two bounces up to as many as told, over the mirrors that look largest from one pose."""
-    chosen = _chosen(flats, view, ready.gate[1], ready.spec.wavelength_m)
+def beams_of(ready: Bench, flats: Flats, view: View, max_bounces: int, look: Floats) -> Beams:
+    """All beams of two bounces up to as many as told, over the mirrors that look largest (p) from one pose."""
+    chosen = _chosen(flats, look, ready.gate[1], ready.spec.wavelength_m)
     return trace(flats, view, max_bounces, ready.gate[1], chosen)
 
 
@@ -79,21 +79,21 @@ class Chosen:
     target_weights: Floats  # (p) of all faces
 
 
-def _chosen(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Chosen:
+def _chosen(flats: Flats, look: Floats, gate_m: float, wavelength_m: float) -> Chosen:
     """The mirrors and end faces to use: those that look largest, less what they lack of a Fresnel zone.
 
     Each has a weight that rises from 0 as it comes to look larger than the largest one left out, so that the choice,
     made anew at each pose, changes nothing suddenly along a track.
     """
-    look = looks(flats, view, gate_m, wavelength_m)
     narrow = flats.smooth & (flats.widths.min(1, initial=np.inf) < np.sqrt(wavelength_m * gate_m / 2))
-    look[narrow] = 0  # done by `curves`, with one bounce at them
+    look = np.where(narrow, 0.0, look)  # done by `curves`, with one bounce at them
     mirrors, mirror_weights = most_looked(look[flats.flat_of])
     return Chosen(mirrors, mirror_weights, *most_looked(look))
 
 
-def looks(flats: Flats, view: View, gate_m: float, wavelength_m: float) -> Floats:
+def looks(ready: Bench, flats: Flats, view: View) -> Floats:
     """How large each face (p) looks, less what it lacks of a Fresnel zone; 0 beyond the gate."""
+    gate_m, wavelength_m = ready.gate[1], ready.spec.wavelength_m
     *centre, radius = flats.spheres.T.copy()  # long rows are quicker than many of three
     x, y, z = (row - here for row, here in zip(centre, view.origins[0], strict=True))
     gap = np.sqrt(x * x + y * y + z * z) + 1e-3
@@ -212,7 +212,7 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
         first, starts, ends = flats.first, flats.starts, flats.ends
         origins = view.origins[None]
     else:
-        beams = beams_of(ready, flats, view, order)
+        beams = beams_of(ready, flats, view, order, looks(ready, flats, view))
         on, first = beams.ends_on, beams.first
         asked = (beams.chains[:, 1] >= 0) == (order == 3)
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])

@@ -189,18 +189,20 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
 
         out.append(lay_grit(ready, parts, view, poses, grids))
     if max_bounces > 1:
-        from ullage.radar.multipath import lay_bounces
+        from ullage.radar.multipath import lay_bounces, looks
 
         flats = joined([part.flats for part in parts])
-        out += lay_bounces(ready, parts, flats, view, max_bounces, grids)
-        out += _lay_over(ready, parts, flats, view, poses, max_bounces, grids)
+        look = looks(ready, flats, view)
+        out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
+        out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, grids)
     return out
 
 
 def _lay_over(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, poses: Floats | None, most: int, grids: Complexes
-) -> list[Laid]:
-    """Adds the echoes of what is no mirror by way of flat faces; the grids hold all others."""
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, poses: Floats | None, most: int, look: Floats,
+    grids: Complexes,
+) -> list[Laid]:  # fmt: skip
+    """Adds the echoes of what is no mirror by way of the flat faces that look largest; the grids hold all others."""
     curved = flats.smooth.any() or any(len(part.corners) for part in parts)
     if not (curved or len(ready.lines)) or flats.smooth.all():
         return []
@@ -208,7 +210,7 @@ def _lay_over(
     from ullage.radar.ways import ways_of
     from ullage.radar.wire_bounces import lay_wire_bounces
 
-    ways = ways_of(ready, flats, view, most)
+    ways = ways_of(ready, flats, view, most, look)
     faint = FAINT * float(abs(grids).max())
     out = lay_curves(ready, parts, flats, view, ways, faint, grids) if curved else []
     return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])

@@ -35,8 +35,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "rough": ("grit",),
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
-    "ways": ("ways",),
-    "curves": ("lit",),
+    "ways": ("ways", "lit"),
     "conductors": ("lines", "fringe", "double_fringe"),
 }
 """Kernel modules behind each part of a radar."""
@@ -58,7 +57,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "curves": many}
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many}
     if scene is not None:
         from ullage.radar.prepared import prepare
 
@@ -66,9 +65,8 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         flats = made.still.flats
         there["rough"] = any(material.roughness_m > 0 for material in made.materials)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
-        over = bool((~flats.smooth).any())
-        there["curves"] &= over and bool(flats.smooth.any() or len(made.still.corners) or made.moving.any())
-        there["ways"] &= there["curves"] or (over and bool(len(scene.wires)))
+        led = flats.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
+        there["ways"] &= bool(led and (~flats.smooth).any())
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
 
@@ -311,10 +309,11 @@ def _echoes() -> None:
 
 
 def _beams() -> None:
-    from ullage.radar.multipath import beams_of
+    from ullage.radar.multipath import beams_of, looks
 
     ready, view = _bench(_room())
-    beams_of(ready, ready.world.still.flats, view, 3)
+    flats = ready.world.still.flats
+    beams_of(ready, flats, view, 3, looks(ready, flats, view))
 
 
 def _paths() -> None:
@@ -333,30 +332,24 @@ def _paths() -> None:
 
 
 def _ways() -> None:
-    """The kernels of ways over flat faces, to no points and wires at all."""
+    """The kernels of ways over flat faces, to no points, wires and facets at all."""
     from ullage.kernels import ways
+    from ullage.radar import curves
+    from ullage.radar.multipath import looks
     from ullage.radar.ways import reached, ways_of
 
     ready, view = _bench(_room())
-    flats, none, long = ready.world.still.flats, np.zeros((0, 3)), np.zeros(0, np.int64)
-    led = ways_of(ready, flats, view, 3)
+    still, none, long = ready.world.still, np.zeros((0, 3)), np.zeros(0, np.int64)
+    flats, both, field = still.flats, np.zeros((0, 2), complex), np.zeros((2, 3), complex)
+    led = ways_of(ready, flats, view, 3, looks(ready, flats, view))
     stops, _ = reached([], flats, led, long, none)
     mirrors = flats.normals, flats.stuffs, flats.widths, ready.spec.wavelength_m, ready.gamma
-    ways.weigh(stops, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32), np.zeros(0, complex))
+    ways.weigh(stops, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32), both[:, 0].copy(),
+               np.zeros((3, 3)), field)  # fmt: skip
     ways.meet_wires(none, none, led.images, led.faces, 9.0, view.fields, flats.normals, flats.offsets, *mirrors[1:3],
-                    flats.first, flats.starts, flats.ends, *mirrors[3:], long, long, np.zeros((0, 2), complex),
-                    np.zeros(0))  # fmt: skip
-
-
-def _curves() -> None:
-    """The kernels that ask what ways can reach, of nothing."""
-    from ullage.radar import curves
-    from ullage.radar.ways import ways_of
-
-    ready, view = _bench(_room())
-    still = ready.world.still
-    led = ways_of(ready, still.flats, view, 3)
-    curves.met(ready, still.flats, still.flat_backs, led, np.zeros(0, np.int64), 0.0)
+                    flats.first, flats.starts, flats.ends, *mirrors[3:], long, long, both, np.zeros(0),
+                    np.zeros((5, 4, 3)), field)  # fmt: skip
+    curves.met(ready, flats, still.flat_backs, led, long, 0.0)
     curves.dark(ready, still, led, 0, np.zeros(0, np.bool_))
 
 
@@ -383,8 +376,7 @@ JOBS: tuple[Job, ...] = (
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 3, _paths),
-    Job("ways over faces", "ways", 2, _ways),
-    Job("what ways can reach", "curves", 1, _curves),
+    Job("ways over faces", "ways", 3, _ways),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
     Job(

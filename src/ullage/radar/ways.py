@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ullage.kernels import ways as kernel
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.multipath import looks, most_looked
+from ullage.radar.multipath import most_looked
 from ullage.radar.physical import Bench, View
 from ullage.radar.visibility import between
 
@@ -60,12 +60,12 @@ class Ways:
         return View(ends, self.frames[way], view.fields, view.factor * self.weights[way] * share)
 
 
-def ways_of(ready: Bench, flats: Flats, view: View, most: int) -> Ways:
-    """Ways of two bounces up to as many over the faces that look largest, those that fade in as mirrors do.
+def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> Ways:
+    """Ways of two bounces up to as many over the faces that look largest (p), those that fade in as mirrors do.
 
     Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
     """
-    look = looks(flats, view, ready.gate[1], ready.spec.wavelength_m) * ~flats.smooth
+    look = look * ~flats.smooth
     taken = [most_looked(look, count) for count in (FACES, PAIRS)[: most - 1]]
     one = bool((view.origins[0] == view.origins[1]).all())
     rows, over, twice = _rows(tuple(len(which) for which, _ in taken), one)
@@ -75,7 +75,7 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int) -> Ways:
     images, frames = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3, 3))
     planes, counts, reach = np.empty((count, kernel.PLANES, 4)), np.empty(count, np.int64), np.empty(count)
     kernel.lead(faces, view.origins, view.frames, flats.normals, flats.offsets, flats.spheres, flats.across,
-                flats.first, flats.starts, images, frames, planes, counts, reach)  # fmt: skip
+                flats.first, flats.starts, images, frames, planes, counts, reach, np.empty((2, 2)))  # fmt: skip
     via = np.where(chosen >= 0, flats.stuffs[chosen], -1)[over]
     alike = (twice == 1) & one
     held = reach <= ready.gate[1]

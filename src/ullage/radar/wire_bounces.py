@@ -67,7 +67,8 @@ def _met(ready: Bench, flats: Flats, view: View, ways: Ways, starts: Floats, end
     waves, turns = np.empty((size, 2), complex), np.empty(size)
     count = kernel.meet_wires(starts, ends, ways.images, ways.faces, ready.gate[1], view.fields, flats.normals,
                               flats.offsets, flats.stuffs, flats.widths, flats.first, flats.starts, flats.ends,
-                              ready.spec.wavelength_m, ready.gamma, of, on, waves, turns)  # fmt: skip
+                              ready.spec.wavelength_m, ready.gamma, of, on, waves, turns, np.empty((5, 4, 3)),
+                              np.empty((2, 3), complex))  # fmt: skip
     return Strung(of[:count], on[:count], waves[:count], turns[:count])
 
 

@@ -40,27 +40,33 @@ LAST = 1.5 * np.pi
 """Phase [rad] at which the weight of a zone has faded out."""
 
 
+_ANGLES = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
+_TURN = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], 1)
+
+
 class Zone:
     """Cells of the zones of some paths (k): points on their last faces, and what each cell counts for."""
 
     __slots__ = ("points", "weights")
 
-    def __init__(self, lit: Floats, axes: Floats, edges: Floats) -> None:
-        """Lays RAYS x CELLS cells about points (k, 3), to the outlines (k, e, 2, 3) or where the weight has faded.
+    def __init__(self, lit: Floats, axes: Floats, last: Floats) -> None:
+        """Lays RAYS x CELLS cells about points (k, 3), as far as the phases `last` (k, RAYS) [rad].
 
         The axes (k, 2, 3) [m] lead from each point to where the phase is 1 rad.
         """
-        angle = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
-        turn = np.stack([np.cos(angle), np.sin(angle)], 1)
-        last = np.minimum(_outline(lit, axes, edges, turn) ** 2, LAST)
         border = last[..., None] * (np.arange(CELLS + 1) / CELLS)
-        value = np.exp(-1j * border) * (1j * (1 - border / LAST) - 1 / LAST)
+        value = _summed(border)
         self.weights = value[..., 1:] - value[..., :-1]
         middle = np.sqrt((border[..., 1:] + border[..., :-1]) / 2)  # where the cell is asked
-        self.points = lit[:, None, None] + middle[..., None] * (turn @ axes)[:, :, None]
+        self.points = lit[:, None, None] + middle[..., None] * (_TURN @ axes)[:, :, None]
 
 
-def _outline(lit: Floats, axes: Floats, edges: Floats, turn: Floats) -> Floats:
+def _summed(phase: Floats) -> Complexes:
+    """What a direction of a zone counts as far as a phase [rad], the weight fading until `LAST`; -1 / LAST + j at 0."""
+    return np.asarray(np.exp(-1j * phase) * (1j * (1 - phase / LAST) - 1 / LAST))
+
+
+def _outline(lit: Floats, axes: Floats, edges: Floats, turn: Floats = _TURN) -> Floats:
     """How far (k, rays) the outline lies from each point in each direction, in units of the axes."""
     square = np.einsum("kai,kai->ka", axes, axes)
     flat = np.einsum("kesi,kai->kesa", edges - lit[:, None, None], axes) / square[:, None, None]
@@ -129,12 +135,12 @@ def _strongest(
     size = _size(out)[:, None]
     out = np.where(size > 1e-6, out / np.maximum(size, 1e-9), np.array([1.0, 0.0]))
     turned = np.stack([-out[:, 1], out[:, 0]], 1)
-    zone = Zone(lit, np.stack([out / slant, turned], 1) * reach[..., None] @ across, _outlines(beams, some))
-    level *= abs(zone.weights.sum((1, 2)))
+    axes = np.stack([out / slant, turned], 1) * reach[..., None] @ across
+    last = np.minimum(_outline(lit, axes, _outlines(beams, some)) ** 2, LAST)
+    level *= abs((_summed(last) - _summed(np.zeros(1))).sum(1))
     order = np.argsort(-level)[:BEST]
     order = order[level[order] > FAINT * level.max(initial=0.0)]
-    zone.points, zone.weights = zone.points[order], zone.weights[order]
-    return some[order], zone
+    return some[order], Zone(lit[order], axes[order], last[order])
 
 
 def _outlines(beams: Beams, some: Longs) -> Floats:
