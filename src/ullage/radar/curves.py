@@ -119,6 +119,8 @@ def _lay_strips(
     rim = parted(len(many), len(faces.starts), lambda *room: edges.cut(
         many, faces.spheres, faces.normals, faces.offsets, faces.first, faces.starts, faces.ends, ends, limits,
         1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
+    if not (len(rim.pieces) or len(rim.tips) or (rim.windings > 0.5).any()):
+        return []
 
     def shaded(points: Floats, owner: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims

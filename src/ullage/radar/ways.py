@@ -66,10 +66,11 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
     """
     look = look * ~flats.smooth
-    taken = [most_looked(look, count) for count in (FACES, PAIRS)[: most - 1]]
+    first = np.sort(np.argpartition(look, -FACES - 1)[-FACES - 1 :]) if len(look) > FACES else np.arange(len(look))
+    taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
     one = bool((view.origins[0] == view.origins[1]).all())
     rows, over, twice = _rows(tuple(len(which) for which, _ in taken), one)
-    chosen = np.concatenate([*(which for which, _ in taken), np.array([-1])])
+    chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
     shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])
     faces, count = chosen[rows], len(rows)
     images, frames = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3, 3))
