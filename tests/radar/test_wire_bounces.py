@@ -9,6 +9,7 @@ from scipy.special import h2vp, hankel2, jv, jvp
 import ullage as ul
 from ullage.radar.physical import path_gain_cw
 from ullage.world import scenes
+from ullage.world.library import WORLDS
 
 K = 2 * np.pi * 7.29e9 / 299792458
 
@@ -109,3 +110,20 @@ def test_small_and_hidden_floors_add_nothing():
     spec = radar()
     more = cw(ul.Scene.union([tiny, wire(0.002)]), 3, spec) - cw(tiny, 3, spec) - cw(wire(0.002), 1, spec)
     assert abs(more) < 1e-9
+
+
+@pytest.mark.slow
+def test_the_crane_wire_of_the_cargo_hold_echoes_over_its_floor_as_over_a_floor_alone():
+    """Among 3000 faces: what goes over the inner bottom is that of the wire and one plate at its place."""
+    hold = ul.load_scene(WORLDS["cargo-hold"].path)
+    wires = hold.wires
+    line = ul.Scene.of_wires(wires.start, wires.end, float(wires.radius_m[0]), name="wire", made_of="steel")
+    plate = floor(depth=0.0, size=30.0, material="steel")
+    spec, pose = radar(), ul.Trajectory.stationary((0.1, 0, 6.6))
+    found, alone = [], ul.Scene.union([plate, line])
+    for scene, thing, ground in ((hold, "crane_wire", "inner_bottom"), (alone, "wire", "floor")):
+        told = ul.explain(scene, pose, spec, 0, max_bounces=3, count=400)
+        mine = [c for c in told if c.object == thing and set(c.via) == {ground}]
+        found.append(sorted((c.bounces, c.path_gain_db, c.range_m) for c in mine))
+    assert {bounces for bounces, _, _ in found[0]} == {2, 3}
+    assert np.array(found[0]) == pytest.approx(np.array(found[1]), abs=0.1)
