@@ -39,6 +39,13 @@ def test_compiling_what_the_main_job_needs_leaves_nothing_to_compile() -> None:
     assert compiled(parts)
 
 
+def test_what_joins_legs_of_a_volume_is_compiled_with_the_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    met: list[int] = []
+    monkeypatch.setattr("ullage.processing.mapper_legs.weigh_rolls", lambda me, others, *_: met.append(len(others)))
+    next(job for job in JOBS if job.part == "ullage").run()
+    assert met, "a volume would compile it in the middle"
+
+
 TOLD = """
 import numpy as np, ullage as ul
 path = ul.Trajectory.line((0, 0, 0), (0, 0.1, 0), 0.5, 5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,10 @@ NEEDED = {
     "hector": ("flight", "proximity"),
     **radar.NEEDED,
     "elfes": ("elfes",),
-    "ullage": ("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show"),
+    "ullage": (
+        *("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show", "occupancy_strip"),
+        "rolls",
+    ),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""
@@ -92,6 +96,21 @@ def _map(method: MapMethod) -> None:
     from ullage.processing.occupancy import map_occupancy
 
     map_occupancy(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2), method=method)
+    if method == "ullage":
+        _join_legs()
+
+
+def _join_legs() -> None:
+    """What a volume does once several straight legs have heard a wall."""
+    from ullage.processing.mapper_legs import LEAST_ECHOES, Legs
+    from ullage.processing.mapper_tracks import Traced
+
+    legs, along, abeam = Legs(), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
+    for height in (0.0, 0.5, 1.0):
+        places = [np.array([0.05 * k, 0, height]) for k in range(LEAST_ECHOES)]
+        echoes = [Traced(k, at, along, 2.0, 0.0, 1e-3, 0.02, 1.0) for k, at in enumerate(places)]
+        legs.add(echoes, echoes, abeam, 0.5, 2.0)
+    deque(legs.tell_all(), maxlen=0)
 
 
 def _image() -> None:
