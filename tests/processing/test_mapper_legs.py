@@ -115,6 +115,27 @@ def test_an_upright_edge_makes_no_wall():
     assert not len(told_ways(legs, told))
 
 
+@pytest.mark.parametrize("slope_deg", [0, 40, 90])
+def test_an_edge_flown_at_makes_no_wall_once_a_leg_hears_it_from_the_side(slope_deg):
+    """Legs beside each other that fly at an edge hear what a wall would make; one that passes it does not."""
+    rng, legs, told = np.random.default_rng(9), Legs(), []
+    up = np.radians(slope_deg)
+    edge, place = np.array([0.0, np.cos(up), np.sin(up)]), np.array([2.6, 0.0, 0.0])
+    aside = np.cross([1.0, 0, 0], edge)
+
+    def far(at: np.ndarray) -> np.ndarray:
+        gap = at - place
+        return np.linalg.norm(gap - (gap @ edge)[:, None] * edge, axis=1)
+
+    for along in (-0.5, 0.1, 0.7):
+        start = along * edge + [0.3, 0, 0]
+        heard(legs, leg(start - 1.5 * aside, start + 1.5 * aside), far, rng, ahead=np.array([1.0, 0, 0]), told=told)
+    for along in (-0.6, 0.0, 0.6):
+        start = along * edge + 0.9 * aside + [0.6, 0, 0]
+        heard(legs, leg(start - [1.6, 0, 0], start), far, rng, ahead=np.array([1.0, 0, 0]), told=told)
+    assert not len(told_ways(legs, told))
+
+
 def test_the_bend_of_an_edge_is_one_and_that_of_a_wall_nothing():
     at = leg((-0.4, 0, 0), (0.4, 0, 0.2))
     for reach, bend in ((1.5 - at[:, 1], 0.0), (np.hypot(at[:, 0], at[:, 1] - 1.5), 1.0)):

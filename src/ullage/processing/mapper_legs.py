@@ -6,7 +6,7 @@ n . t = a will do. What range a place p hears of a smooth surface is its distanc
 and by the mean of both normals on that way where it is bent a little, as the bow of a stretch's own ranges tells. Each
 other leg that hears it so bears out some part of the ring, and what several bear out is the normal. A ring that stays
 open on two sides, as those of legs in one plane do (each direction's mirror image in that plane fits them as well), is
-left open.
+left open. So is one that a straight edge, whose distance is that to a line, explains better than a surface.
 """
 
 from __future__ import annotations
@@ -35,8 +35,11 @@ UNLIT, UNHEARD, BEHIND = 0.3, 0.02, -0.3  # chance of an echo from beside the be
 ONE_SIDE = float(np.cos(np.radians(17.0)))
 STRICT_SIDE = float(np.cos(np.radians(11.0)))
 SURE, ENOUGH_LEGS, MANY_LEGS = 0.9, 1.6, 2.5  # beside the beam, where echoes are weak, more is asked
+UPRIGHT, EDGES, EDGE_BETTER = 0.26, 8, 1.0  # ways so level may be of upright edges; slopes; [nat]
+LEAST_SHARE = 0.1  # of the legs around bear a surface out
 MOST_STRETCHES = 2048
 LEAST_BEND, EDGE_BEND, FOCUSED = 0.3, 0.5, 1.7  # bend of ranges, as a share of that of an edge or pole
+LEAST_BOW_M = 0.008  # root of the sum of squares of what an edge would bow: less is not heard
 Told = tuple[list["Traced"], Floats, float]
 
 
@@ -104,16 +107,20 @@ class Legs:
         while self._waiting:
             yield from self.tell(len(self._waiting))
 
-    def _around(self, at: int, most_m: float) -> NDArray[np.bool_]:
-        """Which stretches of other legs may hear the surface that one hears: near, and not on one line with it."""
+    def _around(self, at: int, most_m: float, *, own: bool = False) -> NDArray[np.bool_]:
+        """Which stretches may hear the surface that one hears: near, of other legs, and not on one line with it.
+
+        With `own`, those of its own leg and line as well.
+        """
         held, me = self._held, self._rows[at]
         gap = held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]
         squared = np.einsum("ij,ij->i", gap, gap)
+        near = (squared < most_m**2) & ((held[:, RANGE] - me[RANGE]) ** 2 < squared + SLACK_M)
+        if own:
+            return np.asarray(near)
         along = gap @ me[TRACK : TRACK + 3]
-        near = (squared < most_m**2) & (held[:, LEG] != me[LEG])
-        near &= (held[:, RANGE] - me[RANGE]) ** 2 < squared + SLACK_M
         turned = abs(held[:, TRACK : TRACK + 3] @ me[TRACK : TRACK + 3]) < LEG_TURN
-        return np.asarray(near & (turned | (squared - along**2 > BESIDE_M**2)))
+        return np.asarray(near & (held[:, LEG] != me[LEG]) & (turned | (squared - along**2 > BESIDE_M**2)))
 
     def _normal(self, at: int, most_m: float, *, bent: bool) -> Floats | None:
         """Unit vector (3) to what made a stretch's echoes, if other legs leave but one side of its ring."""
@@ -121,24 +128,86 @@ class Legs:
         if len(others) < 2:
             return None
         others = np.ascontiguousarray(others[np.argsort(others[:, LEG], kind="stable")])
-        ways = cone(me)
+        ways = ring = cone(me)
         bends, lit = self._bends[at].astype(float), ways @ me[AHEAD : AHEAD + 3]
         focused = (bends > FOCUSED) & (lit > me[WIDE])
         fits = (abs(bends) > LEAST_BEND) & ((bends < EDGE_BEND) | focused) if bent else abs(bends) < EDGE_BEND
         ways, bends, lit = ways[fits], bends[fits] if bent else np.zeros(np.count_nonzero(fits)), lit[fits]
         if not len(ways):
             return None
-        odds, legs = np.zeros((2, len(ways)))
-        weigh_rolls(me, others, ways, RANGE_SIGMA_M, WANDER, -bends / me[RANGE], OUTLIER, odds, legs)
+        odds, legs = weigh(me, others, ways, bends)
         odds += np.log(np.where(lit > me[WIDE], 1.0, np.where(lit > BEHIND, UNLIT, UNHEARD)))
         best = int(np.argmax(odds))
-        enough, narrow = (ENOUGH_LEGS, ONE_SIDE) if lit[best] > me[WIDE] else (MANY_LEGS, STRICT_SIDE)
         share = np.exp(odds - odds[best])
+        enough, narrow = (ENOUGH_LEGS, ONE_SIDE) if lit[best] > me[WIDE] else (MANY_LEGS, STRICT_SIDE)
         side = share * (ways @ ways[best] > narrow)
-        if legs[best] < enough or side.sum() < SURE * share.sum():
+        around = 0 if bent else 1 + np.count_nonzero(np.diff(others[:, LEG]))  # few legs see far along a round wall
+        if legs[best] < max(enough, LEAST_SHARE * around) or side.sum() < SURE * share.sum():
             return None
         mean = side @ ways
-        return np.asarray(mean / np.linalg.norm(mean))
+        mean /= np.linalg.norm(mean)
+        if not bent:
+            others = self._held[self._around(at, most_m, own=True)]
+            others[:, LEG] = np.arange(len(others))
+        own = float(self._bends[at][fits][best])
+        return None if is_edge(me, others, ring, mean, own if bent else min(own, 0.0)) else np.asarray(mean)
+
+
+def weigh(
+    me: Floats, others: Floats, ways: Floats, bends: Floats | None = None, edges: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Log-likelihood of surfaces, or of edges of these directions (w, 3), and the legs that bear each out; both (w)."""
+    odds, legs = np.zeros((2, len(ways)))
+    turn = np.zeros(len(ways)) if bends is None else -bends / me[RANGE]
+    straight = np.zeros_like(ways) if edges is None else edges
+    weigh_rolls(me, others, ways, RANGE_SIGMA_M, WANDER, turn, straight, OUTLIER, odds, legs)
+    return odds, legs
+
+
+def is_edge(me: Floats, others: Floats, ring: Floats, way: Floats, bend: float) -> bool:
+    """Whether a straight edge explains what all stretches around hear better than the surface that is told.
+
+    An edge is heard as a wall is from places beside each other along it. Against a flat wall so each stretch should
+    count, as a leg, not each leg by its best one; of a bent wall stretches farther off tell nothing.
+
+    Args:
+        me: the stretch (17).
+        others: those around (m, 17), ordered by leg.
+        ring: unit vectors (w, 3) on its cone, at each of which upright and level edges are tried.
+        way: (3) the one that is told; about it edges of all slopes are tried.
+        bend: of the surface there, as a share of that of an edge; a flat one is tried beside it.
+    """
+    near = _about(me, way)
+    surface = max(weigh(me, others, near, np.full(len(near), one))[0].max() for one in (0.0, bend))
+    ways, edges = _edges(ring, near)
+    return bool(weigh(me, others, ways, edges=edges)[0].max() > surface + EDGE_BETTER)
+
+
+def _edges(ring: Floats, near: Floats) -> tuple[Floats, Floats]:
+    """Ways (e, 3) to edges and their directions (e, 3): of all slopes near a way, upright and level on the ring."""
+    level = np.cross(near, [0.0, 0.0, 1.0] if abs(near.mean(axis=0)[2]) < 0.9 else [1.0, 0.0, 0.0])
+    level /= np.linalg.norm(level, axis=1)[:, None]
+    turn = (np.arange(EDGES) * (np.pi / EDGES))[:, None, None]
+    sloped = (np.cos(turn) * level + np.sin(turn) * np.cross(level, near)).reshape(-1, 3)
+    flat = np.cross(ring, [0.0, 0.0, 1.0])
+    long_ = np.linalg.norm(flat, axis=1) > 0.1
+    flat = flat[long_] / np.linalg.norm(flat[long_], axis=1)[:, None]
+    upright = np.concatenate([ring, near])
+    upright = upright[abs(upright[:, 2]) < UPRIGHT]
+    ways = np.concatenate([np.tile(near, (EDGES, 1)), ring[long_], upright])
+    return ways, np.concatenate([sloped, flat, np.tile([0.0, 0.0, 1.0], (len(upright), 1))])
+
+
+def _about(me: Floats, way: Floats) -> Floats:
+    """Unit vectors (15, 3) within some degrees of a way, round the track and along it."""
+    track = me[TRACK : TRACK + 3]
+    aside = way - (way @ track) * track
+    aside /= max(float(np.linalg.norm(aside)), 1e-9)
+    across = np.cross(track, aside)
+    cosine = np.clip(way @ track + np.array([-0.02, 0.0, 0.02]), -1.0, 1.0)[:, None, None]
+    roll = np.radians([-4.0, -2.0, 0.0, 2.0, 4.0])[None, :, None]
+    out = cosine * track + np.sqrt(1 - cosine**2) * (np.cos(roll) * aside + np.sin(roll) * across)
+    return np.asarray(out.reshape(-1, 3))
 
 
 def stretch_of(echoes: list[Traced]) -> Floats | None:
@@ -170,14 +239,18 @@ def bends_of(echoes: list[Traced], ways: Floats, row: Floats) -> Floats:
     """How far ranges bow from those of a flat wall in each way (w): 0; an edge or a pole has 1.
 
     The near side of a round tank has less than 0, its far side, past the focus, more than 1.
-    The bend times the range's inverse is by how much the way turns for each metre flown.
+    The bend times the range's inverse is by how much the way turns for each metre flown. Flown almost straight at what
+    echoes, a bow is too small to be heard, and is taken for none.
     """
     at, reach = np.array([e.position for e in echoes]), np.array([e.range_m for e in echoes])
     gap = at - row[PLACE : PLACE + 3]
     along = gap @ row[TRACK : TRACK + 3]
     bow = 0.5 * (1 - row[COSINE] ** 2) * along**2 / row[RANGE]
-    basis = np.column_stack([bow, along, np.ones(len(bow))])
-    return np.asarray(np.linalg.lstsq(basis, reach[:, None] + gap @ ways.T, rcond=1e-6)[0][0])
+    plain = np.column_stack([along, np.ones(len(along))])
+    both = np.linalg.lstsq(plain, np.column_stack([bow, reach[:, None] + gap @ ways.T]), rcond=1e-6)[0]
+    bow, miss = bow - plain @ both[:, 0], reach[:, None] + gap @ ways.T - plain @ both[:, 1:]
+    heard = float(bow @ bow)
+    return np.asarray(bow @ miss / heard if heard > LEAST_BOW_M**2 else np.zeros(len(ways)))
 
 
 def cone(row: Floats) -> Floats:

@@ -27,6 +27,7 @@ FOLLOWED = 48
 LEAST_LOOKS, FIT_EVERY = 8, 3
 RANGE_SIGMA_M, COSINE_SIGMA = 0.03, 0.06
 SCATTER_M, TURN_SIGMA = 0.015, 0.12
+APART_SHARE = 0.4  # looks of one window share their frames: so much of what they say is each one's own
 TOLD_APART, SAME_WAY = 9.0, 0.28
 SAME_WALL, SAME_WALL_M, BEYOND_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 1.0, 96, 15
 FITS_M, FITS_COSINE, LEVEL_M, EXPLAINED = 0.04, 0.08, 12.0, 3.0
@@ -332,6 +333,6 @@ def _settled(normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone:
         inside = side.T @ matrix @ side
         normal = normal + side @ np.linalg.solve(inside + 1e-9 * np.eye(2), side.T @ (right - matrix @ normal))
     normal = normal / np.linalg.norm(normal)
-    doubt = 1 / np.sqrt(max(float(np.linalg.eigvalsh(inside)[0]), 1e-9))
+    doubt = 1 / np.sqrt(max(APART_SHARE * float(np.linalg.eigvalsh(inside)[0]), 1e-9))
     scatter = float(np.std(gone + apart @ normal))
     return np.asarray(normal) if doubt < TURN_SIGMA and scatter < SCATTER_M else None
