@@ -3,6 +3,7 @@ import pytest
 
 import ullage as ul
 from ullage.kernels.occupancy import EMPTY, cell_index
+from ullage.kernels.occupancy_reach import Beam
 from ullage.processing.blocks import Blocks
 
 
@@ -69,3 +70,31 @@ def test_only_what_is_held_occupied_bars_the_way():
     aside = np.array([np.cos(0.5), np.sin(0.5), 0.0])
     assert blocks.clear_to(eye, aside, 2.0)
     assert blocks.clear_to(eye, -ahead, 5.0), "beyond the grid nothing is held"
+
+
+def test_silence_ends_before_a_floor_wherever_in_a_sector_of_the_beam_that_meets_it():
+    """A level beam grazes a floor: the near side of each of its sectors, not the middle, tells where that is met."""
+    blocks = Blocks(ul.Grid.covering([[-0.5, -2.5, -1.5], [5.0, 2.5, 0.5]], 0.1, dims=3))
+    lobe, (reach, hush) = (np.cos(np.radians(50)), np.sin(np.radians(50))), np.zeros((2, 28, 28))
+    tangent = 1.09 * lobe[1] / lobe[0]
+    beam = Beam(
+        np.zeros(3),
+        np.eye(3),
+        reach,
+        hush,
+        tangent,
+        lobe,
+        lobe,
+        0.25,
+        5.0,
+        0.0,
+        0.05,
+        np.arange(101),
+        np.zeros((0, 10)),
+    )
+    next(blocks.insert_in_steps(beam, np.zeros((0, 5)), np.array([[0, 0, -1, 0.8, 0, 0, -0.8, 12.0]]), sure=1))
+    below = tangent * (1 - 2 * np.arange(14) / 28)  # slope of the lower side of each sector that looks down
+    middle = np.sqrt(1 + (tangent * (1 - 2 * (np.arange(14) + 0.5) / 28)) ** 2 + (tangent / 28) ** 2)
+    fore = hush[:14, 14] / middle
+    assert fore.max() > 1.0
+    assert (fore * below).max() < 0.8 + 1e-6

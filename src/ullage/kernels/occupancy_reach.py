@@ -164,9 +164,10 @@ def _stop_at_walls(
 ) -> None:
     """End silence a cell before each wall, and before those that are sure all that is learned.
 
-    All sectors are asked of one wall at a time, without a branch, so that processors take several at once.
+    All sectors are asked of one wall at a time, without a branch, so that processors take several at once. A wall that
+    is met at a grazing angle ends a sector where the near side of that meets it, half a sector off the middle.
     """
-    eye = beam.eye
+    eye, half = beam.eye, beam.tangent / beam.reach.shape[1]
     for p in range(len(walls)):
         wall = walls[p]
         away = wall[3] - eye[0] * wall[0] - eye[1] * wall[1] - eye[2] * wall[2]
@@ -176,7 +177,7 @@ def _stop_at_walls(
         wide = wall[7] * wall[7]
         for k in range(len(hush)):
             turn = way[0, k] * nx + way[1, k] * ny + way[2, k] * nz
-            inverse = 1.0 / max(turn, 1e-6)
+            inverse = 1.0 / max(turn + half * (1.0 - turn * turn), 1e-6)
             r = away * inverse
             u, v, w = cx + r * way[0, k], cy + r * way[1, k], cz + r * way[2, k]
             met = (r < (limit[k] if p < sure else hush[k])) & (u * u + v * v + w * w < wide)
