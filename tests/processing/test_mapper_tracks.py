@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import ullage as ul
+from ullage.processing.inverse_sensor import least_cosine, mirror_m
 from ullage.processing.mapper_looks import Heard, Look
 from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of, screens_of
 
@@ -55,8 +59,11 @@ def test_a_pole_is_no_wall_and_a_wall_no_pole():
     assert post_of(off_wall(AHEAD, 3.0, at, rng), AHEAD) is None
 
 
-def follow_all(at: np.ndarray, reach: np.ndarray, *, levels: tuple = ()) -> tuple[EchoTracks, list]:
+def follow_all(
+    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf
+) -> tuple[EchoTracks, list]:
     tracks, feet = EchoTracks(), []
+    tracks.mirror_m["front"] = mirror_m
     tracks.believe(list(levels), at[0])
     axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
     for echo in traced(at, reach, np.random.default_rng(5)):
@@ -108,3 +115,25 @@ def test_what_a_known_wall_explains_screens_nothing():
     wall = np.array([[0, 1, 0, 3.0, *at[0], 5.0]])
     assert not len(tracks.screens(wall))
     assert len(tracks.screens(wall + np.array([0, 0, 0, 0.5, 0, 0, 0, 0]))) > 3
+
+
+def test_a_floor_explains_no_echo_louder_than_a_mirror_beside_the_beam():
+    at = waving(14, rise_m=0.0)
+    floor = ((-1, -1.5),)
+    for gain_db, told in ((-2.5, 14), (5.0, 0)):  # of the mirror that would echo so, over one before 0 dBi
+        tracks, feet = follow_all(at, np.full(14, 1.5), levels=floor, mirror_m=1.5e-3 / 10 ** (gain_db / 10))
+        assert len(feet) == told
+        assert bool(len(tracks.screens(tracks.walls))) == (told == 0)
+
+
+@pytest.mark.parametrize("off_deg", [10, 35, 60, 85])
+def test_a_mirror_off_boresight_is_never_too_loud_for_where_it_stands(off_deg):
+    radar = ul.RadarSpec.preset("x4m05", noise=None)
+    wall = ul.scenes.plate(8, 8, 2.0, yaw_deg=off_deg, material="pec")
+    away = np.array([np.cos(np.radians(off_deg)), np.sin(np.radians(off_deg)), 0.0]) * 2.0
+    wall = replace(wall, vertices=wall.vertices - [2.0, 0, 0] + away)
+    frames = ul.simulate(wall, ul.Trajectory.stationary(), radar)
+    strength = float((frames.range_m * abs(frames.samples[0]))[frames.range_m > 1].max())
+    within = least_cosine(strength, mirror_m(frames))
+    assert within <= np.cos(np.radians(off_deg))
+    assert off_deg > 20 or within > np.cos(np.radians(50))

@@ -15,6 +15,11 @@ BLANKED_M = 0.45
 DYNAMIC = 10 ** (-40 / 20)
 X4A02_DEG, WIDEST_DEG = 65.0, 67.0
 RIM_DBI = -3.0
+OFF_DEG, OFF_DBI = (
+    np.array([0.0, 32.5, 47.5, 90.0]),
+    np.array([6.0, 3.0, 0.0, -5.0]),
+)  # of the X4's antenna [NoveldaX4A02]
+SPARE_DB = 3.0
 
 
 def noise_sigma(frames: Frames) -> Floats:
@@ -56,15 +61,39 @@ def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Float
     return frames.range_m[np.argmax(peak, axis=1)], np.asarray(peak.any(axis=1))
 
 
-def rim_mirror_m(frames: Frames) -> float:
-    """Amplitude times range of a perfect mirror a quarter turn off boresight [m]; infinite where that is not known.
+def mirror_m(frames: Frames) -> float:
+    """Amplitude times range of a perfect mirror before an antenna of 0 dBi [m]; infinite where that is not known.
 
-    An image lambda / (8 pi R) times the gain there, of the X4's antenna no more than -5 dBi [NoveldaX4A02]; 2 dB
-    are added for a body that tilts.
+    An image: lambda / (8 pi R).
     """
     if frames.unit != "path_gain" or frames.spec.antenna.kind != "x4a02":
         return float(np.inf)
-    return float(frames.spec.wavelength_m / (8 * np.pi) * 10 ** (RIM_DBI / 10))
+    return float(frames.spec.wavelength_m / (8 * np.pi))
+
+
+def rim_mirror_m(frames: Frames) -> float:
+    """Amplitude times range of a perfect mirror a quarter turn off boresight [m]; infinite where that is not known.
+
+    The X4's antenna has no more than -5 dBi there; 2 dB are added for a body that tilts.
+    """
+    return mirror_m(frames) * 10 ** (RIM_DBI / 10)
+
+
+def least_cosine(strength: float, isotropic_m: float) -> float:
+    """Cosine to boresight below which no flat surface could be so loud; -1 where any could, or none.
+
+    What is louder than a perfect mirror ahead is focused by a hollow surface, and may come from anywhere.
+
+    Args:
+        strength: amplitude times range of an echo [m].
+        isotropic_m: that of a perfect mirror before an antenna of 0 dBi, `mirror_m` [m].
+    """
+    if not np.isfinite(isotropic_m):
+        return -1.0
+    needed = 10 * np.log10(max(strength, 1e-30) / isotropic_m) - SPARE_DB
+    if not OFF_DBI[-1] < needed <= OFF_DBI[0]:
+        return -1.0
+    return float(np.cos(np.radians(np.interp(needed, OFF_DBI[::-1], OFF_DEG[::-1]))))
 
 
 def heard_deg(antenna: AntennaSpec) -> tuple[float, float]:

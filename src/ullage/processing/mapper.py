@@ -19,7 +19,7 @@ from ullage.kernels.occupancy_show import render_cells, thin_lines
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
-from ullage.processing.inverse_sensor import heard_deg, rim_mirror_m
+from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_folds import may_be_folded
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
@@ -108,7 +108,7 @@ class UllageMapper:
             step = float(part.range_m[-1] - part.range_m[0]) / (len(part.range_m) - 1)
             self._wavelength_m = part.spec.wavelength_m
             self._axis[name] = float(part.range_m[0]), step, float(part.range_m[-1])
-            self._levels.rim_m = rim_mirror_m(part)
+            self._levels.rim_m, self._tracks.mirror_m[name] = rim_mirror_m(part), mirror_m(part)
             hit_deg, free_deg = heard_deg(part.spec.antenna)
             self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
             self._fold_m[name] = part.spec.unambiguous_range_m

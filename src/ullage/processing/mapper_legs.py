@@ -131,7 +131,10 @@ class Legs:
         ways = ring = cone(me)
         bends, lit = self._bends[at].astype(float), ways @ me[AHEAD : AHEAD + 3]
         focused = (bends > FOCUSED) & (lit > me[WIDE])
-        fits = (abs(bends) > LEAST_BEND) & ((bends < EDGE_BEND) | focused) if bent else abs(bends) < EDGE_BEND
+        if bent:
+            fits = (abs(bends) > LEAST_BEND) & ((bends < EDGE_BEND) | focused)
+        else:
+            fits = (abs(bends) < EDGE_BEND) & (lit >= np.median([e.within for e in self._kept[at][0]]))
         ways, bends, lit = ways[fits], bends[fits] if bent else np.zeros(np.count_nonzero(fits)), lit[fits]
         if not len(ways):
             return None

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look
 from ullage.processing.mapper_rims import rim_of
@@ -48,6 +49,8 @@ class Traced:
     height: float
     sigma: float
     trust: float
+    ahead: Floats = field(default_factory=lambda: np.zeros(3))  # (3) boresight
+    within: float = -1.0  # cosine to it below which no flat surface could be so loud
     laid: bool = False
     way: Floats | None = None  # (3) to the wall it was told to come from
 
@@ -96,9 +99,14 @@ class Followed:
 
 
 class EchoTracks:
-    """Follows the echoes of each sensor and tells their directions."""
+    """Follows the echoes of each sensor and tells their directions.
+
+    Attributes:
+        mirror_m: amplitude times range of a perfect mirror before an antenna of 0 dBi, by sensor where it is known [m].
+    """
 
     def __init__(self) -> None:
+        self.mirror_m: dict[str, float] = {}
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
         self._held: list[list[Foot]] = []
@@ -136,6 +144,7 @@ class EchoTracks:
         miss = abs(walls[:, 3] - normal @ echo.position - echo.range_m) / FITS_M
         turn = abs(normal @ echo.track - echo.cosine) / (FITS_COSINE + echo.sigma)
         fits = np.hypot(miss, turn) + 9 * (np.linalg.norm(foot - walls[:, 4:7], axis=1) > walls[:, 7])
+        fits += 9 * (normal @ echo.ahead < echo.within)
         best = int(np.argmin(fits))
         other = fits[normal @ normal[best] < 0.9]
         return normal[best] if fits[best] < 1 and (not len(other) or other.min() > 2) else None
@@ -173,7 +182,8 @@ class EchoTracks:
             trust: chance that the bearing is true (k).
             least: cosine to boresight in which echoes are looked for.
         """
-        here, now = look.heard.position, look.heard.t_ns
+        here, now, ahead = look.heard.position, look.heard.t_ns, look.heard.axes[:, 0]
+        mirror, loud = self.mirror_m.get(name, np.inf), (look.echoes[:, 0] * look.echoes[:, 5]).tolist()
         held: list[Followed] = []
         gone: list[Followed] = []
         for one in self._open.get(name, []):
@@ -185,7 +195,7 @@ class EchoTracks:
         for k in np.argsort(-trust):
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
-                float(sigma[k]), float(trust[k]),
+                float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror),
             )  # fmt: skip
             misses = [one.miss(echo) for one in free]
             if misses and min(misses) < LINK_M:
@@ -193,11 +203,11 @@ class EchoTracks:
             else:
                 one = Followed()
                 held.append(one)
-            one.add(echo, look.heard.axes[:, 0], least)
+            one.add(echo, ahead, least)
             feet += self._told(one, echo)
             one.fresh.append(echo)
             if len(one.fresh) >= LEAST_ECHOES and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M:
-                self._legs.add(one.fresh, one.echoes[-2 * len(one.fresh) :], look.heard.axes[:, 0], least, one.rim)
+                self._legs.add(one.fresh, one.echoes[-2 * len(one.fresh) :], ahead, least, one.rim)
                 one.fresh = []
         self._open[name] = held
         return feet
@@ -280,14 +290,15 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
 
 
 def _unexplained(echoes: list[Traced], walls: Floats) -> NDArray[np.int64]:
-    """Which echoes can be none of these walls', wherever on them."""
+    """Which echoes can be none of these walls', wherever on them, by range and bearing or for being too loud."""
     if not echoes or not len(walls):
         return np.arange(len(echoes))
     at, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
     reach, cosine, sigma = np.array([(e.range_m, e.cosine, e.sigma) for e in echoes]).T[:, :, None]
     miss = abs(walls[:, 3] - at @ walls[:, :3].T - reach) / FITS_M
     turn = abs(track @ walls[:, :3].T - cosine) / (FITS_COSINE + sigma)
-    return np.flatnonzero(np.hypot(miss, turn).min(axis=1) >= EXPLAINED)
+    loud = np.array([e.ahead for e in echoes]) @ walls[:, :3].T < np.array([e.within for e in echoes])[:, None]
+    return np.flatnonzero(np.where(loud, np.inf, np.hypot(miss, turn)).min(axis=1) >= EXPLAINED)
 
 
 def screens_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats:
