@@ -191,9 +191,11 @@ class Peer:
             self._subscriptions.append(heard)
 
     def settle(self, timeout_s: float) -> None:
-        """Wait until what was sent reliably has arrived."""
+        """Wait until what was sent reliably has arrived; not where whoever made the node has ended its context."""
         from rclpy.duration import Duration
 
+        if not self.node.context.ok():
+            return
         for out in self._publishers.values():
             if out is not None and out.get_subscription_count():
                 out.wait_for_all_acked(Duration(seconds=timeout_s))
