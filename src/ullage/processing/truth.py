@@ -100,17 +100,29 @@ def _count_looks(
     path = true_path(frames)
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
     limit = np.where(smooth & (frames.unit != "thesis"), np.cos(SPECULAR_RAD), np.cos(OBLIQUE_RAD))
-    round_ones = ~normals.any(axis=1)
+    round_ones, columns = ~normals.any(axis=1), np.ascontiguousarray(points.T)
     for i in spaced_looks(path):
-        ray = points - path.position[i]
-        distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
-        ray = ray / distance[:, None]
-        lit = (ray @ ahead[i] >= np.cos(HALF_BEAM_RAD)) & (distance <= frames.range_m[-1])
-        facing = round_ones | (abs(np.einsum("ij,ij->i", ray, normals)) >= limit)
-        wanted = np.flatnonzero(lit & (facing | ~seen))
-        clear = wanted[caster.visible(path.position[i], points[wanted], slack_m=0.02)]
-        seen[clear] = True
-        looks[clear[facing[clear]]] += 1
+        near = _in_beam(columns, path.position[i], ahead[i], float(frames.range_m[-1]))
+        ray = points[near] - path.position[i]
+        ray /= np.maximum(np.sqrt(np.einsum("ij,ij->i", ray, ray)), 1e-9)[:, None]
+        facing = round_ones[near] | (abs(np.einsum("ij,ij->i", ray, normals[near])) >= limit[near])
+        wanted = np.flatnonzero(facing | ~seen[near])
+        clear = wanted[caster.visible(path.position[i], points[near[wanted]], slack_m=0.02)]
+        seen[near[clear]] = True
+        looks[near[clear[facing[clear]]]] += 1
+
+
+def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float) -> NDArray[np.int64]:
+    """Indices of the points, given as columns (3, p), in the beam and in range; most points are in neither."""
+    x, y, z = columns
+    along = x * ahead[0]
+    along += y * ahead[1]
+    along += z * ahead[2]
+    along -= eye @ ahead
+    front = np.flatnonzero(along > 0)
+    square = (x[front] - eye[0]) ** 2 + (y[front] - eye[1]) ** 2 + (z[front] - eye[2]) ** 2
+    lit = (along[front] ** 2 >= np.cos(HALF_BEAM_RAD) ** 2 * square) & (square <= reach**2)
+    return front[lit]
 
 
 def _slice(scene: Scene, plane: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
