@@ -13,12 +13,12 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from mapping_table import believed
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
+from ullage.experiments.reproduce.flights import believed
 from ullage.geometry import rpy_quat
 from ullage.processing import coherent
 from ullage.processing.mapper import UllageMapper

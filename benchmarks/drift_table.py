@@ -11,10 +11,10 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from mapping_table import believed, drift, room, route
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
+from ullage.experiments.reproduce.flights import believed, drift, heard, judged_room, level_round
 from ullage.processing.drift import correct_drift
 
 DRIFT_M, TURN_DEG = 0.2, 2.0
@@ -53,23 +53,23 @@ def turn_left(frames: dict[str, Frames], path: Trajectory, time_s: float) -> flo
 
 
 def print_turns(flights: int) -> None:
-    scene, _ = room()
+    scene = judged_room()
     print(f"| what may tell | flights 0 to {flights - 1} |\n|---|---|")
     for name, (arms, time_s) in WHAT.items():
         left = []
         for seed in range(flights):
-            path = route(seed)
+            path = level_round(seed)
             left.append(turn_left(ul.simulate(scene, path, rig(arms=arms), seed=seed), path, time_s))
         print(f"| {name} |", ", ".join(f"{turn:.2f}" for turn in left), "|", flush=True)
 
 
 def print_drifts(flights: int, count: int) -> None:
-    scene, _ = room()
+    scene = judged_room()
     print("| flight | drift | before, rms [mm] | after, rms [mm] | of this one shift of all [mm] |")
     print("|---|---|---|---|---|")
     for seed in range(flights):
-        path = route(seed)
-        frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)
+        path = level_round(seed)
+        frames = heard(scene, path, seed)
         for k in range(count):
             offset = drift(len(path), DRIFT_M, np.random.default_rng([seed, 300 + k]))
             found = next(iter(correct_drift(believed(frames, offset), drift_m=DRIFT_M).values()))

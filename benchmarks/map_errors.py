@@ -8,12 +8,12 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 
-import mapping_table
 import numpy as np
 from scipy.spatial import cKDTree
 
 import ullage as ul
 from ullage.data import Frames
+from ullage.experiments.reproduce import flights
 from ullage.processing.metrics import MATCH_M, cell_centres
 from ullage.processing.truth import surface_of
 from ullage.world.scene import Scene
@@ -80,7 +80,7 @@ def missed_surface(omap, perfect, surface) -> Counter:
 
 def of_flight(scene: Scene, grid: ul.Grid, frames: dict[str, Frames]) -> Counter:
     surface = surface_of(scene, grid, frames)
-    omap, perfect = ul.map_occupancy(frames, grid), mapping_table.told(scene, frames, grid)
+    omap, perfect = ul.map_occupancy(frames, grid), flights.told_walls(scene, frames, grid)
     ends = ends_of(section(scene, 0.0)[:, :, :2])
     return false_cells(omap, surface.points[:, :2], ends) + missed_surface(omap, perfect, surface)
 
@@ -89,10 +89,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=5)
     options = parser.parse_args()
-    scene, grid = mapping_table.room()
+    scene = flights.judged_room()
+    grid = flights.plane_of(scene)
     total: Counter = Counter()
     for seed in range(options.seeds):
-        frames = ul.simulate(scene, mapping_table.route(seed), ul.Rig.preset("thesis-4"), seed=seed)
+        frames = flights.heard(scene, flights.level_round(seed), seed)
         total += of_flight(scene, grid, frames)
     print("| | share |\n|---|---|")
     for name in CELLS + SURFACE:

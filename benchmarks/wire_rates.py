@@ -21,13 +21,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from mapping_table import route
 from scipy.spatial import cKDTree
-from volume_table import route as rising
 from wire_table import OBJECTS, angles, hits_of
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
+from ullage.experiments.reproduce.flights import level_round, rising_round
 from ullage.geometry import quat_matrix, rpy_quat
 from ullage.grids import OccupancyMap
 from ullage.processing.metrics import cell_centres
@@ -121,7 +120,7 @@ def early_flags(frames: dict[str, Frames], stand: list[tuple[str, np.ndarray]]) 
 
 def fly(seed: int, tally: Tally, folder: Path, *, flights: int, volume: bool) -> None:
     """One flight with the things and one without."""
-    path = turned(rising(seed) if volume else route(seed), MOST_TURN_DEG * (seed + 0.5) / flights)
+    path = turned(rising_round(seed) if volume else level_round(seed), MOST_TURN_DEG * (seed + 0.5) / flights)
     stand = places(path, np.random.default_rng(seed + 500))
     for there in (True,) if volume else (True, False):
         scene = furnished(stand if there else [])

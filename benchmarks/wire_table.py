@@ -11,6 +11,7 @@ import numpy as np
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
+from ullage.experiments.reproduce.flights import SIZE, heard, level_round
 from ullage.world.scene import Scene
 
 OBJECTS = {"3 mm wire": 0.0015, "1 cm pole": 0.005, "5 cm pole": 0.025}
@@ -121,17 +122,15 @@ def draw(table, path: str, runs: int) -> None:
 
 def room(runs: int) -> None:
     """The three in a room with walls, floor and ceiling: on the map, and missed in flight by range and angle."""
-    import mapping_table
-
     places = {"3 mm wire": (-0.7, 0.3), "1 cm pole": (0.1, -0.2), "5 cm pole": (-1.4, -0.1)}
     things = [Scene.of_wires((x, y, -1.5), (x, y, 1.5), OBJECTS[n], name=n) for n, (x, y) in places.items()]
-    scene = Scene.union([ul.scenes.room(mapping_table.SIZE), *things])
+    scene = Scene.union([ul.scenes.room(SIZE), *things])
     grid = ul.Grid.covering(scene.bounds, 0.1, margin_m=1.0)
     on_map = dict.fromkeys(places, 0)
     tally = {name: np.zeros((len(NEAR), len(OFF), 2), int) for name in places}
     false = []
     for seed in range(runs):
-        frames = ul.simulate(scene, mapping_table.route(seed), ul.Rig.preset("thesis-4"), seed=seed)
+        frames = heard(scene, level_round(seed), seed)
         score = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
         false.append(int(score["false_occupied"].value))
         for part in frames.values():

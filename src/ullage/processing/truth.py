@@ -100,7 +100,7 @@ def _count_looks(
     path = true_path(frames)
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
     limit = np.where(smooth & (frames.unit != "thesis"), np.cos(SPECULAR_RAD), np.cos(OBLIQUE_RAD))
-    round_ones, columns = ~normals.any(axis=1), np.ascontiguousarray(points.T)
+    round_ones, columns = np.asarray(~normals.any(axis=1)), np.ascontiguousarray(points.T)
     for i in spaced_looks(path):
         near = _in_beam(columns, path.position[i], ahead[i], float(frames.range_m[-1]))
         ray = points[near] - path.position[i]
@@ -122,7 +122,7 @@ def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float) -> NDArr
     front = np.flatnonzero(along > 0)
     square = (x[front] - eye[0]) ** 2 + (y[front] - eye[1]) ** 2 + (z[front] - eye[2]) ** 2
     lit = (along[front] ** 2 >= np.cos(HALF_BEAM_RAD) ** 2 * square) & (square <= reach**2)
-    return front[lit]
+    return np.asarray(front[lit], np.int64)
 
 
 def _slice(scene: Scene, plane: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:

@@ -38,6 +38,7 @@ def draw_panels(
     title: str,
     width_in: float = 3.4,
     span_db: float = 40.0,
+    view: Floats | None = None,
 ) -> None:
     """Maps in white, black, grey and amber, images in dB, the true walls over them.
 
@@ -48,11 +49,12 @@ def draw_panels(
         title: above all.
         width_in: of one panel.
         span_db: range of an image's colours [dB].
+        view: what is shown, (2, 2) low and high corner [m]; 0.8 m beyond the walls without it.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    low, high = walls.reshape(-1, 2).min(0) - 0.8, walls.reshape(-1, 2).max(0) + 0.8
+    low, high = (walls.reshape(-1, 2).min(0) - 0.8, walls.reshape(-1, 2).max(0) + 0.8) if view is None else view
     shape = float((high[1] - low[1]) / (high[0] - low[0]))
     columns = max(len(row) for row in rows)
     figure = Figure(
@@ -96,7 +98,7 @@ def _draw(axes: Any, panel: Panel, walls: Floats, span_db: float) -> tuple[str, 
 
 def _finish(figure: Figure, grid: Any, bars: dict[str, Any], title: str, path: Path) -> None:
     for label, mesh in bars.items():
-        bar = figure.colorbar(mesh, ax=grid, shrink=0.7, pad=0.01)
+        bar = figure.colorbar(mesh, ax=[axes for axes in grid.flat if axes.figure is not None], shrink=0.7, pad=0.01)
         bar.set_label(label, fontsize=8)
     figure.suptitle(title, fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)

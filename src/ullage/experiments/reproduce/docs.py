@@ -14,7 +14,8 @@ from ullage.experiments.reproduce.plan import EXPERIMENTS
 HEAD = """# The thesis, reproduced
 
 `ullage reproduce` runs every experiment of chapter 6 of the thesis [Billdal2018] under its own ray model and the
-physical one, with its own methods and with ullage's, and writes one HTML page with every figure. What the thesis says
+physical one, with its own methods and with ullage's, then every method of mapping and imaging on the same five flights,
+and writes one HTML page with every figure. What the thesis says
 of its results is held against numbers with bounds; the command exits 1 when one is broken. After Ctrl-C the same
 command goes on where it stopped: each experiment's results are kept in its folder under a fingerprint of code,
 scenarios and recordings. `--quick` does it small, `--only NAME` does one experiment, `--jobs N` does N at a time.
@@ -30,6 +31,8 @@ PICTURES = {
     "room": ("maps.png", "sar.png"),
     "hall": ("maps.png", "hover.png"),
     "hold": ("maps.png",),
+    "methods": ("maps.png",),
+    "images": ("poles.png",),
     "rail": ("rail.png",),
     "rest": (),
 }
