@@ -28,7 +28,8 @@ def lay_strip(
     """Add up to `gain` [nat] to the cells within `half` of the foot square to the way, less the farther off.
 
     `way` is the unit vector from the sensor to the foot of the perpendicular, level on a plane; `sigma` the doubt in
-    range [m].
+    range [m]. On a plane a cell that the strip's end cuts takes its share, lest the map hang on how looks fall in
+    cells.
     """
     reach = half + 3.0 * sigma + step
     flat = pools.size[2] == 1
@@ -45,9 +46,11 @@ def lay_strip(
                 dx = pools.origin[0] + (ix + 0.5) * step - foot[0]
                 off = dx * way[0] + dy * way[1] + dz * way[2]
                 deep = off / sigma
-                if dx * dx + dy * dy + dz * dz - off * off > half * half or abs(deep) > 2.5:
+                aside = math.sqrt(max(dx * dx + dy * dy + dz * dz - off * off, 0.0))
+                share = min((half - aside) / step + 0.5, 1.0) if flat else (1.0 if aside <= half else 0.0)
+                if share <= 0.0 or abs(deep) > 2.5:
                     continue
-                tenths = int(gain * math.exp(-0.5 * deep * deep) * SCALE + 0.5)
+                tenths = int(gain * share * math.exp(-0.5 * deep * deep) * SCALE + 0.5)
                 if tenths < 1:
                     continue
                 bz, by, bx = 0 if flat else iz // edge, iy // edge, ix // edge

@@ -44,7 +44,7 @@ SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
-LOOK_SHARE, FLAT_SHARE = 0.4, 0.9
+LOOK_SHARE, LOOK_M, FLAT_SHARE = 0.4, 0.06, 0.9  # share of looks so far apart
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
@@ -252,7 +252,7 @@ class UllageMapper:
         yield from self.blocks.insert_in_steps(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
         if self.grid.dims == 2:
             yield CAST
-            self._lay_strips(beam, arcs, rims, hit[0])
+            self._lay_strips(beam, arcs, rims, hit[0], look_share(heard.step_m))
 
     def _rims(self, look: Look, cosine: Floats, runs: list[Run], least: float) -> Floats:
         """Fresnel parameter (k) out to which each echo's surface goes on about the foot of the perpendicular."""
@@ -277,7 +277,7 @@ class UllageMapper:
             usual=self._judge.usual,
         )
 
-    def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float) -> None:
+    def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float, share: float) -> None:
         """Echoes of smooth surfaces stand for what is about the foot of the perpendicular, as far as their level tells.
 
         The looks of one window share their frames, and their errors: each adds but a share of its log-odds. A nearer
@@ -296,7 +296,7 @@ class UllageMapper:
                     continue
                 half = 0.5 * rim * np.sqrt(self._wavelength_m * arc[0])
                 blur = arc[0] * arc[6] / max(np.sqrt(max(1 - arc[5] ** 2, 0.0)), 0.1)
-                gain = LOOK_SHARE * np.log((1 - arc[9]) / arc[9]) * half / np.hypot(half, blur)
+                gain = share * np.log((1 - arc[9]) / arc[9]) * half / np.hypot(half, blur)
                 self.blocks.lay(beam.eye + arc[0] * way, way, (float(arc[1]), float(half), float(gain)))
 
     def _lay_disc(self, foot: Foot) -> None:
@@ -384,6 +384,11 @@ class UllageMapper:
         out = now.changes(self._published)
         self._published = now
         return out
+
+
+def look_share(step_m: float) -> float:
+    """Share of a look's log-odds that are its own, and not those of the look before, so far from it."""
+    return LOOK_SHARE * min(max(step_m / LOOK_M, 1.0), 1 / LOOK_SHARE)
 
 
 def cos_sin(angle_deg: float) -> tuple[float, float]:

@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 MOST_PEAKS = 16
 STEP_M, TURN_RAD = 0.05, np.radians(4.0)
 WINDOW_M = 0.2
+LEAST_ASIDE, SPARSE_M = 2, 0.35
 BEND_M = 0.02
 STRAIGHT_RAD = 0.05
 LEAST_BASE_M = 0.12
@@ -45,6 +46,7 @@ class Heard:
     samples: NDArray[np.complex64] | None  # (b) where there is a phase
     smooth: Floats = field(default_factory=lambda: np.zeros(3))  # position without the single pose's noise [m]
     look: bool = False
+    step_m: float = 0.0  # from the look before
 
 
 @dataclass(slots=True, eq=False)
@@ -92,7 +94,9 @@ class Listener:
                 continue
             self._rest = self._smooth
             heard.smooth = self._smooth
+            apart = 0.0 if self._last is None else _apart(self._smooth, self._last[0])
             heard.look = self._counts(heard, self._smooth)
+            heard.step_m = apart
             self._held.append(heard)
             out += self._ready(patient=True)
         return out
@@ -133,7 +137,8 @@ class Listener:
             heard = self._held[self._next]
             if heard.look:
                 ahead = _apart(self._held[-1].position, heard.position)
-                if patient and ahead < WINDOW_M and len(self._held) - self._next < MOST_WAITING:
+                after = len(self._held) - 1 - self._next
+                if patient and (ahead < WINDOW_M or after < LEAST_ASIDE) and after < MOST_WAITING:
                     break
                 out.append(self._look(self._next))
             self._next += 1
@@ -197,8 +202,12 @@ class Listener:
         return found[pick] - shift, shift, order * 1.7 * rough / (np.sqrt(len(t)) * span)
 
     def _go_on(self, at: int, before: int, index: int, reach_m: float) -> bool:
-        """Whether one more held frame belongs to the same stretch of flight: near, and without a pause between."""
+        """Whether one more held frame belongs to the same stretch of flight: near, and without a pause between.
+
+        Where frames are sparse, the nearest on each side may lie farther off: a bearing takes five.
+        """
         one, pause = self._held[at], abs(self._held[at].t_ns - self._held[before].t_ns)
+        reach_m = max(reach_m, SPARSE_M) if abs(at - index) <= LEAST_ASIDE else reach_m
         return bool(pause < PAUSE_NS and _apart(one.position, self._held[index].position) <= reach_m)
 
     def _window(self, index: int, *, reach_m: float = WINDOW_M) -> list[int]:
