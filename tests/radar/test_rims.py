@@ -63,3 +63,11 @@ def test_the_cargo_hold_by_the_ends_of_its_rims():
     whole = ul.Trajectory.line((-11.5, -7, 4), (11, -7, 4), 0.5, 17)
     path = whole[[33, 166, 332, 631]]
     assert apart_db(*both(hold, path, max_bounces=3))[1] < -28
+
+
+@pytest.mark.parametrize("places", [[(2.995, 1.995, 0.2), (2.9, 1.99, 0.3)], [(2.99, 1.99, 1.49), (2.9, 1.8, 1.48)]])
+def test_a_radar_close_to_two_or_three_walls_by_the_ends_of_their_rims(places):
+    """Seen from an image under the floor two walls' edge runs along the axis, its path flat: all of it is slow."""
+    room = ul.scenes.room((6, 4, 3), material="pec")
+    paths = [ul.Trajectory.stationary(position_m=place, yaw_deg=0, n=1) for place in places]
+    assert max(apart_db(*both(room, path, max_bounces=2))[1] for path in paths) < -45

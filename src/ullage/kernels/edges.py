@@ -115,18 +115,18 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
     for side in range(2):
         sign = 2.0 * side - 1
         gap = max(step, -least if side == 1 else least - size)
-        place = 0.0
+        share = 1.0 * side  # all of the edge on this side is slow, if nothing else is found
         for _ in range(8):
             place = min(max(least + sign * gap, 0.0), size)
-            if place == side * size:  # all of the edge on this side is slow
+            if place == side * size:
                 break
             for k in range(3):
                 spots[2 + side, k] = spots[0, k] + place * line[3, k]
             _spot(spots, BEGINS + side, line, length)
             if abs(_steep(spots, BEGINS + side, line, length, wave)[2]) <= FAR:
+                share = place / size
                 break
             gap *= 1.3
-        share = min(max(place / size, 0.0), 1.0)
         if side == 0:
             begins = share if share * size >= 0.5 * step else 0.0
         else:

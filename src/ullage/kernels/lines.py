@@ -49,16 +49,16 @@ def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no
     for side in range(2):
         sign = 2.0 * side - 1
         gap = max(step, -least if side == 1 else least - size)
-        place = 0.0
+        out[side] = side * size  # all of the line on this side is slow, if nothing else is found
         for _ in range(8):
             place = least + sign * gap
             if place <= 0 or place >= size:
                 break
             _steep(start, along, place, origins, wave, term)
             if abs(term[1]) <= FAR:
+                out[side] = place
                 break
             gap *= 1.3
-        out[side] = min(max(place, 0.0), size)
     if out[0] < 0.5 * step:
         out[0] = 0.0
     if size - out[1] < 0.5 * step:
