@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ullage.kernels.edges import mirror
 from ullage.kernels.loops import core, loop
+from ullage.kernels.near import height
 
 MOST = 96  # corners of a clipped outline
 FACE, LIT, NONE = np.int64(0), np.int64(2), np.int64(-1)  # outlines of faces and mirrors; no mirror. No literals
@@ -130,7 +130,7 @@ def _ends(apex, planes, made, a, b, skip, receiver, gate, targets, normals, offs
         at: (2) how many beams and edges there are; the rest as in `trace`.
     """
     for t in targets:
-        if t == skip or _gap(apex, normals, offsets, t) < 1e-3:
+        if t == skip:
             continue
         if not _reached(spheres, t, planes, made, apex, receiver, gate):
             continue
@@ -174,9 +174,7 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
     first[0] = 0
     for a in mirrors:
         p = np.int64(flat_of[a])
-        if _gap(origins[0], normals, offsets, p) < 1e-3:
-            continue
-        mirror(origins[0], normals[p], offsets[p], one)
+        _image(origins[0], normals[p], offsets[p], one)
         for i in range(sizes[a]):
             for k in range(3):
                 clipped[2, i, k] = outlines[a, i, k]
@@ -185,7 +183,7 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
               starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
         for b in mirrors:
             q = np.int64(flat_of[b])
-            if most < 3 or q == p or _gap(one, normals, offsets, q) < 1e-3:
+            if most < 3 or q == p:
                 continue
             if not _reached(spheres, q, planes1, made, one, one, gate):
                 continue
@@ -195,7 +193,7 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
             count, lit = _clipped(clipped, LIT, np.int64(sizes[b]), planes1, made)
             if count < 3:
                 continue
-            mirror(one, normals[q], offsets[q], two)
+            _image(one, normals[q], offsets[q], two)
             made2 = _walls(two, clipped, lit, count, normals, offsets, q, planes2)
             _ends(two, planes2, made2, a, b, q, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
                   starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
@@ -203,6 +201,9 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
 
 
 @core(nogil=True, error_model="numpy")
-def _gap(point, normals, offsets, p):  # type: ignore[no-untyped-def]
-    """How far a point is from the plane of face p."""
-    return abs(normals[p, 0] * point[0] + normals[p, 1] * point[1] + normals[p, 2] * point[2] - offsets[p])
+def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
+    """The mirror image of a point in the plane normal . x = offset, never in that plane itself."""
+    gap = normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset
+    gap += height(gap, gap)
+    for k in range(3):
+        out[k] = point[k] - gap * normal[k]

@@ -6,6 +6,7 @@ import math
 
 from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
 from ullage.kernels.loops import core, lean
+from ullage.kernels.near import spread
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -38,9 +39,9 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
     tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
     for s in range(2):
         dx, dy, dz = p[0] - origins[0, s, 0], p[1] - origins[0, s, 1], p[2] - origins[0, s, 2]
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
+        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = math.sqrt(max(toward(table, flat, frames, ONE, s, dx, dy, dz), 0.0) / r)
+        one = math.sqrt(max(toward(table, flat, frames, ONE, s, dx, dy, dz), 0.0) * spread(wave, r))
         g *= one
         path += 0.5 * r
         ux, uy, uz = ux + dx, uy + dy, uz + dz

@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from ullage.kernels.loops import core, lean
+from ullage.kernels.near import height
 
 C0 = 299_792_458.0
 START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
@@ -40,7 +41,7 @@ def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
         line: (4, 3) the transmitter's image, the receiver, the unit axis from one to the other, and along the rim.
         length: of the axis [m].
     """
-    along, r2, s2, rho2 = 0.0, 0.0, 0.0, 0.0
+    along, r2, s2 = 0.0, 0.0, 0.0
     for k in range(3):
         from_image = spots[i, k] - line[0, k]
         along += from_image * line[2, k]
@@ -49,11 +50,10 @@ def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
         spots[i, 5 + k] = from_image
     for k in range(3):
         spots[i, 5 + k] -= along * line[2, k]
-        rho2 += spots[i, 5 + k] ** 2
-    r, s = max(math.sqrt(r2), 1e-4), max(math.sqrt(s2), 1e-4)
+    r, s = max(math.sqrt(r2), 1e-9), max(math.sqrt(s2), 1e-9)
     spots[i, 3] = r + s
-    excess = (r + s) * (r + s) - length * length
-    spots[i, 4] = 2 * length * rho2 / (excess * r * s) if rho2 > 1e-9 * r2 else 2 / length
+    # K / (r s) is (1 - cos of the angle between r and s) / length: 2 / length on the axis, 0 beyond its ends
+    spots[i, 4] = (length - (r - s)) * (length + (r - s)) / (2 * length * r * s)
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -182,10 +182,12 @@ def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ign
         near += (spheres[p, k] - line[0, k]) ** 2
         far += (spheres[p, k] - line[1, k]) ** 2
     r = 0.5 * (math.sqrt(near) + math.sqrt(far))
-    if r - spheres[p, 3] > limit or ahead * behind <= 0 or min(abs(ahead), abs(behind)) < 1e-4:
+    above, below = height(ahead, behind), height(behind, ahead)
+    if r - spheres[p, 3] > limit or above * below <= 0:
         return -1.0
     for k in range(3):
-        line[0, k] -= 2 * ahead * normals[p, k]
+        line[0, k] -= (ahead + above) * normals[p, k]
+        line[1, k] += (below - behind) * normals[p, k]
     # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it
     line[0, 0], line[0, 1], line[0, 2] = line[0, 0] + 3.1e-7, line[0, 1] - 4.3e-7, line[0, 2] + 2.7e-7
     length = 0.0

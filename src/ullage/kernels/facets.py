@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from ullage.kernels.loops import core, lean, loop
+from ullage.kernels.near import TOUCH_M, lifted
 
 C0 = 299_792_458.0
 # numbers handed to other kernels are no literals: Numba compiles a function anew for each literal integer
@@ -100,7 +101,7 @@ def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-
     size = math.sqrt(longest)
     if r - 0.67 * size > gate[1] or r + 0.67 * size < gate[0]:
         return -2
-    near = max(r, 0.05)
+    near = max(r, 3 * TOUCH_M)
     if across > kappa_lambda * near or size > reach * near:
         return which
     return -1
@@ -309,15 +310,16 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
                 leaves[k, i, 1] - origins[0, s, 1],
                 leaves[k, i, 2] - origins[0, s, 2],
             )
-            r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
+            r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
             ux, uy, uz = dx / r, dy / r, dz / r
             if s == 0 and i == 0:
                 share = te_share(fields, ONE, ux, uy, uz, nx, ny, nz)
             along = ex * ux + ey * uy + ez * uz
-            curve = (ex * ex + ey * ey + ez * ez - along * along) / r
             c = nx * ux + ny * uy + nz * uz
+            far, c = lifted(r, c)
+            curve = (ex * ex + ey * ey + ez * ez - along * along) / far
             twice = 2 if mono else 1
-            gain = toward(table, flat, frames, ONE, s, ux, uy, uz) / r
+            gain = toward(table, flat, frames, ONE, s, ux, uy, uz) / far
             base[i] *= gain * gain if mono else gain
             if s == 1 and cosine[i] * c <= 0:
                 base[i] = 0.0

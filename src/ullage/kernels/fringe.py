@@ -11,6 +11,7 @@ import math
 
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, _lay, same, toward, turned
 from ullage.kernels.loops import core, lean
+from ullage.kernels.near import spread
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -27,7 +28,6 @@ def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
         out: (2) gets soft, hard.
     """
     n = open_angle
-    lit = 1.0 if phi < math.pi else 0.0
     if -mu <= 1:
         y = math.acos(max(-mu, -1.0))
         sine = max(math.sqrt(max(1 - mu * mu, 0.0)), 1e-6)
@@ -38,9 +38,10 @@ def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
         ratio = math.sinh(t / n) / math.sinh(t) if t > 1e-5 else 1 / n
         turn = math.cosh(t / n)
     gap = math.cos(phi / n) - turn
-    plain = math.cos(phi) + mu
-    out[0] = math.sin(phi / n) / (n * gap) - lit * math.sin(phi) / plain
-    out[1] = ratio / (n * gap) - lit / plain
+    out[0], out[1] = math.sin(phi / n) / (n * gap), ratio / (n * gap)
+    if phi < math.pi:  # on the lit side physical optics has its share
+        plain = math.cos(phi) + mu
+        out[0], out[1] = out[0] - math.sin(phi) / plain, out[1] - 1 / plain
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
@@ -98,7 +99,7 @@ def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def strength(places, k, end, w, angles, inward, normals, sheets, origins, frames, fields, table, flat, rows):  # type: ignore[no-untyped-def]
+def strength(places, k, end, w, angles, inward, normals, sheets, wave, origins, frames, fields, table, flat, rows):  # type: ignore[no-untyped-def]
     """Antenna gains over ranges times the strength of edge w at places[k, end]; path length and its bend."""
     g, path, bend = 1.0, 0.0, 0.0
     ix, iy, iz = inward[w, 0, 0], inward[w, 0, 1], inward[w, 0, 2]
@@ -108,9 +109,9 @@ def strength(places, k, end, w, angles, inward, normals, sheets, origins, frames
     for s in range(2):
         dx, dy, dz = (places[k, end, 0] - origins[0, s, 0], places[k, end, 1] - origins[0, s, 1],
                       places[k, end, 2] - origins[0, s, 2])  # fmt: skip
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
+        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = toward(table, flat, frames, ONE, s, dx, dy, dz) / r
+        one = toward(table, flat, frames, ONE, s, dx, dy, dz) * spread(wave, r)
         along = tx * dx + ty * dy + tz * dz
         g, path, bend = g * one, path + r, bend + (1 - along * along) / r
         rows[0, 0], rows[0, 1], rows[0, 2] = rows[0, 0] + dx, rows[0, 1] + dy, rows[0, 2] + dz
@@ -219,14 +220,14 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
         rows: (4, 3), scratch.
     """
-    last, many = t0 + grids.shape[1] * dt, len(pieces)
+    last, many, wave = t0 + grids.shape[1] * dt, len(pieces), omega / C0
     known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
             continue
         w, size, early = owner[k], 1.0, 0.0
-        scale = factor[0] * C0 / (4 * math.pi * omega) * shade[k]
+        scale = factor[0] / (4 * math.pi * wave) * shade[k]
         w1, path1, bend1 = w0, path0, bend0
         if k < many:
             square = 0.0
@@ -236,15 +237,16 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
                 follows = follows and pieces[known, 0, j] == pieces[k, 1, j]
             size, known = math.sqrt(square), k
             if not follows:  # pieces of an edge come one after the other, from its end
-                w1, path1, bend1 = strength(pieces, k, TO, w, angles, inward, normals, sheets, origins, frames, fields,
-                                            table, flat, rows)  # fmt: skip
-            w0, path0, bend0 = strength(pieces, k, FROM, w, angles, inward, normals, sheets, origins, frames, fields,
-                                        table, flat, rows)  # fmt: skip
-            early = 0.5 * (bend0 + bend1) * size * size / 12  # as for wires: what the chord lies beyond the path
+                w1, path1, bend1 = strength(pieces, k, TO, w, angles, inward, normals, sheets, wave, origins, frames,
+                                            fields, table, flat, rows)  # fmt: skip
+            w0, path0, bend0 = strength(pieces, k, FROM, w, angles, inward, normals, sheets, wave, origins, frames,
+                                        fields, table, flat, rows)  # fmt: skip
+            # as for wires: what the chord lies beyond the path
+            early = min(0.5 * (bend0 + bend1) * size / 12, 0.5) * size
             scale *= size
         else:
-            w0, path0, bend0 = strength(tips, k - many, FROM, w, angles, inward, normals, sheets, origins, frames,
-                                        fields, table, flat, rows)  # fmt: skip
+            w0, path0, bend0 = strength(tips, k - many, FROM, w, angles, inward, normals, sheets, wave, origins,
+                                        frames, fields, table, flat, rows)  # fmt: skip
             w1, path1 = w0, path0
             scale *= complex(tips[k - many, 1, 0], tips[k - many, 1, 1])
         if w0 == 0 and w1 == 0:

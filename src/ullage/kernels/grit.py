@@ -8,6 +8,7 @@ import numpy as np
 
 from ullage.kernels.facets import BULK, ONE, _lay, te_share, toward, turned
 from ullage.kernels.loops import lean
+from ullage.kernels.near import spread
 
 C0 = 299_792_458.0
 
@@ -43,12 +44,12 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
             for s in range(2):
                 dx, dy, dz = (points[i, 0] - origins[0, s, 0], points[i, 1] - origins[0, s, 1],
                               points[i, 2] - origins[0, s, 2])  # fmt: skip
-                r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-2)
+                r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
                 ux, uy, uz = dx / r, dy / r, dz / r
                 if s == 0:
                     share = te_share(fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
                 cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
-                g *= toward(table, flat, frames, ONE, s, ux, uy, uz) / r
+                g *= toward(table, flat, frames, ONE, s, ux, uy, uz) * spread(omega / C0, r)
                 path += r
             u = min(cosine, 0.9999999) * most
             j = int(u)

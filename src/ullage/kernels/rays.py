@@ -8,6 +8,8 @@ import numpy as np
 
 from ullage.kernels.loops import lean
 
+_NOWHERE = 1e9  # [m]
+
 
 @lean(nogil=True)
 def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, distance, cosine):  # type: ignore[no-untyped-def]
@@ -50,7 +52,9 @@ def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignor
         origin[i, 1] = starts[s, 1] + before * dy - centre[1]
         origin[i, 2] = starts[s, 2] + before * dz - centre[2]
         ray[i, 0], ray[i, 1], ray[i, 2] = dx, dy, dz
-        reach[i] = max(length - before - after, 0.0)
+        reach[i] = length - before - after
+        if reach[i] <= 0:  # nothing counts: a ray without length would still meet the face that it starts on
+            origin[i, 0], reach[i] = _NOWHERE, 0.0
 
 
 @lean(nogil=True)

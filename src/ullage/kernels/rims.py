@@ -8,6 +8,7 @@ import numpy as np
 
 from ullage.kernels.facets import EDGE, VERTEX, _late, _lay, _reflection, same, te_share, toward, turned
 from ullage.kernels.loops import core, lean
+from ullage.kernels.near import eased, height
 
 C0 = 299_792_458.0
 START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
@@ -45,7 +46,7 @@ def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, tabl
             rows[k, at + 1] - origins[o, s, 1],
             rows[k, at + 2] - origins[o, s, 2],
         )
-        r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-4)
+        r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         ux, uy, uz = dx * r, dy * r, dz * r
         if s == 0:
             share = te_share(fields, o, ux, uy, uz, nx, ny, nz)
@@ -101,7 +102,7 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
         origins: (1 or p, 2, 3) radars for all or for each face, as in `facets.deposit`, and so the rest.
         weights, cosines: (taps), (taps), scratch.
     """
-    unit = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi)
+    unit, wave = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi), omega / C0
     last = t0 + grids.shape[1] * dt
     known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(owner)):
@@ -130,7 +131,8 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
                 late = extra[k] + _late(lag, stuffs[face], tap, 0.5 * (c0 + c1))
                 late += pieces[k, 11] / C0
                 path0, path1, bow = pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0
-                w0, w1 = w0 * pieces[k, 8] * pieces[k, 10] * scale, w1 * pieces[k, 9] * pieces[k, 10] * scale
+                w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
+                w1 *= pieces[k, 9] * eased(wave, pieces[k, 7]) * pieces[k, 10] * scale
             else:
                 w0, c0 = _weight(
                     ends, i, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap
@@ -138,7 +140,7 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
                 late = extra[k] + _late(lag, stuffs[face], tap, c0)
                 path0 = path1 = ends[i, 3] / C0
                 bow, w1 = 0.0, 0j
-                w0 *= scale * complex(ends[i, 4], ends[i, 5])
+                w0 *= eased(wave, ends[i, 3]) * scale * complex(ends[i, 4], ends[i, 5])
             mean = 0.5 * (path0 + path1) + late
             if tap == 0:
                 delay[k] = mean
@@ -169,19 +171,20 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
             continue
         p = patches[i]
         o = p if len(origins) > 1 else 0
-        ahead, behind, square = -offsets[p], -offsets[p], 1e-300
+        front, back, square = -offsets[p], -offsets[p], 0.0
         for k in range(3):
-            ahead += normals[p, k] * origins[o, 1, k]
-            behind += normals[p, k] * origins[o, 0, k]
+            front += normals[p, k] * origins[o, 1, k]
+            back += normals[p, k] * origins[o, 0, k]
+        ahead, behind = height(front, back), height(back, front)
         for k in range(3):
-            points[count, k] = origins[o, 0, k] - 2 * behind * normals[p, k]
-            square += (origins[o, 1, k] - points[count, k]) ** 2
+            points[count, k] = origins[o, 0, k] - (behind + back) * normals[p, k]
+            square += (origins[o, 1, k] + (ahead - front) * normals[p, k] - points[count, k]) ** 2
         limit = limits[p] if len(limits) > 1 else limits[0]
         if square > 4 * limit * limit:
             continue
         share = behind / (ahead + behind)
         for k in range(3):
-            points[count, k] += share * (origins[o, 1, k] - points[count, k])
+            points[count, k] += share * (origins[o, 1, k] + (ahead - front) * normals[p, k] - points[count, k])
             points[count, 6 + k] = 0.0
         points[count, 3] = math.sqrt(square)
         points[count, 4], points[count, 5] = -4 * math.pi / points[count, 3], 0.0  # over what rims have in common

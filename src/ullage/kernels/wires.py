@@ -8,6 +8,7 @@ import numpy as np
 
 from ullage.kernels.facets import FROM, TO, _mean_range, toward
 from ullage.kernels.loops import core, loop
+from ullage.kernels.near import spread
 from ullage.kernels.rims import lay_line
 
 C0 = 299_792_458.0
@@ -60,14 +61,14 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _element(pieces, k, end, axis, radius, series, w, origins, o, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
+def _element(pieces, k, end, axis, radius, series, w, wave, origins, o, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
     """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
     share = 0.0
     for s in range(2):
         dx, dy, dz = (pieces[k, end, 0] - origins[o, s, 0], pieces[k, end, 1] - origins[o, s, 1],
                       pieces[k, end, 2] - origins[o, s, 2])  # fmt: skip
-        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-3)
+        r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         ux, uy, uz = dx / r, dy / r, dz / r
         along = axis[0] * ux + axis[1] * uy + axis[2] * uz
         slope = math.sqrt(max(1 - along * along, 0.0))
@@ -75,8 +76,8 @@ def _element(pieces, k, end, axis, radius, series, w, origins, o, frames, fields
         eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
         square = slope * slope * max(1 - eu * eu, 1e-12)
         share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
-        g *= toward(table, flat, frames, o, s, ux, uy, uz) / r
-        path += r - radius * slope
+        g *= toward(table, flat, frames, o, s, ux, uy, uz) * spread(wave, r)
+        path += max(r - radius * slope, 0.0)
         bend += (1 - along * along) / r
         sine += 0.5 * slope
     n = series.shape[2] - 1
@@ -103,7 +104,7 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         series: (w, 2, c) complex backscatter series, TM and TE, over the sine of the angle to the axis.
         origins: (1 or w, 2, 3) radars for all or for each wire, as in `facets.deposit`, and so the rest.
     """
-    unit = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi)
+    unit, wave = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi), omega / C0
     last = t0 + grids.shape[1] * dt
     axis, out = np.empty(3), np.empty(2)
     for k in range(len(pieces)):
@@ -119,12 +120,13 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         size = math.sqrt(size)
         for j in range(3):
             axis[j] /= size
-        w0 = _element(pieces, k, FROM, axis, radii[w], series, w, origins, o, frames, fields, table, flat, out)
+        w0 = _element(pieces, k, FROM, axis, radii[w], series, w, wave, origins, o, frames, fields, table, flat, out)
         path0, bend = out[0], out[1]
-        w1 = _element(pieces, k, TO, axis, radii[w], series, w, origins, o, frames, fields, table, flat, out)
+        w1 = _element(pieces, k, TO, axis, radii[w], series, w, wave, origins, o, frames, fields, table, flat, out)
         path1, bend = out[0], 0.5 * (bend + out[1])
         w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
-        early = bend * size * size / 12  # mean of bend s (L - s) / 2, by which the chord lies beyond the path
+        # mean of bend s (L - s) / 2, by which the chord lies beyond the path: half of it at the most
+        early = min(bend * size / 12, 0.5) * size
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
         delay[k] = mean

@@ -15,6 +15,8 @@ Complexes = NDArray[np.complex128]
 
 SLACK_M = 2e-3
 """Two surfaces nearer than this along a ray count as one [m]; Embree's float32 and shared edges need it."""
+LEAVE_M = 1e-4
+"""What stands so near before the radar hides nothing [m]: in Embree's float32 a radar on a face may be behind it."""
 SHEETS = 4
 """A wave is followed through at most so many sheets, one way."""
 
@@ -28,7 +30,7 @@ def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats, sheets: Curt
     veils: list[Veil] = []
     for part in parts:
         opaque, veil = part.casters(sheets.thin)
-        clear &= opaque.visible(origin, points, slack_m=SLACK_M)
+        clear &= opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
         if veil is not None:
             veils.append(veil)
     factor, late = clear.astype(complex), np.zeros(len(points))
