@@ -57,6 +57,12 @@ def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
+def _off(spots, i):  # type: ignore[no-untyped-def]
+    """Square of how far spot i is from the axis."""
+    return spots[i, 5] ** 2 + spots[i, 6] ** 2 + spots[i, 7] ** 2
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
 def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
     """Angle from spot i to spot j around the axis."""
     ux, uy, uz, vx, vy, vz = spots[i, 5], spots[i, 6], spots[i, 7], spots[j, 5], spots[j, 6], spots[j, 7]
@@ -223,6 +229,8 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
             round_part = part * (1 - part)
             if round_part < 0.04 and wave * abs(spots[top, 3] - spots[4, 3]) * abs(turn) > 0.03:
                 wide = True
+            if not wide and abs(turn) > 0.1 and wave * abs(bend) > 0.01:
+                wide = 2 * _off(spots, m) < max(_off(spots, HERE), _off(spots, top))
             if wide and abs(turn) > 2e-4 and top < 66 and min(least, spots[m, 3]) < length + most + 0.5:
                 marks[m, 0], marks[m, 1], marks[top, 1] = 0.5 * (s0 + marks[top, 0]), early, turn - early
                 top = m
