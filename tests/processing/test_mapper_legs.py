@@ -41,7 +41,7 @@ def plane(normal, distance: float):
 
 
 def told_ways(legs: Legs, told: list) -> np.ndarray:
-    return np.array([way for _, way, _ in [*told, *legs.tell_all()]]).reshape(-1, 3)
+    return np.array([ways.mean(axis=0) for _, ways, *_ in [*told, *legs.tell_all()]]).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("slope_deg", [-25, 0, 15])
@@ -92,20 +92,60 @@ def test_a_straight_climb_and_level_legs_tell_walls_on_all_sides():
     assert right > 20
 
 
+def fly_in_tank(legs: Legs, path: np.ndarray, side: float, rng) -> list:
+    """Hear the wall of a round tank of 3.2 m on one side (1 out, -1 across) from stretches of a path."""
+    track = np.gradient(path, axis=0)
+    track /= np.linalg.norm(track, axis=1)[:, None]
+    away = np.hypot(path[:, 0], path[:, 1])
+    way = side * path * [1, 1, 0] / away[:, None]
+    reach = 3.2 - side * away + rng.normal(0, 0.002, len(path))
+    cosine = np.sum(way * track, axis=1) + rng.normal(0, 0.01, len(path))
+    echoes = [Traced(j, path[j], track[j], reach[j], cosine[j], 1e-3, 0.02, 0.9) for j in range(len(path))]
+    told = []
+    for k in range(0, len(path) - 12, 13):
+        legs.add(echoes[k : k + 13], echoes[max(k - 13, 0) : k + 13], way[k + 6], LEAST, 2.0)
+        told += legs.tell(2)
+    return told
+
+
+def told_in_tank(told: list) -> np.ndarray:
+    """Cosines between the ways that are told and the true ones."""
+    out = []
+    for echoes, ways, _, radius in told:
+        places = np.array([e.position for e in echoes]) * [1, 1, 0]
+        out += (np.sum(ways * places, axis=1) / np.linalg.norm(places, axis=1)).tolist()
+        assert radius == pytest.approx(3.2, abs=0.25)
+    return np.array(out)
+
+
 def test_rounds_at_three_heights_tell_the_wall_of_a_round_tank():
-    rng, legs, told, at = np.random.default_rng(5), Legs(), [], []
+    rng, legs, told = np.random.default_rng(5), Legs(), []
     turn = np.linspace(0, 2 * np.pi, 160)
     for z in (-0.7, 0.0, 0.7):
         path = np.column_stack([1.3 * np.cos(turn), 1.3 * np.sin(turn), np.full(len(turn), z)])
-        for part in range(0, 146, 13):
-            out = path[part + 6] * [1, 1, 0]
-            heard(legs, path[part : part + 14], lambda p: 3.2 - np.hypot(p[:, 0], p[:, 1]), rng,
-                  ahead=out / np.linalg.norm(out), told=told)  # fmt: skip
-    for echoes, way, _ in [*told, *legs.tell_all()]:
-        middle = np.mean([e.position for e in echoes], axis=0) * [1, 1, 0]
-        at.append(way @ middle / np.linalg.norm(middle))
-    assert len(at) >= 30
-    assert min(at) > np.cos(np.radians(8))
+        told += fly_in_tank(legs, path, 1.0, rng)
+    right = told_in_tank([*told, *legs.tell_all()])
+    assert len(right) >= 25 * 13
+    assert right.min() > np.cos(np.radians(8))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_two_rounds_of_straight_climbing_legs_tell_a_tanks_wall_before_and_past_its_focus(side):
+    rng, legs, told = np.random.default_rng(11), Legs(), []
+    corners = [(-1.2, -1.2), (1.2, -1.2), (1.2, 1.2), (-1.2, 1.2)] * 2
+    heights = [-0.8, -0.3, 0.1, 0.4, 0.8, 0.2, -0.2, -0.8]
+    places = [np.array([*xy, z]) for xy, z in zip(corners, heights, strict=True)]
+    for a, b in pairwise(places):
+        told += fly_in_tank(legs, leg(a, b), side, rng)
+    right = side * told_in_tank([*told, *legs.tell_all()])
+    assert len(right) >= 11 * 13, "of some 24 stretches"
+    assert right.min() > np.cos(np.radians(8))
+
+
+def test_one_straight_climb_leaves_a_tanks_wall_open():
+    rng, legs = np.random.default_rng(12), Legs()
+    assert not fly_in_tank(legs, leg((-1.2, -1.2, -0.4), (1.2, -1.2, 0.4)), 1.0, rng)
+    assert not list(legs.tell_all())
 
 
 def test_an_upright_edge_makes_no_wall():

@@ -2,11 +2,11 @@
 
 An echo of range r whose range falls by a for each metre flown lies on a ring about its track: every normal n with
 n . t = a will do. What range a place p hears of a smooth surface is its distance, which obeys the eikonal equation
-|grad r| = 1 with grad r = -n [BornWolf1999]. The same surface heard at p' is nearer by n . (p' - p) where it is flat,
-and by the mean of both normals on that way where it is bent a little, as the bow of a stretch's own ranges tells. Each
-other leg that hears it so bears out some part of the ring, and what several bear out is the normal. A ring that stays
-open on two sides, as those of legs in one plane do (each direction's mirror image in that plane fits them as well), is
-left open. So is one that a straight edge, whose distance is that to a line, explains better than a surface.
+|grad r| = 1 with grad r = -n [BornWolf1999]. The same surface heard at p' is nearer by n . (p' - p) where it is flat;
+where it is bent, as the bow of a stretch's own ranges tells, by how much nearer the line is on which its normals meet.
+Each other leg that hears it so bears out some part of the ring, and what several bear out is the normal. A ring that
+stays open on two sides, as those of legs in one plane do (each direction's mirror image in that plane fits them as
+well), is left open. So is one that a straight edge, whose distance is that to a line, explains better than a surface.
 """
 
 from __future__ import annotations
@@ -17,7 +17,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.kernels.rolls import AHEAD, COLUMNS, COSINE, DOUBT, LEG, NORMAL, PLACE, RANGE, TRACK, WIDE, weigh_rolls
+from ullage.kernels.rolls import (
+    AHEAD,
+    BEND,
+    BEND_DOUBT,
+    COLUMNS,
+    COSINE,
+    CURL,
+    DOUBT,
+    LEG,
+    NORMAL,
+    PLACE,
+    RANGE,
+    TRACK,
+    WIDE,
+)  # fmt: skip
+from ullage.processing.mapper_bows import Bow, Hollow, bow_of
+from ullage.processing.mapper_hollows import Hollows
+from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
@@ -26,21 +43,17 @@ Floats = NDArray[np.float64]
 
 STRETCH_M, LEAST_ECHOES, SCATTER_M, LEAST_TRUST = 0.6, 8, 0.02, 0.4
 LEG_TURN = float(np.cos(np.radians(15.0)))
-ROLLS = 72
-AROUND_M, NEAR_M, BESIDE_M, SLACK_M = 3.0, 2.2, 0.2, 0.1
+AROUND_M, BESIDE_M, SLACK_M = 3.0, 0.2, 0.1
 LEG_WIDE_M = 0.3  # sensors of one body fly beside each other
-RANGE_SIGMA_M, WANDER, COSINE_SIGMA = 0.02, 0.01, 0.05
-OUTLIER = 0.06  # chance that a leg has no echo of a surface
-UNLIT, UNHEARD, BEHIND = 0.3, 0.02, -0.3  # chance of an echo from beside the beam, from behind, from where on
+COSINE_SIGMA, BOW_COSINE_SIGMA = 0.05, 0.03
 ONE_SIDE = float(np.cos(np.radians(17.0)))
 STRICT_SIDE = float(np.cos(np.radians(11.0)))
-SURE, ENOUGH_LEGS, MANY_LEGS = 0.9, 1.6, 2.5  # beside the beam, where echoes are weak, more is asked
-UPRIGHT, EDGES, EDGE_BETTER = 0.26, 8, 1.0  # ways so level may be of upright edges; slopes; [nat]
+ENOUGH_LEGS, MANY_LEGS = 1.6, 2.5  # beside the beam, where echoes are weak, more is asked
 LEAST_SHARE = 0.1  # of the legs around bear a surface out
 MOST_STRETCHES = 2048
-LEAST_BEND, EDGE_BEND, FOCUSED = 0.3, 0.5, 1.7  # bend of ranges, as a share of that of an edge or pole
+EDGE_BEND = 0.5  # bend of ranges, as a share of that of an edge or pole
 LEAST_BOW_M = 0.008  # root of the sum of squares of what an edge would bow: less is not heard
-Told = tuple[list["Traced"], Floats, float]
+Told = tuple[list["Traced"], Floats, float, float]
 
 
 class Legs:
@@ -49,10 +62,13 @@ class Legs:
     def __init__(self) -> None:
         self._line: Floats | None
         self._rows = np.zeros((MOST_STRETCHES, COLUMNS))
+        self._bowed = np.zeros((MOST_STRETCHES, COLUMNS))  # the same, with the bow of their ranges where it is known
         self._bends = np.zeros((MOST_STRETCHES, ROLLS), np.float32)
         self._kept: list[tuple[list[Traced], float]] = [([], 0.0)] * MOST_STRETCHES
+        self._bows: list[Bow | None] = [None] * MOST_STRETCHES
         self._added = 0
         self._waiting: dict[int, None] = {}
+        self._hollows = Hollows()
         self._leg, self._line = 0, None
 
     @property
@@ -81,6 +97,8 @@ class Legs:
         at = self._added % MOST_STRETCHES
         self._waiting.pop(at, None)
         self._rows[at], self._kept[at], self._bends[at] = row, (echoes, rim), bends_of(lately, cone(row), row)
+        self._bows[at] = bow = bow_of(lately)
+        self._bowed[at] = row if bow is None else bowed_row(row, bow)
         self._added += 1
         held = self._held
         open_ = self._around(at, AROUND_M) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
@@ -89,18 +107,24 @@ class Legs:
             self._waiting[at] = None
 
     def tell(self, most: int) -> Iterator[Told]:
-        """Judge at most so many of those that wait: echoes whose direction is now known, unit vector (3), their rim."""
+        """Judge at most so many of those that wait.
+
+        Gives the echoes whose direction is now known, unit vectors (n, 3), the rim, the radius of a hollow wall [m].
+        """
         for _ in range(min(most, len(self._waiting))):
             at = next(iter(self._waiting))
             del self._waiting[at]
             me, (echoes, rim) = self._rows[at], self._kept[at]
-            normal = self._normal(at, AROUND_M, bent=False)
-            if normal is None:
-                normal = self._normal(at, NEAR_M, bent=True)
+            normal, radius = self._normal(at), np.inf
+            ways = np.tile(np.zeros(3) if normal is None else normal, (len(echoes), 1))
+            if normal is None and (found := self._hollow(at)) is not None:
+                hollow, toward = found
+                ways = hollow.ways(np.array([e.position for e in echoes]), toward)
+                normal, radius = hollow.ways(me[None, PLACE : PLACE + 3], toward)[0], abs(hollow.radius_m)
             if normal is not None:
                 me[NORMAL : NORMAL + 3] = normal
-                self._kept[at] = [], 0.0
-                yield echoes, normal, rim
+                self._kept[at], self._bows[at] = ([], 0.0), None
+                yield echoes, ways, rim, radius
 
     def tell_all(self) -> Iterator[Told]:
         """Judge all that wait."""
@@ -122,95 +146,55 @@ class Legs:
         turned = abs(held[:, TRACK : TRACK + 3] @ me[TRACK : TRACK + 3]) < LEG_TURN
         return np.asarray(near & (held[:, LEG] != me[LEG]) & (turned | (squared - along**2 > BESIDE_M**2)))
 
-    def _normal(self, at: int, most_m: float, *, bent: bool) -> Floats | None:
-        """Unit vector (3) to what made a stretch's echoes, if other legs leave but one side of its ring."""
-        me, others = self._rows[at], self._held[self._around(at, most_m)]
+    def _normal(self, at: int) -> Floats | None:
+        """Unit vector (3) to the flat surface of a stretch's echoes, if other legs leave but one side of its ring."""
+        me, others = self._rows[at], self._held[self._around(at, AROUND_M)]
         if len(others) < 2:
             return None
         others = np.ascontiguousarray(others[np.argsort(others[:, LEG], kind="stable")])
-        ways = ring = cone(me)
-        bends, lit = self._bends[at].astype(float), ways @ me[AHEAD : AHEAD + 3]
-        focused = (bends > FOCUSED) & (lit > me[WIDE])
-        if bent:
-            fits = (abs(bends) > LEAST_BEND) & ((bends < EDGE_BEND) | focused)
-        else:
-            fits = (abs(bends) < EDGE_BEND) & (lit >= np.median([e.within for e in self._kept[at][0]]))
-        ways, bends, lit = ways[fits], bends[fits] if bent else np.zeros(np.count_nonzero(fits)), lit[fits]
+        ring = cone(me)
+        bends, lit = self._bends[at].astype(float), ring @ me[AHEAD : AHEAD + 3]
+        fits = (abs(bends) < EDGE_BEND) & (lit >= np.median([e.within for e in self._kept[at][0]]))
+        ways, lit = ring[fits], lit[fits]
         if not len(ways):
             return None
-        odds, legs = weigh(me, others, ways, bends)
-        odds += np.log(np.where(lit > me[WIDE], 1.0, np.where(lit > BEHIND, UNLIT, UNHEARD)))
+        odds, legs = weigh(me, others, ways)
+        odds += beam_odds(me, ways)
         best = int(np.argmax(odds))
-        share = np.exp(odds - odds[best])
-        enough, narrow = (ENOUGH_LEGS, ONE_SIDE) if lit[best] > me[WIDE] else (MANY_LEGS, STRICT_SIDE)
-        side = share * (ways @ ways[best] > narrow)
-        around = 0 if bent else 1 + np.count_nonzero(np.diff(others[:, LEG]))  # few legs see far along a round wall
-        if legs[best] < max(enough, LEAST_SHARE * around) or side.sum() < SURE * share.sum():
+        enough = ENOUGH_LEGS if lit[best] > me[WIDE] else MANY_LEGS
+        around = 1 + np.count_nonzero(np.diff(others[:, LEG]))
+        mean = one_side(odds, ways, best, ONE_SIDE if lit[best] > me[WIDE] else STRICT_SIDE)
+        if legs[best] < max(enough, LEAST_SHARE * around) or mean is None:
             return None
-        mean = side @ ways
-        mean /= np.linalg.norm(mean)
-        if not bent:
-            others = self._held[self._around(at, most_m, own=True)]
-            others[:, LEG] = np.arange(len(others))
-        own = float(self._bends[at][fits][best])
-        return None if is_edge(me, others, ring, mean, own if bent else min(own, 0.0)) else np.asarray(mean)
+        others = self._held[self._around(at, AROUND_M, own=True)]
+        others[:, LEG] = np.arange(len(others))
+        near, bend = about(me, mean), min(float(self._bends[at][fits][best]), 0.0)
+        level = np.cross(near, me[TRACK : TRACK + 3])
+        level /= np.maximum(np.linalg.norm(level, axis=1), 1e-9)[:, None]
+        surface = weigh(me, others, near)[0].max()
+        if bend < 0:
+            surface = max(surface, weigh(me, others, near, level, np.full(len(near), me[RANGE] / bend))[0].max())
+        return None if is_edge(me, others, near, surface) else np.asarray(mean)
 
-
-def weigh(
-    me: Floats, others: Floats, ways: Floats, bends: Floats | None = None, edges: Floats | None = None
-) -> tuple[Floats, Floats]:
-    """Log-likelihood of surfaces, or of edges of these directions (w, 3), and the legs that bear each out; both (w)."""
-    odds, legs = np.zeros((2, len(ways)))
-    turn = np.zeros(len(ways)) if bends is None else -bends / me[RANGE]
-    straight = np.zeros_like(ways) if edges is None else edges
-    weigh_rolls(me, others, ways, RANGE_SIGMA_M, WANDER, turn, straight, OUTLIER, odds, legs)
-    return odds, legs
-
-
-def is_edge(me: Floats, others: Floats, ring: Floats, way: Floats, bend: float) -> bool:
-    """Whether a straight edge explains what all stretches around hear better than the surface that is told.
-
-    An edge is heard as a wall is from places beside each other along it. Against a flat wall so each stretch should
-    count, as a leg, not each leg by its best one; of a bent wall stretches farther off tell nothing.
-
-    Args:
-        me: the stretch (17).
-        others: those around (m, 17), ordered by leg.
-        ring: unit vectors (w, 3) on its cone, at each of which upright and level edges are tried.
-        way: (3) the one that is told; about it edges of all slopes are tried.
-        bend: of the surface there, as a share of that of an edge; a flat one is tried beside it.
-    """
-    near = _about(me, way)
-    surface = max(weigh(me, others, near, np.full(len(near), one))[0].max() for one in (0.0, bend))
-    ways, edges = _edges(ring, near)
-    return bool(weigh(me, others, ways, edges=edges)[0].max() > surface + EDGE_BETTER)
-
-
-def _edges(ring: Floats, near: Floats) -> tuple[Floats, Floats]:
-    """Ways (e, 3) to edges and their directions (e, 3): of all slopes near a way, upright and level on the ring."""
-    level = np.cross(near, [0.0, 0.0, 1.0] if abs(near.mean(axis=0)[2]) < 0.9 else [1.0, 0.0, 0.0])
-    level /= np.linalg.norm(level, axis=1)[:, None]
-    turn = (np.arange(EDGES) * (np.pi / EDGES))[:, None, None]
-    sloped = (np.cos(turn) * level + np.sin(turn) * np.cross(level, near)).reshape(-1, 3)
-    flat = np.cross(ring, [0.0, 0.0, 1.0])
-    long_ = np.linalg.norm(flat, axis=1) > 0.1
-    flat = flat[long_] / np.linalg.norm(flat[long_], axis=1)[:, None]
-    upright = np.concatenate([ring, near])
-    upright = upright[abs(upright[:, 2]) < UPRIGHT]
-    ways = np.concatenate([np.tile(near, (EDGES, 1)), ring[long_], upright])
-    return ways, np.concatenate([sloped, flat, np.tile([0.0, 0.0, 1.0], (len(upright), 1))])
-
-
-def _about(me: Floats, way: Floats) -> Floats:
-    """Unit vectors (15, 3) within some degrees of a way, round the track and along it."""
-    track = me[TRACK : TRACK + 3]
-    aside = way - (way @ track) * track
-    aside /= max(float(np.linalg.norm(aside)), 1e-9)
-    across = np.cross(track, aside)
-    cosine = np.clip(way @ track + np.array([-0.02, 0.0, 0.02]), -1.0, 1.0)[:, None, None]
-    roll = np.radians([-4.0, -2.0, 0.0, 2.0, 4.0])[None, :, None]
-    out = cosine * track + np.sqrt(1 - cosine**2) * (np.cos(roll) * aside + np.sin(roll) * across)
-    return np.asarray(out.reshape(-1, 3))
+    def _hollow(self, at: int) -> tuple[Hollow, Floats] | None:
+        """The bent wall of a stretch's echoes, known or told now, and the way (3) to it."""
+        known = self._hollows.known(self._rows[at], self._kept[at][0])
+        if known is not None:
+            return known
+        bow, mask = self._bows[at], self._around(at, AROUND_M)
+        mask &= self._bowed[: len(mask), BEND_DOUBT] > 0
+        told = (
+            None
+            if bow is None or not mask.any()
+            else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask])
+        )
+        if told is not None:  # what waits around may have heard it too
+            held, here = self._held, self._rows[at, PLACE : PLACE + 3]
+            open_ = np.linalg.norm(held[:, PLACE : PLACE + 3] - here, axis=1) < AROUND_M
+            open_ &= ~held[:, NORMAL : NORMAL + 3].any(axis=1)
+            open_[at] = False
+            self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
+        return told
 
 
 def stretch_of(echoes: list[Traced]) -> Floats | None:
@@ -228,6 +212,19 @@ def stretch_of(echoes: list[Traced]) -> Floats | None:
     row[PLACE : PLACE + 3], row[TRACK : TRACK + 3] = at.mean(axis=0), track
     row[RANGE], row[COSINE], row[DOUBT] = reach.mean(), np.clip(-slope, -1.0, 1.0), COSINE_SIGMA
     return row
+
+
+def bowed_row(row: Floats, bow: Bow) -> Floats:
+    """A stretch (22) as its bow tells it."""
+    out = row.copy()
+    out[PLACE : PLACE + 3], out[TRACK : TRACK + 3], out[RANGE], out[COSINE] = (
+        bow.place,
+        bow.track,
+        bow.range_m,
+        bow.cosine,
+    )
+    out[DOUBT], out[BEND], out[BEND_DOUBT], out[CURL : CURL + 3] = BOW_COSINE_SIGMA, bow.rise, bow.doubt, bow.curl
+    return out
 
 
 def _on_line(row: Floats, line: Floats) -> bool:
@@ -254,13 +251,3 @@ def bends_of(echoes: list[Traced], ways: Floats, row: Floats) -> Floats:
     bow, miss = bow - plain @ both[:, 0], reach[:, None] + gap @ ways.T - plain @ both[:, 1:]
     heard = float(bow @ bow)
     return np.asarray(bow @ miss / heard if heard > LEAST_BOW_M**2 else np.zeros(len(ways)))
-
-
-def cone(row: Floats) -> Floats:
-    """Unit vectors (ROLLS, 3) at a stretch's cosine to its track."""
-    track, cosine = row[TRACK : TRACK + 3], float(row[COSINE])
-    level = np.cross(track, [0.0, 0.0, 1.0] if abs(track[2]) < 0.9 else [0.0, 1.0, 0.0])
-    level /= np.linalg.norm(level)
-    turn = np.arange(ROLLS)[:, None] * (2 * np.pi / ROLLS)
-    off = np.sqrt(max(1 - cosine**2, 0.0))
-    return np.asarray(cosine * track + off * (np.cos(turn) * level + np.sin(turn) * np.cross(level, track)))

@@ -214,11 +214,11 @@ class EchoTracks:
 
     def join(self, most: int | None = None) -> Iterator[Foot]:
         """The feet of echoes of straight legs that other legs have told by now; of at most so many stretches."""
-        for echoes, way, rim in self._legs.tell_all() if most is None else self._legs.tell(most):
-            for echo in echoes:
+        for echoes, ways, rim, radius in self._legs.tell_all() if most is None else self._legs.tell(most):
+            for echo, way in zip(echoes, ways, strict=True):
                 if not echo.laid:
                     echo.laid, echo.way = True, way
-                    yield from self._remember(Foot(echo, way, True, rim), hold=False)
+                    yield from self._remember(Foot(echo, way, True, rim, radius), hold=False)
 
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
@@ -242,6 +242,7 @@ class Foot:
     way: Floats  # (3) unit vector to the surface
     flat: bool  # a wall, not an edge or a pole
     rim: float = LEAST_RIM  # Fresnel parameter out to which the surface goes on
+    radius_m: float = np.inf  # of a hollow wall [m]
 
     @property
     def at(self) -> Floats:

@@ -1,0 +1,105 @@
+"""Bent walls, as those of tanks, told by the places of other legs that hear them, and known again from there on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.rolls import AHEAD, LEG, PLACE, TRACK, TURNED, WIDE
+from ullage.processing.mapper_bows import Bow, Hollow, hollow_of, lines_of
+from ullage.processing.mapper_rings import EDGE_BETTER, about, beam_odds, cone, is_edge, one_side, weigh
+
+if TYPE_CHECKING:
+    from ullage.processing.mapper_tracks import Traced
+
+Floats = NDArray[np.float64]
+
+PLACE_M = 0.6
+ONE_SIDE = float(np.cos(np.radians(17.0)))
+LEAST_PLACES, HEARD_SHARE = 2.5, 0.4  # that bear a wall out; of those that look at it
+MOST_HOLLOWS, FAR_M = 64, 1e4
+FITS_M, FITS_COSINE = 0.03, 0.08  # of a wall known from elsewhere, so far on round it and along its line
+ON_ROUND, ON_ALONG_M = float(np.cos(np.radians(40.0))), 1.0
+
+
+class Hollows:
+    """The bent walls that were told so far."""
+
+    def __init__(self) -> None:
+        self._told: list[tuple[Hollow, Floats, Floats]] = []
+
+    def tell(self, bow: Bow, me: Floats, others: Floats) -> tuple[Hollow, Floats] | None:
+        """The bent wall of a stretch's echoes and the way (3) to it, if other legs leave but one side of its ring.
+
+        Every place of another leg counts here, not each leg by its best: one bend describes all around.
+
+        Args:
+            bow: of the stretch.
+            me: the stretch as its bow tells it (22).
+            others: those around whose bow is known (m, 22).
+        """
+        others, ring = _by_place(others), cone(me)
+        which, axes, focal, doubt = lines_of(bow, ring)
+        if not len(which):
+            return None
+        odds = weigh(me, others, ring[which], axes, focal, doubt)[0] + beam_odds(me, ring)[which]
+        best = int(np.argmax(odds))
+        way, axis = ring[which[best]], axes[best]
+        if one_side(odds, ring[which], best, ONE_SIDE) is None or way @ me[AHEAD : AHEAD + 3] < me[WIDE]:
+            return None
+        near = about(me, way)
+        lines = np.tile(axis, (len(near), 1)), np.full(len(near), focal[best]), np.full(len(near), doubt[best])
+        odds, places = weigh(me, others, near, *lines)
+        way = np.exp(odds - odds.max()) @ near
+        way /= np.linalg.norm(way)
+        hollow, most = hollow_of(bow, way, axis), float(odds.max())
+        if places.max() < max(LEAST_PLACES, HEARD_SHARE * _should_hear(hollow, way, others)):
+            return None
+        if _is_flat(bow, me, others, most) or is_edge(me, others, near, most):
+            return None
+        self._told.append((hollow, way, bow.place + bow.range_m * way))
+        del self._told[:-MOST_HOLLOWS]
+        return hollow, way
+
+    def known(self, me: Floats, echoes: list[Traced]) -> tuple[Hollow, Floats] | None:
+        """A wall known from other stretches that ranges and cosines of a stretch (22) fit, and the way (3) to it."""
+        places, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
+        reach, cosine = np.array([(e.range_m, e.cosine) for e in echoes]).T
+        for hollow, way, foot in reversed(self._told):
+            ways = hollow.ways(places, way)
+            middle = ways[len(ways) // 2]
+            lit = middle @ me[AHEAD : AHEAD + 3] > me[WIDE]
+            beside = abs((places[len(ways) // 2] - foot) @ hollow.axis) > ON_ALONG_M or middle @ way < ON_ROUND
+            turn = abs(np.mean(np.sum(ways * track, axis=1) - cosine))
+            miss = abs(hollow.ranges(places, ways) - reach).max()
+            if lit and not beside and miss < FITS_M and turn < FITS_COSINE:
+                return hollow, middle
+        return None
+
+
+def _is_flat(bow: Bow, me: Floats, others: Floats, hollow: float) -> bool:
+    """Whether a flat wall explains what places around hear nearly as well as a hollow one of that log-likelihood."""
+    ways = cone(me)
+    ways = ways[~bow.bent(ways)]
+    if not len(ways):
+        return False
+    axes = np.cross(ways, me[TRACK : TRACK + 3])
+    axes /= np.maximum(np.linalg.norm(axes, axis=1), 1e-9)[:, None]
+    flat = weigh(me, others, ways, axes, np.full(len(ways), FAR_M))[0]
+    return bool((flat + beam_odds(me, ways)).max() > hollow - EDGE_BETTER)
+
+
+def _should_hear(hollow: Hollow, way: Floats, others: Floats) -> int:
+    """Of the places (m, 22) of other legs, how many look at what they would hear of a hollow wall."""
+    ways = hollow.ways(others[:, PLACE : PLACE + 3], way)
+    lit = np.einsum("ij,ij->i", ways, others[:, AHEAD : AHEAD + 3]) > others[:, WIDE]
+    return len(np.unique(others[lit & (ways @ way > TURNED), LEG]))
+
+
+def _by_place(others: Floats) -> Floats:
+    """Stretches (m, 22) ordered by place of their leg, each of which has a number of its own in place of the leg's."""
+    cell = np.floor(others[:, PLACE : PLACE + 3] / PLACE_M)
+    others[:, LEG] = np.unique(np.column_stack([others[:, LEG], cell]), axis=0, return_inverse=True)[1].ravel()
+    return np.ascontiguousarray(others[np.argsort(others[:, LEG], kind="stable")])
