@@ -10,7 +10,8 @@ import pytest
 import ullage as ul
 from ullage.processing.inverse_sensor import least_cosine, mirror_m
 from ullage.processing.mapper_looks import Heard, Look
-from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of, screens_of
+from ullage.processing.mapper_screens import BEYOND_M, SHADE_SLOPE, screens_of
+from ullage.processing.mapper_tracks import EchoTracks, Traced, normal_of, post_of
 
 AHEAD = np.array([0.0, 1.0, 0.0])
 LEAST = float(np.cos(np.radians(40)))
@@ -108,12 +109,15 @@ def test_the_wall_that_an_open_echo_came_from_is_among_its_screens(slope_deg):
     np.testing.assert_allclose(screens[:, 3] - screens[:, :3] @ echoes[-1].position, echoes[-1].range_m)
 
 
-def test_what_a_known_wall_explains_screens_nothing():
+def test_what_a_known_wall_explains_screens_that_wall_alone_as_far_again():
     at = waving(14, rise_m=0.0)
     tracks, _ = follow_all(at, 3.0 - at[:, 1])
     assert len(tracks.screens(tracks.walls)) > 3
     wall = np.array([[0, 1, 0, 3.0, *at[0], 5.0]])
-    assert not len(tracks.screens(wall))
+    screens = tracks.screens(wall)
+    assert (screens[:, :4] == wall[:, :4]).all()
+    assert screens[:, 7].max() == pytest.approx(2 * (5.0 - BEYOND_M) + BEYOND_M)
+    assert screens[:, 7].min() == pytest.approx(SHADE_SLOPE * 3.0), "where it is heard, all across the beam"
     assert len(tracks.screens(wall + np.array([0, 0, 0, 0.5, 0, 0, 0, 0]))) > 3
 
 
@@ -123,7 +127,7 @@ def test_a_floor_explains_no_echo_louder_than_a_mirror_beside_the_beam():
     for gain_db, told in ((-2.5, 14), (5.0, 0)):  # of the mirror that would echo so, over one before 0 dBi
         tracks, feet = follow_all(at, np.full(14, 1.5), levels=floor, mirror_m=1.5e-3 / 10 ** (gain_db / 10))
         assert len(feet) == told
-        assert bool(len(tracks.screens(tracks.walls))) == (told == 0)
+        assert (tracks.screens(tracks.walls)[:, 2] > -0.99).any() == (told == 0)
 
 
 @pytest.mark.parametrize("off_deg", [10, 35, 60, 85])
@@ -137,3 +141,17 @@ def test_a_mirror_off_boresight_is_never_too_loud_for_where_it_stands(off_deg):
     within = least_cosine(strength, mirror_m(frames))
     assert within <= np.cos(np.radians(off_deg))
     assert off_deg > 20 or within > np.cos(np.radians(50))
+
+
+def test_the_screens_of_a_tanks_wall_lie_nowhere_far_behind_it():
+    """A plane that touches a hollow wall at the foot leaves it beside that: silence there would free the wall."""
+    at = np.column_stack([np.linspace(-0.6, 0.6, 25), np.full(25, 1.3), np.zeros(25)])
+    away = np.hypot(at[:, 0], at[:, 1])
+    echoes = [Traced(j, at[j], np.array([1.0, 0, 0]), 3.2 - away[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)]
+    screens = screens_of(echoes, AHEAD, LEAST)
+    turn = np.radians(90 + np.arange(-45, 46, 5))
+    wall = 3.2 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])
+    near = np.linalg.norm(wall[:, None] - screens[:, 4:7], axis=2) < screens[:, 7]
+    behind = np.where(near, screens[:, 3] - wall @ screens[:, :3].T, np.inf)
+    level = abs(screens[:, 2]) < 0.1
+    assert behind[:, level].min(axis=1).max() < 0.1

@@ -21,6 +21,7 @@ ONE_SIDE = float(np.cos(np.radians(17.0)))
 LEAST_PLACES, HEARD_SHARE = 2.5, 0.4  # that bear a wall out; of those that look at it
 MOST_HOLLOWS, FAR_M = 64, 1e4
 FITS_M, FITS_COSINE = 0.03, 0.08  # of a wall known from elsewhere, so far on round it and along its line
+BEYOND_M = 1.0
 ON_ROUND, ON_ALONG_M = float(np.cos(np.radians(40.0))), 1.0
 
 
@@ -29,6 +30,7 @@ class Hollows:
 
     def __init__(self) -> None:
         self._told: list[tuple[Hollow, Floats, Floats]] = []
+        self._planes: list[Floats] = []
 
     def tell(self, bow: Bow, me: Floats, others: Floats) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes and the way (3) to it, if other legs leave but one side of its ring.
@@ -59,9 +61,19 @@ class Hollows:
             return None
         if _is_flat(bow, me, others, most) or is_edge(me, others, near, most):
             return None
-        self._told.append((hollow, way, bow.place + bow.range_m * way))
-        del self._told[:-MOST_HOLLOWS]
+        self._keep(hollow, way, bow.place + bow.range_m * way)
         return hollow, way
+
+    def _keep(self, hollow: Hollow, way: Floats, foot: Floats) -> None:
+        self._told.append((hollow, way, foot))
+        beside = hollow.tangents(way, foot)
+        self._planes.append(np.column_stack([beside, np.full(len(beside), BEYOND_M)]))
+        del self._told[:-MOST_HOLLOWS], self._planes[:-MOST_HOLLOWS]
+
+    @property
+    def planes(self) -> Floats:
+        """Planes (p, 8) that touch them on all sides of where they were heard: normal, distance, foot and reach [m]."""
+        return np.concatenate([np.zeros((0, 8)), *self._planes])
 
     def known(self, me: Floats, echoes: list[Traced]) -> tuple[Hollow, Floats] | None:
         """A wall known from other stretches that ranges and cosines of a stretch (22) fit, and the way (3) to it."""

@@ -75,6 +75,11 @@ class Legs:
     def _held(self) -> Floats:
         return self._rows[: min(self._added, MOST_STRETCHES)]
 
+    @property
+    def planes(self) -> Floats:
+        """Planes (p, 8) that touch the bent walls told so far, as walls that are known."""
+        return self._hollows.planes
+
     def add(self, echoes: list[Traced], lately: list[Traced], ahead: Floats, least: float, rim: float) -> None:
         """Take in a stretch of one reflector's echoes; those around it that are open wait to be judged anew.
 

@@ -19,6 +19,16 @@ from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look
 from ullage.processing.mapper_rims import rim_of
+from ullage.processing.mapper_screens import (
+    BEYOND_M,
+    FITS_COSINE,
+    FITS_M,
+    across_beam,
+    explained_by,
+    further,
+    screens_of,
+    sheets_of,
+)
 
 Floats = NDArray[np.float64]
 
@@ -30,11 +40,10 @@ RANGE_SIGMA_M, COSINE_SIGMA = 0.03, 0.06
 SCATTER_M, TURN_SIGMA = 0.015, 0.12
 APART_SHARE = 0.4  # looks of one window share their frames: so much of what they say is each one's own
 TOLD_APART, SAME_WAY = 9.0, 0.28
-SAME_WALL, SAME_WALL_M, BEYOND_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 1.0, 96, 15
-FITS_M, FITS_COSINE, LEVEL_M, EXPLAINED = 0.04, 0.08, 12.0, 3.0
+SAME_WALL, SAME_WALL_M, MOST_WALLS, SURE_FEET = 0.98, 0.12, 96, 15
 POST_BETTER, LEAST_SCATTER_M = 0.6, 0.004
 LEAST_RIM, MOST_RIM = 2.0, 4.0
-RING_STEP, RING_TRUST, MOST_GONE, SHADE_SLOPE = np.radians(15.0), 0.4, 32, 0.6
+MOST_GONE = 32
 
 
 @dataclass(slots=True, eq=False)
@@ -123,17 +132,25 @@ class EchoTracks:
         return np.concatenate([self._levels, out])
 
     def screens(self, walls: Floats) -> Floats:
-        """Walls (p, 8) that echoes of an open direction may have come from, but those that known ones explain."""
-        still = [one for held in self._open.values() for one in held if len(one.screens)]
-        asked = [*self._gone, *still]
-        left = _unexplained([one.echoes[-1] for one in asked], walls)
-        return np.concatenate([self._sheets, *(asked[k].screens for k in left)])
+        """Walls (p, 8) that may stand where silence is heard, beside those that are known.
+
+        Those that echoes of an open direction may have come from, but where known ones explain them, and those that
+        are known or heard now, as far as they may go on.
+        """
+        heard = [one for held in self._open.values() for one in held]
+        asked = [*self._gone, *(one for one in heard if len(one.screens))]
+        wall_of = explained_by([one.echoes[-1] for one in asked], walls).tolist()
+        left = [one.screens for one, k in zip(asked, wall_of, strict=True) if k < 0]
+        known = [across_beam(one.echoes[-1], walls[k, :3]) for one, k in zip(asked, wall_of, strict=True) if k >= 0]
+        known += [across_beam(one.echoes[-1], way) for one in heard if (way := one.echoes[-1].way) is not None]
+        here = np.array(known).reshape(-1, 8)
+        return np.concatenate([self._sheets, further(walls), self._legs.planes, here, *left])
 
     def believe(
         self, levels: list[tuple[int, float]], position: Floats, *, possible: list[tuple[int, float]] | None = None
     ) -> None:
         """Take floor (-1) and ceiling (1) at these heights for walls around a place; others may be [m]."""
-        self._levels, self._sheets = _sheets(levels, position), _sheets(possible or [], position)
+        self._levels, self._sheets = sheets_of(levels, position), sheets_of(possible or [], position)
 
     def _known(self, echo: Traced) -> Floats | None:
         """Normal of the one known wall that range and bearing of an echo fit."""
@@ -250,11 +267,6 @@ class Foot:
         return np.asarray(self.echo.position + self.echo.range_m * self.way)
 
 
-def _sheets(levels: list[tuple[int, float]], position: Floats) -> Floats:
-    """Walls (p, 8) that are floor (-1) and ceiling (1) at these heights around a place [m]."""
-    return np.array([[0, 0, sign, sign * z, *position[:2], z, LEVEL_M] for sign, z in levels]).reshape(-1, 8)
-
-
 def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | None:
     """Unit vector (3) to a flat surface from the ranges along a bent track; None while that is not known.
 
@@ -288,39 +300,6 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
             return None
         lit = [int(np.argmin(cost))]
     return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
-
-
-def _unexplained(echoes: list[Traced], walls: Floats) -> NDArray[np.int64]:
-    """Which echoes can be none of these walls', wherever on them, by range and bearing or for being too loud."""
-    if not echoes or not len(walls):
-        return np.arange(len(echoes))
-    at, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
-    reach, cosine, sigma = np.array([(e.range_m, e.cosine, e.sigma) for e in echoes]).T[:, :, None]
-    miss = abs(walls[:, 3] - at @ walls[:, :3].T - reach) / FITS_M
-    turn = abs(track @ walls[:, :3].T - cosine) / (FITS_COSINE + sigma)
-    loud = np.array([e.ahead for e in echoes]) @ walls[:, :3].T < np.array([e.within for e in echoes])[:, None]
-    return np.flatnonzero(np.where(loud, np.inf, np.hypot(miss, turn)).min(axis=1) >= EXPLAINED)
-
-
-def screens_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats:
-    """Walls (p, 8) that echoes of an open direction may have come from: one for each stretch of the ring in the beam.
-
-    Each has normal and distance, centre and radius as `EchoTracks.walls` [m].
-    """
-    last = echoes[-1]
-    if np.mean([e.trust for e in echoes]) < RING_TRUST:
-        return np.zeros((0, 8))
-    cosine = float(np.clip(last.cosine, -1, 1))
-    level = np.cross(last.track, [0.0, 0.0, 1.0])
-    level /= max(float(np.linalg.norm(level)), 1e-9)
-    turn = np.arange(-np.pi, np.pi - 1e-9, RING_STEP)[:, None]
-    round_ = np.cos(turn) * level + np.sin(turn) * np.cross(level, last.track)
-    normal = cosine * last.track + np.sqrt(1 - cosine**2) * round_
-    normal = normal[normal @ ahead > least]
-    foot = 0.5 * (last.position + echoes[0].position) + 0.5 * (last.range_m + echoes[0].range_m) * normal
-    far = np.sum(normal * (last.position + last.range_m * normal), axis=1)
-    half = 0.5 * np.linalg.norm(last.position - echoes[0].position) + max(BEYOND_M, SHADE_SLOPE * last.range_m)
-    return np.column_stack([normal, far, foot, np.full(len(normal), half)])
 
 
 def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
