@@ -7,8 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from ullage.kernels.rolls import AHEAD, LEG, WIDE
 from ullage.processing import mapper_legs
-from ullage.processing.mapper_legs import Legs, bends_of, stretch_of
+from ullage.processing.mapper_bows import bow_of
+from ullage.processing.mapper_legs import Legs, bends_of, bowed_row, stretch_of
+from ullage.processing.mapper_rings import weigh
 from ullage.processing.mapper_tracks import Traced
 
 LEAST = float(np.cos(np.radians(50)))
@@ -146,6 +149,40 @@ def test_one_straight_climb_leaves_a_tanks_wall_open():
     rng, legs = np.random.default_rng(12), Legs()
     assert not fly_in_tank(legs, leg((-1.2, -1.2, -0.4), (1.2, -1.2, 0.4)), 1.0, rng)
     assert not list(legs.tell_all())
+
+
+def test_one_place_of_another_leg_is_not_enough_for_a_tanks_wall():
+    rng, legs = np.random.default_rng(12), Legs()
+    assert not fly_in_tank(legs, leg((-1.2, -1.2, -0.4), (1.2, -1.2, 0.4)), 1.0, rng)
+    assert not fly_in_tank(legs, leg((0.35, -1.2, 0.9), (-0.35, -1.2, 0.6)), 1.0, rng)
+    assert not list(legs.tell_all())
+
+
+def test_a_tanks_wall_is_borne_out_from_its_side_and_from_across_but_not_by_the_other_side():
+    def stretch(at, way, reach: float, number: int) -> np.ndarray:
+        at = straight(at)
+        away = np.hypot(at[:, 0], at[:, 1])
+        side = np.sign(way[1] * at[12, 1])
+        echoes = [
+            Traced(j, at[j], np.array([1.0, 0, 0]), 3.2 - side * away[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)
+        ]
+        assert echoes[12].range_m == pytest.approx(reach)
+        row = stretch_of(echoes[8:17])
+        row[LEG], row[AHEAD : AHEAD + 3], row[WIDE] = number, way, LEAST
+        return bowed_row(row, bow_of(echoes))
+
+    def straight(at) -> np.ndarray:
+        return np.asarray(at) + np.linspace(-0.6, 0.6, 25)[:, None] * [1.0, 0, 0]
+
+    out = np.array([0.0, 1.0, 0.0])
+    me = stretch((0, 1.2, 0), out, 2.0, 0)
+    line = np.array([[0, 0, 1.0]]), np.array([-1.2]), np.array([0.02])
+    for other, borne in (
+        (stretch((0.4, 1.0, 0.8), out, 3.2 - np.hypot(0.4, 1.0), 1), 1),
+        (stretch((0.3, -1.1, -0.4), out, 3.2 + np.hypot(0.3, 1.1), 1), 1),
+        (stretch((0.3, -1.1, -0.4), -out, 3.2 - np.hypot(0.3, 1.1), 1), 0),
+    ):
+        assert weigh(me, other[None], out[None], *line)[1][0] == pytest.approx(borne, abs=0.1)
 
 
 def test_an_upright_edge_makes_no_wall():
