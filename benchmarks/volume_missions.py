@@ -1,7 +1,7 @@
 """Ordinary inspection missions for maps of a volume: legs and rounds, straight, level or climbing evenly.
 
 Each is flown by the simulated multirotor, heading along its way, with the thesis' four radars. The rooms and tanks of
-the table are "room" and "tank"; "cabin" and "vat" are those in which thresholds were chosen.
+the table are "room", "tank" and "silo"; "cabin", "vat" and "drum" are those in which thresholds were chosen.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def world(name: str) -> Scene:
         return ul.scenes.room((8.0, 6.0, 3.0), plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
     if name == "cabin":
         return ul.scenes.room((6.0, 4.5, 3.4), material="concrete")
-    radius, height = {"tank": (4.0, 4.0), "vat": (3.2, 3.4)}[name]
+    radius, height = {"tank": (4.0, 4.0), "vat": (3.2, 3.4), "drum": (2.6, 3.0), "silo": (6.0, 4.4)}[name]
     return ul.scenes.cylinder(radius, height, 0.0, material="steel", edge_m=0.1)
 
 
@@ -37,6 +37,8 @@ def points(mission: str, name: str, seed: int) -> np.ndarray:
         "cabin": (1.6, 1.0, 0.9),
         "tank": (1.7, 1.7, 1.0),
         "vat": (1.2, 1.2, 0.8),
+        "drum": (1.0, 1.0, 0.6),
+        "silo": (3.0, 3.0, 1.2),
     }[name]
     low_x = -x
     if name == "room":
