@@ -194,7 +194,8 @@ def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ign
     for k in range(3):
         line[0, k] -= (ahead + above) * normals[p, k]
         line[1, k] += (below - behind) * normals[p, k]
-    # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it
+    # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it, with the
+    # image alone, so that of both ways about a corner one goes over each of its faces
     line[0, 0], line[0, 1], line[0, 2] = line[0, 0] + 3.1e-7, line[0, 1] - 4.3e-7, line[0, 2] + 2.7e-7
     length = 0.0
     for k in range(3):

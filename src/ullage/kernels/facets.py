@@ -88,13 +88,15 @@ def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-
     )
     r = _mean_range(cx, cy, cz, origins)
     dx, dy, dz = cx - origins[0, 0], cy - origins[0, 1], cz - origins[0, 2]
+    gx, gy, gz = cx - origins[1, 0], cy - origins[1, 1], cz - origins[1, 2]
     unit = 1.0 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    other = 1.0 / max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-9)
     longest, which, across = 0.0, 0, 0.0
     for e in range(3):
         f = (e + 1) % 3
         ex, ey, ez = t[f, 0] - t[e, 0], t[f, 1] - t[e, 1], t[f, 2] - t[e, 2]
         square = ex * ex + ey * ey + ez * ez
-        along = (ex * dx + ey * dy + ez * dz) * unit
+        along = min(abs(ex * dx + ey * dy + ez * dz) * unit, abs(ex * gx + ey * gy + ez * gz) * other)
         across = max(across, square - along * along)
         if square > longest * 1.000001:  # equal edges: always the same one, so that pieces nest
             longest, which = square, e
@@ -295,7 +297,7 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
     """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
     mono = same(origins, ONE)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    bulge, share = 0.0, 0.5
+    bulge, share = 0.0, 0.0
     for i in range(3):
         j = (i + 1) % 3
         ex, ey, ez = (
@@ -312,8 +314,8 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
             )
             r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
             ux, uy, uz = dx / r, dy / r, dz / r
-            if s == 0 and i == 0:
-                share = te_share(fields, ONE, ux, uy, uz, nx, ny, nz)
+            if i == 0:
+                share += te_share(fields, ONE, ux, uy, uz, nx, ny, nz) * (1.0 if mono else 0.5)
             along = ex * ux + ey * uy + ez * uz
             c = nx * ux + ny * uy + nz * uz
             far, c = lifted(r, c)

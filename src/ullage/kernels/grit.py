@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.facets import BULK, ONE, _lay, te_share, toward, turned
+from ullage.kernels.facets import BULK, ONE, _lay, same, te_share, toward, turned
 from ullage.kernels.loops import lean
 from ullage.kernels.near import spread
 
@@ -33,21 +33,22 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
     """
     last = t0 + grids.shape[1] * dt
     most = lobes.shape[2] - 1
-    scale = factor[0] / (4 * math.pi)
+    scale, mono = factor[0] / (4 * math.pi), same(origins, ONE)
     for k in range(len(first) - 1):
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
             continue
         total = 0.0
         for i in range(first[k], first[k + 1]):
-            g, path, cosine, share = 1.0, 0.0, 0.0, 0.5
+            g, path, cosine, share = 1.0, 0.0, 0.0, 0.0
             for s in range(2):
                 dx, dy, dz = (points[i, 0] - origins[0, s, 0], points[i, 1] - origins[0, s, 1],
                               points[i, 2] - origins[0, s, 2])  # fmt: skip
                 r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
                 ux, uy, uz = dx / r, dy / r, dz / r
-                if s == 0:
-                    share = te_share(fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
+                if s == 0 or not mono:
+                    te = te_share(fields, ONE, ux, uy, uz, normals[i, 0], normals[i, 1], normals[i, 2])
+                    share += te if mono else 0.5 * te
                 cosine += 0.5 * abs(ux * normals[i, 0] + uy * normals[i, 1] + uz * normals[i, 2])
                 g *= toward(table, flat, frames, ONE, s, ux, uy, uz) * spread(omega / C0, r)
                 path += r

@@ -39,7 +39,7 @@ def look_at(pieces, tips, owner, normals, inward, out):  # type: ignore[no-untyp
 def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point, rows[k, at : at + 3], of a face; and cos(incidence)."""
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
-    gain, cosine, share = 1.0, 0.0, 0.5
+    gain, cosine, share = 1.0, 0.0, 0.0
     for s in range(2):
         dx, dy, dz = (
             rows[k, at] - origins[o, s, 0],
@@ -48,14 +48,15 @@ def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, tabl
         )
         r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         ux, uy, uz = dx * r, dy * r, dz * r
-        if s == 0:
-            share = te_share(fields, o, ux, uy, uz, nx, ny, nz)
+        te = te_share(fields, o, ux, uy, uz, nx, ny, nz)
+        share += 0.5 * te
         one = toward(table, flat, frames, o, s, ux, uy, uz)
         gain *= one
         cosine += 0.5 * abs(ux * nx + uy * ny + uz * nz)
         if s == 0 and same(origins, o):
             gain *= one
             cosine *= 2
+            share = te
             break
     return gain * _reflection(gamma, stuffs[face], tap, cosine, share), cosine
 

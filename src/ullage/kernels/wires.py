@@ -35,17 +35,21 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
             top -= 1
             s0, s1 = stack[top, 0], stack[top, 1]
             half = 0.5 * (s0 + s1)
-            along, square = 0.0, 0.0
             for k in range(3):
                 p[k] = starts[w, k] + half * (ends[w, k] - starts[w, k])
-                along += (p[k] - radar[0, k]) * (ends[w, k] - starts[w, k]) / size
-                square += (p[k] - radar[0, k]) ** 2
+            cosine2 = 1.0  # of the antenna that sees more of the wire's length
+            for s in range(2):
+                along, square = 0.0, 1e-12
+                for k in range(3):
+                    along += (p[k] - radar[s, k]) * (ends[w, k] - starts[w, k]) / size
+                    square += (p[k] - radar[s, k]) ** 2
+                cosine2 = min(cosine2, along * along / square)
             r = _mean_range(p[0], p[1], p[2], radar)
             piece = (s1 - s0) * size
             if r - 0.5 * piece > gate[1]:
                 continue
             near = max(r, 0.02)
-            across = piece * piece * max(0.0, 1 - along * along / max(square, 1e-12))
+            across = piece * piece * (1 - cosine2)
             if (across > kappa_lambda * near or piece > reach * near) and top < 62:
                 stack[top, 0], stack[top, 1] = s0, half
                 stack[top + 1, 0], stack[top + 1, 1] = half, s1

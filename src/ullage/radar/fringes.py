@@ -74,11 +74,15 @@ def _heard(
 ) -> Longs:
     """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
     strong = np.ones(len(lit)) if factors is None else factors
-    out = np.empty(len(lit), np.bool_)
-    fringe.audible(starts, ends, lit, strong, factors is not None, view.origins[None], view.frames[None],
-                   view.fields[None], ready.table, ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0,
-                   np.array(ready.gate), FAINT, np.empty(3), out)  # fmt: skip
-    return np.flatnonzero(out)
+    heard = np.zeros(len(lit), np.bool_)
+    for side in (slice(None),) if (view.origins[0] == view.origins[1]).all() else (slice(None), slice(None, None, -1)):
+        out = np.empty(len(lit), np.bool_)
+        one, turn, field = (np.ascontiguousarray(row[side])[None] for row in (view.origins, view.frames, view.fields))
+        fringe.audible(starts, ends, lit, strong, factors is not None, one, turn, field, ready.table,
+                       ready.spec.antenna.kind == "isotropic", ready.pulse.omega / C0, np.array(ready.gate), FAINT,
+                       np.empty(3), out)  # fmt: skip
+        heard |= out
+    return np.flatnonzero(heard)
 
 
 def _cut(ready: Bench, view: View, starts: Floats, ends: Floats, fine: float) -> tuple[Floats, Ints]:

@@ -56,9 +56,24 @@ class Beams:
 def lay_bounces(
     ready: Bench, parts: list[Surfaces], flats: Flats, view: View, max_bounces: int, look: Floats, grids: Complexes
 ) -> list[Laid]:
-    """Adds the echoes of two and three bounces between flat faces, which look so large (p), to the delay grids."""
+    """Adds the echoes of two and three bounces between flat faces, which look so large (p), to the delay grids.
+
+    Mirrors come before the face that is integrated over. Antennas apart each send half: what one sends over a mirror
+    and a face comes, by reciprocity, also over the face and then the mirror.
+    """
     if len(flats) < 2:
         return []
+    if (view.origins[0] == view.origins[1]).all():
+        return _traced(ready, parts, flats, view, max_bounces, look, grids)
+    half = replace(view, factor=0.5 * view.factor)
+    back = replace(half, **{row: getattr(view, row)[::-1].copy() for row in ("origins", "frames", "fields")})
+    return [*_traced(ready, parts, flats, half, max_bounces, look, grids),
+            *_traced(ready, parts, flats, back, max_bounces, look, grids)]  # fmt: skip
+
+
+def _traced(
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, max_bounces: int, look: Floats, grids: Complexes
+) -> list[Laid]:
     beams = beams_of(ready, flats, view, max_bounces, look)
     return _lay(ready, parts, flats, view, beams, grids) if len(beams) else []
 
@@ -92,10 +107,17 @@ def _chosen(flats: Flats, look: Floats, gate_m: float, wavelength_m: float) -> C
 
 
 def looks(ready: Bench, flats: Flats, view: View) -> Floats:
-    """How large each face (p) looks, less what it lacks of a Fresnel zone; 0 beyond the gate."""
+    """How large each face (p) looks from the antenna nearer to it, less what it lacks of a zone; 0 beyond the gate."""
+    one, other = view.origins
+    if (one == other).all():
+        return _looks_from(ready, flats, one)
+    return np.maximum(_looks_from(ready, flats, one), _looks_from(ready, flats, other))
+
+
+def _looks_from(ready: Bench, flats: Flats, place: Floats) -> Floats:
     gate_m, wavelength_m = ready.gate[1], ready.spec.wavelength_m
     *centre, radius = flats.spheres.T.copy()  # long rows are quicker than many of three
-    x, y, z = (row - here for row, here in zip(centre, view.origins[0], strict=True))
+    x, y, z = (row - here for row, here in zip(centre, place, strict=True))
     gap = np.sqrt(x * x + y * y + z * z) + 1e-3
     zone = np.sqrt(wavelength_m * gap / 2)
     out = np.where(gap - radius <= gate_m, radius / gap, 0.0)
@@ -177,7 +199,8 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
 def _both_ways(flats: Flats, beams: Beams) -> Floats:
     """How often each beam counts: a small face is no mirror, so its double bounces count twice from the large one.
 
-    Mirror first or last is the same wave by reciprocity; physical optics belongs on the smaller face.
+    Mirror first or last is the same wave by reciprocity, if the antennas change places; physical optics belongs on the
+    smaller face.
     """
     mirror, end = flats.spheres[beams.chains[:, 0], 3], flats.spheres[beams.ends_on, 3]
     share = np.where(mirror > 1.2 * end, 2.0, np.where(end > 1.2 * mirror, 0.0, 1.0))

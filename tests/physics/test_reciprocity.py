@@ -1,0 +1,81 @@
+"""Transmitter and receiver change places, near to each other or metres apart: the echo is the same [Balanis2012]."""
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.radar import physical
+from ullage.radar.multipath import lay_bounces, looks
+from ullage.world.library import WORLDS
+
+RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
+    bins=2000, range_start_m=0.0, prf_div=255
+)
+
+
+def sent(ready, one, other):
+    still = physical.view_of(RADAR, one, np.eye(3))
+    return physical.View(np.stack([one, other]), still.frames, still.fields)
+
+
+def apart(rng, low, high, distance):
+    """Two random places in a box at a distance from each other [m]."""
+    while True:
+        one, way = rng.uniform(low, high), rng.normal(size=3)
+        other = one + distance * way / np.linalg.norm(way)
+        if (other > low).all() and (other < high).all():
+            return one, other
+
+
+def differ(scene, low, high, bounces, distances, seed=3):
+    """Largest difference of any place of the delay grids over the largest of them, places changed."""
+    ready, rng, worst = physical.bench(scene, RADAR), np.random.default_rng(seed), 0.0
+    for distance in distances:
+        one, other = apart(rng, low, high, distance)
+        grids = np.zeros((2, 3, ready.places), complex)
+        physical.lay(ready, sent(ready, one, other), None, bounces, grids[0])
+        physical.lay(ready, sent(ready, other, one), None, bounces, grids[1])
+        worst = max(worst, abs(grids[0] - grids[1]).max() / abs(grids).max())
+    return worst
+
+
+DISTANCES = (0.05, 0.3, 1.0, 3.0)
+
+
+@pytest.mark.parametrize("bounces", [1, 2, 3])
+def test_random_dihedrals_and_rooms(bounces):
+    rng = np.random.default_rng(17)
+    for _ in range(3):
+        edge = float(rng.uniform(0.3, 1.2))
+        corner = ul.scenes.dihedral(edge_m=edge, distance_m=2.0)
+        assert differ(corner, [-1.5, -1.5, -1], [1.5, 1.5, 1], bounces, DISTANCES) < 1e-3
+        size = rng.uniform([4, 3, 2.4], [9, 6, 3.5])
+        plate = {"width_m": 0.5, "height_m": 0.7, "distance_m": 1.6}
+        room = ul.scenes.room(tuple(size), material="concrete", plate=plate)
+        assert differ(room, -0.47 * size, 0.47 * size, bounces, DISTANCES) < 1e-3
+
+
+@pytest.mark.parametrize("world", ["cluttered-room", "cargo-hold"])
+def test_worlds_of_balls_wires_edges_and_frames(world):
+    scene = ul.load_scene(WORLDS[world].path)
+    middle, span = scene.bounds.mean(0), np.ptp(scene.bounds, axis=0)
+    assert differ(scene, middle - 0.3 * span, middle + 0.3 * span, 3, DISTANCES) < 1e-3
+
+
+@pytest.mark.parametrize("size", [(8.0, 5.0, 2.4), (4.0, 3.5, 3.0)])
+def test_two_walls_give_the_wave_of_their_one_image_wherever_the_antennas_are(size):
+    """Over a large wall and a small one, in either order, it is lambda / (4 pi L) of the image in both."""
+    ready, rng = physical.bench(ul.scenes.room(size, material="pec"), RADAR, edges=False), np.random.default_rng(4)
+    flats, half = ready.world.still.flats, np.array(size) / 2
+    for distance in DISTANCES:
+        one, other = apart(rng, -0.8 * half, 0.8 * half, distance)
+        view, grids = sent(ready, one, other), np.zeros((3, ready.places), complex)
+        parts = ready.world.parts()
+        laid = lay_bounces(ready, parts, flats, view, 2, looks(ready, flats, view), grids)
+        delay = np.concatenate([part.delay_s for part in laid])
+        for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # the four upright corners
+            image = one.copy()
+            image[:2] = 2 * half[:2] * signs - one[:2]
+            length = np.linalg.norm(image - other)
+            echo = np.concatenate([part.echo for part in laid])[abs(delay * 299792458 - length) < 1e-5].sum()
+            assert abs(20 * np.log10(abs(echo) * 4 * np.pi * length / RADAR.wavelength_m)) < 0.2
