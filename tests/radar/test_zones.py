@@ -81,7 +81,7 @@ def test_a_zone_all_free_adds_up_to_the_closed_form():
     far = 100 * np.array([[[1, 1, 0], [-1, 1, 0]], [[-1, 1, 0], [-1, -1, 0]], [[-1, -1, 0], [1, -1, 0]],
                           [[1, -1, 0], [1, 1, 0]]], float)  # fmt: skip
     middle, axes = np.zeros((1, 3)), np.eye(3)[None, :2]
-    zone = zones.Zone(middle, axes, np.minimum(zones._outline(middle, axes, far[None]) ** 2, zones.LAST))
+    zone = zones.Zone(middle, axes, np.minimum(zones._outline(middle, axes, far[None], zones._TURN) ** 2, zones.LAST))
     phase = np.linspace(0, zones.LAST, 20001)
     dense = np.trapezoid(np.exp(-1j * phase) * (1 - phase / zones.LAST), phase)
     assert zone.weights.sum() / zones.RAYS == pytest.approx(dense, abs=1e-6)

@@ -66,7 +66,7 @@ def _summed(phase: Floats) -> Complexes:
     return np.asarray(np.exp(-1j * phase) * (1j * (1 - phase / LAST) - 1 / LAST))
 
 
-def _outline(lit: Floats, axes: Floats, edges: Floats, turn: Floats = _TURN) -> Floats:
+def _outline(lit: Floats, axes: Floats, edges: Floats, turn: Floats) -> Floats:
     """How far (k, rays) the outline lies from each point in each direction, in units of the axes."""
     square = np.einsum("kai,kai->ka", axes, axes)
     flat = np.einsum("kesi,kai->kesa", edges - lit[:, None, None], axes) / square[:, None, None]
@@ -136,7 +136,7 @@ def _strongest(
     out = np.where(size > 1e-6, out / np.maximum(size, 1e-9), np.array([1.0, 0.0]))
     turned = np.stack([-out[:, 1], out[:, 0]], 1)
     axes = np.stack([out / slant, turned], 1) * reach[..., None] @ across
-    last = np.minimum(_outline(lit, axes, _outlines(beams, some)) ** 2, LAST)
+    last = np.minimum(_outline(lit, axes, _outlines(beams, some), _TURN) ** 2, LAST)
     level *= abs((_summed(last) - _summed(np.zeros(1))).sum(1))
     order = np.argsort(-level)[:BEST]
     order = order[level[order] > FAINT * level.max(initial=0.0)]
