@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.oracles import dense_tank
-from ullage.radar import curves, physical, ways
+from ullage.radar import curves, ways
 from ullage.radar.antenna import gain
 from ullage.radar.multipath import beams_of, looks
 from ullage.radar.penetration import fresnel
@@ -280,22 +280,38 @@ def test_what_is_far_away_changes_nothing_of_what_is_near(thing):
         assert abs(padded - alone).max() < 0.01 * abs(alone - fewer).max()
 
 
+def left_out(monkeypatch, told):
+    """What comes with and without what is too faint, and how many parts of rims count in either."""
+    held, found, heard = [], [], curves.audible
+
+    def counted(*told):
+        known = heard(*told)
+        held.append(int(known.sum()))
+        return known
+
+    monkeypatch.setattr(curves, "audible", counted)
+    for share in (1.0, 0.0):
+        monkeypatch.setattr(curves, "FACETS", share * curves.FACETS)
+        monkeypatch.setattr(curves, "REST", share * curves.REST)
+        found.append(told())
+    return *found, sum(held[: len(held) // 2]) / max(sum(held[len(held) // 2 :]), 1)
+
+
 @pytest.mark.parametrize("strips", [256, 512])
 def test_facets_too_faint_to_count_are_left_out_and_no_others(monkeypatch, strips):
     """Strips of a drum over a floor, of a third of a wave and a sixth: it is a smooth surface however it is cut."""
     scene, spec = Scene.union([floor(), drum(radius=0.5, strips=strips)]), radar()
-    held = []
-    met = curves.met
+    some, all_, share = left_out(monkeypatch, lambda: order(scene, at(0, 0, 0), spec, 2))
+    assert share < 0.97
+    assert db(some / all_) == pytest.approx(0, abs=0.1)
 
-    def counted(*told):
-        known = met(*told)
-        held.append(len(known.on))
-        return known
 
-    monkeypatch.setattr(curves, "met", counted)
-    found = []
-    for faint in (physical.FAINT, 0.0):
-        monkeypatch.setattr(physical, "FAINT", faint)
-        found.append(order(scene, at(0, 0, 0), spec, 2))
-    assert held[0] < 0.97 * held[-1]
-    assert db(found[0] / found[1]) == pytest.approx(0, abs=0.1)
+def test_what_is_left_out_in_a_room_is_forty_db_below_the_strongest(monkeypatch):
+    """Drums of facets of 5 to 23 cm: many are too faint over two walls."""
+    things = [replace(drum(r, 1.5, 24), vertices=drum(r, 1.5, 24).vertices + np.array(p))
+              for r, p in ((0.2, (-0.8, 0.9, -0.2)), (0.35, (-1.0, -1.2, -0.2)), (0.9, (-3.3, 0.5, -0.2)))]  # fmt: skip
+    scene = Scene.union([scenes.room((6, 5, 2.4)), *things])
+    path = ul.Trajectory.line((-0.2, -0.6, 0.2), (0, 0.6, 0.4), 0.5, 4)
+    some, all_, share = left_out(monkeypatch, lambda: ul.simulate(scene, path, radar(), max_bounces=3).samples)
+    assert share < 0.9
+    assert (abs(some - all_).max(1) < 0.01 * abs(all_).max(1)).all()

@@ -1,4 +1,4 @@
-"""Loops over what ways by flat mirrors can reach: within their beams and the gate, on its lit side, loud enough."""
+"""Loops over what ways by flat mirrors can reach: within their beams and the gate, on its lit side, how loud."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import math
 
 from ullage.kernels.facets import ONE, toward
 from ullage.kernels.loops import core, lean
-
-LONE = 0.02  # facets narrower than half a wave make up a smooth surface, of which only where paths are shortest counts
 
 
 @core(nogil=True, error_model="numpy")
@@ -33,20 +31,22 @@ def _strength(point, ends, turned, table, flat, axes, slopes):  # type: ignore[n
         turned: (1, 2, 3, 3) sensor_from_world of the images.
         table, flat: as in `facets.deposit`.
         axes: (2 or more, 3) unit vectors.
-        slopes: (5) gets them, and how the path bends along the first two axes [1/m].
+        slopes: (6) gets them, how the path bends along the first two axes [1/m], and the gains alone.
     """
-    strong = 1.0
+    strong, gains = 1.0, 1.0
     for k in range(5):
         slopes[k] = 0.0
     for side in range(2):
         x, y, z = point[0] - ends[side, 2, 0], point[1] - ends[side, 2, 1], point[2] - ends[side, 2, 2]
         r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
         x, y, z = x / r, y / r, z / r
-        strong *= toward(table, flat, turned, ONE, side, x, y, z) / r
+        gain = toward(table, flat, turned, ONE, side, x, y, z)
+        strong, gains = strong * gain / r, gains * gain
         slopes[0], slopes[1], slopes[2] = slopes[0] + x, slopes[1] + y, slopes[2] + z
         for a in range(2):
             along = axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z
             slopes[3 + a] += (1 - along * along) / r
+    slopes[5] = gains
     return strong
 
 
@@ -56,7 +56,8 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
 
     Along each of two axes counts the face's width or, if that is less, what a phase that turns leaves of it: two ends,
     2 / (k slope) [BornWolf1999], or where its path is shortest the Fresnel zone. Asked for at three places along
-    the middle of the face, `places` (3, 3): where the path is shortest, and next to each image. And the width [m].
+    the middle of the face, `places` (3, 3): where the path is shortest, and next to each image.
+    And the width [m], and the largest product of both gains at those places.
     """
     longest = 0.0
     for e in range(first[p], first[p + 1]):
@@ -87,8 +88,8 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
         for k in range(3):
             places[1 + side, k] = axes[2, k] + foot * axes[0, k]
     spot(axes[2], axes[0], high - low, ends[0, 2], ends[1, 2], places[0])
-    least, bend, best = math.inf, math.inf, 0.0
-    for step in range(3):
+    least, bend, best, gain = math.inf, math.inf, 0.0, 0.0
+    for step in range(2, -1, -1):  # slopes are left as they are where the path is shortest
         strong = _strength(places[step], ends, turned, table, flat, axes, slopes)
         along, across, facing = 0.0, 0.0, 0.0
         for k in range(3):
@@ -96,27 +97,54 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
             facing += 0.5 * slopes[k] * normals[p, k]
         least, bend = min(least, abs(along)), min(bend, slopes[3])
         across = max(abs(across) - 0.5 * (over - under) * slopes[4], 1e-9)
+        gain = max(gain, slopes[5])
         best = max(best, strong * abs(facing) * min(over - under, 2 / (wave * across)))
     zone = 1.5 * math.sqrt(2 * math.pi / (wave * max(bend, 1e-9)))
     loud = best * min(high - low, zone, 2 / (wave * max(least, 1e-9))) / (4 * math.pi)
-    return loud, over - under
+    return loud, over - under, gain
+
+
+@core(nogil=True, error_model="numpy")
+def _kept(point, images, faces, normals, stuffs, most, stuff, slopes):  # type: ignore[no-untyped-def]
+    """What the mirrors of a way and a thing at a point (3) reflect at the most.
+
+    Args:
+        point: (3) [m]; images: (2, 3, 3) and faces: (2, 2) of the way, as in `ways.lead`.
+        normals: (p, 3) and stuffs: (p) of the faces; stuff: the thing's object.
+        most: (s, c) the larger of both coefficients over cos(incidence).
+        slopes: (6) as `_strength` gives them.
+    """
+    half = 0.5 * math.sqrt(slopes[0] * slopes[0] + slopes[1] * slopes[1] + slopes[2] * slopes[2])
+    out = most[stuff, round(min(half, 1.0) * (most.shape[1] - 1))]
+    for side in range(2):
+        x, y, z = point[0] - images[side, 2, 0], point[1] - images[side, 2, 1], point[2] - images[side, 2, 2]
+        r = max(math.sqrt(x * x + y * y + z * z), 1e-9)
+        for step in range(2):
+            p = faces[side, 1 - step]
+            if p < 0:
+                continue
+            along = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
+            out *= most[stuffs[p], round(min(abs(along) / r, 1.0) * (most.shape[1] - 1))]
+            x, y, z = x - 2 * along * normals[p, 0], y - 2 * along * normals[p, 1], z - 2 * along * normals[p, 2]
+    return out
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_faces(images, turned, planes, counts, weights, gate, faint, items, spheres, normals, offsets, outward, boxes,  # type: ignore[no-untyped-def]
-               first, starts, table, flat, wave, of, on, shares, scratch):  # fmt: skip
+def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, stuffs,  # type: ignore[no-untyped-def]
+               outward, boxes, first, starts, table, flat, most, wave, of, on, gains, louds, scratch):  # fmt: skip
     """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
 
     Args:
-        images, turned, planes, counts: as in `lead`; weights: (n) of the ways.
+        images, turned, faces, planes, counts: as in `lead`; weights: (n) of the ways.
         gate: largest mean range [m].
-        faint: path gain amplitude that half a wave of those left out cannot reach; `LONE` of it for wider ones.
         items: (k) faces to ask for.
-        spheres: (p, 4), normals: (p, 3), offsets: (p), first: (p + 1) and starts: (e, 3) of the faces.
+        spheres: (p, 4), normals: (p, 3), offsets: (p), stuffs: (p), first: (p + 1), starts: (e, 3) of the faces.
         outward: (p, 4) and boxes: (p, 2, 3) as in `solids.Backs`.
-        table, flat: as in `facets.deposit`; wave: wave number [1/m].
-        of, on: (m), (m) get way and face of each pair; shares: (m) gets what it counts: it fades in above `faint`.
-        scratch: (7, 5).
+        table, flat: as in `facets.deposit`; most: as in `_kept`; wave: wave number [1/m].
+        of, on: (m), (m) get way and face of each pair.
+        gains: (m) gets the antennas' gains there, times the way's weight and what it reflects.
+        louds: (m) gets what each returns at the most, about, so that squares add up to the power of a curved surface.
+        scratch: (7, 6).
 
     Returns:
         How many pairs there are; only those that fit are written.
@@ -147,60 +175,43 @@ def meet_faces(images, turned, planes, counts, weights, gate, faint, items, sphe
                 continue
             if not _cornered(planes[i], counts[i], starts, first[p], first[p + 1]):
                 continue
-            loud, width = _loud(p, images[i], turned[i : i + 1], table, flat, wave, normals, spheres, first, starts,
-                                axes, places, slopes)  # fmt: skip
-            half = math.pi / wave
-            least = faint * width / half if width < half else LONE * faint  # however finely a surface is cut
-            if weights[i] * loud <= least:
-                continue
+            loud, width, gain = _loud(p, images[i], turned[i : i + 1], table, flat, wave, normals, spheres, first,
+                                      starts, axes, places, slopes)  # fmt: skip
+            kept = weights[i] * _kept(places[0], images[i], faces[i], normals, stuffs, most, stuffs[p], slopes)
             if count < len(of):
-                of[count], on[count], shares[count] = i, p, min(weights[i] * loud / max(least, 1e-30) - 1, 1.0)
+                half = math.pi / wave  # strips narrower than half a wave add up in phase with those beside them
+                of[count], on[count], gains[count] = i, p, kept * gain
+                louds[count] = kept * loud * math.sqrt(max(half / max(width, 1e-9), 1.0))
             count += 1
     return count
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_triangles(images, turned, planes, counts, weights, gate, spheres, first, corners, normals, outward,  # type: ignore[no-untyped-def]
-                   boxes, table, flat, dark, scratch):  # fmt: skip
-    """Which small triangles one way (n = 1) cannot reach, and what the others can return at the most, all in phase.
+def meet_triangles(images, planes, counts, gate, spheres, first, corners, normals, outward, boxes, lit):  # type: ignore[no-untyped-def]
+    """Which small triangles each way can reach, so that both legs end on the same side of them.
 
     Args:
-        images, turned, planes, counts, weights, gate: as in `meet_faces`.
+        images, planes, counts, gate: as in `meet_faces`.
         spheres: (c, 4) and first: (c + 1) of the clusters; corners: (f, 3, 3) and normals: (f, 3) of the triangles.
-        outward: (f, 4) and boxes: (f, 2, 3) as in `solids.Backs`; table, flat: as in `facets.deposit`.
-        dark: (f) gets which cannot; scratch: (7, 5).
-
-    Returns:
-        The path gain amplitude of those that can be reached; 0 where none can.
+        outward: (f, 4) and boxes: (f, 2, 3) as in `solids.Backs`.
+        lit: (n, f) gets True where a way can reach a triangle.
     """
-    slopes, point, loud = scratch[0], scratch[1], 0.0
-    one, other = images[0, 0, 2], images[0, 1, 2]
-    for c in range(len(spheres)):
-        begin, end, x, y, z = first[c], first[c + 1], spheres[c, 0], spheres[c, 1], spheres[c, 2]
-        for f in range(begin, end):
-            dark[f] = True
-        if not _shone(x, y, z, spheres[c, 3], planes[0], counts[0], one, other, gate):
-            continue
-        for f in range(begin, end):
-            out, inside = outward[f, 3], True
-            for k in range(3):
-                out += outward[f, k] * one[k]
-                for side in range(2):
-                    inside = inside and boxes[f, 0, k] - 1e-3 <= images[0, side, 0, k] <= boxes[f, 1, k] + 1e-3
-            if (out < 0 and not inside) or not _cornered(planes[0], counts[0], corners[f], 0, 3):
+    for i in range(len(images)):
+        one, other = images[i, 0, 2], images[i, 1, 2]
+        for c in range(len(spheres)):
+            x, y, z, radius = spheres[c, 0], spheres[c, 1], spheres[c, 2], spheres[c, 3]
+            if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
                 continue
-            for k in range(3):
-                point[k] = (corners[f, 0, k] + corners[f, 1, k] + corners[f, 2, k]) / 3
-            strong = _strength(point, images[0], turned, table, flat, corners[f], slopes)
-            square, facing = 0.0, 0.0
-            for k in range(3):
-                a, b = (k + 1) % 3, (k + 2) % 3
-                cross = ((corners[f, 1, a] - corners[f, 0, a]) * (corners[f, 2, b] - corners[f, 0, b])
-                         - (corners[f, 1, b] - corners[f, 0, b]) * (corners[f, 2, a] - corners[f, 0, a]))  # fmt: skip
-                square, facing = square + cross * cross, facing + 0.5 * slopes[k] * normals[f, k]
-            loud += strong * 0.5 * math.sqrt(square) * abs(facing) / (4 * math.pi)
-            dark[f] = False
-    return weights[0] * loud
+            for f in range(first[c], first[c + 1]):
+                out, inside, ahead, behind = outward[f, 3], True, 0.0, 0.0
+                for k in range(3):
+                    out += outward[f, k] * one[k]
+                    ahead += normals[f, k] * (one[k] - corners[f, 0, k])
+                    behind += normals[f, k] * (other[k] - corners[f, 0, k])
+                    for side in range(2):
+                        inside = inside and boxes[f, 0, k] - 1e-3 <= images[i, side, 0, k] <= boxes[f, 1, k] + 1e-3
+                if ahead * behind > 0 and (out >= 0 or inside):
+                    lit[i, f] = _cornered(planes[i], counts[i], corners[f], 0, 3)
 
 
 @core(nogil=True, error_model="numpy")

@@ -131,40 +131,45 @@ def _stops(i, point, faces, images, normals, offsets, first, starts, ends, side,
 
 
 @lean(nogil=True, error_model="numpy")
-def corners(points, of, faces, images, alike, normals, offsets, first, starts, ends, stops, met, a, b, owner):  # type: ignore[no-untyped-def]
-    """Where both legs of the ways to points meet their mirrors, whether they do, and which stretches must be free.
+def corners(points, at, of, side, made, legs, faces, images, normals, offsets, first, starts, ends, known, rows, stops,  # type: ignore[no-untyped-def]
+            free, a, b, owner, last):  # fmt: skip
+    """Where one leg of ways to points meets its mirrors, and which stretches must be free; each leg to a point once.
 
     Args:
-        points: (m, 3) [m]; of: (m) way to each.
+        points: (n, 3) [m]; at: (m) and of: (m) point and way of each pair.
+        side: 0 for the way there, 1 for the way back; made: how many legs to points are known.
+        legs: (w, 2) numbers of the legs; legs that are alike have one.
         faces, images: as in `lead`.
-        alike: (n) whether the way back is the way there.
         normals: (p, 3), offsets: (p), first: (p + 1), starts: (e, 3), ends: (e, 3) of the faces.
-        stops: (m, 2, 4, 3) gets the corners of each leg: antenna, at the mirrors, point [m].
-        met: (m) gets whether every mirror is met, from in front and within its rim.
-        a, b: (6 m, 3) get ends of stretches of those that are [m]; owner: (6 m) their points.
+        known: (l, n) row of each leg to each point, negative where it is not known; more are.
+        rows: (m, 2) gets the row of this leg of each pair that is free so far.
+        stops: (q, 4, 3) gets the corners of each new row: antenna, at the mirrors, point [m].
+        free: (q) gets whether every mirror is met, from in front and within its rim; for pairs only rows[:, 1] is used.
+        a, b: (3 m, 3) get ends of the stretches of new rows [m]; owner: (3 m) their rows.
+        last: (3 m) gets whether a stretch ends at its point.
 
     Returns:
-        How many stretches there are.
+        How many rows there are, and how many stretches.
     """
-    made = 0
-    for j in range(len(points)):
-        i = of[j]
-        begin = made
-        met[j] = True
-        for side in range(2):
-            count = _stops(i, points[j], faces, images, normals, offsets, first, starts, ends, side, stops[j, side])
-            if count < 0:
-                met[j] = False
-                made = begin
-                break
-            if side == 1 and alike[i]:
-                break
-            for step in range(count + 1):
+    count = 0
+    for j in range(len(of)):
+        if side == 0 and not free[rows[j, 1]]:
+            continue
+        i, p = of[j], at[j]
+        row = known[legs[i, side], p]
+        if row < 0:
+            row = made
+            made += 1
+            known[legs[i, side], p] = row
+            over = _stops(i, points[p], faces, images, normals, offsets, first, starts, ends, side, stops[row])
+            free[row] = over >= 0
+            for step in range(over + 1):
                 for k in range(3):
-                    a[made, k], b[made, k] = stops[j, side, step, k], stops[j, side, step + 1, k]
-                owner[made] = j
-                made += 1
-    return made
+                    a[count, k], b[count, k] = stops[row, step, k], stops[row, step + 1, k]
+                owner[count], last[count] = row, step == over
+                count += 1
+        rows[j, side] = row
+    return made, count
 
 
 @core(nogil=True, error_model="numpy")
@@ -198,11 +203,11 @@ def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, l
 
 
 @lean(nogil=True, error_model="numpy")
-def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out, units, waves):  # type: ignore[no-untyped-def]
+def weigh(stops, rows, todo, of, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out, units, waves):  # type: ignore[no-untyped-def]
     """What the bounces of each way make of a wave, by polarisation; the point's is that of a mirror for these legs.
 
     Args:
-        stops: (m, 2, 4, 3) as `corners` gives them [m].
+        stops: (q, 4, 3) as `corners` gives them [m]; rows: (m, 2) those of both legs to each point.
         todo: (k) which points to do; of: (m) way to each.
         faces: (n, 2, 2) mirrors of each leg from its antenna on, -1 for none.
         fields: (2, 3) unit fields of the antennas.
@@ -216,8 +221,10 @@ def weigh(stops, todo, of, faces, fields, normals, stuffs, widths, wavelength, g
     sent, taken, between, there, back = units[0], units[1], units[2], waves[0], waves[1]
     for j in todo:
         i, cover = of[j], 1.0
-        cover *= _followed(stops[j, 0], faces[i, 0], fields[0], normals, stuffs, widths, wavelength, gamma, sent, there)
-        cover *= _followed(stops[j, 1], faces[i, 1], fields[1], normals, stuffs, widths, wavelength, gamma, taken, back)
+        cover *= _followed(stops[rows[j, 0]], faces[i, 0], fields[0], normals, stuffs, widths, wavelength, gamma, sent,
+                           there)  # fmt: skip
+        cover *= _followed(stops[rows[j, 1]], faces[i, 1], fields[1], normals, stuffs, widths, wavelength, gamma, taken,
+                           back)  # fmt: skip
         square = 0.0
         for k in range(3):
             between[k] = sent[k] + taken[k]

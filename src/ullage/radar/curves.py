@@ -20,7 +20,7 @@ from ullage.kernels import edges, lit
 from ullage.kernels import facets as triangle
 from ullage.kernels import ways as kernel
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.flats import Outlined, lay_parted, parted
+from ullage.radar.flats import Outlined, Rim, lay_parted, parted
 from ullage.radar.mirrors import unit
 from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown, lay_triangles
 from ullage.radar.solids import Backs
@@ -30,10 +30,18 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 NUDGE_M = 5e-3
 """Points of facets are looked at so far within their rims [m]."""
-_FAR_M = -1e9  # radius of a sphere that lies beyond any gate
+FACETS = 1.5e-2
+"""What facets that are left out would make within a pulse's length at the most, with phases at random, is no more than
+this of a frame's strongest echo. What they make turns out a third of it or less: most are hidden, or cancel."""
+REST = 4e-3
+"""So much for parts of the rims of the facets that are left."""
+MANY = 25.0
+"""So many would have to be in phase to make that: one that makes more than so small a share is not left out."""
+_LEVELS = 40  # loudness in steps of 3 dB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,26 +50,26 @@ class Strips:
 
     of: Longs  # (m) way
     on: Longs  # (m) face
-    shares: Floats  # (m) how much of it counts
+    gains: Floats  # (m) the antennas' gains there, times what the way counts
     faces: Outlined  # (m)
 
 
 def lay_curves(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, ways: Ways, faint: float, grids: Complexes
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, ways: Ways, peak: float, grids: Complexes
 ) -> list[Laid]:
     """Adds the echoes of small triangles and of facets of curved surfaces over flat faces to the delay grids.
 
-    What cannot return the path gain amplitude `faint` is left out.
+    Facets, and parts of their rims, that are too faint beside the path gain amplitude `peak` are left out.
     """
     if not len(ways):
         return []
     out: list[Laid] = []
     for part in parts:
         if len(part.corners):
-            out += _lay_small(ready, parts, part, flats, view, ways, faint, grids)
+            out += _lay_small(ready, parts, part, flats, view, ways, grids)
     smooth = np.flatnonzero(flats.smooth)
     if len(smooth):
-        out += _lay_strips(ready, parts, flats, view, ways, smooth, faint, grids)
+        out += _lay_strips(ready, parts, flats, view, ways, smooth, peak, grids)
     return out
 
 
@@ -72,46 +80,65 @@ def _bare(ready: Bench) -> Bench:
     return replace(ready, gamma=ready.gamma[-1:].repeat(count, axis=0), lag=ready.lag[-1:].repeat(count, axis=0))
 
 
+@lru_cache(maxsize=8)
+def _most(ready: Bench) -> Floats:
+    """The larger of both reflection coefficients of each object over cos(incidence)."""
+    return np.ascontiguousarray(abs(ready.gamma[:, 0]).max(1))
+
+
 def _lay_small(
-    ready: Bench, parts: list[Surfaces], part: Surfaces, flats: Flats, view: View, ways: Ways, faint: float,
-    grids: Complexes,
-) -> list[Laid]:  # fmt: skip
-    out, bare, unlit = [], _bare(ready), np.empty(len(part.corners), np.bool_)
+    ready: Bench, parts: list[Surfaces], part: Surfaces, flats: Flats, view: View, ways: Ways, grids: Complexes
+) -> list[Laid]:
+    reach = lit_by(ready, part, ways)
     gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
-    for way in range(len(ways)):
-        loud = dark(ready, part, ways, way, unlit)
-        if loud <= faint:
-            continue
-        seen = ways.view(way, view, min(loud / faint - 1, 1.0) if faint else 1.0)
-        leaves, owner = grown(8192, (3, 3), lambda pieces, of, seen=seen: triangle.split(  # type: ignore[misc]
-            part.spheres, part.first, part.corners, unlit, seen.origins, gate, fresnel, REACH, pieces, of))  # fmt: skip
-        of = np.full(len(leaves), way)
-        factor = heard(ready, parts, flats, view, ways, of, leaves.mean(1), part.stuffs[owner])
-        free = np.flatnonzero(factor)
-        if len(free):
-            pieces, between = (leaves[free], owner[free]), (factor[free], np.zeros(len(free)))
-            laid = lay_triangles(bare, part.normals, part.stuffs, pieces, between, seen, grids)
-            out.append(replace(laid, via=ways.via[of[free]]))
+    dark = ~reach.any(0)
+    leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
+        part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of))  # fmt: skip
+    of, at = np.nonzero(reach[:, owner])
+    factor = heard(ready, parts, flats, view, ways, of, leaves.mean(1), part.stuffs[owner[at]], at)
+    free = np.flatnonzero(factor)
+    out, bare = [], _bare(ready)
+    for way, here in enumerate(np.split(free, np.searchsorted(of[free], np.arange(1, len(ways))))):
+        if len(here):
+            pieces, between = (leaves[at[here]], owner[at[here]]), (factor[here], np.zeros(len(here)))
+            laid = lay_triangles(bare, part.normals, part.stuffs, pieces, between, ways.view(way, view), grids)
+            out.append(replace(laid, via=ways.via[of[here]]))
     return out
 
 
-def dark(ready: Bench, part: Surfaces, ways: Ways, way: int, out: NDArray[np.bool_]) -> float:
-    """Tells which small triangles (f) one way cannot reach, and what all others return at the most."""
-    own = slice(way, way + 1)
-    return float(lit.meet_triangles(
-        ways.images[own], ways.frames[own], ways.planes[own], ways.counts[own], ways.weights[own], ready.gate[1],
-        part.spheres, part.first, part.corners, part.normals, part.backs.outward, part.backs.boxes, ready.table,
-        ready.spec.antenna.kind == "isotropic", out, np.empty((7, 5))))  # fmt: skip
+def lit_by(ready: Bench, part: Surfaces, ways: Ways) -> Bools:
+    """Which small triangles each way can reach (n, f), if nothing stands between."""
+    out = np.zeros((len(ways), len(part.corners)), np.bool_)
+    lit.meet_triangles(ways.images, ways.planes, ways.counts, ready.gate[1], part.spheres, part.first, part.corners,
+                       part.normals, part.backs.outward, part.backs.boxes, out)  # fmt: skip
+    return out
+
+
+def audible(ready: Bench, loud: Floats, paths: Floats, rest: float) -> Bools:
+    """Which of some echoes (n) of amplitudes `loud` at mean ranges `paths` [m] count.
+
+    All the others within a pulse's length make, with phases at random, at most a path gain amplitude of `rest`, and
+    none of them makes more than its `MANY`th.
+    """
+    squares = loud * loud
+    if rest <= 0:
+        return np.asarray(squares > 0)
+    levels = np.clip(np.frexp(squares / rest**2)[1] + _LEVELS, 0, _LEVELS)  # of 3 dB, the last one for what counts
+    cells = (paths / (2 * ready.pulse.half_m)).astype(np.int64)
+    many = int(cells.max(initial=0)) + 1
+    sums = np.bincount(cells * (_LEVELS + 1) + levels, squares, many * (_LEVELS + 1)).reshape(many, -1).cumsum(1)
+    least = (sums <= rest**2).sum(1)
+    return np.asarray(((levels >= least[cells]) | (squares > (rest / MANY) ** 2)) & (squares > 0))
 
 
 def _lay_strips(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, ways: Ways, smooth: Longs, faint: float,
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, ways: Ways, smooth: Longs, peak: float,
     grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
     backs = parts[0].flat_backs
     if len(parts) > 1:
         backs = Backs(*(np.concatenate([getattr(p.flat_backs, row) for p in parts]) for row in ("outward", "boxes")))
-    strips = met(ready, flats, backs, ways, smooth, faint)
+    strips = met(ready, flats, backs, ways, smooth, peak)
     if not len(strips.on):
         return []
     faces = strips.faces
@@ -122,53 +149,74 @@ def _lay_strips(
     if not (len(rim.pieces) or len(rim.tips) or (rim.windings > 0.5).any()):
         return []
 
+    loud = _rims_heard(ready, rim, strips.gains, REST * peak)
+
     def shaded(points: Floats, owner: NDArray[np.integer]) -> tuple[Complexes, Floats]:
+        out = np.zeros(len(points), complex)
+        wanted = np.concatenate([np.flatnonzero(loud), np.arange(len(loud), len(points))])
+        points, owner = points[wanted], owner[wanted]
         inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims
         points = points + NUDGE_M * unit(inward)
         stuffs = flats.stuffs[strips.on[owner]]
-        return heard(ready, parts, flats, view, ways, strips.of[owner], points, stuffs), np.zeros(len(points))
+        out[wanted] = heard(ready, parts, flats, view, ways, strips.of[owner], points, stuffs)
+        return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(ready.gamma) - 1, np.int32)
     fields = np.repeat(view.fields[None], len(many), 0)
     _, _, _, table, flat, factor, *rest = common(ready, view, grids)
     told = (faces.normals, plain, ends, ways.frames[strips.of], fields, table, flat,
-            factor * ways.weights[strips.of] * strips.shares, *rest)  # fmt: skip
+            factor * ways.weights[strips.of], *rest)  # fmt: skip
     laid, owner = lay_parted(ready, faces, many, rim, limits, shaded, told)
     return [replace(laid, stuffs=flats.stuffs[strips.on[owner]], via=ways.via[strips.of[owner]])]
 
 
-def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, faint: float) -> Strips:
-    """Those of some faces that ways meet within the gate."""
-    size = 512
+def _rims_heard(ready: Bench, rim: Rim, gains: Floats, rest: float) -> Bools:
+    """Which pieces of rims and which ends without one count, of faces (k) with so much gain."""
+    unit, lone = ready.spec.wavelength_m / (16 * np.pi**2), rim.ties < 0
+    pieces = rim.pieces[:, 8:10].max(1) * abs(rim.pieces[:, 10]) * gains[rim.owner]
+    ends = np.hypot(rim.tips[:, 4], rim.tips[:, 5]) * gains[rim.holders]
+    np.maximum.at(pieces, rim.ties[~lone], ends[~lone])
+    paths = np.concatenate([rim.pieces[:, 6], rim.tips[lone, 3]])
+    return audible(ready, unit * np.concatenate([pieces, ends[lone]]), paths / 2, rest)
+
+
+def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, peak: float) -> Strips:
+    """Those of some faces that ways meet within the gate, but for what is too faint."""
+    size = min(len(ways) * len(smooth), 8192)
     while True:
-        of, on, shares = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
-        count = lit.meet_faces(ways.images, ways.frames, ways.planes, ways.counts, ways.weights, ready.gate[1], faint,
-                               smooth, flats.spheres, flats.normals, flats.offsets, backs.outward, backs.boxes,
-                               flats.first, flats.starts, ready.table, ready.spec.antenna.kind == "isotropic",
-                               ready.pulse.omega / C0, of, on, shares, np.empty((7, 5)))  # fmt: skip
+        of, on = np.empty(size, np.int64), np.empty(size, np.int64)
+        gains, louds = np.empty((2, size))
+        count = lit.meet_faces(ways.images, ways.frames, ways.faces, ways.planes, ways.counts, ways.weights,
+                               ready.gate[1], smooth, flats.spheres, flats.normals, flats.offsets, flats.stuffs,
+                               backs.outward, backs.boxes, flats.first, flats.starts, ready.table,
+                               ready.spec.antenna.kind == "isotropic", _most(ready), ready.pulse.omega / C0, of, on,
+                               gains, louds, np.empty((7, 6)))  # fmt: skip
         if count <= size:
             break
         size = int(1.2 * count)
-    of, on, shares = of[:count], on[:count], shares[:count]
+    far = [np.linalg.norm(ways.images[of[:count], side, 2] - flats.spheres[on[:count], :3], axis=1) for side in (0, 1)]
+    loud = np.flatnonzero(audible(ready, louds[:count], (far[0] + far[1]) / 2, FACETS * peak))
+    of, on, gains = of[loud], on[loud], gains[loud]
     sides = flats.first[on + 1] - flats.first[on]
     first = np.concatenate([np.zeros(1, np.int32), np.cumsum(sides, dtype=np.int32)])
     edge = np.arange(first[-1]) + np.repeat(flats.first[on] - first[:-1], sides)
     faces = Outlined(flats.normals[on], flats.offsets[on], flats.spheres[on], flats.across[on], first,
                      flats.starts[edge], flats.ends[edge])  # fmt: skip
-    return Strips(of, on, shares, faces)
+    return Strips(of, on, gains, faces)
 
 
 def heard(
     ready: Bench, parts: list[Surfaces], flats: Flats, view: View, ways: Ways, of: Longs, points: Floats,
-    stuffs: NDArray[np.integer],
+    stuffs: NDArray[np.integer], at: Longs | None = None,
 ) -> Complexes:  # fmt: skip
-    """What all reflections of ways (m) over points (m, 3) of objects (m) make of the wave; 0 where it is blocked.
+    """What all reflections of ways (m) over points of objects (m) make of the wave; 0 where it is blocked.
 
+    The points (m, 3) [m] are those of each, or those that `at` (m) names.
     The antennas' patterns and the spread of the wave are not in it.
     """
-    stops, free = reached(parts, flats, ways, of, points)
-    out = np.zeros(len(points), complex)
-    kernel.weigh(stops, np.flatnonzero(free), of, ways.faces, view.fields, flats.normals, flats.stuffs, flats.widths,
-                 ready.spec.wavelength_m, ready.gamma, stuffs, out, np.empty((3, 3)),
+    known = reached(parts, flats, ways, of, points, at)
+    out = np.zeros(len(of), complex)
+    kernel.weigh(known.stops, known.rows, np.flatnonzero(known.free), of, ways.faces, view.fields, flats.normals,
+                 flats.stuffs, flats.widths, ready.spec.wavelength_m, ready.gamma, stuffs, out, np.empty((3, 3)),
                  np.empty((2, 3), complex))  # fmt: skip
     return out

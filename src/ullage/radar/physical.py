@@ -39,9 +39,6 @@ Complexes = NDArray[np.complex128]
 
 KAPPA = 1 / 8
 """Largest squared transverse edge of a piece over wavelength times range."""
-FAINT = 1e-2
-"""Of curved surfaces over flat faces facets of which half a wave returns less than this of a frame's strongest echo are
-left out; those wider than that if they return less than `lit.LONE` of this."""
 REACH = 0.3
 """Longest edge of a piece over its range."""
 
@@ -241,8 +238,8 @@ def _lay_over(
     from ullage.radar.wire_bounces import lay_wire_bounces
 
     ways = ways_of(ready, flats, view, most, look)
-    faint = FAINT * float(abs(grids).max())
-    out = lay_curves(ready, parts, flats, view, ways, faint, grids) if curved else []
+    peak = float(abs(grids).max())
+    out = lay_curves(ready, parts, flats, view, ways, peak, grids) if curved else []
     return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])
 
 

@@ -342,15 +342,15 @@ def _ways() -> None:
     still, none, long = ready.world.still, np.zeros((0, 3)), np.zeros(0, np.int64)
     flats, both, field = still.flats, np.zeros((0, 2), complex), np.zeros((2, 3), complex)
     led = ways_of(ready, flats, view, 3, looks(ready, flats, view))
-    stops, _ = reached([], flats, led, long, none)
+    known = reached([], flats, led, long, none)
     mirrors = flats.normals, flats.stuffs, flats.widths, ready.spec.wavelength_m, ready.gamma
-    ways.weigh(stops, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32), both[:, 0].copy(),
-               np.zeros((3, 3)), field)  # fmt: skip
+    ways.weigh(known.stops, known.rows, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32),
+               both[:, 0].copy(), np.zeros((3, 3)), field)  # fmt: skip
     ways.meet_wires(none, none, led.images, led.faces, 9.0, view.fields, flats.normals, flats.offsets, *mirrors[1:3],
                     flats.first, flats.starts, flats.ends, *mirrors[3:], long, long, both, np.zeros(0),
                     np.zeros((5, 4, 3)), field)  # fmt: skip
     curves.met(ready, flats, still.flat_backs, led, long, 0.0)
-    curves.dark(ready, still, led, 0, np.zeros(0, np.bool_))
+    curves.lit_by(ready, still, led)
 
 
 def _shapes() -> None:

@@ -39,7 +39,7 @@ class Ways:
 
     faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
     via: Longs  # (n, 2) objects that mirror on the way, -1 for none
-    alike: Bools  # (n) whether the way back is the way there
+    legs: Longs  # (n, 2) legs that are alike have one number
     weights: Floats  # (n)
     images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
     frames: Floats  # (n, 2, 3, 3) of the last images
@@ -54,10 +54,10 @@ class Ways:
         """The radars (n, 2, 3) as what the ways lead to sees them [m]."""
         return np.ascontiguousarray(self.images[:, :, 2])
 
-    def view(self, way: int, view: View, share: float) -> View:
-        """The radar as one way's end sees it, its antennas' last images, mirrored, where so much of it counts."""
+    def view(self, way: int, view: View) -> View:
+        """The radar as one way's end sees it: its antennas' last images, mirrored."""
         ends = np.ascontiguousarray(self.images[way, :, 2])
-        return View(ends, self.frames[way], view.fields, view.factor * self.weights[way] * share)
+        return View(ends, self.frames[way], view.fields, view.factor * self.weights[way])
 
 
 def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> Ways:
@@ -69,7 +69,7 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     first = np.sort(np.argpartition(look, -FACES - 1)[-FACES - 1 :]) if len(look) > FACES else np.arange(len(look))
     taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
     one = bool((view.origins[0] == view.origins[1]).all())
-    rows, over, twice = _rows(tuple(len(which) for which, _ in taken), one)
+    rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
     shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])
     faces, count = chosen[rows], len(rows)
@@ -78,17 +78,17 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     kernel.lead(faces, view.origins, view.frames, flats.normals, flats.offsets, flats.spheres, flats.across,
                 flats.first, flats.starts, images, frames, planes, counts, reach, np.empty((2, 2)))  # fmt: skip
     via = np.where(chosen >= 0, flats.stuffs[chosen], -1)[over]
-    alike = (twice == 1) & one
     held = reach <= ready.gate[1]
-    all_ = faces, via, alike, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
+    all_ = faces, via, legs, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
     return Ways(*(all_ if held.all() else (row[held] for row in all_)))
 
 
 @lru_cache(maxsize=64)
-def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats]:
+def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Longs]:
     """Ways over so many faces for two bounces and for three, by places in one list of all these and then of none.
 
-    Places of the faces (n, 2, 2) of both legs and, one after the other, (n, 2); how often each way counts (n).
+    Places of the faces (n, 2, 2) of both legs and, one after the other, (n, 2); how often each way counts (n); a number
+    (n, 2) for each leg that differs.
     """
     told: list[Legs] = []
     for bounces, count in enumerate(counts, 2):
@@ -99,7 +99,10 @@ def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats]:
     rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in told]
     over = [(*there, *back, -1)[:2] for there, back in told]
     twice = np.array([2.0 if one and there != back else 1.0 for there, back in told])
-    return np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 2), twice
+    known: dict[tuple[int, tuple[int, ...]], int] = {}
+    legs = [[known.setdefault((0 if one else side, leg), len(known)) for side, leg in enumerate(way)] for way in told]
+    return (np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 2), twice,
+            np.array(legs, np.int64).reshape(-1, 2))  # fmt: skip
 
 
 def _picks(ids: range, chains: tuple[int, int], one: bool) -> Iterator[Legs]:
@@ -114,12 +117,34 @@ def _picks(ids: range, chains: tuple[int, int], one: bool) -> Iterator[Legs]:
         yield (row, ()) if chains[0] else ((), row)
 
 
-def reached(parts: list[Surfaces], flats: Flats, ways: Ways, of: Longs, points: Floats) -> tuple[Floats, Bools]:
-    """Corners (m, 2, 4, 3) [m] of both legs of ways (m) to points (m, 3), and whether all is met and free (m)."""
-    count = len(points)
-    stops, met = np.empty((count, 2, 4, 3)), np.empty(count, np.bool_)
-    a, b, owner = np.empty((6 * count, 3)), np.empty((6 * count, 3)), np.empty(6 * count, np.int64)
-    made = kernel.corners(points, of, ways.faces, ways.images, ways.alike, flats.normals, flats.offsets, flats.first,
-                          flats.starts, flats.ends, stops, met, a, b, owner)  # fmt: skip
-    met[owner[:made][~between(parts, a[:made], b[:made])]] = False
-    return stops, met
+@dataclass(frozen=True, slots=True, eq=False)
+class Reached:
+    """Which points ways reach, and how."""
+
+    stops: Floats  # (q, 4, 3) corners of legs [m]
+    rows: Longs  # (m, 2) legs of each pair of way and point; -1 where none was followed
+    free: Bools  # (m) whether all is met and free
+
+
+def reached(
+    parts: list[Surfaces], flats: Flats, ways: Ways, of: Longs, points: Floats, at: Longs | None = None
+) -> Reached:
+    """Follows both legs of ways (m) to points (m, 3) [m], or to those of them that `at` (m) names.
+
+    Each leg to a point is followed once, the one back first, and the one there only where that is free.
+    """
+    at = np.arange(len(of)) if at is None else at
+    room = 2 * len(of)
+    known = np.full((int(ways.legs.max(initial=0)) + 1, len(points)), -1, np.int32)
+    rows, stops, free = np.full((len(of), 2), -1), np.empty((room, 4, 3)), np.zeros(room, np.bool_)
+    many = 3 * len(of)
+    (a, b), owner, last = np.empty((2, many, 3)), np.empty(many, np.int64), np.empty(many, np.bool_)
+    made = 0
+    for side in (1, 0):
+        made, count = kernel.corners(points, at, of, side, made, ways.legs, ways.faces, ways.images, flats.normals,
+                                     flats.offsets, flats.first, flats.starts, flats.ends, known, rows, stops, free, a,
+                                     b, owner, last)  # fmt: skip
+        for mine in (last[:count], ~last[:count]):  # most are blocked at the point: then the rest need not be asked
+            asked = np.flatnonzero(mine & free[owner[:count]])
+            free[owner[asked[~between(parts, a[asked], b[asked])]]] = False
+    return Reached(stops, rows, (rows[:, 0] >= 0) & free[rows[:, 0]])

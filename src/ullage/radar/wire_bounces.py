@@ -49,7 +49,7 @@ def lay_wire_bounces(
     pieces, owner = grown(512, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, radars, gate, fresnel, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
-    _, free = reached(parts, flats, ways, met.of[owner], middle)
+    free = reached(parts, flats, ways, met.of[owner], middle).free
     if not free.any():
         return []
     _, _, _, table, flat, factor, _, _, *rest = common(ready, view, grids)
