@@ -2,7 +2,7 @@
 
 Over a path P a wave comes back as lambda / (4 pi P) [Friis1946]: more than 1 below P = lambda / (4 pi), where the field
 is the reactive one of the antenna itself [Schantz2005]. No passive thing returns more than it takes, so 1 / P becomes
-1 / (P^4 + (lambda / 4 pi)^4)^(1/4): at most 1, 2e-6 dB from the law a wave before a mirror. Delays stay what they are.
+1 / (P^4 + (lambda / 4 pi)^4)^(1/4): at most 1, 5e-6 dB from the law a wave before a mirror. Delays stay what they are.
 """
 
 from __future__ import annotations
