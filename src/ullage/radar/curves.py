@@ -36,7 +36,7 @@ NUDGE_M = 5e-3
 """Points of facets are looked at so far within their rims [m]."""
 FACETS = 1.5e-2
 """What facets that are left out would make within a pulse's length at the most, with phases at random, is no more than
-this of a frame's strongest echo. What they make turns out a third of it or less: most are hidden, or cancel."""
+this of a frame's strongest echo. What they make turns out to be far less: most are hidden, or cancel."""
 REST = 4e-3
 """So much for parts of the rims of the facets that are left."""
 MANY = 25.0
