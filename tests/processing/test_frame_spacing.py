@@ -9,8 +9,8 @@ import ullage as ul
 from ullage.experiments.reproduce import flights
 from ullage.grids import Grid
 from ullage.processing.blocks import Blocks
-from ullage.processing.mapper import LOOK_SHARE, look_share
-from ullage.processing.mapper_looks import Listener
+from ullage.processing.mapper import LOOK_M, LOOK_SHARE, look_share
+from ullage.processing.mapper_looks import STEP_M, Listener
 
 SIZE = (6.0, 5.0, 3.0)
 
@@ -34,9 +34,10 @@ def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
     assert found["surface_declared_free"].value < 0.01
 
 
-def test_a_look_farther_from_the_one_before_shares_less_of_its_frames():
-    assert look_share(0.0) == look_share(0.06) == LOOK_SHARE
-    assert look_share(0.12) == pytest.approx(2 * LOOK_SHARE)
+def test_looks_say_as_much_for_each_metre_until_they_share_nothing():
+    assert look_share(LOOK_M) == LOOK_SHARE
+    assert look_share(0.05) / 0.05 == pytest.approx(look_share(0.07) / 0.07)
+    assert look_share(0.0) == look_share(STEP_M)  # turned, not moved
     assert look_share(1.0) == 1.0
 
 
