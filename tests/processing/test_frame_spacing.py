@@ -9,7 +9,7 @@ import ullage as ul
 from ullage.experiments.reproduce import flights
 from ullage.grids import Grid
 from ullage.processing.blocks import Blocks
-from ullage.processing.mapper import LOOK_M, LOOK_SHARE, look_share
+from ullage.processing.mapper import LOOK_SHARE, look_share
 from ullage.processing.mapper_looks import STEP_M, Listener
 
 SIZE = (6.0, 5.0, 3.0)
@@ -35,8 +35,8 @@ def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
 
 
 def test_looks_say_as_much_for_each_metre_until_they_share_nothing():
-    assert look_share(LOOK_M) == LOOK_SHARE
-    assert look_share(0.05) / 0.05 == pytest.approx(look_share(0.07) / 0.07)
+    assert look_share(STEP_M) == LOOK_SHARE
+    assert look_share(0.05) / 0.05 == pytest.approx(look_share(0.1) / 0.1)
     assert look_share(0.0) == look_share(STEP_M)  # turned, not moved
     assert look_share(1.0) == 1.0
 

@@ -44,7 +44,7 @@ SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
-LOOK_SHARE, LOOK_M, FLAT_SHARE = 0.8, 0.06, 0.9  # share of looks so far apart
+LOOK_SHARE, FLAT_SHARE = 0.4, 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
@@ -389,7 +389,7 @@ class UllageMapper:
 
 def look_share(step_m: float) -> float:
     """Share of a look's log-odds that are its own, and not those of the look before, so far from it."""
-    return min(LOOK_SHARE * max(step_m, STEP_M) / LOOK_M, 1.0)
+    return min(LOOK_SHARE * max(step_m, STEP_M) / STEP_M, 1.0)
 
 
 def cos_sin(angle_deg: float) -> tuple[float, float]:
