@@ -24,6 +24,17 @@ Recordings = dict[str, Frames]
 Scores = dict[str, list[dict[str, float]]]
 """Scores of each flight by the name of the method."""
 
+COLUMNS = {
+    "f1": "F1",
+    "f1_half_cell": "F1, half a cell",
+    "precision": "precision",
+    "recall": "recall",
+    "accuracy_median": "error median [m]",
+    "accuracy_p90": "error p90 [m]",
+    "surface_declared_free": "surface free",
+    "known_behind": "known behind",
+}
+"""What every map is judged by, and its heading."""
 SEEDS = 5
 SIZE = (8.0, 6.0, 3.0)
 RISE_M, WAVE_M = 0.45, 2.4

@@ -17,15 +17,7 @@ from ullage.view.thesis_maps import Panel, draw_panels
 from ullage.world.scene import Scene
 from ullage.world.section import section
 
-COLUMNS = {
-    "f1": "F1",
-    "f1_half_cell": "F1, half a cell",
-    "precision": "precision",
-    "recall": "recall",
-    "accuracy_median": "error median [m]",
-    "accuracy_p90": "error p90 [m]",
-    "surface_declared_free": "surface free",
-    "known_behind": "known behind",
+COLUMNS = flights.COLUMNS | {
     "false_occupied_per_100m2": "false /100 m²",
     "corridor_falsely_blocked": "corridor blocked",
     "log_likelihood": "log-lik. [nat]",

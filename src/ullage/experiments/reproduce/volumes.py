@@ -19,15 +19,7 @@ from ullage.processing.truth import spaced_looks, surface_of
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
-COLUMNS = {
-    "f1": "F1",
-    "f1_half_cell": "F1, half a cell",
-    "precision": "precision",
-    "recall": "recall",
-    "accuracy_median": "error median [m]",
-    "accuracy_p90": "error p90 [m]",
-    "surface_declared_free": "surface free",
-    "known_behind": "known behind",
+COLUMNS = flights.COLUMNS | {
     "ambiguous": "ambiguous",
     "free_found": "free found",
 }
