@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.geometry import C0
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
 HERE = ul.Trajectory.stationary()
@@ -52,6 +53,101 @@ def test_penetration_delay_and_loss():
     assert -4 < through.path_gain_db - alone.path_gain_db < -0.3
     steel = ul.scenes.plate(6, 6, 2.0, material="steel", name="board")
     assert all(c.object == "board" for c in ul.explain(ul.Scene.union([steel, behind]), HERE, RADAR))
+
+
+def furnished(seed):
+    """A concrete room with a steel plate, a ball, a wire, a glass sheet, and a box that moves, each somewhere."""
+    rng = np.random.default_rng(seed)
+    somewhere = lambda: tuple(rng.uniform((-2.5, -1.6, -1), (2.5, 1.6, 1)))  # noqa: E731
+    times = np.array([0, 10**9])
+    way = ul.Trajectory(times, np.array([somewhere(), somewhere()]), np.tile([0, 0, 0, 1.0], (2, 1)))
+    box = ul.scenes.trihedral(0.3, distance_m=0.0)
+    things = [ul.scenes.room((6, 4, 3)), ul.scenes.plate(0.5, 0.4, 1.6, yaw_deg=rng.uniform(-20, 20), name="plate"),
+              ul.scenes.plate(1.5, 1.2, -1.7, material="glass", name="pane"),
+              ul.scenes.sphere(0.2, -2.4, name="ball"),
+              ul.scenes.wire(0.003, 1.5, 2.7, tilt_deg=rng.uniform(-40, 40), name="wire"),
+              ul.Scene.of_mesh(box.vertices, box.faces, name="mover", made_of="steel", motion=way)]  # fmt: skip
+    spot = tuple(rng.uniform((-1, -1.5, -1), (1, 1.5, 1)))
+    return ul.Scene.union(things), ul.Trajectory.stationary(spot, yaw_deg=rng.uniform(0, 360))
+
+
+@pytest.mark.parametrize(("seed", "bounces", "apart"), [(1, 1, 0.0), (2, 2, 0.6), (3, 3, 0.0), (4, 3, 0.08)])
+def test_all_contributions_add_up_to_the_frame(seed, bounces, apart):
+    scene, here = furnished(seed)
+    spec = ul.RadarSpec.preset("x4m05", noise=None, antenna_offset_m=apart)
+    frame = ul.simulate(scene, here, spec, max_bounces=bounces, seed=seed).samples[0]
+    told = ul.explain(scene, here, spec, max_bounces=bounces, seed=seed, count=None)
+    assert len({c.object for c in told}) > 6
+    off = abs(sum(c.samples.astype(complex) for c in told) - frame).max() / abs(frame).max()
+    assert off < 1e-4
+    for c in told[:10]:  # what is told of an echo is what it makes in the frame, to what lies between two bins
+        peak = abs(c.samples).argmax()
+        assert abs(spec.range_m[peak] - c.seen_m) < 0.08
+        assert 20 * np.log10(abs(c.samples[peak])) == pytest.approx(c.path_gain_db, abs=3.0)
+
+
+def test_a_ball_is_one_echo_of_its_optical_strength():
+    radius, away = 0.3, 3.0
+    told = ul.explain(ul.scenes.sphere(radius, away), HERE, RADAR)
+    want = RADAR.wavelength_m / (8 * np.pi) * radius / ((away - radius) * away)  # rays spread as from r a / (2 r + 2 a)
+    assert told[0].path_gain_db == pytest.approx(20 * np.log10(want), abs=0.2)
+    assert told[0].range_m == pytest.approx(away - radius, abs=2e-3)
+    assert all(c.path_gain_db < told[0].path_gain_db - 35 for c in told[1:])
+
+
+def corner(sides=("north", "east")):
+    walls = {"north": ((0, 2, 0), -90), "east": ((2, 0, 0), 180), "south": ((0, -2, 0), 90)}
+    return ul.Scene.union([slab(name, *walls[name]) for name in sides])
+
+
+def slab(name, centre, yaw_deg):
+    turn = np.deg2rad(yaw_deg)
+    side = np.array([-np.sin(turn), np.cos(turn), 0]) * 2
+    up = np.array([0, 0, 2.0])
+    points = np.array([centre + a * side + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return ul.Scene.of_mesh(points, np.array([[0, 1, 2], [0, 2, 3]]), name=name, made_of="pec")
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.08, 0.6])
+def test_a_corner_is_one_echo_however_far_the_antennas_are_apart(apart):
+    """Images in faces at right angles commute: over both faces, in either order, is one echo, that of the image."""
+    spec = RADAR.but(antenna_offset_m=apart)
+    found = [c for c in ul.explain(corner(), HERE, spec, max_bounces=2) if c.bounces == 2]
+    way = np.hypot(4, 4)  # from (0, d / 2) over both walls to (0, -d / 2): its image lies at (4, 4 - d / 2)
+    assert found[0].range_m == pytest.approx(way / 2, abs=2e-3)
+    want = spec.wavelength_m / (4 * np.pi * way)
+    assert found[0].path_gain_db == pytest.approx(20 * np.log10(want), abs=0.3)
+    assert all(c.path_gain_db < found[0].path_gain_db - 30 for c in found[1:])
+
+
+def test_orders_that_arrive_apart_are_two_echoes():
+    """Between walls 4 m apart, antennas d apart, one wave goes d less, the other d more than both ways across."""
+    scene = corner(("north", "south"))
+    for apart, ranges in ((0.0, [4.0]), (0.002, [4.0]), (0.6, [3.7, 4.3])):
+        found = [c for c in ul.explain(scene, HERE, RADAR.but(antenna_offset_m=apart), max_bounces=2)
+                 if c.bounces == 2 and c.path_gain_db > -75]  # fmt: skip
+        assert sorted(c.range_m for c in found) == pytest.approx(ranges, abs=5e-3)
+        assert len({c.path for c in found}) == len(ranges)
+        one = 20 * np.log10(RADAR.wavelength_m / (4 * np.pi * 8))
+        assert max(c.path_gain_db for c in found) == pytest.approx(one + (6.02 if len(ranges) == 1 else 0), abs=1.0)
+
+
+def test_what_folds_is_told_once_and_where_it_lies():
+    near = ul.scenes.plate(1, 1, 0.06)
+    assert ul.explain(near, HERE, RADAR)[0].path_gain_db == pytest.approx(
+        ul.explain(near, HERE, RADAR.but(prf_div=40))[0].path_gain_db, abs=1e-6)  # fmt: skip
+    far = ul.explain(ul.scenes.plate(8, 8, 13.0), HERE, RADAR)[0]
+    assert far.range_m == pytest.approx(13.0)
+    assert far.seen_m == pytest.approx(13.0 - C0 / 2 / RADAR.prf_hz)
+    assert "folded to 3.13" in str(far)
+    peak = abs(far.samples).argmax()
+    assert np.angle(far.samples[peak] * np.exp(-1j * far.phase_rad)) == pytest.approx(0, abs=0.1)
+
+
+def test_the_chain_is_told_as_the_wave_runs():
+    floor = ul.scenes.plate(8, 8, 2.0, name="wall", material="steel")
+    told = ul.explain(ul.Scene.union([floor, ul.scenes.wire(0.005, 0.5, 1.0, name="wire")]), HERE, RADAR, max_bounces=3)
+    assert any(c.path == ("wall", "wire", "wall") and c.object == "wire" for c in told)
 
 
 def test_a_moving_target_turns_the_phase():

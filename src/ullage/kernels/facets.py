@@ -391,5 +391,6 @@ def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, field
                     t = (tau[i] - early) / C0 + late + landed - mean
                     x[i] = omega * t
                     places[i] = (t - t0) / dt
-                echo[k] += lay_triangle(grids, w, x, places, scale)
+                value = lay_triangle(grids, w, x, places, scale)
+                echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
                 landed += fold

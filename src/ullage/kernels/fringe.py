@@ -258,10 +258,10 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         while mean - late + shift < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
             if k < many:
-                echo[k] += lay_line(grids, scale * w0, scale * w1, omega * a, omega * b, 1.5 * omega * early / C0,
-                                    (a - t0) / dt, (b - t0) / dt)  # fmt: skip
+                value = lay_line(grids, scale * w0, scale * w1, omega * a, omega * b, 1.5 * omega * early / C0,
+                                 (a - t0) / dt, (b - t0) / dt)  # fmt: skip
             else:
                 value = scale * w0 * turned(omega * a)
                 _lay(grids, VERTEX, (a - t0) / dt, value)
-                echo[k] += value
+            echo[k] += value if mean - late + shift < t0 + fold else 0j  # what lands a pulse later is the same echo
             shift += fold

@@ -64,7 +64,7 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
             while landed < last:
                 part = value * turned(omega * landed)
                 _lay(grids, BULK, (landed - t0) / dt, part)
-                echo[k] += part
+                echo[k] += part if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
                 landed += fold
         delay[k] = total / max(first[k + 1] - first[k], 1)
 

@@ -149,11 +149,11 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
             while mean - late + shift < last:
                 a, b = path0 + shift, path1 + shift
                 if i < 0:
-                    echo[k] += lay_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
+                    value = lay_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
                 else:
                     value = w0 * turned(omega * a)
                     _lay(grids, VERTEX if i < many else EDGE, (a - t0) / dt, value)
-                    echo[k] += value
+                echo[k] += value if mean - late + shift < t0 + fold else 0j  # a pulse later it is the same echo
                 shift += fold
 
 

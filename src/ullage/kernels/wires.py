@@ -138,7 +138,8 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            echo[k] += lay_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
-                                (b - t0) / dt)  # fmt: skip
+            value = lay_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
+                             (b - t0) / dt)  # fmt: skip
+            echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
             landed += fold
             shift += fold

@@ -102,7 +102,7 @@ def _lay_small(
         if len(here):
             pieces, between = (leaves[at[here]], owner[at[here]]), (factor[here], np.zeros(len(here)))
             laid = lay_triangles(bare, part.normals, part.stuffs, pieces, between, ways.view(way, view), grids)
-            out.append(replace(laid, via=ways.via[of[here]]))
+            out.append(ways.told(laid, of[here]))
     return out
 
 
@@ -167,7 +167,7 @@ def _lay_strips(
     told = (faces.normals, plain, ends, ways.frames[strips.of], fields, table, flat,
             factor * ways.weights[strips.of], *rest)  # fmt: skip
     laid, owner = lay_parted(ready, faces, many, rim, limits, shaded, told)
-    return [replace(laid, stuffs=flats.stuffs[strips.on[owner]], via=ways.via[strips.of[owner]])]
+    return [ways.told(replace(laid, stuffs=flats.stuffs[strips.on[owner]]), strips.of[owner])]
 
 
 def _rims_heard(ready: Bench, rim: Rim, gains: Floats, rest: float) -> Bools:

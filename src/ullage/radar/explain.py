@@ -2,41 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.radar.physical import Laid, bench, lay, view_of
+from ullage.kernels import pulse as pulses
+from ullage.radar.physical import Bench, Laid, bench, lay, passive, radio, view_of
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Longs = NDArray[np.int64]
+
 _CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are told as one
+_APART_M = 0.5  # but not where nothing of the object lies between, over more than this
+_IN_STEP = 1 / 8  # waves by the same objects in other orders that differ by no more of a period are told as one
 
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
     """One echo, or several that the pulse cannot part."""
 
-    object: str  # what the wave met last
+    object: str  # what sent the wave back; of several flat faces the last one, or the smaller one
     bounces: int
     delay_s: float  # round trip [s]
     range_m: float  # delay times c / 2 [m]
-    path_gain_db: float  # 20 log10 of sqrt(received / transmitted power), antenna included
+    path_gain_db: float  # 20 log10 of sqrt(received / transmitted power), antenna included; less beyond a frame's ends
     point: tuple[float, float, float]  # on that object, in the world [m]
-    phase_rad: float  # of the echo at the carrier [rad]
+    phase_rad: float  # of the echo at the carrier, as it lies in the frame [rad]
     via: tuple[str, ...] = ()  # objects that mirrored the wave before
+    after: tuple[str, ...] = ()  # objects that mirrored it on the way back
+    seen_m: float = 0.0  # range at which it lies in the frame: `range_m`, less what the pulse interval takes off [m]
+    samples: Samples = field(default_factory=lambda: np.zeros(0, np.complex64), compare=False, repr=False)
+    """(b) what it adds to the frame, noise aside, in units of sqrt(received / transmitted power)."""
+
+    @property
+    def path(self) -> tuple[str, ...]:
+        """All objects that the wave meets, in that order."""
+        return (*self.via, self.object, *self.after)
 
     def __str__(self) -> str:
-        path = " > ".join((*self.via, self.object))
         x, y, z = self.point
         many = "s" if self.bounces > 1 else " "
         strength = f"{self.path_gain_db:7.1f} dB  {self.range_m:7.3f} m  {self.bounces} bounce{many}"
-        return f"{strength}  {path}  at ({x:.2f}, {y:.2f}, {z:.2f})"
+        folded = f", folded to {self.seen_m:.3f} m" if abs(self.seen_m - self.range_m) > 1e-6 else ""
+        return f"{strength}  {' > '.join(self.path)}  at ({x:.2f}, {y:.2f}, {z:.2f}){folded}"
 
 
 def explain(
@@ -47,7 +67,7 @@ def explain(
     *,
     scene: Scene | None = None,
     max_bounces: int | None = None,
-    count: int = 10,
+    count: int | None = 10,
     seed: int | None = None,
 ) -> list[Contribution]:
     """The strongest contributions to one frame, recomputed from the scene.
@@ -62,7 +82,7 @@ def explain(
         i: number of the frame.
         scene: the world of frames that were not simulated here.
         max_bounces: 1 to 3; None: as the frames were simulated, else 1.
-        count: how many at most.
+        count: how many at most; None: all, whose samples add up to the frame as it is without noise and leakage.
         seed: of the fine structure of rough surfaces; None: as the frames were simulated, else 0.
 
     Raises:
@@ -85,9 +105,8 @@ def explain(
         seed = 0 if made is None else made.seed
     if not -len(track) <= number < len(track):
         raise InputError(f"no frame {number}", where="explain", allowed=f"0 to {len(track) - 1}")
-    return contributions(world, track[np.array([number % len(track)])], spec, max_bounces=max_bounces, seed=seed)[
-        :count
-    ]
+    pose = track[np.array([number % len(track)])]
+    return contributions(world, pose, spec, max_bounces=max_bounces, seed=seed, count=count)
 
 
 def _of_frames(frames: Frames, scene: Scene | None) -> tuple[Scene, Trajectory, RadarSpec]:
@@ -102,50 +121,230 @@ def _of_frames(frames: Frames, scene: Scene | None) -> tuple[Scene, Trajectory, 
 
 
 def contributions(
-    scene: Scene, pose: Trajectory, spec: RadarSpec, *, max_bounces: int = 1, seed: int = 0
+    scene: Scene,
+    pose: Trajectory,
+    spec: RadarSpec,
+    *,
+    max_bounces: int = 1,
+    seed: int = 0,
+    count: int | None = None,
 ) -> list[Contribution]:
-    """All contributions at the sensor's one pose, strongest first."""
+    """The contributions at the sensor's one pose, strongest first, all of them or so many."""
     ready = bench(scene, spec, seed=seed)
     grids = np.zeros((3, ready.places), complex)
     view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     laid = lay(ready, view, ready.world.poses(pose.t_ns)[0], max_bounces, grids)
-    return sorted(_told(_merged(laid), scene), key=lambda c: -c.path_gain_db)
+    rows = _rows(laid)
+    found = _alike(spec, list(_clusters(rows)))
+    told = sorted(found, key=lambda c: -np.abs(c.total) * _landing(ready, c)[2])[:count]
+    whole = passive(_heard(ready, grids))
+    return [_told(ready, scene, rows, laid, one, whole) for one in told]
 
 
-def _merged(laid: Iterable[Laid]) -> Laid:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """All echoes of a frame that are not 0."""
+
+    at: Longs  # (n) number among all that are laid
+    echo: Complexes  # (n)
+    delay_s: Floats  # (n)
+    points: Floats  # (n, 3) [m]
+    chains: Longs  # (n, 3) objects in the order in which the wave meets them, -1 for none
+    scatterers: Longs  # (n) which of the chain sent the wave back
+    rays: NDArray[np.bool_]  # (n) mirror points
+    whole: NDArray[np.bool_]  # (n) echoes that mean something without those of the same face
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cluster:
+    """Echoes that are told as one."""
+
+    rows: Longs  # (k)
+    shares: Floats  # (k) of each
+    total: complex
+    point: Floats  # (3) [m]
+    delay_s: float
+    chain: tuple[int, ...]  # objects in the order in which the wave meets them
+    scatterer: int  # which of them holds the point
+    ray: bool  # told by a mirror point
+    whole: bool  # more than what the rims of faces add
+
+
+def _rows(laid: list[Laid]) -> _Rows:
     """Images and rims together, so that one face's echo is told once."""
-    parts = list(laid)
-    via = [np.full((len(p.echo), 2), -1, np.int64) if p.via is None else p.via for p in parts]
-    return Laid(np.concatenate([p.stuffs for p in parts]), np.concatenate([p.points for p in parts]),
-                np.concatenate([p.echo for p in parts]), np.concatenate([p.delay_s for p in parts]),
-                np.concatenate(via))  # fmt: skip
+    chains, scatterers = [], []
+    for part in laid:
+        many = np.arange(len(part.echo))
+        via = np.full((len(many), 2), -1) if part.via is None else part.via
+        before = (via >= 0).sum(1) if part.before is None else part.before
+        chain = np.concatenate([via, np.full((len(many), 1), -1)], 1)
+        chain[before == 1, 2] = via[before == 1, 1]
+        chain[before == 0, 1:] = via[before == 0]
+        chain[many, before] = part.stuffs
+        chains.append(chain)
+        scatterers.append(before)
+    echo = np.concatenate([part.echo for part in laid] or [np.zeros(0, complex)])
+    at = np.flatnonzero(echo)
+    if not len(at):
+        none = np.zeros(0, np.int64)
+        return _Rows(none, echo, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3), np.int64), none, none > 0, none > 0)
+
+    def picked(rows: list[NDArray[Any]]) -> NDArray[Any]:
+        return np.asarray(np.concatenate(rows)[at])
+
+    flags = [(p.rays, np.zeros(len(p.echo), bool), np.ones(len(p.echo), bool)) for p in laid]
+    return _Rows(at, echo[at], picked([p.delay_s for p in laid]), picked([p.points for p in laid]), picked(chains),
+                 picked(scatterers), picked([no if rays is None else rays for rays, no, _ in flags]),
+                 picked([yes if rays is None else rays for rays, _, yes in flags]))  # fmt: skip
 
 
-def _told(part: Laid, scene: Scene) -> list[Contribution]:
-    loud = np.flatnonzero(part.echo != 0)
-    if not len(loud) or part.via is None:
-        return []
-    # grow cells from the loudest echo of each object and chain, so that a peak is never split by a cell's border
-    key = np.concatenate([part.stuffs[loud, None], part.via[loud]], axis=1)
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    ranges = part.delay_s[loud] * C0 / 2
-    out = []
-    for g in range(int(group.max()) + 1):
-        mine = np.flatnonzero(group.ravel() == g)
-        mine = mine[np.argsort(-abs(part.echo[loud[mine]]), kind="stable")]
-        while len(mine):
-            near = abs(ranges[mine] - ranges[mine[0]]) <= _CELL_M
-            out.append(_one(part, scene, loud[mine[near]]))
-            mine = mine[~near]
+def _clusters(rows: _Rows) -> Iterator[_Cluster]:
+    """What each chain of objects returns, by range and, where nothing of the object lies between, by place.
+
+    Cells grow from the loudest echo on, so that a peak is never split. One fades into the next as cos^2: an
+    integral that is cut off returns echoes from the cut [BornWolf1999], one that fades over many waves next to none.
+    """
+    _, group = np.unique(np.column_stack([rows.chains, rows.scatterers]), axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    for mine in np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1]) if len(order) else ():
+        ranges = rows.delay_s[mine] * C0 / 2
+        centres = _centres(ranges, np.abs(rows.echo[mine]))
+        for k, centre in enumerate(centres):
+            share = np.ones(len(mine))
+            for side in centres[max(k - 1, 0) : k], centres[k + 1 : k + 2]:
+                if len(side):
+                    share *= _fading((ranges - centre) / (side[0] - centre), abs(side[0] - centre))
+            held = np.flatnonzero(share > 0)
+            for part in _places(rows.points[mine[held]]):
+                yield _one(rows, mine[held[part]], share[held[part]])
+
+
+def _centres(ranges: Floats, loud: Floats) -> Floats:
+    """Ranges at least a cell apart, loudest first taken, sorted; every range lies within a cell of one."""
+    left, out = np.argsort(-loud, kind="stable"), []
+    while len(left):
+        out.append(ranges[left[0]])
+        left = left[abs(ranges[left] - out[-1]) > _CELL_M]
+    return np.sort(out)
+
+
+def _fading(place: Floats, gap_m: float) -> Floats:
+    """Share of a cell at places (n) from its centre, 0, to its neighbour's, 1, over so much range."""
+    if gap_m >= 2 * _CELL_M:  # nothing lies in between
+        return np.asarray(place < 0.5, float)
+    return np.asarray(np.where(place <= 0, 1.0, np.where(place >= 1, 0.0, np.cos(np.pi / 2 * place) ** 2)))
+
+
+def _places(points: Floats) -> list[Longs]:
+    """Points (n, 3) [m] that hang together."""
+    if (np.ptp(points, axis=0) ** 2).sum() <= _APART_M**2:
+        return [np.arange(len(points))]
+    boxes, box = np.unique(np.floor(points * (4 / _APART_M)), axis=0, return_inverse=True)  # thin out what lies dense
+    near = cKDTree(boxes).query_pairs(4, output_type="ndarray")
+    links = coo_array((np.ones(len(near)), near.T), shape=(len(boxes), len(boxes)))
+    count, label = connected_components(links, directed=False)
+    return [np.flatnonzero(label[box.ravel()] == k) for k in range(count)]
+
+
+def _one(rows: _Rows, mine: Longs, shares: Floats) -> _Cluster:
+    """Some echoes as one, told by their mirror point if it counts for much.
+
+    Else by what lies at their common delay, -d(phase) / d(omega).
+    """
+    echo = rows.echo[mine] * shares
+    total, delays, loud = complex(echo.sum()), rows.delay_s[mine], abs(echo)
+    ray = np.where(rows.rays[mine], loud, 0.0)
+    lead = int(ray.argmax())
+    delay, told = float(delays[lead]), bool(ray[lead] >= max(0.3 * abs(total), 1e-300))
+    if not told:
+        strong = np.flatnonzero(loud >= 0.1 * loud.max())
+        delay = float(((echo * delays).sum() * total.conjugate()).real) / max(abs(total) ** 2, 1e-300)
+        delay = min(max(delay, float(delays[strong].min())), float(delays[strong].max()))
+        lead = int(strong[abs(delays[strong] - delay).argmin()])
+    row = mine[lead]
+    whole = bool((loud * rows.whole[mine]).max() > 0.3 * abs(total))
+    return _Cluster(mine, shares, total, rows.points[row], delay, tuple(int(k) for k in rows.chains[row] if k >= 0),
+                    int(rows.scatterers[row]), told, whole)  # fmt: skip
+
+
+def _alike(spec: RadarSpec, found: list[_Cluster]) -> list[_Cluster]:
+    """Those that met the same objects in another order, as one where they come as one.
+
+    Between faces at right angles all orders have the same length, whatever the antennas' distance: mirror images in
+    them commute. Between others with antennas d apart, two orders differ by 2 d . n at most; where that is more than
+    an eighth of a wave, they are two echoes with phases of their own. Where an order has no mirror path, its rims are
+    what the other one's lack, and belong to it.
+    """
+    period = 1 / spec.center_hz
+    groups: dict[tuple[int, ...], list[_Cluster]] = {}
+    for one in sorted(found, key=lambda c: -abs(c.total)):
+        known = groups.setdefault(tuple(sorted(one.chain)), [])
+        for k, other in enumerate(known):
+            same = one.chain == other.chain
+            most = _IN_STEP * period if one.whole and other.whole and not same else 2 * _CELL_M / C0
+            if abs(one.delay_s - other.delay_s) < most and not (same and one.scatterer == other.scatterer):
+                known[k] = _joined(other, one)
+                break
+        else:
+            known.append(one)
+    return [one for known in groups.values() for one in known]
+
+
+def _joined(one: _Cluster, other: _Cluster) -> _Cluster:
+    """Both as one, told by that with a mirror path; of equals by that whose point lies on the last face."""
+
+    def rank(c: _Cluster) -> tuple[bool, bool, float]:
+        return c.ray, c.scatterer == len(c.chain) - 1 and abs(c.total) > 0.5 * loudest, abs(c.total)
+
+    loudest = max(abs(one.total), abs(other.total))
+    one, other = sorted((one, other), key=rank, reverse=True)
+    return replace(one, rows=np.concatenate([one.rows, other.rows]), total=one.total + other.total,
+                   shares=np.concatenate([one.shares, other.shares]))  # fmt: skip
+
+
+def _landing(ready: Bench, one: _Cluster) -> tuple[float, float, float]:
+    """Delay [s] at which a cluster lies in the frame, its phase there, and what of it still reaches a bin."""
+    spec, fold = ready.spec, ready.fold_s
+    start, end = 2 * spec.range_start_m / C0, 2 * (spec.range_start_m + (spec.bins - 1) * spec.bin_m) / C0
+    laid = 2 * ready.first_m / C0
+    laid += (one.delay_s - laid) % fold  # where the kernels put it first, with this phase
+    later = start + (one.delay_s - start) % fold
+    at = later if later - end <= start - (later - fold) else later - fold
+    phase = np.angle(one.total) - ready.pulse.omega * (at - laid)
+    taps = abs(ready.pulse.taps[1])
+    beyond = round(max(start - at, at - end, 0.0) / ready.pulse.step_s)
+    left = taps[len(taps) // 2 + beyond] / taps.max() if beyond <= len(taps) // 2 else 0.0
+    return at, float(np.angle(np.exp(1j * phase))), float(left) if beyond else 1.0
+
+
+def _told(ready: Bench, scene: Scene, rows: _Rows, laid: list[Laid], one: _Cluster, whole: float) -> Contribution:
+    """The contribution of a cluster, whose samples keep the share `whole` of what is laid."""
+    names, here = [scene.objects[k].name for k in one.chain], one.scatterer
+    at, phase, left = _landing(ready, one)
+    x, y, z = (float(v) for v in one.point)
+    level = float(20 * np.log10(max(abs(one.total) * left * whole, 1e-30)))
+    return Contribution(names[here], len(names), one.delay_s, one.delay_s * C0 / 2, level, (x, y, z), phase,
+                        tuple(names[:here]), tuple(names[here + 1 :]), at * C0 / 2,
+                        _samples(ready, laid, rows, one, whole))  # fmt: skip
+
+
+def _samples(ready: Bench, laid: list[Laid], rows: _Rows, one: _Cluster, whole: float) -> Samples:
+    """What a cluster adds to a frame (b): its echoes laid once more, without all others."""
+    grids = np.zeros((3, ready.places), complex)
+    shares = np.zeros(sum(len(part.echo) for part in laid), complex)
+    np.add.at(shares, rows.at[one.rows], one.shares)
+    first = 0
+    for part in laid:
+        mine = shares[first : first + len(part.echo)]
+        first += len(part.echo)
+        if part.again is not None and mine.any():
+            part.again(mine, grids)
+    out = _heard(ready, grids) * whole
+    return radio(out[None], ready.spec)[0] if ready.spec.output == "rf" else out.astype(np.complex64)
+
+
+def _heard(ready: Bench, grids: Complexes) -> Complexes:
+    """The bins (b) of delay grids."""
+    out = np.zeros(ready.spec.bins, complex)
+    pulses.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out)
     return out
-
-
-def _one(part: Laid, scene: Scene, rows: NDArray[np.int64]) -> Contribution:
-    total = complex(part.echo[rows].sum())
-    lead = rows[0]
-    delay = float(part.delay_s[lead])
-    via = () if part.via is None else tuple(scene.objects[k].name for k in part.via[lead] if k >= 0)
-    x, y, z = (float(v) for v in part.points[lead])
-    level = float(20 * np.log10(max(abs(total), 1e-30)))
-    return Contribution(scene.objects[part.stuffs[lead]].name, 1 + len(via), delay, delay * C0 / 2, level, (x, y, z),
-                        float(np.angle(total)), via)  # fmt: skip

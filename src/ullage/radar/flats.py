@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.folding import limits_of
 from ullage.radar.penetration import TAPS
-from ullage.radar.physical import Bench, Laid, View, common, shading
+from ullage.radar.physical import Bench, Laid, View, common, laid_by, shading
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -127,12 +127,15 @@ def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Flo
     The stuffs of what is laid are told as those of faces.
     """
     owner = np.concatenate([rim.owner, rim.holders, which.astype(np.int32)])
-    echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
     ends = np.concatenate([rim.tips, points])
-    draw.lay_rims(rim.pieces, ends, len(rim.tips), owner, shade, extra, *told, echo, delay, np.empty(TAPS, complex),
-                  np.empty(TAPS))  # fmt: skip
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        draw.lay_rims(rim.pieces, ends, len(rim.tips), owner, shade, extra, *told[:-1], grids, *out,
+                      np.empty(TAPS, complex), np.empty(TAPS))  # fmt: skip
+
     middle = 0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6])
-    return Laid(told[1][owner], np.concatenate([middle, ends[:, :3]]), echo, delay)
+    laid = laid_by(put, shade, told[-1], told[1][owner], np.concatenate([middle, ends[:, :3]]))
+    return replace(laid, rays=np.arange(len(owner)) >= len(owner) - len(points))
 
 
 def _looks(

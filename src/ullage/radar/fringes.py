@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from ullage.kernels import wires as string
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.facets import Surfaces
-from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown, shading
+from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown, laid_by, shading
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -126,12 +127,15 @@ def _lay_fringes(
     seen: tuple[Complexes, Floats],
     grids: Complexes,
 ) -> Laid:
-    told = common(ready, view, grids)
+    told, (shade, extra) = common(ready, view, grids), seen
     owner = np.concatenate([alone.owner, alone.holders])
-    echo, delay = np.empty(len(owner), complex), np.empty(len(owner))
-    fringe.lay_fringes(alone.pieces, alone.tips, owner, *seen, edges.angles, edges.inward, edges.normals,
-                       ready.rims.sheets, *told[:6], *told[8:], echo, delay, np.empty((4, 3)))  # fmt: skip
-    return Laid(edges.stuffs[owner], np.concatenate([_middles(alone.pieces), alone.tips[:, 0]]), echo, delay)
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        fringe.lay_fringes(alone.pieces, alone.tips, owner, shade, extra, edges.angles, edges.inward, edges.normals,
+                           ready.rims.sheets, *told[:6], *told[8:-1], grids, *out, np.empty((4, 3)))  # fmt: skip
+
+    points = np.concatenate([_middles(alone.pieces), alone.tips[:, 0]])
+    return laid_by(put, shade, grids, edges.stuffs[owner], points)
 
 
 def _lay_doubles(
@@ -143,8 +147,10 @@ def _lay_doubles(
     across: tuple[Complexes, Floats],
     grids: Complexes,
 ) -> Laid:
-    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
-    told = common(ready, view, grids)
-    double_fringe.lay_doubles(pieces, owner, *across, pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
-                              ready.rims.both, *told[:6], *told[8:], echo, delay, np.empty((3, 3)))  # fmt: skip
-    return Laid(pairs.stuffs[owner], _middles(pieces) + pairs.gaps[owner] / 2, echo, delay)
+    told, (shade, extra) = common(ready, view, grids), across
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        double_fringe.lay_doubles(pieces, owner, shade, extra, pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
+                                  ready.rims.both, *told[:6], *told[8:-1], grids, *out, np.empty((3, 3)))  # fmt: skip
+
+    return laid_by(put, shade, grids, pairs.stuffs[owner], _middles(pieces) + pairs.gaps[owner] / 2)

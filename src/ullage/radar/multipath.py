@@ -68,7 +68,15 @@ def lay_bounces(
     half = replace(view, factor=0.5 * view.factor)
     back = replace(half, **{row: getattr(view, row)[::-1].copy() for row in ("origins", "frames", "fields")})
     return [*_traced(ready, parts, flats, half, max_bounces, look, grids),
-            *_traced(ready, parts, flats, back, max_bounces, look, grids)]  # fmt: skip
+            *map(_turned, _traced(ready, parts, flats, back, max_bounces, look, grids))]  # fmt: skip
+
+
+def _turned(laid: Laid) -> Laid:
+    """Echoes traced from the receiver, as the wave runs: it meets the face at the end first, then the mirrors."""
+    if laid.via is None:
+        return laid
+    via = np.where(laid.via[:, 1:] >= 0, laid.via[:, ::-1], laid.via)
+    return replace(laid, via=via, before=np.zeros(len(via), np.int64))
 
 
 def _traced(

@@ -53,6 +53,9 @@ class View:
     factor: complex = 1.0 + 0j  # of every echo
 
 
+Again = Callable[[Complexes, Complexes], None]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Laid:
     """Echoes laid down, for those who want to know where they came from."""
@@ -62,6 +65,9 @@ class Laid:
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
     via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
+    before: NDArray[np.int64] | None = None  # (m) how many of them before the object; None: all
+    rays: NDArray[np.bool_] | None = None  # (m) true for a mirror point, false for what its rim adds; None: neither
+    again: Again | None = None  # lays them once more, each times a factor (m), on other grids (3, g)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,10 +257,12 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | 
         starts, ends, view.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
     shade, extra = shading(ready, parts, view, middle)
-    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
     told = common(ready, view, grids)
-    string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:], echo, delay)
-    return Laid(lines.stuffs[owner], middle, echo, delay)
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:-1], grids, *out)
+
+    return laid_by(put, shade, grids, lines.stuffs[owner], middle)
 
 
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
@@ -274,9 +282,26 @@ def lay_triangles(
 ) -> Laid:
     """Lays pieces of triangles, as `triangles` gives them, with factor and delay [s] of what stands before each."""
     (leaves, owner), (shade, extra) = pieces, between
-    echo, delay = np.empty(len(leaves), complex), np.empty(len(leaves))
-    kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *common(ready, view, grids), echo, delay)
-    return Laid(stuffs[owner], leaves.mean(1), echo, delay)
+    told = common(ready, view, grids)
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out)
+
+    return laid_by(put, shade, grids, stuffs[owner], leaves.mean(1))
+
+
+def laid_by(
+    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: NDArray[np.int32], points: Floats
+) -> Laid:
+    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays."""
+    many = len(shade)
+    echo, delay = np.empty(many, complex), np.empty(many)
+    put(shade, grids, echo, delay)
+
+    def again(factors: Complexes, others: Complexes) -> None:
+        put(shade * factors, others, np.empty(many, complex), np.empty(many))
+
+    return Laid(stuffs, points, echo, delay, again=again)
 
 
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from ullage.geometry import C0
 from ullage.kernels import grit as kernel
 from ullage.radar.facets import Surfaces
 from ullage.radar.penetration import COSINES, reflection_tables
-from ullage.radar.physical import Bench, Laid, View, common, shading
+from ullage.radar.physical import Bench, Laid, View, common, laid_by, shading
 from ullage.radar.prepared import Prepared
 from ullage.radar.wires import moved
 from ullage.specs import RadarSpec
@@ -150,11 +151,13 @@ def lay_grit(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | No
     shade, extra = np.zeros(len(at), complex), np.zeros(len(at))
     if len(near):
         shade[near], extra[near] = shading(ready, parts, view, at[near])
-    echo, delay = np.empty(len(at), complex), np.empty(len(at))
-    told = common(ready, view, grids)
-    kernel.lay_grit(grit.points, grit.normals, grit.weights, grit.stuffs, grit.first, shade, extra, _lobes(ready),
-                    *told[:6], *told[8:], echo, delay)  # fmt: skip
-    return Laid(grit.stuffs[grit.middles], at, echo, delay)
+    told, lobes = common(ready, view, grids), _lobes(ready)
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        kernel.lay_grit(grit.points, grit.normals, grit.weights, grit.stuffs, grit.first, shade, extra, lobes,
+                        *told[:6], *told[8:-1], grids, *out)  # fmt: skip
+
+    return laid_by(put, shade, grids, grit.stuffs[grit.middles], at)
 
 
 def _lobes(ready: Bench) -> Floats:

@@ -9,7 +9,7 @@ the gate is left out before anything else is asked of it: cost follows what is h
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ullage.kernels import ways as kernel
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.multipath import most_looked
-from ullage.radar.physical import Bench, View
+from ullage.radar.physical import Bench, Laid, View
 from ullage.radar.visibility import between
 
 Floats = NDArray[np.float64]
@@ -38,7 +38,7 @@ class Ways:
     """Ways there and back, over none, one or two faces on each leg."""
 
     faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
-    via: Longs  # (n, 2) objects that mirror on the way, -1 for none
+    via: Longs  # (n, 2) objects that mirror on the way, as the wave meets them, -1 for none
     legs: Longs  # (n, 2) legs that are alike have one number
     weights: Floats  # (n)
     images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
@@ -53,6 +53,10 @@ class Ways:
     def ends(self) -> Floats:
         """The radars (n, 2, 3) as what the ways lead to sees them [m]."""
         return np.ascontiguousarray(self.images[:, :, 2])
+
+    def told(self, laid: Laid, of: Longs) -> Laid:
+        """Echoes with the ways (m) by which they come."""
+        return replace(laid, via=self.via[of], before=(self.faces[of, 0] >= 0).sum(1))
 
     def view(self, way: int, view: View) -> View:
         """The radar as one way's end sees it: its antennas' last images, mirrored."""
@@ -87,8 +91,8 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
 def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Longs]:
     """Ways over so many faces for two bounces and for three, by places in one list of all these and then of none.
 
-    Places of the faces (n, 2, 2) of both legs and, one after the other, (n, 2); how often each way counts (n); a number
-    (n, 2) for each leg that differs.
+    Places of the faces (n, 2, 2) of both legs and, as the wave meets them, (n, 2); how often each way counts (n); a
+    number (n, 2) for each leg that differs.
     """
     told: list[Legs] = []
     for bounces, count in enumerate(counts, 2):
@@ -97,7 +101,7 @@ def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Lon
             if not (one and chains[0] < chains[1]):
                 told += _picks(range(start, start + count), chains, one)
     rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in told]
-    over = [(*there, *back, -1)[:2] for there, back in told]
+    over = [(*there, *back[::-1], -1)[:2] for there, back in told]
     twice = np.array([2.0 if one and there != back else 1.0 for there, back in told])
     known: dict[tuple[int, tuple[int, ...]], int] = {}
     legs = [[known.setdefault((0 if one else side, leg), len(known)) for side, leg in enumerate(way)] for way in told]

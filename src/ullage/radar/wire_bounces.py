@@ -9,6 +9,7 @@ wire counts where its path meets the faces within their rims and is free on all 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from ullage.kernels import ways as kernel
 from ullage.kernels import wires as string
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown
+from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown, laid_by
 from ullage.radar.ways import Ways, reached
 from ullage.radar.wires import placed
 
@@ -53,11 +54,15 @@ def lay_wire_bounces(
     if not free.any():
         return []
     _, _, _, table, flat, factor, _, _, *rest = common(ready, view, grids)
-    echo, delay = np.empty(len(pieces), complex), np.empty(len(pieces))
-    string.lay_wires(pieces, owner, free.astype(complex), np.zeros(len(pieces)), lines.radii[met.on],
-                     _series(ready, met), radars, ways.frames[met.of], np.repeat(view.fields[None], len(met.on), 0),
-                     table, flat, factor * ways.weights[met.of], *rest, echo, delay)  # fmt: skip
-    return [Laid(lines.stuffs[met.on[owner]], middle, echo, delay, ways.via[met.of[owner]])]
+    told = (lines.radii[met.on], _series(ready, met), radars, ways.frames[met.of],
+            np.repeat(view.fields[None], len(met.on), 0), table, flat, factor * ways.weights[met.of])  # fmt: skip
+    at_once = np.zeros(len(pieces))
+
+    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
+        string.lay_wires(pieces, owner, shade, at_once, *told, *rest[:-1], grids, *out)
+
+    laid = laid_by(put, free.astype(complex), grids, lines.stuffs[met.on[owner]], middle)
+    return [ways.told(laid, met.of[owner])]
 
 
 def _met(ready: Bench, flats: Flats, view: View, ways: Ways, starts: Floats, ends: Floats) -> Strung:

@@ -52,15 +52,15 @@ def explain_figure(
 def _profile(axes: Axes, frames: Frames, i: int, shown: Sequence[Contribution]) -> None:
     level = 20 * np.log10(np.maximum(abs(frames.samples[i]), 1e-12))
     axes.plot(frames.range_m, level, color="0.35", lw=1)
-    fold, base = frames.spec.unambiguous_range_m, float(np.percentile(level, 5))
+    base = float(np.percentile(level, 5))
     top = max([float(level.max()), *(c.path_gain_db for c in shown)], default=0.0)
     base = max(base, top - 90)
     for k, c in enumerate(shown):
-        at = c.range_m % fold
+        at = c.seen_m
         axes.plot(at, c.path_gain_db, "o", color=_COLORS[c.bounces - 1], ms=5)
         axes.annotate(str(k + 1), (at, c.path_gain_db), xytext=(3, 5), textcoords="offset points", fontsize=8,
                       color=_COLORS[c.bounces - 1])  # fmt: skip
-    lines = [f"{k + 1}  {' > '.join((*c.via, c.object))}, {c.range_m:.2f} m, {c.path_gain_db:.0f} dB"
+    lines = [f"{k + 1}  {' > '.join(c.path)}, {c.range_m:.2f} m, {c.path_gain_db:.0f} dB"
              for k, c in enumerate(shown)]  # fmt: skip
     axes.text(0.985, 0.975, "\n".join(lines), transform=axes.transAxes, ha="right", va="top", fontsize=7,
               bbox={"facecolor": "white", "edgecolor": "0.85", "alpha": 0.9})  # fmt: skip
