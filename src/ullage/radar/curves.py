@@ -22,7 +22,7 @@ from ullage.kernels import ways as kernel
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.flats import Outlined, Rim, lay_parted, parted
 from ullage.radar.mirrors import unit
-from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown, lay_triangles
+from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, centroids, common, grown, lay_triangles
 from ullage.radar.solids import Backs
 from ullage.radar.ways import Ways, reached
 
@@ -95,7 +95,7 @@ def _lay_small(
     leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
         part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of))  # fmt: skip
     of, at = np.nonzero(reach[:, owner])
-    factor = heard(ready, parts, flats, view, ways, of, leaves.mean(1), part.stuffs[owner[at]], at)
+    factor = heard(ready, parts, flats, view, ways, of, centroids(leaves), part.stuffs[owner[at]], at)
     free = np.flatnonzero(factor)
     out, bare = [], _bare(ready)
     for way, here in enumerate(np.split(free, np.searchsorted(of[free], np.arange(1, len(ways))))):

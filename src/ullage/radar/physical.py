@@ -267,7 +267,7 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | 
 
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
     leaves, owner = triangles(ready, part, view)
-    shade, extra = shading(ready, parts, view, leaves.mean(1))
+    shade, extra = shading(ready, parts, view, centroids(leaves))
     return lay_triangles(ready, part.normals, part.stuffs, (leaves, owner), (shade, extra), view, grids)
 
 
@@ -287,7 +287,12 @@ def lay_triangles(
     def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
         kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out)
 
-    return laid_by(put, shade, grids, stuffs[owner], leaves.mean(1))
+    return laid_by(put, shade, grids, stuffs[owner], centroids(leaves))
+
+
+def centroids(triangles: Floats) -> Floats:
+    """Centres (n, 3) of triangles (n, 3, 3); numpy's mean takes five times as long over so short an axis."""
+    return np.asarray((triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3)
 
 
 def laid_by(

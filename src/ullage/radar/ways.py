@@ -56,7 +56,8 @@ class Ways:
 
     def told(self, laid: Laid, of: Longs) -> Laid:
         """Echoes with the ways (m) by which they come."""
-        return replace(laid, via=self.via[of], before=(self.faces[of, 0] >= 0).sum(1))
+        there = self.faces[:, 0] >= 0
+        return replace(laid, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
 
     def view(self, way: int, view: View) -> View:
         """The radar as one way's end sees it: its antennas' last images, mirrored."""
