@@ -37,9 +37,7 @@ def main(count):
     whole = ul.Trajectory.line((-11.5, -7, 4), (11, -7, 4), 0.5, 17)
     path = whole[np.linspace(0, len(whole) - 1, count).astype(int)]
     frames(hold, path[:1])
-    angles = 2 * np.pi * (np.arange(64) + 0.5) / 64
-    turn = np.stack([np.cos(angles), np.sin(angles)], 1)
-    dense, _ = frames(hold, path, RAYS=64, _TURN=turn, CELLS=30, BEST=200, FAINT=0, LAST=2.25 * np.pi)
+    dense, _ = frames(hold, path, RAYS=96, CELLS=60, HALVINGS=3, BEST=200, FAINT=0, LAST=6 * np.pi)
     peak = abs(dense).max(1)
     for name, settings in {"one point": {"BEST": 0}, "as they are": {}}.items():
         ours, spent = frames(hold, path, **settings)

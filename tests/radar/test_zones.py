@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
 
 import ullage as ul
+from ullage.kernels import zones as kernel
 from ullage.radar import zones
 from ullage.radar.physical import echoes
 from ullage.world import scenes
@@ -66,23 +68,51 @@ def test_in_the_open_nothing_changes(monkeypatch):
     assert ours == pytest.approx(echoes(room, path, RADAR, max_bounces=3), abs=1e-12)
 
 
+def drawn(corners, turn, last):
+    """Phases (rays) at which rays from the origin leave a polygon (n, 3)."""
+    edges = np.ascontiguousarray(np.stack([corners, np.roll(corners, -1, 0)], 1))
+    out = np.empty((1, len(turn)))
+    kernel.outline(np.zeros((1, 3)), np.eye(3)[None, :2].copy(), np.zeros(1, np.int64),
+                   np.array([0, len(corners)], np.int32), edges, turn, last, out)  # fmt: skip
+    return out
+
+
+SQUARE = np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]], float)
+
+
 def test_the_outline_lies_where_its_edges_are():
-    square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
-    corners = np.array([[x + 0.25, y, 0] for x, y in square])
-    edges = np.stack([corners, np.roll(corners, -1, 0)], 1)[None]
     angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    away = zones._outline(np.zeros((1, 3)), np.eye(3)[None, :2], edges, np.stack([np.cos(angle), np.sin(angle)], 1))
+    turn = np.stack([np.cos(angle), np.sin(angle)], 1)
+    away = np.sqrt(drawn(SQUARE + np.array([0.25, 0, 0]), turn, 99.0))
     half = 2**0.5
     assert away[0] == pytest.approx([1.25, half, 1, 0.75 * half, 0.75, 0.75 * half, 1, half])
 
 
 def test_a_zone_all_free_adds_up_to_the_closed_form():
     """Over the whole plane the fading weight integrates to its end less its start, the same along each ray."""
-    far = 100 * np.array([[[1, 1, 0], [-1, 1, 0]], [[-1, 1, 0], [-1, -1, 0]], [[-1, -1, 0], [1, -1, 0]],
-                          [[1, -1, 0], [1, 1, 0]]], float)  # fmt: skip
-    middle, axes = np.zeros((1, 3)), np.eye(3)[None, :2]
-    zone = zones.Zone(middle, axes, np.minimum(zones._outline(middle, axes, far[None], zones._TURN) ** 2, zones.LAST))
+    ends, out = drawn(100 * SQUARE, zones._turn(zones.RAYS), zones.LAST), np.empty(1, complex)
+    assert (ends == zones.LAST).all()
+    kernel.whole(ends, zones.LAST, out)
     phase = np.linspace(0, zones.LAST, 20001)
     dense = np.trapezoid(np.exp(-1j * phase) * (1 - phase / zones.LAST), phase)
-    assert zone.weights.sum() / zones.RAYS == pytest.approx(dense, abs=1e-6)
-    assert np.linalg.norm(zone.points, axis=-1).max() ** 2 < zones.LAST
+    assert out[0] / zones.RAYS == pytest.approx(dense, abs=1e-6)
+
+
+@pytest.mark.parametrize("v", [-1.4, -0.5, 0.02, 0.3, 0.8, 1.4])
+def test_behind_a_straight_border_is_what_fresnels_integral_gives(v):
+    """A half plane free beyond v root(pi / 2) of a phase of 1 rad from the mirror point [BornWolf1999]."""
+    edge = v * np.sqrt(np.pi / 2)
+    rays, cells, last = zones.RAYS, zones.CELLS, zones.LAST
+    turn, ends = zones._turn(rays * zones.FINE), np.full((1, rays * zones.FINE), last)
+    border = np.where(turn[:: zones.FINE, 0] * edge > 0, (edge / turn[:: zones.FINE, 0]) ** 2, np.inf)
+    borders = np.broadcast_to(last * np.arange(cells) / cells, (1, rays, cells)).copy()
+    within = last * (np.arange(cells) + 0.5) / cells
+    free = np.where((turn[:: zones.FINE, :1] > 0) == (edge > 0), (within > border[:, None]) == (edge > 0), edge < 0)
+    free = np.ascontiguousarray(free[None])
+    for r, c in np.argwhere(free[0, :, 1:] != free[0, :, :-1]):
+        borders[0, r, c + 1] = border[r]
+    out = np.empty(1, complex)
+    kernel.parts(free, borders, ends, last, np.empty((rays, cells)), np.empty(rays, np.int64), out)
+    sine, cosine = fresnel(v)
+    want = (1 + 1j) / 2 * ((0.5 - cosine) - 1j * (0.5 - sine))
+    assert out[0] == pytest.approx(want, abs=0.09)

@@ -4,17 +4,21 @@ The echo of a flat face comes from about its mirror point, with the weight e^{-j
 over a point of the face exceeds the shortest; in polar coordinates this integrates over phi in closed form between the
 borders of face and shadow along each direction [BornWolf1999]. The free share is that integral over what is
 free, divided by that over the whole lit part: 1 in the open, a knife edge's Fresnel integral near a straight border.
+Paths are followed along some rays; what is hidden has straight borders mostly, which are drawn from ray to ray.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.kernels import bounces
+from ullage.kernels import zones as kernel
 from ullage.radar.antenna import gain
 from ullage.radar.facets import Flats
 from ullage.radar.physical import Bench, View
@@ -28,57 +32,47 @@ Longs = NDArray[np.int64]
 
 NEAR = 0.02
 """Paths over points that exceed the mirror path by more than this many waves are judged by one point."""
-BEST = 8
+BEST = 16
 """So many paths of a frame, the strongest if they were free, are judged over their zone."""
 FAINT = 0.02
 """Paths this much weaker than the strongest of a frame, free or not, are judged by one point."""
-RAYS = 12
-"""Directions about the mirror point."""
+RAYS = 24
+"""Directions about the mirror point in which paths are followed."""
+FINE = 4
+"""So many times as many in which borders of face and shadow are drawn."""
 CELLS = 8
-"""Points along each."""
-LAST = 1.5 * np.pi
+"""Points along each that is followed."""
+HALVINGS = 1
+"""How often the gap is halved between a free point and a hidden one."""
+LAST = 2.25 * np.pi
 """Phase [rad] at which the weight of a zone has faded out."""
 
 
-_ANGLES = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
-_TURN = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], 1)
+@lru_cache(maxsize=4)
+def _turn(rays: int) -> Floats:
+    """Cosine and sine (rays, 2) of the directions."""
+    angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
+    return np.stack([np.cos(angles), np.sin(angles)], 1)
 
 
-class Zone:
-    """Cells of the zones of some paths (k): points on their last faces, and what each cell counts for."""
-
-    __slots__ = ("points", "weights")
-
-    def __init__(self, lit: Floats, axes: Floats, last: Floats) -> None:
-        """Lays RAYS x CELLS cells about points (k, 3), as far as the phases `last` (k, RAYS) [rad].
-
-        The axes (k, 2, 3) [m] lead from each point to where the phase is 1 rad.
-        """
-        border = last[..., None] * (np.arange(CELLS + 1) / CELLS)
-        value = _summed(border)
-        self.weights = value[..., 1:] - value[..., :-1]
-        middle = np.sqrt((border[..., 1:] + border[..., :-1]) / 2)  # where the cell is asked
-        self.points = lit[:, None, None] + middle[..., None] * (_TURN @ axes)[:, :, None]
+def _phases(ends: Floats, shares: Floats) -> Floats:
+    """Phases [rad] up to which such shares of the fading weight lie, on rays that end at some phase."""
+    return np.asarray(LAST * (1 - np.sqrt(1 - shares * (1 - (1 - ends / LAST) ** 2))))
 
 
-def _summed(phase: Floats) -> Complexes:
-    """What a direction of a zone counts as far as a phase [rad], the weight fading until `LAST`; -1 / LAST + j at 0."""
-    return np.asarray(np.exp(-1j * phase) * (1j * (1 - phase / LAST) - 1 / LAST))
+@dataclass(frozen=True, slots=True, eq=False)
+class Zones:
+    """The Fresnel zones of some paths (k)."""
 
+    paths: Longs  # (k)
+    lit: Floats  # (k, 3) mirror points [m]
+    axes: Floats  # (k, 2, 3) to where the phase is 1 rad [m]
+    ends: Floats  # (k, FINE RAYS) phases at which the lit part of the last face ends [rad]
 
-def _outline(lit: Floats, axes: Floats, edges: Floats, turn: Floats) -> Floats:
-    """How far (k, rays) the outline lies from each point in each direction, in units of the axes."""
-    square = np.einsum("kai,kai->ka", axes, axes)
-    flat = np.einsum("kesi,kai->kesa", edges - lit[:, None, None], axes) / square[:, None, None]
-    a, b = flat[:, None, :, 0], flat[:, None, :, 1]
-    d = b - a
-    t = turn[None, :, None]
-    bottom = t[..., 0] * d[..., 1] - t[..., 1] * d[..., 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        away = (a[..., 0] * d[..., 1] - a[..., 1] * d[..., 0]) / bottom
-        along = (a[..., 0] * t[..., 1] - a[..., 1] * t[..., 0]) / bottom
-    met = (away > 0) & (along >= -1e-9) & (along <= 1 + 1e-9)
-    return np.asarray(np.where(met, away, np.inf).min(2))
+    def at(self, zone: Longs, ray: Longs, phase: Floats) -> Floats:
+        """Points (n, 3) of zones (n) on rays (n) that are followed, at phases (n) [rad]."""
+        turn = np.sqrt(phase)[:, None] * _turn(FINE * RAYS)[::FINE][ray]
+        return np.asarray(self.lit[zone] + turn[:, :1] * self.axes[zone, 0] + turn[:, 1:] * self.axes[zone, 1])
 
 
 def shares(
@@ -101,24 +95,46 @@ def shares(
         weights: (b) of the paths, 0 where it does not matter.
         clear: whether paths (n, 5, 3) of weights (n) are free.
     """
-    chosen, zone = _strongest(ready, flats, view, beams, path, weights)
-    owner, counts = np.repeat(chosen, RAYS * CELLS), zone.weights.reshape(len(chosen), RAYS * CELLS)
-    more = np.empty((len(owner), 5, 3))
-    bounces.legs(beams.images[owner], beams.firsts[owner], beams.chains[owner], flats.normals, flats.offsets,
-                 view.origins, zone.points.reshape(-1, 3), more)  # fmt: skip
-    counts[abs(counts) < 1e-2 * abs(counts).max(1, keepdims=True)] = 0
-    some = counts.ravel() != 0
-    free = clear(np.concatenate([path, more[some]]), np.concatenate([weights, np.ones(some.sum())]))
-    out = free[: len(path)].astype(complex)
-    seen = np.zeros(counts.shape, bool)
-    seen.ravel()[some] = free[len(path) :]
-    out[chosen] = (counts * seen).sum(1) / counts.sum(1)
+    zones = _strongest(ready, flats, view, beams, path, weights)
+    many = len(zones.paths)
+
+    def legs(of: Longs, points: Floats) -> Floats:
+        row, out = zones.paths[of], np.empty((len(of), 5, 3))
+        bounces.legs(beams.images[row], beams.firsts[row], beams.chains[row], flats.normals, flats.offsets,
+                     view.origins, points, out)  # fmt: skip
+        return out
+
+    of, ray = (row.ravel() for row in np.indices((many, RAYS, CELLS))[:2])
+    asked = _phases(zones.ends[:, ::FINE, None], (np.arange(CELLS) + 0.5) / CELLS)
+    more = legs(of, zones.at(of, ray, asked.ravel()))
+    clears = clear(np.concatenate([path, more]), np.concatenate([weights, np.ones(len(more))]))
+    out, free = clears[: len(path)].astype(complex), clears[len(path) :].reshape(many, RAYS, CELLS)
+    borders = _borders(zones, asked, free, lambda of, points: clear(legs(of, points), np.ones(len(of))))
+    found = np.empty(many, complex)
+    kernel.parts(free, borders, zones.ends, LAST, np.empty((RAYS, CELLS)), np.empty(RAYS, np.int64), found)
+    out[zones.paths] = found
     return out
 
 
-def _strongest(
-    ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, weights: Floats
-) -> tuple[Longs, Zone]:
+def _borders(
+    zones: Zones, asked: Floats, free: NDArray[np.bool_], clear: Callable[[Longs, Floats], NDArray[np.bool_]]
+) -> Floats:
+    """Phases (k, rays, cells) at which cells begin that were asked at these phases, where light and shadow change.
+
+    `clear` tells whether paths of zones (n) over points (n, 3) are free.
+    """
+    borders = np.zeros(asked.shape)
+    of, ray, cell = np.nonzero(free[:, :, 1:] != free[:, :, :-1])
+    low, high, lit = asked[of, ray, cell], asked[of, ray, cell + 1], free[of, ray, cell]
+    for _ in range(HALVINGS if len(of) else 0):
+        middle = (low + high) / 2
+        same = clear(of, zones.at(of, ray, middle)) == lit
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    borders[of, ray, cell + 1] = (low + high) / 2
+    return borders
+
+
+def _strongest(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, weights: Floats) -> Zones:
     """Paths over mirror points that would be the strongest if nothing stood in their way, and their zones."""
     normals, offsets = flats.normals[beams.ends_on], flats.offsets[beams.ends_on]
     there, back = _size(path[:, 3] - beams.images), _size(view.origins[1] - path[:, 3])
@@ -136,18 +152,17 @@ def _strongest(
     out = np.where(size > 1e-6, out / np.maximum(size, 1e-9), np.array([1.0, 0.0]))
     turned = np.stack([-out[:, 1], out[:, 0]], 1)
     axes = np.stack([out / slant, turned], 1) * reach[..., None] @ across
-    last = np.minimum(_outline(lit, axes, _outlines(beams, some), _TURN) ** 2, LAST)
-    level *= abs((_summed(last) - _summed(np.zeros(1))).sum(1))
+    rough = np.empty((len(some), RAYS))
+    kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(RAYS), LAST, rough)
+    counts = np.empty(len(some), complex)
+    kernel.whole(rough, LAST, counts)
+    level *= abs(counts)
     order = np.argsort(-level)[:BEST]
     order = order[level[order] > FAINT * level.max(initial=0.0)]
-    return some[order], Zone(lit[order], axes[order], last[order])
-
-
-def _outlines(beams: Beams, some: Longs) -> Floats:
-    """Outlines (k, e, 2, 3) of the lit parts of some beams, the last edge again where one has fewer than others."""
-    first, last = beams.first[some], beams.first[some + 1] - 1
-    most = int((last - first).max(initial=0)) + 1
-    return np.asarray(beams.edges[np.minimum(first[:, None] + np.arange(most), last[:, None])])
+    ends = np.empty((len(order), FINE * RAYS))
+    some, lit, axes = some[order], lit[order], np.ascontiguousarray(axes[order])
+    kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(FINE * RAYS), LAST, ends)
+    return Zones(some, lit, axes, ends)
 
 
 def _level(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, weights: Floats, some: Longs) -> Floats:

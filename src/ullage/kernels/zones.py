@@ -1,0 +1,114 @@
+"""Loops over the Fresnel zones of mirror paths: how far faces reach in each direction, and what of a zone is free."""
+
+from __future__ import annotations
+
+import math
+
+from ullage.kernels.loops import core, lean
+
+
+@lean(nogil=True, error_model="numpy")
+def outline(lit, axes, which, first, edges, turn, last, out):  # type: ignore[no-untyped-def]
+    """Phase (k, rays) at which each ray from a mirror point leaves the face's lit part, at most `last` [rad].
+
+    Args:
+        lit: (k, 3) mirror points [m].
+        axes: (k, 2, 3) at right angles, to where the phase is 1 rad [m].
+        which: (k) outline of each.
+        first: (b + 1) first edge of each outline; edges: (e, 2, 3) [m].
+        turn: (rays, 2) cosine and sine of each ray's angle to the axes.
+        last: [rad].
+        out: (k, rays) gets the phases [rad].
+    """
+    for i in range(len(lit)):
+        for r in range(len(turn)):
+            out[i, r] = last
+        sizes = 0.0, 0.0
+        for k in range(3):
+            sizes = sizes[0] + axes[i, 0, k] ** 2, sizes[1] + axes[i, 1, k] ** 2
+        for e in range(first[which[i]], first[which[i] + 1]):
+            ax, ay, bx, by = 0.0, 0.0, 0.0, 0.0
+            for k in range(3):
+                a, b = edges[e, 0, k] - lit[i, k], edges[e, 1, k] - lit[i, k]
+                ax, ay = ax + a * axes[i, 0, k] / sizes[0], ay + a * axes[i, 1, k] / sizes[1]
+                bx, by = bx + b * axes[i, 0, k] / sizes[0], by + b * axes[i, 1, k] / sizes[1]
+            for r in range(len(turn)):
+                x, y = turn[r, 0], turn[r, 1]
+                bottom = x * (by - ay) - y * (bx - ax)
+                if bottom == 0:
+                    continue
+                away, along = (ax * (by - ay) - ay * (bx - ax)) / bottom, (ax * y - ay * x) / bottom
+                if away > 0 and -1e-9 <= along <= 1 + 1e-9:
+                    out[i, r] = min(out[i, r], away * away)
+
+
+@core(nogil=True, error_model="numpy")
+def _summed(phase, last):  # type: ignore[no-untyped-def]
+    """What a direction counts as far as a phase, the weight fading until `last`."""
+    real, imag = -1 / last, 1 - phase / last
+    cosine, sine = math.cos(phase), -math.sin(phase)
+    return complex(real * cosine - imag * sine, real * sine + imag * cosine)
+
+
+@lean(nogil=True, error_model="numpy")
+def whole(ends, last, out):  # type: ignore[no-untyped-def]
+    """What rays (k, rays) that end at these phases count together (k) if all is free."""
+    for i in range(len(ends)):
+        total = 0j
+        for r in range(ends.shape[1]):
+            total += _summed(ends[i, r], last) - _summed(0.0, last)
+        out[i] = total
+
+
+@core(nogil=True, error_model="numpy")
+def _between(one, other, share, step):  # type: ignore[no-untyped-def]
+    """Phase at which a line that crosses two rays at these phases crosses one between them."""
+    first, second = math.sin((1 - share) * step), math.sin(share * step)
+    place = math.sin(step) / (first / math.sqrt(max(one, 1e-12)) + second / math.sqrt(max(other, 1e-12)))
+    return place * place
+
+
+@core(nogil=True, error_model="numpy")
+def _turns(free, borders, out):  # type: ignore[no-untyped-def]
+    """Phases at which light and shadow change along a ray of cells, and how many there are."""
+    count = 0
+    for c in range(1, len(free)):
+        if free[c] != free[c - 1]:
+            out[count] = borders[c]
+            count += 1
+    return count
+
+
+@lean(nogil=True, error_model="numpy")
+def parts(free, borders, ends, last, turns, counts, out):  # type: ignore[no-untyped-def]
+    """What part (k) of each zone is free. Borders of shadow run straight from one ray that was followed to the next.
+
+    Args:
+        free: (k, rays, cells) whether each cell of the rays that were followed is free.
+        borders: (k, rays, cells) phases at which the cells begin [rad].
+        ends: (k, n rays) phases at which the face ends, on n times as many rays, those followed among them [rad].
+        last: phase at which the weight has faded out [rad].
+        turns, counts: (rays, cells), (rays), scratch.
+        out: (k) gets the shares.
+    """
+    rays, fine = free.shape[1], ends.shape[1] // free.shape[1]
+    step = 2 * math.pi / rays
+    for i in range(len(free)):
+        total, some = 0j, 0j
+        for r in range(rays):
+            counts[r] = _turns(free[i, r], borders[i, r], turns[r])
+        for j in range(rays * fine):
+            one = j // fine
+            other, share, end = (one + 1) % rays, j / fine - one, ends[i, j]
+            total += _summed(end, last) - _summed(0.0, last)
+            alike = share > 0 and counts[one] == counts[other] and free[i, one, 0] == free[i, other, 0]
+            here = one if share < 0.5 else other
+            lit, begin = free[i, here, 0], 0.0
+            for c in range(counts[here] + 1):
+                stop = end
+                if c < counts[here]:
+                    stop = min(_between(turns[one, c], turns[other, c], share, step) if alike else turns[here, c], end)
+                if lit:
+                    some += _summed(stop, last) - _summed(begin, last)
+                lit, begin = not lit, stop
+        out[i] = some / total
