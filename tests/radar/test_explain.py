@@ -123,7 +123,7 @@ def test_a_corner_is_one_echo_however_far_the_antennas_are_apart(apart):
 def test_orders_that_arrive_apart_are_two_echoes():
     """Between walls 4 m apart, antennas d apart, one wave goes d less, the other d more than both ways across."""
     scene = corner(("north", "south"))
-    for apart, ranges in ((0.0, [4.0]), (0.002, [4.0]), (0.6, [3.7, 4.3])):
+    for apart, ranges in ((0.0, [4.0]), (0.002, [4.0]), (0.02, [3.99, 4.01]), (0.6, [3.7, 4.3])):
         found = [c for c in ul.explain(scene, HERE, RADAR.but(antenna_offset_m=apart), max_bounces=2)
                  if c.bounces == 2 and c.path_gain_db > -75]  # fmt: skip
         assert sorted(c.range_m for c in found) == pytest.approx(ranges, abs=5e-3)
@@ -133,6 +133,8 @@ def test_orders_that_arrive_apart_are_two_echoes():
 
 
 def test_what_folds_is_told_once_and_where_it_lies():
+    last = RADAR.range_m[-1] + 0.05  # before the frame's first bin, a pulse later, it lies farther off
+    assert ul.explain(ul.scenes.plate(8, 8, last), HERE, RADAR)[0].seen_m == pytest.approx(last)
     near = ul.scenes.plate(1, 1, 0.06)
     assert ul.explain(near, HERE, RADAR)[0].path_gain_db == pytest.approx(
         ul.explain(near, HERE, RADAR.but(prf_div=40))[0].path_gain_db, abs=1e-6)  # fmt: skip
@@ -145,6 +147,13 @@ def test_what_folds_is_told_once_and_where_it_lies():
 
 
 def test_the_chain_is_told_as_the_wave_runs():
+    small = slab("plate", (0, -1, 0), 90)
+    small = replace(small, vertices=small.vertices * [0.1, 1, 0.1])
+    told = ul.explain(ul.Scene.union([corner(("north",)), small]), HERE, RADAR.but(antenna_offset_m=0.6), max_bounces=2)
+    found = {c.path: c for c in told if c.bounces == 2}
+    assert found["north", "plate"].range_m == pytest.approx(2.7, abs=5e-3)
+    assert found["plate", "north"].range_m == pytest.approx(3.3, abs=5e-3)
+    assert {c.object for c in found.values()} == {"plate"}
     floor = ul.scenes.plate(8, 8, 2.0, name="wall", material="steel")
     told = ul.explain(ul.Scene.union([floor, ul.scenes.wire(0.005, 0.5, 1.0, name="wire")]), HERE, RADAR, max_bounces=3)
     assert any(c.path == ("wall", "wire", "wall") and c.object == "wire" for c in told)
