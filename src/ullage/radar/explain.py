@@ -25,7 +25,7 @@ Complexes = NDArray[np.complex128]
 Longs = NDArray[np.int64]
 
 _CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are told as one
-_APART_M = 0.5  # but not where nothing of the object lies between, over more than this
+_APART_M = 0.5  # but not where nothing of the object lies between, over more than this and than a face fills of a cell
 _IN_STEP = 1 / 8  # waves by the same objects in other orders that differ by no more of a period are told as one
 
 
@@ -208,39 +208,46 @@ def _clusters(rows: _Rows) -> Iterator[_Cluster]:
     order = np.argsort(group.ravel(), kind="stable")
     for mine in np.split(order, np.cumsum(np.bincount(group.ravel()))[:-1]) if len(order) else ():
         ranges = rows.delay_s[mine] * C0 / 2
-        centres = _centres(ranges, np.abs(rows.echo[mine]))
+        centres, ranks = _centres(ranges, np.abs(rows.echo[mine]))
         for k, centre in enumerate(centres):
             share = np.ones(len(mine))
-            for side in centres[max(k - 1, 0) : k], centres[k + 1 : k + 2]:
-                if len(side):
-                    share *= _fading((ranges - centre) / (side[0] - centre), abs(side[0] - centre))
+            for side in (k - 1, k + 1):
+                if 0 <= side < len(centres):
+                    share *= _fading(ranges, centre, centres[side], bool(ranks[k] < ranks[side]))
             held = np.flatnonzero(share > 0)
-            for part in _places(rows.points[mine[held]]):
+            wide = np.sqrt(2 * abs(centre) * _CELL_M + _CELL_M**2)  # as far as a facing face fills a cell
+            for part in _places(rows.points[mine[held]], max(1.1 * wide, _APART_M)):
                 yield _one(rows, mine[held[part]], share[held[part]])
 
 
-def _centres(ranges: Floats, loud: Floats) -> Floats:
-    """Ranges at least a cell apart, loudest first taken, sorted; every range lies within a cell of one."""
+def _centres(ranges: Floats, loud: Floats) -> tuple[Floats, Longs]:
+    """Ranges at least a cell apart, sorted, and ranks: loudest first, until each range lies within a cell of one."""
     left, out = np.argsort(-loud, kind="stable"), []
     while len(left):
         out.append(ranges[left[0]])
         left = left[abs(ranges[left] - out[-1]) > _CELL_M]
-    return np.sort(out)
+    order = np.argsort(out)
+    return np.asarray(out)[order], order
 
 
-def _fading(place: Floats, gap_m: float) -> Floats:
-    """Share of a cell at places (n) from its centre, 0, to its neighbour's, 1, over so much range."""
-    if gap_m >= 2 * _CELL_M:  # nothing lies in between
+def _fading(ranges: Floats, centre: float, other: float, louder: bool) -> Floats:
+    """Share (n) of a cell of what lies at ranges (n) between its centre and its neighbour's [m].
+
+    The louder of both keeps all of the nearer half: what the pulse joins to an echo is not parted from it.
+    """
+    place = (ranges - centre) / (other - centre)
+    if abs(other - centre) >= 2 * _CELL_M:  # nothing lies in between
         return np.asarray(place < 0.5, float)
-    return np.asarray(np.where(place <= 0, 1.0, np.where(place >= 1, 0.0, np.cos(np.pi / 2 * place) ** 2)))
+    fade = np.clip(2 * place - 1 if louder else 2 * place, 0, 1)
+    return np.asarray(np.cos(np.pi / 2 * fade) ** 2)
 
 
-def _places(points: Floats) -> list[Longs]:
-    """Points (n, 3) [m] that hang together."""
-    if (np.ptp(points, axis=0) ** 2).sum() <= _APART_M**2:
+def _places(points: Floats, apart_m: float) -> list[Longs]:
+    """Points (n, 3) [m] that hang together, none farther from the next than so much."""
+    if (np.ptp(points, axis=0) ** 2).sum() <= apart_m**2:
         return [np.arange(len(points))]
-    boxes, box = np.unique(np.floor(points * (4 / _APART_M)), axis=0, return_inverse=True)  # thin out what lies dense
-    near = cKDTree(boxes).query_pairs(4, output_type="ndarray")
+    boxes, box = np.unique(np.floor(points * (8 / apart_m)), axis=0, return_inverse=True)  # thin out what lies dense
+    near = cKDTree(boxes).query_pairs(8, output_type="ndarray")
     links = coo_array((np.ones(len(near)), near.T), shape=(len(boxes), len(boxes)))
     count, label = connected_components(links, directed=False)
     return [np.flatnonzero(label[box.ravel()] == k) for k in range(count)]
