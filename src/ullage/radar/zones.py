@@ -32,7 +32,7 @@ Longs = NDArray[np.int64]
 
 NEAR = 0.02
 """Paths over points that exceed the mirror path by more than this many waves are judged by one point."""
-BEST = 16
+BEST = 10
 """So many paths of a frame, the strongest if they were free, are judged over their zone."""
 FAINT = 0.02
 """Paths this much weaker than the strongest of a frame, free or not, are judged by one point."""
@@ -40,7 +40,7 @@ RAYS = 24
 """Directions about the mirror point in which paths are followed."""
 FINE = 4
 """So many times as many in which borders of face and shadow are drawn."""
-CELLS = 8
+CELLS = 6
 """Points along each that is followed."""
 HALVINGS = 1
 """How often the gap is halved between a free point and a hidden one."""
@@ -104,9 +104,10 @@ def shares(
                      view.origins, points, out)  # fmt: skip
         return out
 
-    of, ray = (row.ravel() for row in np.indices((many, RAYS, CELLS))[:2])
     asked = _phases(zones.ends[:, ::FINE, None], (np.arange(CELLS) + 0.5) / CELLS)
-    more = legs(of, zones.at(of, ray, asked.ravel()))
+    away = (_turn(FINE * RAYS)[::FINE] @ zones.axes)[:, :, None]
+    places = zones.lit[:, None, None] + np.sqrt(asked)[..., None] * away
+    more = legs(np.repeat(np.arange(many), RAYS * CELLS), places.reshape(-1, 3))
     clears = clear(np.concatenate([path, more]), np.concatenate([weights, np.ones(len(more))]))
     out, free = clears[: len(path)].astype(complex), clears[len(path) :].reshape(many, RAYS, CELLS)
     borders = _borders(zones, asked, free, lambda of, points: clear(legs(of, points), np.ones(len(of))))
