@@ -84,6 +84,15 @@ def test_every_echo_of_a_wall_is_told_once_it_is_sure_and_none_twice():
     assert wall[3] == pytest.approx(3.0, abs=0.03)
 
 
+def test_what_is_30_db_fainter_than_a_mirror_makes_no_wall():
+    at = waving(60)
+    _, heard = follow_all(at, 3.0 - at[:, 1], mirror_m=0.01)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], mirror_m=0.1)
+    assert heard
+    assert not feet
+    assert not len(tracks.walls)
+
+
 def test_a_dozen_echoes_make_no_wall():
     at = waving(14)
     tracks, feet = follow_all(at, 3.0 - at[:, 1])

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look
+from ullage.processing.mapper_loudness import level_db, too_faint
 from ullage.processing.mapper_rims import rim_of
 from ullage.processing.mapper_screens import (
     BEYOND_M,
@@ -60,6 +61,7 @@ class Traced:
     trust: float
     ahead: Floats = field(default_factory=lambda: np.zeros(3))  # (3) boresight
     within: float = -1.0  # cosine to it below which no flat surface could be so loud
+    level_db: float = np.inf  # against a perfect mirror's before an antenna of 0 dBi, where that is known
     laid: bool = False
     way: Floats | None = None  # (3) to the wall it was told to come from
 
@@ -164,7 +166,8 @@ class EchoTracks:
         fits += 9 * (normal @ echo.ahead < echo.within)
         best = int(np.argmin(fits))
         other = fits[normal @ normal[best] < 0.9]
-        return normal[best] if fits[best] < 1 and (not len(other) or other.min() > 2) else None
+        told = fits[best] < 1 and (not len(other) or other.min() > 2) and not too_faint([echo], normal[best])
+        return normal[best] if told else None
 
     def _remember(self, foot: Foot, *, hold: bool = True) -> list[Foot]:
         """Add a foot to its wall; the feet that are to be told, all of a wall's once it has enough."""
@@ -213,6 +216,7 @@ class EchoTracks:
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
                 float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror),
+                level_db(loud[k], mirror),
             )  # fmt: skip
             misses = [one.miss(echo) for one in free]
             if misses and min(misses) < LINK_M:
@@ -243,6 +247,8 @@ class EchoTracks:
             fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
             for foot in fresh:
                 foot.echo.laid, foot.echo.way = True, foot.way
+            if one.post is None and too_faint(one.echoes, one.normal):
+                return []
             return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
         way = None if echo.laid else self._known(echo)
         if way is None:
