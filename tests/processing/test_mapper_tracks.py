@@ -17,8 +17,8 @@ AHEAD = np.array([0.0, 1.0, 0.0])
 LEAST = float(np.cos(np.radians(40)))
 
 
-def waving(count: int = 40, *, rise_m: float = 0.3) -> np.ndarray:
-    x = 0.05 * np.arange(count)
+def waving(count: int = 40, *, rise_m: float = 0.3, step_m: float = 0.05) -> np.ndarray:
+    x = step_m * np.arange(count)
     return np.column_stack([x, 0 * x, rise_m * np.sin(2.5 * x)])
 
 
@@ -61,7 +61,7 @@ def test_a_pole_is_no_wall_and_a_wall_no_pole():
 
 
 def follow_all(
-    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf
+    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf, step_m: float = 0.05
 ) -> tuple[EchoTracks, list]:
     tracks, feet = EchoTracks(), []
     tracks.mirror_m["front"] = mirror_m
@@ -69,6 +69,7 @@ def follow_all(
     axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
     for echo in traced(at, reach, np.random.default_rng(5)):
         heard = Heard(echo.t_ns, echo.position, axes, 1, np.zeros(16), np.zeros(16), np.zeros(8, bool), None)
+        heard.step_m = step_m
         look = Look(heard, echo.track, np.array([[echo.range_m, 0.003, echo.cosine, 0.02, 1, 1e-3]]), np.zeros((1, 5)))
         feet += tracks.follow("front", look, np.array([echo.cosine]), np.array([0.02]), np.array([0.9]), LEAST)
     return tracks, feet
@@ -98,6 +99,13 @@ def test_a_dozen_echoes_make_no_wall():
     tracks, feet = follow_all(at, 3.0 - at[:, 1])
     assert not feet
     assert not len(tracks.walls)
+
+
+def test_a_dozen_echoes_10_cm_apart_make_one():
+    at = waving(14, step_m=0.1)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], step_m=0.1)
+    assert len(feet) == 14
+    assert len(tracks.walls) == 1
 
 
 def test_an_echo_of_a_known_floor_is_told_at_once():

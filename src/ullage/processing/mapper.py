@@ -310,7 +310,7 @@ class UllageMapper:
         if false < 0.5:
             half = 0.5 * foot.rim * np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
             half = min(half, math.sqrt(foot.radius_m * self.grid.step_m))  # there a hollow wall is half a cell nearer
-            gain = DISC_SHARE * np.log((1 - false) / false)
+            gain = min(DISC_SHARE * echo.looks, 1.0) * np.log((1 - false) / false)
             self.blocks.lay(foot.at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
 
     def _weigh(self, look: Look) -> Weighed | None:

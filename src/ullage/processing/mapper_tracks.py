@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.processing.inverse_sensor import least_cosine
+from ullage.processing.mapper_bows import own_share
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
-from ullage.processing.mapper_looks import Look
+from ullage.processing.mapper_looks import Look, dense_looks
 from ullage.processing.mapper_loudness import level_db, too_faint
 from ullage.processing.mapper_rims import rim_of
 from ullage.processing.mapper_screens import (
@@ -61,6 +62,7 @@ class Traced:
     trust: float
     ahead: Floats = field(default_factory=lambda: np.zeros(3))  # (3) boresight
     within: float = -1.0  # cosine to it below which no flat surface could be so loud
+    looks: float = 1.0  # of a dense flight that it stands for, by the metre flown
     level_db: float = np.inf  # against a perfect mirror's before an antenna of 0 dBi, where that is known
     laid: bool = False
     way: Floats | None = None  # (3) to the wall it was told to come from
@@ -75,15 +77,16 @@ class Followed:
     post: Floats | None = None  # (2) where it stands, if it is an upright edge or pole [m]
     screens: Floats = field(default_factory=lambda: np.zeros((0, 8)))  # walls it may be while its direction is open
     rim: float = LEAST_RIM  # Fresnel parameter out to which no edge stands
-    count: int = 0
+    count: float = 0.0  # of looks of a dense flight
     fresh: list[Traced] = field(default_factory=list)  # echoes that are part of no stretch yet
 
     def add(self, echo: Traced, ahead: Floats, least: float) -> None:
         """Go on with an echo; every few of them, find the direction anew."""
         self.echoes.append(echo)
-        del self.echoes[:-FOLLOWED]
-        self.count += 1
-        if self.count >= LEAST_LOOKS and self.count % FIT_EVERY == 0:
+        while sum(e.looks for e in self.echoes) > FOLLOWED:
+            del self.echoes[0]
+        before, self.count = self.count, self.count + echo.looks
+        if self.count >= LEAST_LOOKS and self.count // FIT_EVERY > before // FIT_EVERY:
             self.normal = normal_of(self.echoes, ahead, least)
             self.post = None if self.normal is None else post_of(self.echoes, self.normal)
             level = np.array([e.height * e.range_m for e in self.echoes])
@@ -101,7 +104,10 @@ class Followed:
         """By how much an echo's range misses what this one's is by now, infinite where it cannot be the same [m]."""
         last = self.echoes[-1]
         step = echo.position - last.position
-        if abs(echo.cosine * np.sign(echo.track @ last.track) - last.cosine) > LINK_COSINE + 2 * echo.sigma:
+        if (
+            abs(echo.cosine * np.sign(echo.track @ last.track) - last.cosine)
+            > LINK_COSINE * echo.looks + 2 * echo.sigma
+        ):
             return np.inf
         if not 1 / LOUDER < echo.height / max(last.height, 1e-30) < LOUDER:
             return np.inf
@@ -177,7 +183,7 @@ class EchoTracks:
                 apart = at - wall[4:7]
                 far = float(np.linalg.norm(apart))
                 if far < wall[7] + 2 * BEYOND_M:
-                    wall[8] += 1
+                    wall[8] += foot.echo.looks
                     grow = max(far - wall[7], 0.0) / 2
                     wall[4:7] += grow / max(far, 1e-9) * apart
                     wall[7] += grow
@@ -186,7 +192,7 @@ class EchoTracks:
                         return [foot] * (not hold)
                     out, self._held[k] = [*self._held[k], foot], []
                     return out
-        self._walls.append(np.array([*normal, at @ normal, *at, 0.0, 1.0]))
+        self._walls.append(np.array([*normal, at @ normal, *at, 0.0, foot.echo.looks]))
         self._held.append([foot] * hold)
         del self._walls[:-MOST_WALLS], self._held[:-MOST_WALLS]
         return [foot] * (not hold)
@@ -216,10 +222,10 @@ class EchoTracks:
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
                 float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror),
-                level_db(loud[k], mirror),
+                dense_looks(look.heard.step_m), level_db(loud[k], mirror),
             )  # fmt: skip
             misses = [one.miss(echo) for one in free]
-            if misses and min(misses) < LINK_M:
+            if misses and min(misses) < LINK_M * echo.looks:
                 one = free.pop(int(np.argmin(misses)))
             else:
                 one = Followed()
@@ -227,7 +233,10 @@ class EchoTracks:
             one.add(echo, ahead, least)
             feet += self._told(one, echo)
             one.fresh.append(echo)
-            if len(one.fresh) >= LEAST_ECHOES and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M:
+            if (
+                sum(e.looks for e in one.fresh) >= LEAST_ECHOES
+                and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M
+            ):
                 self._legs.add(one.fresh, one.echoes[-2 * len(one.fresh) :], ahead, least, one.rim)
                 one.fresh = []
         self._open[name] = held
@@ -292,12 +301,12 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
     rest = 1 - along[1] ** 2 - along[2] ** 2
     if rest < -0.1:
         return None
-    third = np.sqrt(max(rest, 0.0))
+    third, share = np.sqrt(max(rest, 0.0)), own_share(APART_SHARE, echoes)
     both = [sign * third * axes[:, 0] + along[1] * axes[:, 1] + along[2] * axes[:, 2] for sign in (-1.0, 1.0)]
     lit = [k for k in (0, 1) if both[k] @ ahead > least]
     if third < SAME_WAY:
         level = along[1] * axes[:, 1] + along[2] * axes[:, 2]
-        return _settled(level, matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+        return _settled(level, matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M, share)
     if not lit:
         return None
     if len(lit) == 2:
@@ -305,7 +314,7 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
         if abs(cost[0] - cost[1]) < TOLD_APART:
             return None
         lit = [int(np.argmin(cost))]
-    return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+    return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M, share)
 
 
 def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
@@ -322,7 +331,9 @@ def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
     return post if np.sqrt(np.mean(miss**2)) < POST_BETTER * max(float(np.std(off)), LEAST_SCATTER_M) else None
 
 
-def _settled(normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone: Floats) -> Floats | None:
+def _settled(
+    normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone: Floats, share: float
+) -> Floats | None:  # fmt: skip
     """The normal improved on the sphere, or None where it is vague or ranges miss a plane."""
     for _ in range(3):
         normal = normal / np.linalg.norm(normal)
@@ -330,6 +341,6 @@ def _settled(normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone:
         inside = side.T @ matrix @ side
         normal = normal + side @ np.linalg.solve(inside + 1e-9 * np.eye(2), side.T @ (right - matrix @ normal))
     normal = normal / np.linalg.norm(normal)
-    doubt = 1 / np.sqrt(max(APART_SHARE * float(np.linalg.eigvalsh(inside)[0]), 1e-9))
+    doubt = 1 / np.sqrt(max(share * float(np.linalg.eigvalsh(inside)[0]), 1e-9))
     scatter = float(np.std(gone + apart @ normal))
     return np.asarray(normal) if doubt < TURN_SIGMA and scatter < SCATTER_M else None
