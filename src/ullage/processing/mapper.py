@@ -21,6 +21,7 @@ from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
 from ullage.processing.mapper_door import in_order, plane_of
+from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import may_be_folded
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
@@ -375,6 +376,7 @@ class UllageMapper:
         if self.grid.dims == 2:
             solid = percent.copy()
             thin_lines(self.blocks.pools, self.blocks.edge, np.array(corner[::-1]), SOLID, solid, percent)
+            without_ends(percent, corner, self.blocks, SOLID)
         flown = np.array(list(self._flown), float).reshape(-1, 3) * self.grid.step_m
         without_cut_off(percent, corner, self.grid, flown)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
