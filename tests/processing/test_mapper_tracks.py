@@ -61,9 +61,9 @@ def test_a_pole_is_no_wall_and_a_wall_no_pole():
 
 
 def follow_all(
-    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf
+    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf, folded=lambda *_: False
 ) -> tuple[EchoTracks, list]:
-    tracks, feet = EchoTracks(), []
+    tracks, feet = EchoTracks(folded), []
     tracks.mirror_m["front"] = mirror_m
     tracks.believe(list(levels), at[0])
     axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
@@ -82,6 +82,16 @@ def test_every_echo_of_a_wall_is_told_once_it_is_sure_and_none_twice():
     assert max(abs(foot.at[1] - 3.0) for foot in feet) < 0.03
     (wall,) = tracks.walls
     assert wall[3] == pytest.approx(3.0, abs=0.03)
+
+
+def test_what_may_be_folded_is_told_once_nothing_farther_off_can_have_made_it():
+    at = waving(60)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], folded=lambda *_: True)
+    assert not feet
+    assert not len(tracks.walls)
+    feet = follow_all(at, 3.0 - at[:, 1], folded=lambda name, echo, way: echo.t_ns < 35 * 10**8)[1]
+    assert len(feet) >= 46, "the last 48 echoes are remembered"
+    assert len({foot.echo.t_ns for foot in feet}) == len(feet)
 
 
 def test_a_dozen_echoes_make_no_wall():
