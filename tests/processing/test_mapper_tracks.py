@@ -61,9 +61,15 @@ def test_a_pole_is_no_wall_and_a_wall_no_pole():
 
 
 def follow_all(
-    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf, step_m: float = 0.05
+    at: np.ndarray,
+    reach: np.ndarray,
+    *,
+    levels: tuple = (),
+    mirror_m: float = np.inf,
+    step_m: float = 0.05,
+    folded=lambda *_: False,
 ) -> tuple[EchoTracks, list]:
-    tracks, feet = EchoTracks(), []
+    tracks, feet = EchoTracks(folded), []
     tracks.mirror_m["front"] = mirror_m
     tracks.believe(list(levels), at[0])
     axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
@@ -92,6 +98,16 @@ def test_what_is_30_db_fainter_than_a_mirror_makes_no_wall():
     assert heard
     assert not feet
     assert not len(tracks.walls)
+
+
+def test_what_may_be_folded_is_told_once_nothing_farther_off_can_have_made_it():
+    at = waving(60)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], folded=lambda *_: True)
+    assert not feet
+    assert not len(tracks.walls)
+    feet = follow_all(at, 3.0 - at[:, 1], folded=lambda name, echo, way: echo.t_ns < 35 * 10**8)[1]
+    assert len(feet) >= 46, "the last 48 echoes are remembered"
+    assert len({foot.echo.t_ns for foot in feet}) == len(feet)
 
 
 def test_a_dozen_echoes_make_no_wall():

@@ -9,7 +9,7 @@ leave open.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -66,6 +66,7 @@ class Traced:
     level_db: float = np.inf  # against a perfect mirror's before an antenna of 0 dBi, where that is known
     laid: bool = False
     way: Floats | None = None  # (3) to the wall it was told to come from
+    sensor: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -118,11 +119,15 @@ class Followed:
 class EchoTracks:
     """Follows the echoes of each sensor and tells their directions.
 
+    Args:
+        may_be_folded: whether an echo of a sensor, in some way (3), may come from farther off than its range says.
+
     Attributes:
         mirror_m: amplitude times range of a perfect mirror before an antenna of 0 dBi, by sensor where it is known [m].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, may_be_folded: Callable[[str, Traced, Floats], bool] = lambda *_: False) -> None:
+        self._may_be_folded = may_be_folded
         self.mirror_m: dict[str, float] = {}
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
@@ -222,7 +227,7 @@ class EchoTracks:
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
                 float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror),
-                dense_looks(look.heard.step_m), level_db(loud[k], mirror),
+                dense_looks(look.heard.step_m), level_db(loud[k], mirror), sensor=name,
             )  # fmt: skip
             misses = [one.miss(echo) for one in free]
             if misses and min(misses) < LINK_M * echo.looks:
@@ -245,6 +250,9 @@ class EchoTracks:
     def join(self, most: int | None = None) -> Iterator[Foot]:
         """The feet of echoes of straight legs that other legs have told by now; of at most so many stretches."""
         for echoes, ways, rim, radius in self._legs.tell_all() if most is None else self._legs.tell(most):
+            some = {0, len(echoes) // 2, len(echoes) - 1}
+            if any(self._may_be_folded(echoes[k].sensor, echoes[k], ways[k]) for k in some):
+                continue
             for echo, way in zip(echoes, ways, strict=True):
                 if not echo.laid:
                     echo.laid, echo.way = True, way
@@ -253,6 +261,8 @@ class EchoTracks:
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
         if one.normal is not None:
+            if self._may_be_folded(echo.sensor, echo, one.normal):
+                return []
             fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
             for foot in fresh:
                 foot.echo.laid, foot.echo.way = True, foot.way
@@ -260,7 +270,7 @@ class EchoTracks:
                 return []
             return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
         way = None if echo.laid else self._known(echo)
-        if way is None:
+        if way is None or self._may_be_folded(echo.sensor, echo, way):
             return []
         echo.laid, echo.way = True, way
         return [Foot(echo, way, True, one.rim)]
