@@ -204,6 +204,10 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         look = looks(ready, flats, view)
         out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
         out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, grids)
+        if ready.world.rounds:
+            from ullage.radar.wall_bounces import lay_walls
+
+            out += lay_walls(ready, parts, flats, view, max_bounces, look, grids)
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
 from ullage.radar.movers import Movers
+from ullage.radar.rounds import Round, rounds_of
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -30,6 +32,12 @@ class Prepared:
         self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
         self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self.edges = sharp_edges(scene, self.still.rays)
+
+    @cached_property
+    def rounds(self) -> tuple[Round, ...]:
+        """Round walls that stand still."""
+        bent = self.still.flats.smooth.any() or len(self.still.corners)
+        return rounds_of(self.scene, ~self.moving) if bent else ()
 
     def poses(self, t_ns: NDArray[np.int64]) -> Floats | list[None]:
         """Of all objects (n, o, 4, 4) at some times (n) [ns]; a None for each where nothing moves."""
