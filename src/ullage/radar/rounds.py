@@ -24,7 +24,7 @@ OFF_M = 2.5e-3
 LEAST_M = 0.25
 """Narrower pipes are wave guides, not mirrors: their radius is but a few waves [m]."""
 _LEVEL = 0.02  # facets whose normal leans more along the axis belong to an end cap
-_MOST = 0.25  # less of a smooth surface is no wall between caps but the belt of a ball
+_MOST = 0.35  # less of a smooth surface is no wall between caps but the belt of a ball
 _ARC_DEG = 100.0  # less of a circle mirrors nothing to its own other side
 _FEWEST = 16  # triangles
 

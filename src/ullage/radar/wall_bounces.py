@@ -41,8 +41,8 @@ FAINT = 1e-3
 """Rays that count less than this share of the one that counts most are left out."""
 FLOORS = 2
 """Over so many planes across the axis, those whose faces look largest, waves go on."""
-EVERY = 4
-"""Of so many rays one is asked what stands in its way and what becomes of its field; they are but 1 cm or so apart."""
+EVERY = 8
+"""Of so many rays one is asked what stands in its way and what becomes of its field; they are but 1 or 2 cm apart."""
 _SAME_M = 0.01  # planes so near to each other are one
 _PULL_M = 4e-3  # points on walls are looked at so far within the facets
 
