@@ -39,7 +39,8 @@ def walls(scene, pose, spec, bounces=2):
     ready = bench(scene, spec)
     view = view_of(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     flats, grids = ready.world.still.flats, np.zeros((3, ready.places), complex)
-    laid = wall_bounces.lay_walls(ready, ready.world.parts(), flats, view, bounces, looks(ready, flats, view), grids)
+    look, world = looks(ready, flats, view), ready.world
+    laid = wall_bounces.lay_walls(ready, world.parts(), world.rounds, flats, view, bounces, look, grids)
     return sum((part.echo.sum() for part in laid), 0j)
 
 
@@ -154,7 +155,9 @@ def test_which_surfaces_are_round_walls():
     assert one.radius == pytest.approx(1.3, abs=1.5e-3)
     assert one.high - one.low == pytest.approx(3.0)
     assert one.local(np.array([0.5, 0, 0]))[:2] == pytest.approx([0, 0], abs=1e-6)
-    for other in (scenes.sphere(0.5, 0.0), scenes.cylinder(0.1, 1.0, 0.0), scenes.room((4, 3, 2))):
+    (ball,) = found(scenes.sphere(0.5, 0.0))
+    assert ball.ball
+    for other in (scenes.cylinder(0.05, 1.0, 0.0), scenes.room((4, 3, 2))):
         assert found(other) == ()
     squeezed = replace(lying, vertices=lying.vertices * [1.0, 0.9, 1.0])
     assert found(squeezed) == ()

@@ -1,12 +1,12 @@
-"""Round walls in a mesh: which facets lie on one cylinder, and where its axis runs.
+"""Round walls and bodies in a mesh: which facets lie on one cylinder, and where its axis runs, or on one ball.
 
-A tank's wall comes as flat strips or small triangles. What a wave makes of it after a second bounce hangs on its
-curvature, which no single facet has, so the cylinder through them is found once for a world.
+They come as flat strips or small triangles. What a wave makes of them on the way to another bounce hangs on their
+curvature, which no single facet has, so the cylinder or the ball through them is found once for a world.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ Longs = NDArray[np.int64]
 
 OFF_M = 2.5e-3
 """Corners of facets may lie so far off the cylinder [m]: a sixteenth of a wave."""
-LEAST_M = 0.25
-"""Narrower pipes are wave guides, not mirrors: their radius is but a few waves [m]."""
+LEAST_M = 0.08
+"""Narrower or shorter things are no mirrors, but two waves in size [m]."""
 _LEVEL = 0.02  # facets whose normal leans more along the axis belong to an end cap
 _MOST = 0.35  # less of a smooth surface is no wall between caps but the belt of a ball
 _ARC_DEG = 100.0  # less of a circle mirrors nothing to its own other side
@@ -31,7 +31,7 @@ _FEWEST = 16  # triangles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """A wall that is part of one circular cylinder."""
+    """A surface that is part of one circular cylinder or one ball."""
 
     centre: Floats  # (3) a point of the axis [m]
     axes: Floats  # (3, 3) rows: two unit vectors across the axis, and the axis
@@ -41,14 +41,20 @@ class Round:
     depth: float  # by so much facets lie nearer to the axis or farther from it [m]
     widest: float  # smaller extent of the widest facet [m]
     stuff: int  # object
+    ball: bool = False
 
     def local(self, points: Floats) -> Floats:
         """Points (..., 3) as seen from the centre along the axes [m]."""
         return np.asarray((points - self.centre) @ self.axes.T)
 
+    def moved(self, move: Floats) -> Round:
+        """The same after a rigid motion (4, 4)."""
+        turn = move[:3, :3]
+        return replace(self, centre=turn @ self.centre + move[:3, 3], axes=self.axes @ turn.T)
+
 
 def rounds_of(scene: Scene, faces: NDArray[np.bool_]) -> tuple[Round, ...]:
-    """The round walls among some faces (f) of a scene, as they stand at its start."""
+    """The round walls and bodies among some faces (f) of a scene, as they stand at its start."""
     corners = scene.corners()[faces]
     stuffs = scene.face_object[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -57,8 +63,11 @@ def rounds_of(scene: Scene, faces: NDArray[np.bool_]) -> tuple[Round, ...]:
     corners, stuffs, area, normals = corners[kept], stuffs[kept], area[kept], normals[kept] / (2 * area[kept, None])
     found = []
     for mine in _connected(corners, normals, stuffs):
-        wall = _fitted(corners[mine], normals[mine], area[mine], int(stuffs[mine[0]]))
-        if wall is not None:
+        told = corners[mine], normals[mine], area[mine], int(stuffs[mine[0]])
+        ball, wall = _ball(*told), _fitted(*told)
+        if ball is not None and (wall is None or ball.depth < 2 * wall.depth):  # the rims of a drum lie on a ball, too
+            found.append(ball)
+        elif wall is not None:
             found.append(wall)
     return tuple(found)
 
@@ -104,8 +113,31 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
     gaps = np.linalg.norm(halves, axis=2)
     radius = float(np.sum(area[kept] * gaps.mean(1)) / area[kept].sum())
     least, most = points[..., 2].min(), points[..., 2].max()
+    if most - least < LEAST_M:
+        return None
     return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
                  float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff)  # fmt: skip
+
+
+def _ball(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
+    """The ball that triangles (n, 3, 3) lie on, if they do."""
+    points = corners.reshape(-1, 3)
+    middle = points.mean(0)
+    told = np.column_stack([2 * (points - middle), np.ones(len(points))])
+    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(told, ((points - middle) ** 2).sum(1), rcond=1e-9)
+    centre = middle + np.array([x, y, z])
+    away = np.linalg.norm(points - centre, axis=1)
+    whole = 4 * np.pi * away.mean() ** 2
+    if rank < 4 or np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or area.sum() < _MOST * whole:
+        return None
+    out = corners.mean(1) - centre
+    if (abs((out * normals).sum(1)) < np.cos(np.deg2rad(SMOOTH_DEG)) * np.linalg.norm(out, axis=1)).any():
+        return None
+    gaps = np.linalg.norm((corners + np.roll(corners, 1, 1)) / 2 - centre, axis=2)
+    radius = float(np.sum(area * gaps.mean(1)) / area.sum())
+    sides = np.linalg.norm(np.roll(corners, 1, 1) - corners, axis=2)
+    return Round(centre, np.eye(3), radius, -radius, radius, float(max(away.max() - radius, radius - gaps.min())),
+                 float(sides.min(1).max()), stuff, ball=True)  # fmt: skip
 
 
 def _arc(points: Floats) -> float:

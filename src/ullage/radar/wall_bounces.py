@@ -33,6 +33,8 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Longs = NDArray[np.int64]
 
+LEAST_M = 0.25
+"""Narrower pipes are wave guides, not mirrors: their radius is but a few waves [m]."""
 ZONES = 50.0
 """The sum over a wall fades out where its phase runs ahead by half of this [rad]."""
 ALIAS = 4.0
@@ -75,8 +77,9 @@ class Plane:
 
 
 def lay_walls(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, max_bounces: int, look: Floats, grids: Complexes
-) -> list[Laid]:
+    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, max_bounces: int,
+    look: Floats, grids: Complexes,
+) -> list[Laid]:  # fmt: skip
     """Adds the echoes from wall to wall of the round tanks that the radar is in to the delay grids.
 
     Two bounces; with three, another one at the wall, or one at a floor or a roof, those that look largest (p).
@@ -84,7 +87,7 @@ def lay_walls(
     out: list[Laid] = []
     one = bool((view.origins[0] == view.origins[1]).all() and (view.fields[0] == view.fields[1]).all())
     sides = [replace(view, factor=2 * view.factor)] if one else [view, _swapped(view)]
-    for wall in _around(ready, view):
+    for wall in _around(ready, rounds, view):
         planes = _planes(flats, wall, look) if max_bounces > 2 else []
         for side in sides:
             for bounces in range(2, max_bounces + 1):
@@ -98,11 +101,11 @@ def _swapped(view: View) -> View:
     return replace(view, **{row: getattr(view, row)[::-1].copy() for row in ("origins", "frames", "fields")})
 
 
-def _around(ready: Bench, view: View) -> Iterator[Round]:
+def _around(ready: Bench, rounds: tuple[Round, ...], view: View) -> Iterator[Round]:
     """The walls about both antennas whose opposite sides lie within the gate, but for facets that mirror as flats."""
     narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
-    for wall in ready.world.rounds:
-        if wall.widest < narrow and 2 * wall.radius < ready.gate[1]:
+    for wall in rounds:
+        if not wall.ball and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < ready.gate[1]:
             places = wall.local(view.origins)
             if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - _PULL_M).all():
                 yield wall
@@ -244,7 +247,7 @@ def _over(
     wavelength = ready.spec.wavelength_m
     value = view.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * path)) / path * fan.weights
     value *= np.interp(fan.names, looked.names, seen)
-    echo = _deposit(ready, path / C0, value, grids)
+    echo = deposit(ready, path / C0, value, grids, (0.5, 0.5))
     leads, count = fan.leads, len(fan.leads)
     via = np.full((count, 2), -1, np.int64)
     via[:, : len(fan.points) - 1] = wall.stuff
@@ -336,10 +339,11 @@ def _turned(ready: Bench, view: View, wall: Round, fan: Fan, plane: Plane | None
     return np.asarray(total * back * dot(field, across(view.fields[1:], u)))
 
 
-def _deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes) -> Complexes:
+def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, shares: tuple[float, float]) -> Complexes:
     """Lays impulses (n) at their delays [s] on the grids; gives them at the carrier.
 
-    They make a mirror's wave, which falls as 1 / f, of points that fall as its root: as half of 1 and half of 1 / f.
+    They fall by their `shares` as 1 and as 1 / f: a mirror's as 1 / f, points whose sum along a line makes a mirror's
+    as its root, which is half of each.
     """
     t0, dt, fold = ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s
     landed, last = delay - np.floor((delay - t0) / fold) * fold, t0 + grids.shape[1] * dt
@@ -351,12 +355,12 @@ def _deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes) ->
         first = np.floor(place).astype(np.int64)
         up = place - first
         down = 1 - up
-        for k, share in enumerate(
-            (down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6)
-        ):
+        spline = down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6
+        for k, weight in enumerate(spline):
             at = first + k - 1
-            inside = (at >= 0) & (at < grids.shape[1])
-            np.add.at(grids[0], at[inside], 0.5 * (share * echo)[inside])
-            np.add.at(grids[1], at[inside], 0.5 * (share * echo)[inside])
+            held = (at >= 0) & (at < grids.shape[1])
+            for kind, share in enumerate(shares):
+                if share:
+                    np.add.at(grids[kind], at[held], share * (weight * echo)[held])
         landed = landed + fold
     return total
