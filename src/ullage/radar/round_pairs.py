@@ -8,6 +8,7 @@ outside nothing focuses, so that is nowhere 0. What the ends of a drum leave of 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +64,10 @@ class Bodies:
         return np.asarray(self.centres + along + self.radii[:, None] * unit(away - along))
 
 
-def bodies_of(rounds: tuple[Round, ...]) -> Bodies:
-    """Round bodies as rows."""
+@lru_cache(maxsize=16)
+def bodies_of(rounds: tuple[Round, ...], narrow: float) -> Bodies:
+    """Round bodies as rows, those whose facets are narrower than this [m]."""
+    rounds = tuple(r for r in rounds if r.widest < narrow)
     return Bodies(np.array([r.centre for r in rounds]), np.array([r.axes for r in rounds]),
                   np.array([r.radius for r in rounds]), np.array([(r.low, r.high) for r in rounds]),
                   np.array([r.ball for r in rounds]), np.array([r.depth for r in rounds]),
@@ -140,14 +143,15 @@ def lay_pairs(
 ) -> list[Laid]:
     """Adds the echoes over two round bodies to the delay grids, but for those too faint beside what these hold."""
     narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
-    told = tuple(body for body in rounds if body.widest < narrow)
-    if len(told) < 2:
+    bodies, together = bodies_of(rounds, narrow), bool((view.origins[0] == view.origins[1]).all())
+    if len(bodies.radii) < 2:
         return []
-    bodies, together = bodies_of(told), bool((view.origins[0] == view.origins[1]).all())
     gaps = np.array([np.linalg.norm(bodies.centres - origin, axis=1) for origin in view.origins])
     look = np.where(gaps.min(0) < ready.gate[1] + bodies.radii, bodies.radii / gaps.max(0), 0.0)
     which, weights = most_looked(look, BODIES)
-    one, other = (row.ravel() for row in np.meshgrid(which, which, indexing="ij"))
+    if len(which) < 2:
+        return []
+    one, other = np.repeat(which, len(which)), np.tile(which, len(which))
     apart = np.linalg.norm(bodies.centres[one] - bodies.centres[other], axis=1)
     legs = np.stack([gaps[0, one] - bodies.radii[one], gaps[1, other] - bodies.radii[other],
                      apart - bodies.radii[one] - bodies.radii[other]])  # fmt: skip

@@ -25,6 +25,7 @@ LEAST_M = 0.08
 """Narrower or shorter things are no mirrors, but two waves in size [m]."""
 _LEVEL = 0.02  # facets whose normal leans more along the axis belong to an end cap
 _MOST = 0.35  # less of a smooth surface is no wall between caps but the belt of a ball
+_DEEP = 0.05  # facets that bend by `SMOOTH_DEG` lie by half of this share of a ball's radius within it
 _ARC_DEG = 100.0  # less of a circle mirrors nothing to its own other side
 _FEWEST = 16  # triangles
 
@@ -136,8 +137,10 @@ def _ball(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round |
     gaps = np.linalg.norm((corners + np.roll(corners, 1, 1)) / 2 - centre, axis=2)
     radius = float(np.sum(area * gaps.mean(1)) / area.sum())
     sides = np.linalg.norm(np.roll(corners, 1, 1) - corners, axis=2)
-    return Round(centre, np.eye(3), radius, -radius, radius, float(max(away.max() - radius, radius - gaps.min())),
-                 float(sides.min(1).max()), stuff, ball=True)  # fmt: skip
+    depth = float(max(away.max() - radius, radius - gaps.min()))
+    if depth > _DEEP * radius:
+        return None
+    return Round(centre, np.eye(3), radius, -radius, radius, depth, float(sides.min(1).max()), stuff, ball=True)
 
 
 def _arc(points: Floats) -> float:
