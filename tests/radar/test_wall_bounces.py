@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ullage as ul
 from ullage.experiments.validate import radar, walls_heard
@@ -108,6 +109,17 @@ def test_nothing_jumps_along_a_track(middle):
 def test_no_more_comes_back_than_was_sent():
     for place in ((0.0, 0.0, 1.0), (0.0, 1e-4, 1.0), (1.0, 0.0, 0.1), (1.49, 0.0, 1.0)):
         assert abs(walls(wall(), at(*place), radar(), 3)) < 0.1
+
+
+def test_a_lying_tank_is_an_upright_one_turned():
+    """Tank and radar tipped over together, by an odd angle: nothing changes but what the wall's own axes are called."""
+    tank, place, spec = scenes.tank(1.5, 2.0, "pec", strips=96), np.array([0.5, 0.2, 0.7]), radar()
+    turn = Rotation.from_rotvec([0.3, 1.4, 0.2])
+    tipped = replace(tank, vertices=turn.apply(tank.vertices))
+    lying = replace(ul.Trajectory.stationary(turn.apply(place)), quat_xyzw=turn.as_quat()[None])
+    upright = walls(tank, at(*place), spec, 3)
+    assert abs(upright) > 1e-4
+    assert walls(tipped, lying, spec, 3) == pytest.approx(upright, rel=1e-3)
 
 
 def test_a_floor_turns_the_climb_back():
