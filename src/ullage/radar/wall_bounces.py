@@ -355,12 +355,12 @@ def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, sha
         first = np.floor(place).astype(np.int64)
         up = place - first
         down = 1 - up
-        spline = down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6
-        for k, weight in enumerate(spline):
-            at = first + k - 1
-            held = (at >= 0) & (at < grids.shape[1])
-            for kind, share in enumerate(shares):
-                if share:
-                    np.add.at(grids[kind], at[held], share * (weight * echo)[held])
+        spline = np.stack([down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6])
+        at = first + np.arange(-1, 3)[:, None]
+        held = (at >= 0) & (at < grids.shape[1])
+        line = np.zeros(grids.shape[1], complex)
+        np.add.at(line, at[held], (spline * echo)[held])
+        for kind, share in enumerate(shares):
+            grids[kind] += share * line
         landed = landed + fold
     return total
