@@ -105,6 +105,8 @@ def test_what_may_be_folded_is_told_once_nothing_farther_off_can_have_made_it():
     tracks, feet = follow_all(at, 3.0 - at[:, 1], folded=lambda *_: True)
     assert not feet
     assert not len(tracks.walls)
+    feet = follow_all(at, 3.0 - at[:, 1], folded=lambda name, echo, way: 25 < echo.t_ns // 10**8 != 40)[1]
+    assert not [foot for foot in feet if foot.echo.t_ns // 10**8 > 25], "one that tells, out of many, is not enough"
     feet = follow_all(at, 3.0 - at[:, 1], folded=lambda name, echo, way: echo.t_ns < 35 * 10**8)[1]
     assert len(feet) >= 46, "the last 48 echoes are remembered"
     assert len({foot.echo.t_ns for foot in feet}) == len(feet)

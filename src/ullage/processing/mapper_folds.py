@@ -56,7 +56,7 @@ class Fold(NamedTuple):
         It is not where that would lie off the grid, nor where its echo, which falls as one over its range, is too loud
         for it. Nor where the map holds something before it, but that must cover its first Fresnel zone: a mirror echo
         passes beside what is thinner. What the map holds at the echo's own range is no witness: it may be there by
-        such echoes.
+        such echoes. Past something nearer than both, an echo tells neither from the other in a volume.
         """
         reach, height = echo
         far = reach + self.fold_m
@@ -64,15 +64,15 @@ class Fold(NamedTuple):
         if not inside[0] or height * float(lobe_loss(float(way @ ahead), self.half_rad)) * far >= TOO_LOUD * usual:
             return False
         step, slope = blocks.grid.step_m, math.sqrt(self.wave_m / (2 * far))  # half the zone's width over its range
+        beyond, hidden = reach + OWN_CELLS * step, blocks.grid.dims == 3
         for side in _across(way, blocks.grid.dims):
             for part in ACROSS:
                 ray = (way + part * slope * side) / math.hypot(1.0, part * slope)
-                beyond = reach + OWN_CELLS * step
-                if blocks.clear_to(eye, ray, reach - step) and blocks.clear_to(
-                    eye + beyond * ray, ray, far - BESIDE_M - beyond
-                ):
-                    return True
-        return False
+                if blocks.clear_to(eye, ray, reach - step):
+                    hidden = False
+                    if blocks.clear_to(eye + beyond * ray, ray, far - BESIDE_M - beyond):
+                        return True
+        return hidden
 
 
 def _across(way: Floats, dims: int) -> list[Floats]:

@@ -80,6 +80,7 @@ class Followed:
     rim: float = LEAST_RIM  # Fresnel parameter out to which no edge stands
     count: float = 0.0  # of looks of a dense flight
     fresh: list[Traced] = field(default_factory=list)  # echoes that are part of no stretch yet
+    doubts: int = 0  # echoes that may have been folded, less those after them that cannot have been
 
     def add(self, echo: Traced, ahead: Floats, least: float) -> None:
         """Go on with an echo; every few of them, find the direction anew."""
@@ -261,7 +262,9 @@ class EchoTracks:
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
         if one.normal is not None:
-            if self._may_be_folded(echo.sensor, echo, one.normal):
+            doubtful = self._may_be_folded(echo.sensor, echo, one.normal)
+            one.doubts = min(one.doubts + 1, SURE_FEET) if doubtful else max(one.doubts - 1, 0)
+            if one.doubts:
                 return []
             fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
             for foot in fresh:
