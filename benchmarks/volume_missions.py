@@ -1,7 +1,7 @@
 """Ordinary inspection missions for maps of a volume: legs and rounds, straight, level or climbing evenly.
 
 Each is flown by the simulated multirotor, heading along its way, with the thesis' four radars. The rooms and tanks of
-the table are "room", "tank" and "silo"; "cabin", "vat" and "drum" are those in which thresholds were chosen.
+the table are "room", "keg", "kettle", "tank", "basin" and "silo"; thresholds were chosen in "cabin", "vat" and "drum".
 """
 
 from __future__ import annotations
@@ -25,7 +25,15 @@ def world(name: str) -> Scene:
         return ul.scenes.room((8.0, 6.0, 3.0), plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
     if name == "cabin":
         return ul.scenes.room((6.0, 4.5, 3.4), material="concrete")
-    radius, height = {"tank": (4.0, 4.0), "vat": (3.2, 3.4), "drum": (2.6, 3.0), "silo": (6.0, 4.4)}[name]
+    radius, height = {
+        "tank": (4.0, 4.0),
+        "vat": (3.2, 3.4),
+        "drum": (2.6, 3.0),
+        "silo": (6.0, 4.4),
+        "keg": (2.5, 3.6),
+        "kettle": (3.0, 3.0),
+        "basin": (5.0, 4.0),
+    }[name]
     return ul.scenes.cylinder(radius, height, 0.0, material="steel", edge_m=0.1)
 
 
@@ -39,6 +47,9 @@ def points(mission: str, name: str, seed: int) -> np.ndarray:
         "vat": (1.2, 1.2, 0.8),
         "drum": (1.0, 1.0, 0.6),
         "silo": (3.0, 3.0, 1.2),
+        "keg": (0.9, 0.9, 0.9),
+        "kettle": (1.2, 1.2, 0.7),
+        "basin": (2.4, 2.4, 1.1),
     }[name]
     low_x = -x
     if name == "room":

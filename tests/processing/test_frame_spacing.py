@@ -10,7 +10,9 @@ from ullage.experiments.reproduce import flights
 from ullage.grids import Grid
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper import LOOK_SHARE, look_share
-from ullage.processing.mapper_looks import STEP_M, Listener
+from ullage.processing.mapper_bows import own_share
+from ullage.processing.mapper_looks import STEP_M, Listener, dense_looks
+from ullage.processing.mapper_tracks import Traced
 
 SIZE = (6.0, 5.0, 3.0)
 
@@ -32,6 +34,26 @@ def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
     assert found["f1"].value > 0.85
     assert found["precision"].value > 0.93
     assert found["surface_declared_free"].value < 0.01
+
+
+def test_a_volume_is_mapped_from_frames_10_cm_apart(flown):
+    scene, _ = flown
+    path = flights.rising_round(3)
+    frames = flights.heard(scene, ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw), 3)
+    sparse = {name: part[::7] for name, part in frames.items()}
+    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.volume_of(scene)), scene, sparse)
+    assert found["f1"].value > 0.85  # 0.75 where looks count alike however far apart
+    assert found["precision"].value > 0.95
+    assert found["surface_declared_free"].value < 0.01
+
+
+def test_a_look_far_from_the_one_before_stands_for_several():
+    assert [dense_looks(step) for step in (0.0, 0.05, 0.06, 0.0605)] == [1.0] * 4
+    assert dense_looks(0.12) == 2.0
+    assert dense_looks(1.0) == 2.5
+    echoes = [Traced(j, np.zeros(3), np.ones(3), 3.0, 0.0, 1e-3, 0.02, 0.9, looks=2.0) for j in range(5)]
+    assert own_share(0.4, echoes) == pytest.approx(0.8)
+    assert own_share(0.8, echoes) == 1.0
 
 
 def test_looks_say_as_much_for_each_metre_until_they_share_nothing():

@@ -3,16 +3,17 @@ import pytest
 
 import ullage as ul
 from ullage.processing.blocks import Blocks
-from ullage.processing.mapper_folds import may_be_folded
+from ullage.processing.mapper_folds import Fold
 from ullage.processing.mapper_looks import Heard, Look
 
 FOLD_M, REACH_M, WAVE_M = 9.87, 3.0, 0.041
 NORTH = np.array([0.0, 1.0, 0.0])
 
 
-def blocks_with(*strips, north_m=15.0):
-    """A map that holds level strips: how far north of the origin, and half how wide [m]."""
-    blocks = Blocks(ul.Grid.covering([[-4, -4, 0], [4, north_m, 0]], 0.1, z_m=0.0))
+def blocks_with(*strips, north_m=15.0, dims=2):
+    """A map that holds level strips, in a volume discs: how far north of the origin, and half how wide [m]."""
+    box = [[-4, -4, -1 if dims == 3 else 0], [4, north_m, 1 if dims == 3 else 0]]
+    blocks = Blocks(ul.Grid.covering(box, 0.1, dims=dims, z_m=0.0 if dims == 2 else None))
     for far, half in strips:
         blocks.lay(far * NORTH, NORTH, (0.04, half, 6.0))
     return blocks
@@ -20,34 +21,37 @@ def blocks_with(*strips, north_m=15.0):
 
 def folds(blocks, *, height=1.0):
     """Whether an echo straight to the north of an eastward flight may be folded."""
+    fold = Fold(least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M)
+    usual = REACH_M + FOLD_M  # an echo of height 1 is as loud as the usual at the farther range
+    if blocks.grid.dims == 3:
+        return fold.may_be(np.zeros(3), NORTH, NORTH, (REACH_M, height), blocks, usual=usual)
     axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     heard = Heard(0, np.zeros(3), axes, 1, np.zeros(16), np.zeros(16), np.ones(8, bool), None)
     echo = np.array([[REACH_M, 0.001, 0.0, 0.01, 1.0, height]])
     look = Look(heard, np.array([1.0, 0.0, 0.0]), echo, np.zeros((1, 5)))
-    usual = REACH_M + FOLD_M  # an echo of height 1 is as loud as the usual at the farther range
-    found = may_be_folded(
-        look, np.zeros(1), blocks, least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M, usual=usual
-    )
-    return bool(found[0])
+    return bool(fold.among(look, np.zeros(1), blocks, usual=usual)[0])
 
 
-def test_an_echo_may_come_from_one_fold_farther_off_while_nothing_tells():
-    assert folds(blocks_with())
-    assert not folds(blocks_with(north_m=12.0)), "no room"
-    assert not folds(blocks_with(), height=2.1), "too loud for so far"
+@pytest.mark.parametrize("dims", [2, 3])
+def test_an_echo_may_come_from_one_fold_farther_off_while_nothing_tells(dims):
+    assert folds(blocks_with(dims=dims))
+    assert not folds(blocks_with(north_m=12.0, dims=dims)), "no room"
+    assert not folds(blocks_with(dims=dims), height=2.1), "too loud for so far"
 
 
+@pytest.mark.parametrize("dims", [2, 3])
 @pytest.mark.parametrize(("half_m", "hidden"), [(0.08, False), (0.15, False), (1.0, True)])
-def test_only_what_covers_its_fresnel_zone_hides_a_far_wall(half_m, hidden):
+def test_only_what_covers_its_fresnel_zone_hides_a_far_wall(half_m, hidden, dims):
     assert np.sqrt(WAVE_M * (REACH_M + FOLD_M) / 2) * 8 / (REACH_M + FOLD_M) > 0.25  # half the fan, 8 m off
-    assert folds(blocks_with((8.0, half_m))) != hidden
+    assert folds(blocks_with((8.0, half_m), dims=dims)) != hidden
 
 
-def test_a_line_that_folded_echoes_have_drawn_does_not_vouch_for_them():
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_line_that_folded_echoes_have_drawn_does_not_vouch_for_them(dims):
     line = (REACH_M, 2.0)
-    assert folds(blocks_with(line))
-    assert not folds(blocks_with(line, (2.0, 2.0))), "a wall before both"
-    assert not folds(blocks_with(line, (5.0, 2.0))), "a wall between them"
+    assert folds(blocks_with(line, dims=dims))
+    assert folds(blocks_with(line, (2.0, 2.0), dims=dims)) == (dims == 3), "a wall before both"
+    assert not folds(blocks_with(line, (5.0, 2.0), dims=dims)), "a wall between them"
 
 
 def test_what_stands_close_before_a_far_wall_belongs_to_it():

@@ -17,8 +17,8 @@ AHEAD = np.array([0.0, 1.0, 0.0])
 LEAST = float(np.cos(np.radians(40)))
 
 
-def waving(count: int = 40, *, rise_m: float = 0.3) -> np.ndarray:
-    x = 0.05 * np.arange(count)
+def waving(count: int = 40, *, rise_m: float = 0.3, step_m: float = 0.05) -> np.ndarray:
+    x = step_m * np.arange(count)
     return np.column_stack([x, 0 * x, rise_m * np.sin(2.5 * x)])
 
 
@@ -61,14 +61,21 @@ def test_a_pole_is_no_wall_and_a_wall_no_pole():
 
 
 def follow_all(
-    at: np.ndarray, reach: np.ndarray, *, levels: tuple = (), mirror_m: float = np.inf
+    at: np.ndarray,
+    reach: np.ndarray,
+    *,
+    levels: tuple = (),
+    mirror_m: float = np.inf,
+    step_m: float = 0.05,
+    folded=lambda *_: False,
 ) -> tuple[EchoTracks, list]:
-    tracks, feet = EchoTracks(), []
+    tracks, feet = EchoTracks(folded), []
     tracks.mirror_m["front"] = mirror_m
     tracks.believe(list(levels), at[0])
     axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
     for echo in traced(at, reach, np.random.default_rng(5)):
         heard = Heard(echo.t_ns, echo.position, axes, 1, np.zeros(16), np.zeros(16), np.zeros(8, bool), None)
+        heard.step_m = step_m
         look = Look(heard, echo.track, np.array([[echo.range_m, 0.003, echo.cosine, 0.02, 1, 1e-3]]), np.zeros((1, 5)))
         feet += tracks.follow("front", look, np.array([echo.cosine]), np.array([0.02]), np.array([0.9]), LEAST)
     return tracks, feet
@@ -84,11 +91,39 @@ def test_every_echo_of_a_wall_is_told_once_it_is_sure_and_none_twice():
     assert wall[3] == pytest.approx(3.0, abs=0.03)
 
 
+def test_what_is_30_db_fainter_than_a_mirror_makes_no_wall():
+    at = waving(60)
+    _, heard = follow_all(at, 3.0 - at[:, 1], mirror_m=0.01)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], mirror_m=0.1)
+    assert heard
+    assert not feet
+    assert not len(tracks.walls)
+
+
+def test_what_may_be_folded_is_told_once_nothing_farther_off_can_have_made_it():
+    at = waving(60)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], folded=lambda *_: True)
+    assert not feet
+    assert not len(tracks.walls)
+    feet = follow_all(at, 3.0 - at[:, 1], folded=lambda name, echo, way: 25 < echo.t_ns // 10**8 != 40)[1]
+    assert not [foot for foot in feet if foot.echo.t_ns // 10**8 > 25], "one that tells, out of many, is not enough"
+    feet = follow_all(at, 3.0 - at[:, 1], folded=lambda name, echo, way: echo.t_ns < 35 * 10**8)[1]
+    assert len(feet) >= 46, "the last 48 echoes are remembered"
+    assert len({foot.echo.t_ns for foot in feet}) == len(feet)
+
+
 def test_a_dozen_echoes_make_no_wall():
     at = waving(14)
     tracks, feet = follow_all(at, 3.0 - at[:, 1])
     assert not feet
     assert not len(tracks.walls)
+
+
+def test_a_dozen_echoes_10_cm_apart_make_one():
+    at = waving(14, step_m=0.1)
+    tracks, feet = follow_all(at, 3.0 - at[:, 1], step_m=0.1)
+    assert len(feet) == 14
+    assert len(tracks.walls) == 1
 
 
 def test_an_echo_of_a_known_floor_is_told_at_once():

@@ -89,6 +89,49 @@ def dense_tank(
     return complex(1j / (4 * np.pi) * total[0]), complex(1j / (4 * np.pi) * total[1])
 
 
+def dense_walls(
+    radius_m: float, height_m: float, position_m: Floats, frequency_hz: float, bounces: int, *,
+    to_m: Floats | None = None, level: bool = False,
+) -> complex:  # fmt: skip
+    """So many bounces from wall to wall of an upright conducting cylinder from z = 0 on, physical optics iterated.
+
+    The currents that a wave makes on the wall send waves to all of it and make currents there, in scalar form, a third
+    of a wave apart; on a cylinder each such step is a convolution. Fields are upright, or `level`: along y. Obliquity
+    is the mean of an electric and a magnetic wall's, which are one where the integral is stationary.
+
+    Args:
+        radius_m: [m].
+        height_m: [m].
+        position_m: (3) the radar, from the foot of the axis [m].
+        frequency_hz: [Hz].
+        bounces: 1 or more.
+        to_m: (3) its receiver; None: the same place [m].
+        level: whether fields are level.
+    """
+    k = wave_number(frequency_hz)
+    n, m = (int(np.ceil(3 * k * size / (2 * np.pi))) for size in (2 * np.pi * radius_m, height_m))
+    angle, step = 2 * np.pi * np.arange(n) / n, height_m / m
+    up, out = (np.arange(m) + 0.5) * step, np.stack([np.cos(angle), np.sin(angle)], 1)
+    unit, legs = 1j * k / (2 * np.pi) * (2 * np.pi * radius_m / n) * step, []
+    for place in (position_m, position_m if to_m is None else to_m):
+        way = radius_m * out - place[:2]
+        r = np.sqrt((way * way).sum(1)[:, None] + (up - place[2]) ** 2)
+        field = np.sign(way[:, :1]) if level else 1.0  # across the way, as it looks along y
+        legs.append((field * np.exp(-1j * k * r) / r, (way * out).sum(1)[:, None] / r))
+    (sent, cosine), (taken, back) = legs
+    chord, rise = 2 * radius_m * abs(np.sin(angle / 2))[:, None], np.arange(-m, m) * step
+    r = np.sqrt(chord**2 + rise**2)
+    r[0, m] = 1.0
+    across = np.exp(-1j * k * r) / r * chord**2 / (2 * radius_m) / r
+    spectrum, total = np.fft.fft2(np.roll(across, m, 1)), 0j
+    for first, last in ((cosine, 1.0), (1.0, back)):
+        wave = sent * first
+        for _ in range(bounces - 1):
+            wave = unit * np.fft.ifft2(np.fft.fft2(wave, (n, 2 * m)) * spectrum)[:, :m]
+        total += unit * np.sum(wave * taken * last) / 2
+    return complex(total / (2 * k) * (-1 if level else (-1) ** bounces))
+
+
 def mie_width(radius_m: float, frequency_hz: float) -> float:
     """Radar cross section of a conducting sphere [m^2] [Balanis2012, ch. 11]."""
     x = wave_number(frequency_hz) * radius_m

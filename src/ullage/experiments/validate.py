@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from ullage.data import Trajectory
 from ullage.experiments import oracles
-from ullage.geometry import C0, apply, matrix_quat, transform
+from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
-from ullage.radar.physical import bench, echoes, path_gain_cw, view_of
+from ullage.radar.physical import bench, echoes, lay, path_gain_cw, view_of
 from ullage.specs import AntennaSpec, RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 HERE = Trajectory.stationary()
 
@@ -61,6 +62,19 @@ def gain(
 ) -> complex:
     """Path gain at the origin at one frequency; without `edges` that of plain physical optics."""
     return complex(path_gain_cw(scene, HERE, spec or radar(), hz, max_bounces=bounces, edges=edges)[0])
+
+
+def over(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: tuple[str, ...]) -> complex:
+    """Path gain at the carrier of the echo of one object by way of others, those in the order in which they come."""
+    ready = bench(scene, spec)
+    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    names = [o.name for o in scene.objects]
+    wanted = [*(names.index(name) for name in via), -1, -1][:2]
+    laid = lay(ready, view, None, 1 + len(via), np.zeros((3, ready.places), complex))
+    return complex(sum(
+        part.echo[(part.stuffs == names.index(thing)) & (part.via == wanted).all(1)].sum()
+        for part in laid if part.via is not None
+    ))  # fmt: skip
 
 
 def point_targets() -> Iterator[Row]:
@@ -149,16 +163,34 @@ def corners() -> Iterator[Row]:
 
 
 def tanks() -> Iterator[Row]:
-    """Curved surfaces over flat faces: the corner of a round tank against a dense integral over its wall."""
+    """Round tanks: the corner of floor and wall, and from wall to wall, against dense integrals over the wall."""
     at = np.array([0.5, 0.2, 0.5])
     pose = Trajectory.stationary((0.5, 0.2, 0.5))
     for strips in (40, 96):
         scene = scenes.tank(2.0, 1.2, "pec", strips=strips)
-        single, double, triple = (complex(path_gain_cw(scene, pose, radar("horizontal"), max_bounces=b)[0])
-                                  for b in (1, 2, 3))  # fmt: skip
+        double, triple = (over(scene, pose, radar("horizontal"), "wall", v) for v in (("floor",), ("floor", "floor")))
         want = oracles.dense_tank(strips, 2.0, 1.2, at, 7.29e9)
-        yield Row(f"tank of {strips} strips, floor and wall", db(want[0]), db(double - single), 0.5)
-        yield Row(f"tank of {strips} strips, floor, wall, floor", db(want[1]), db(triple - double), 1.5)
+        yield Row(f"tank of {strips} strips, floor and wall", db(want[0]), db(double), 0.5)
+        yield Row(f"tank of {strips} strips, floor, wall, floor", db(want[1]), db(triple), 1.5)
+    scene = scenes.tank(1.2, 2.0, "pec", strips=96)
+    for name, place in (("on the axis", (0.0, 0.0, 0.8)), ("0.4 m before the wall", (0.8, 0.0, 0.8))):
+        for bounces in (2, 3):
+            found, dense = walls_heard(scene, 1.2, 2.0, place, bounces)
+            yield Row(f"tank, {bounces} bounces wall to wall, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
+
+
+def walls_heard(
+    scene: Scene, radius_m: float, height_m: float, place: tuple[float, float, float], bounces: int
+) -> tuple[Complexes, Complexes]:
+    """Echoes from wall to wall of a tank, as pulses over range: ours, and those of physical optics iterated."""
+    hz = np.linspace(6.3e9, 8.3e9, 16)
+    weight = np.exp(-0.5 * ((hz - 7.29e9) / 0.45e9) ** 2)
+    ranges = bounces * radius_m + np.arange(-0.5, 0.1, 0.01)
+    delayed = np.exp(4j * np.pi / C0 * np.multiply.outer(ranges, hz)) * weight / weight.sum()
+    pose, radius = Trajectory.stationary(place), bench(scene, radar()).world.rounds[0].radius
+    ours = [over(scene, pose, radar().but(center_hz=f), "wall", ("wall",) * (bounces - 1)) for f in hz]
+    want = [oracles.dense_walls(radius, height_m, np.array(place), f, bounces) for f in hz]
+    return delayed @ np.array(ours), delayed @ np.array(want)
 
 
 def rooms() -> Iterator[Row]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from ullage.data import Trajectory
 from ullage.experiments import oracles
-from ullage.experiments.validate import db, gain, radar
+from ullage.experiments.validate import db, gain, over, radar
 from ullage.geometry import C0
 from ullage.radar.explain import explain
-from ullage.radar.physical import echoes, path_gain_cw
+from ullage.radar.physical import echoes
 from ullage.world import scenes
 
 
@@ -120,12 +120,13 @@ def _trihedral(axes: Any) -> None:
 def _tank(axes: Any) -> None:
     scene, spec = scenes.tank(2.0, 1.2, "pec", strips=48), radar("horizontal")
     track = Trajectory.line((0.6, 0.2, 0.5), (1.0, 0.2, 0.5), 0.5, 60)
-    single, double, triple = (path_gain_cw(scene, track, spec, max_bounces=b) for b in (1, 2, 3))
+    double, triple = ([over(scene, track[i : i + 1], spec, "wall", via) for i in range(len(track))]
+                      for via in (("floor",), ("floor", "floor")))  # fmt: skip
     want = [oracles.dense_tank(48, 2.0, 1.2, at, spec.center_hz) for at in track.position]
     x = track.position[:, 0]
-    _both(axes, x, [db(v) for v in double - single], [db(v[0]) for v in want], "dense integral", "x [m]")
+    _both(axes, x, [db(v) for v in double], [db(v[0]) for v in want], "dense integral", "x [m]")
     axes.plot(x, [db(v[1]) for v in want], color="0.6", lw=3)
-    axes.plot(x, [db(v) for v in triple - double], color="C1", lw=1.2, label="ullage, over the floor there and back")
+    axes.plot(x, [db(v) for v in triple], color="C1", lw=1.2, label="ullage, over the floor there and back")
     axes.legend()
 
 

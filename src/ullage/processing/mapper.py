@@ -21,14 +21,15 @@ from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
 from ullage.processing.mapper_door import in_order, plane_of
-from ullage.processing.mapper_folds import may_be_folded
+from ullage.processing.mapper_ends import without_ends
+from ullage.processing.mapper_folds import Fold
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import STEP_M, Listener, Look, lit_ways, ways_apart
 from ullage.processing.mapper_rims import LEAST_RIM, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_show import without_cut_off
-from ullage.processing.mapper_tracks import EchoTracks, Foot
+from ullage.processing.mapper_tracks import EchoTracks, Foot, Traced
 from ullage.processing.mapper_turns import MOST_LOOKS, Stretch, Turns, bearings
 
 Floats = NDArray[np.float64]
@@ -72,7 +73,7 @@ class UllageMapper:
         self._listeners: dict[str, Listener] = {}
         self._axis: dict[str, tuple[float, float, float]] = {}
         self._lobe: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
-        self._fold_m: dict[str, float] = {}
+        self._folds: dict[str, Fold] = {}
         self._wavelength_m = 0.0
         self._rays: ElfesMapper | None = None
         self._published: OccupancyMap | None = None
@@ -80,7 +81,7 @@ class UllageMapper:
         self._levels = LevelFinder()
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
-        self._tracks = EchoTracks()
+        self._tracks = EchoTracks(self._may_be_folded)
         self._late: deque[tuple[str, Look, Floats, Floats]] = deque()
         self._runs = EchoRuns()
         self._pending: deque[tuple[str, Look, Weighed | None, list[Run], Stretch]] = deque()
@@ -111,7 +112,10 @@ class UllageMapper:
             self._levels.rim_m, self._tracks.mirror_m[name] = rim_mirror_m(part), mirror_m(part)
             hit_deg, free_deg = heard_deg(part.spec.antenna)
             self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
-            self._fold_m[name] = part.spec.unambiguous_range_m
+            least = self._lobe[name][0][0]
+            self._folds[name] = Fold(
+                least, HALF_POWER * math.acos(least), self._wavelength_m, part.spec.unambiguous_range_m
+            )
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
         frames_here = sum(len(part) for part in parts)
@@ -210,7 +214,7 @@ class UllageMapper:
         look.sharp[edge, 3:] = 0, 1
         yield FOLLOW
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
-        open_ = self._may_be_folded(name, look, weighed[0])
+        open_ = self._folds[name].among(look, weighed[0], self.blocks, usual=self._judge.usual)
         yield from self._insert(name, look, *self._arcs(look, weighed, rims, open_))
 
     def _insert_turned(self, name: str, look: Look, stretch: Stretch) -> Iterator[int]:
@@ -264,18 +268,10 @@ class UllageMapper:
                 out[k] = rim_along(near(run, look), lit[0][:2], self._wavelength_m, half)
         return out
 
-    def _may_be_folded(self, name: str, look: Look, cosine: Floats) -> Flags:
-        least = self._lobe[name][0][0]
-        return may_be_folded(
-            look,
-            cosine,
-            self.blocks,
-            least=least,
-            half_rad=HALF_POWER * math.acos(least),
-            wave_m=self._wavelength_m,
-            fold_m=self._fold_m[name],
-            usual=self._judge.usual,
-        )
+    def _may_be_folded(self, name: str, echo: Traced, way: Floats) -> bool:
+        """The same in a volume, of an echo whose direction is known."""
+        heard = echo.range_m, echo.height
+        return self._folds[name].may_be(echo.position, echo.ahead, way, heard, self.blocks, usual=self._judge.usual)
 
     def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float, share: float) -> None:
         """Echoes of smooth surfaces stand for what is about the foot of the perpendicular, as far as their level tells.
@@ -310,7 +306,7 @@ class UllageMapper:
         if false < 0.5:
             half = 0.5 * foot.rim * np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
             half = min(half, math.sqrt(foot.radius_m * self.grid.step_m))  # there a hollow wall is half a cell nearer
-            gain = DISC_SHARE * np.log((1 - false) / false)
+            gain = min(DISC_SHARE * echo.looks, 1.0) * np.log((1 - false) / false)
             self.blocks.lay(foot.at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
 
     def _weigh(self, look: Look) -> Weighed | None:
@@ -375,6 +371,7 @@ class UllageMapper:
         if self.grid.dims == 2:
             solid = percent.copy()
             thin_lines(self.blocks.pools, self.blocks.edge, np.array(corner[::-1]), SOLID, solid, percent)
+            without_ends(percent, corner, self.blocks, SOLID)
         flown = np.array(list(self._flown), float).reshape(-1, 3) * self.grid.step_m
         without_cut_off(percent, corner, self.grid, flown)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")

@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 
 STRAIGHT = float(np.cos(np.radians(35.0)))
 LEAST_ECHOES, LEAST_LONG_M, LEAST_SCATTER_M, OFF_M, MOST_MORE = 8, 0.45, 0.003, 0.01, 0.3
+FEWEST = 6  # however far apart: a cubic takes four
 OWN_SHARE = 0.4  # looks of one window share their frames
 SLOPES, LEAST_ACROSS = 8, 0.15  # of the line; share of the track's way beside the echo that runs across it
 HOLLOW, FOCUSED = -0.3, 1.7  # bows as shares of that of an edge or pole
@@ -99,10 +100,15 @@ class Hollow:
         return np.column_stack([normal, np.sum(normal * foot, axis=1), foot])
 
 
+def own_share(share: float, echoes: list[Traced]) -> float:
+    """Share of what echoes say that is each one's own, from that of a dense flight: looks far apart share no frames."""
+    return min(share * sum(e.looks for e in echoes) / len(echoes), 1.0)
+
+
 def bow_of(echoes: list[Traced]) -> Bow | None:
     """The bow of the last straight stretch of one reflector's echoes; None where that is too short."""
     echoes = [e for e in echoes if abs(e.track @ echoes[-1].track) > STRAIGHT]
-    if len(echoes) < LEAST_ECHOES:
+    if len(echoes) < FEWEST or sum(e.looks for e in echoes) < LEAST_ECHOES:
         return None
     at, reach = np.array([e.position for e in echoes]), np.array([e.range_m for e in echoes])
     track = at[-1] - at[0]
@@ -120,7 +126,9 @@ def bow_of(echoes: list[Traced]) -> Bow | None:
     off = np.std(heard - basis @ fit, axis=0)
     if np.linalg.norm(off[1:]) > OFF_M:
         return None
-    doubt = 2 * max(float(off[0]), LEAST_SCATTER_M) * float(np.sqrt(max(inverse[2, 2], 0.0) / OWN_SHARE))
+    doubt = (
+        2 * max(float(off[0]), LEAST_SCATTER_M) * float(np.sqrt(max(inverse[2, 2], 0.0) / own_share(OWN_SHARE, echoes)))
+    )
     cosine = float(np.clip(-fit[1, 0], -1, 1))
     bend = 2 * float(fit[2, 0])
     # distances to a line have a fourth order too, of which a cubic takes some for bend

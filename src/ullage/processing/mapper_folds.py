@@ -1,4 +1,4 @@
-"""On a plane, which echoes may have come from a flat wall one unambiguous range farther off.
+"""Which echoes may have come from a flat wall one unambiguous range farther off.
 
 Such a wall fits every range and bearing of the track alike, so only what else is known can tell: the room there is for
 it, how loud its echo could be, and what stands before it.
@@ -7,6 +7,7 @@ it, how loud its echo could be, and what stands before it.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,47 +24,64 @@ OWN_CELLS = 3.0  # beyond its own range that an echo's own cells may lie
 ACROSS = (0.0, -0.5, 0.5, -1.0, 1.0)  # rays to parts of the first Fresnel zone, in its half widths
 
 
-def may_be_folded(
-    look: Look, cosine: Floats, blocks: Blocks, *, least: float, half_rad: float, wave_m: float, fold_m: float,
-    usual: float,
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Which echoes (k) may as well be those of a wall farther off by `fold_m`.
+class Fold(NamedTuple):
+    """What of a sensor says whether its echoes may be folded."""
 
-    It is none where it would lie off the grid, nor where its echo, which falls as one over its range, is too loud for
-    it. Nor where the map holds something before it, but that must cover its first Fresnel zone: a mirror echo passes
-    beside what is thinner. What the map holds at the echo's own range is no witness: it may be there by such echoes.
+    least: float  # cosine to boresight in which echoes are looked for
+    half_rad: float  # angle from boresight at which the antenna has fallen by 3 dB one way [rad]
+    wave_m: float  # wavelength of the carrier [m]
+    fold_m: float  # range at which echoes fold [m]
 
-    Args:
-        look: with k echoes.
-        cosine: of each to the track (k).
-        blocks: what the map holds.
-        least: cosine to boresight in which echoes are looked for.
-        half_rad: angle from boresight at which the antenna has fallen by 3 dB one way [rad].
-        wave_m: wavelength of the carrier [m].
-        fold_m: range at which echoes fold [m].
-        usual: strength, range times height, of the strongest echoes lately heard.
-    """
-    eye = look.heard.position
-    out = np.zeros(len(look.echoes), bool)
-    for k, (reach, height) in enumerate(look.echoes[:, [0, 5]]):
-        for way in lit_ways(look.heard.axes, look.track, float(np.clip(cosine[k], -1, 1)), least):
-            far = reach + fold_m
-            _, inside = blocks.grid.index(eye + far * way)
-            lobe = float(lobe_loss(float(way @ look.heard.axes[:, 0]), half_rad))
-            if inside[0] and height * lobe * far < TOO_LOUD * usual:
-                out[k] |= _in_sight(blocks, eye, way, float(reach), float(far), wave_m)
-    return out
+    def among(self, look: Look, cosine: Floats, blocks: Blocks, *, usual: float) -> NDArray[np.bool_]:
+        """Which echoes (k) of a look on a plane may as well be those of a wall farther off by `fold_m`.
+
+        Args:
+            look: with k echoes.
+            cosine: of each to the track (k).
+            blocks: what the map holds.
+            usual: strength, range times height, of the strongest echoes lately heard.
+        """
+        eye, ahead = look.heard.position, look.heard.axes[:, 0]
+        out = np.zeros(len(look.echoes), bool)
+        for k, (reach, height) in enumerate(look.echoes[:, [0, 5]].tolist()):
+            for way in lit_ways(look.heard.axes, look.track, float(np.clip(cosine[k], -1, 1)), self.least):
+                out[k] |= self.may_be(eye, ahead, way, (reach, height), blocks, usual=usual)
+        return out
+
+    def may_be(
+        self, eye: Floats, ahead: Floats, way: Floats, echo: tuple[float, float], blocks: Blocks, *, usual: float
+    ) -> bool:
+        """Whether one echo, of a range and height in some way (3), may as well be that of a wall farther off.
+
+        It is not where that would lie off the grid, nor where its echo, which falls as one over its range, is too loud
+        for it. Nor where the map holds something before it, but that must cover its first Fresnel zone: a mirror echo
+        passes beside what is thinner. What the map holds at the echo's own range is no witness: it may be there by
+        such echoes. Past something nearer than both, an echo tells neither from the other in a volume.
+        """
+        reach, height = echo
+        far = reach + self.fold_m
+        _, inside = blocks.grid.index(eye + far * way)
+        if not inside[0] or height * float(lobe_loss(float(way @ ahead), self.half_rad)) * far >= TOO_LOUD * usual:
+            return False
+        step, slope = blocks.grid.step_m, math.sqrt(self.wave_m / (2 * far))  # half the zone's width over its range
+        beyond, hidden = reach + OWN_CELLS * step, blocks.grid.dims == 3
+        for side in _across(way, blocks.grid.dims):
+            for part in ACROSS:
+                ray = (way + part * slope * side) / math.hypot(1.0, part * slope)
+                if blocks.clear_to(eye, ray, reach - step):
+                    hidden = False
+                    if blocks.clear_to(eye + beyond * ray, ray, far - BESIDE_M - beyond):
+                        return True
+        return hidden
 
 
-def _in_sight(blocks: Blocks, eye: Floats, way: Floats, reach: float, far: float, wave_m: float) -> bool:
-    """Whether the map leaves open some part of the Fresnel zone of a wall at `far`, echoes at `reach` left aside."""
-    step, across = blocks.grid.step_m, np.array([-way[1], way[0], 0.0])
-    slope = math.sqrt(wave_m / (2 * far))  # half the zone's width over its range
-    for part in ACROSS:
-        ray = (way + part * slope * across) / math.hypot(1.0, part * slope)
-        beyond = reach + OWN_CELLS * step
-        if blocks.clear_to(eye, ray, reach - step) and blocks.clear_to(
-            eye + beyond * ray, ray, far - BESIDE_M - beyond
-        ):
-            return True
-    return False
+def _across(way: Floats, dims: int) -> list[Floats]:
+    """Directions (3) square to a way, across which a Fresnel zone is looked through: level, and in a volume upright."""
+    level = np.array([-way[1], way[0], 0.0])
+    if dims == 2:
+        return [level]
+    if np.linalg.norm(level) < 0.1:
+        level = np.array([1.0, 0.0, 0.0])
+    level = level - (level @ way) * way
+    level /= np.linalg.norm(level)
+    return [level, np.cross(way, level)]

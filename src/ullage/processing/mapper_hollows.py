@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ullage.kernels.rolls import AHEAD, LEG, PLACE, TRACK, TURNED, WIDE
 from ullage.processing.mapper_bows import Bow, Hollow, hollow_of, lines_of
+from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_rings import EDGE_BETTER, about, beam_odds, cone, is_edge, one_side, weigh
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ class Hollows:
         self._told: list[tuple[Hollow, Floats, Floats]] = []
         self._planes: list[Floats] = []
 
-    def tell(self, bow: Bow, me: Floats, others: Floats) -> tuple[Hollow, Floats] | None:
+    def tell(self, bow: Bow, me: Floats, others: Floats, echoes: list[Traced]) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes and the way (3) to it, if other legs leave but one side of its ring.
 
         Every place of another leg counts here, not each leg by its best: one bend describes all around.
@@ -41,6 +42,7 @@ class Hollows:
             bow: of the stretch.
             me: the stretch as its bow tells it (22).
             others: those around whose bow is known (m, 22).
+            echoes: of the stretch.
         """
         others, ring = _by_place(others), cone(me)
         which, axes, focal, doubt = lines_of(bow, ring)
@@ -58,6 +60,8 @@ class Hollows:
         way /= np.linalg.norm(way)
         hollow, most = hollow_of(bow, way, axis), float(odds.max())
         if places.max() < max(LEAST_PLACES, HEARD_SHARE * _should_hear(hollow, way, others)):
+            return None
+        if too_faint(echoes, way, hollow.radius_m):
             return None
         if _is_flat(bow, me, others, most) or is_edge(me, others, near, most):
             return None
@@ -86,7 +90,8 @@ class Hollows:
             beside = abs((places[len(ways) // 2] - foot) @ hollow.axis) > ON_ALONG_M or middle @ way < ON_ROUND
             turn = abs(np.mean(np.sum(ways * track, axis=1) - cosine))
             miss = abs(hollow.ranges(places, ways) - reach).max()
-            if lit and not beside and miss < FITS_M and turn < FITS_COSINE:
+            fits = lit and not beside and miss < FITS_M and turn < FITS_COSINE
+            if fits and not too_faint(echoes, middle, hollow.radius_m):
                 return hollow, middle
         return None
 

@@ -34,6 +34,7 @@ from ullage.kernels.rolls import (
 )  # fmt: skip
 from ullage.processing.mapper_bows import Bow, Hollow, bow_of
 from ullage.processing.mapper_hollows import Hollows
+from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
 
 if TYPE_CHECKING:
@@ -179,7 +180,8 @@ class Legs:
         surface = weigh(me, others, near)[0].max()
         if bend < 0:
             surface = max(surface, weigh(me, others, near, level, np.full(len(near), me[RANGE] / bend))[0].max())
-        return None if is_edge(me, others, near, surface) else np.asarray(mean)
+        edge = is_edge(me, others, near, surface) or too_faint(self._kept[at][0], mean)
+        return None if edge else np.asarray(mean)
 
     def _hollow(self, at: int) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes, known or told now, and the way (3) to it."""
@@ -191,7 +193,7 @@ class Legs:
         told = (
             None
             if bow is None or not mask.any()
-            else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask])
+            else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask], self._kept[at][0])
         )
         if told is not None:  # what waits around may have heard it too
             held, here = self._held, self._rows[at, PLACE : PLACE + 3]

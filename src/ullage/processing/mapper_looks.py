@@ -25,6 +25,7 @@ LEAST_BASE_M = 0.12
 JUMP_M = 0.5
 MOST_WAITING = 96
 MOST_SPOTS = 200_000
+DENSE_M, MOST_DENSE = 0.06, 2.5
 SMOOTH = 0.25
 STILL_M, STILL_RAD = 0.004, np.radians(1.0)
 WANDER_M, PAUSE_NS = 0.01, 500_000_000
@@ -225,6 +226,14 @@ def _apart(one: Floats, other: Floats) -> float:
     """Distance of two places (3), as np.linalg.norm has it but in a fourth of its time."""
     gap = one - other
     return math.sqrt(gap.dot(gap))
+
+
+def dense_looks(step_m: float) -> float:
+    """How many looks of a dense flight, 6 cm apart, one stands for so far from the one before: it shares less with it.
+
+    To a tenth, lest steps that are alike count a hair differently.
+    """
+    return round(min(max(step_m / DENSE_M, 1.0), MOST_DENSE), 1)
 
 
 def lit_ways(axes: Floats, track: Floats, cosine: float, least: float) -> list[Floats]:

@@ -9,15 +9,17 @@ leave open.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.processing.inverse_sensor import least_cosine
+from ullage.processing.mapper_bows import own_share
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
-from ullage.processing.mapper_looks import Look
+from ullage.processing.mapper_looks import Look, dense_looks
+from ullage.processing.mapper_loudness import level_db, too_faint
 from ullage.processing.mapper_rims import rim_of
 from ullage.processing.mapper_screens import (
     BEYOND_M,
@@ -60,8 +62,11 @@ class Traced:
     trust: float
     ahead: Floats = field(default_factory=lambda: np.zeros(3))  # (3) boresight
     within: float = -1.0  # cosine to it below which no flat surface could be so loud
+    looks: float = 1.0  # of a dense flight that it stands for, by the metre flown
+    level_db: float = np.inf  # against a perfect mirror's before an antenna of 0 dBi, where that is known
     laid: bool = False
     way: Floats | None = None  # (3) to the wall it was told to come from
+    sensor: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -73,15 +78,17 @@ class Followed:
     post: Floats | None = None  # (2) where it stands, if it is an upright edge or pole [m]
     screens: Floats = field(default_factory=lambda: np.zeros((0, 8)))  # walls it may be while its direction is open
     rim: float = LEAST_RIM  # Fresnel parameter out to which no edge stands
-    count: int = 0
+    count: float = 0.0  # of looks of a dense flight
     fresh: list[Traced] = field(default_factory=list)  # echoes that are part of no stretch yet
+    doubts: int = 0  # echoes that may have been folded, less those after them that cannot have been
 
     def add(self, echo: Traced, ahead: Floats, least: float) -> None:
         """Go on with an echo; every few of them, find the direction anew."""
         self.echoes.append(echo)
-        del self.echoes[:-FOLLOWED]
-        self.count += 1
-        if self.count >= LEAST_LOOKS and self.count % FIT_EVERY == 0:
+        while sum(e.looks for e in self.echoes) > FOLLOWED:
+            del self.echoes[0]
+        before, self.count = self.count, self.count + echo.looks
+        if self.count >= LEAST_LOOKS and self.count // FIT_EVERY > before // FIT_EVERY:
             self.normal = normal_of(self.echoes, ahead, least)
             self.post = None if self.normal is None else post_of(self.echoes, self.normal)
             level = np.array([e.height * e.range_m for e in self.echoes])
@@ -99,7 +106,10 @@ class Followed:
         """By how much an echo's range misses what this one's is by now, infinite where it cannot be the same [m]."""
         last = self.echoes[-1]
         step = echo.position - last.position
-        if abs(echo.cosine * np.sign(echo.track @ last.track) - last.cosine) > LINK_COSINE + 2 * echo.sigma:
+        if (
+            abs(echo.cosine * np.sign(echo.track @ last.track) - last.cosine)
+            > LINK_COSINE * echo.looks + 2 * echo.sigma
+        ):
             return np.inf
         if not 1 / LOUDER < echo.height / max(last.height, 1e-30) < LOUDER:
             return np.inf
@@ -110,11 +120,15 @@ class Followed:
 class EchoTracks:
     """Follows the echoes of each sensor and tells their directions.
 
+    Args:
+        may_be_folded: whether an echo of a sensor, in some way (3), may come from farther off than its range says.
+
     Attributes:
         mirror_m: amplitude times range of a perfect mirror before an antenna of 0 dBi, by sensor where it is known [m].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, may_be_folded: Callable[[str, Traced, Floats], bool] = lambda *_: False) -> None:
+        self._may_be_folded = may_be_folded
         self.mirror_m: dict[str, float] = {}
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
@@ -164,7 +178,8 @@ class EchoTracks:
         fits += 9 * (normal @ echo.ahead < echo.within)
         best = int(np.argmin(fits))
         other = fits[normal @ normal[best] < 0.9]
-        return normal[best] if fits[best] < 1 and (not len(other) or other.min() > 2) else None
+        told = fits[best] < 1 and (not len(other) or other.min() > 2) and not too_faint([echo], normal[best])
+        return normal[best] if told else None
 
     def _remember(self, foot: Foot, *, hold: bool = True) -> list[Foot]:
         """Add a foot to its wall; the feet that are to be told, all of a wall's once it has enough."""
@@ -174,7 +189,7 @@ class EchoTracks:
                 apart = at - wall[4:7]
                 far = float(np.linalg.norm(apart))
                 if far < wall[7] + 2 * BEYOND_M:
-                    wall[8] += 1
+                    wall[8] += foot.echo.looks
                     grow = max(far - wall[7], 0.0) / 2
                     wall[4:7] += grow / max(far, 1e-9) * apart
                     wall[7] += grow
@@ -183,7 +198,7 @@ class EchoTracks:
                         return [foot] * (not hold)
                     out, self._held[k] = [*self._held[k], foot], []
                     return out
-        self._walls.append(np.array([*normal, at @ normal, *at, 0.0, 1.0]))
+        self._walls.append(np.array([*normal, at @ normal, *at, 0.0, foot.echo.looks]))
         self._held.append([foot] * hold)
         del self._walls[:-MOST_WALLS], self._held[:-MOST_WALLS]
         return [foot] * (not hold)
@@ -213,9 +228,10 @@ class EchoTracks:
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
                 float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror),
+                dense_looks(look.heard.step_m), level_db(loud[k], mirror), sensor=name,
             )  # fmt: skip
             misses = [one.miss(echo) for one in free]
-            if misses and min(misses) < LINK_M:
+            if misses and min(misses) < LINK_M * echo.looks:
                 one = free.pop(int(np.argmin(misses)))
             else:
                 one = Followed()
@@ -223,7 +239,10 @@ class EchoTracks:
             one.add(echo, ahead, least)
             feet += self._told(one, echo)
             one.fresh.append(echo)
-            if len(one.fresh) >= LEAST_ECHOES and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M:
+            if (
+                sum(e.looks for e in one.fresh) >= LEAST_ECHOES
+                and np.linalg.norm(here - one.fresh[0].position) > STRETCH_M
+            ):
                 self._legs.add(one.fresh, one.echoes[-2 * len(one.fresh) :], ahead, least, one.rim)
                 one.fresh = []
         self._open[name] = held
@@ -232,6 +251,9 @@ class EchoTracks:
     def join(self, most: int | None = None) -> Iterator[Foot]:
         """The feet of echoes of straight legs that other legs have told by now; of at most so many stretches."""
         for echoes, ways, rim, radius in self._legs.tell_all() if most is None else self._legs.tell(most):
+            some = {0, len(echoes) // 2, len(echoes) - 1}
+            if any(self._may_be_folded(echoes[k].sensor, echoes[k], ways[k]) for k in some):
+                continue
             for echo, way in zip(echoes, ways, strict=True):
                 if not echo.laid:
                     echo.laid, echo.way = True, way
@@ -240,12 +262,18 @@ class EchoTracks:
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
         if one.normal is not None:
+            doubtful = self._may_be_folded(echo.sensor, echo, one.normal)
+            one.doubts = min(one.doubts + 1, SURE_FEET) if doubtful else max(one.doubts - 1, 0)
+            if one.doubts:
+                return []
             fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
             for foot in fresh:
                 foot.echo.laid, foot.echo.way = True, foot.way
+            if one.post is None and too_faint(one.echoes, one.normal):
+                return []
             return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
         way = None if echo.laid else self._known(echo)
-        if way is None:
+        if way is None or self._may_be_folded(echo.sensor, echo, way):
             return []
         echo.laid, echo.way = True, way
         return [Foot(echo, way, True, one.rim)]
@@ -286,12 +314,12 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
     rest = 1 - along[1] ** 2 - along[2] ** 2
     if rest < -0.1:
         return None
-    third = np.sqrt(max(rest, 0.0))
+    third, share = np.sqrt(max(rest, 0.0)), own_share(APART_SHARE, echoes)
     both = [sign * third * axes[:, 0] + along[1] * axes[:, 1] + along[2] * axes[:, 2] for sign in (-1.0, 1.0)]
     lit = [k for k in (0, 1) if both[k] @ ahead > least]
     if third < SAME_WAY:
         level = along[1] * axes[:, 1] + along[2] * axes[:, 2]
-        return _settled(level, matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+        return _settled(level, matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M, share)
     if not lit:
         return None
     if len(lit) == 2:
@@ -299,7 +327,7 @@ def normal_of(echoes: list[Traced], ahead: Floats, least: float) -> Floats | Non
         if abs(cost[0] - cost[1]) < TOLD_APART:
             return None
         lit = [int(np.argmin(cost))]
-    return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M)
+    return _settled(both[lit[0]], matrix, right, apart * RANGE_SIGMA_M, gone * RANGE_SIGMA_M, share)
 
 
 def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
@@ -316,7 +344,9 @@ def post_of(echoes: list[Traced], normal: Floats) -> Floats | None:
     return post if np.sqrt(np.mean(miss**2)) < POST_BETTER * max(float(np.std(off)), LEAST_SCATTER_M) else None
 
 
-def _settled(normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone: Floats) -> Floats | None:
+def _settled(
+    normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone: Floats, share: float
+) -> Floats | None:  # fmt: skip
     """The normal improved on the sphere, or None where it is vague or ranges miss a plane."""
     for _ in range(3):
         normal = normal / np.linalg.norm(normal)
@@ -324,6 +354,6 @@ def _settled(normal: Floats, matrix: Floats, right: Floats, apart: Floats, gone:
         inside = side.T @ matrix @ side
         normal = normal + side @ np.linalg.solve(inside + 1e-9 * np.eye(2), side.T @ (right - matrix @ normal))
     normal = normal / np.linalg.norm(normal)
-    doubt = 1 / np.sqrt(max(APART_SHARE * float(np.linalg.eigvalsh(inside)[0]), 1e-9))
+    doubt = 1 / np.sqrt(max(share * float(np.linalg.eigvalsh(inside)[0]), 1e-9))
     scatter = float(np.std(gone + apart @ normal))
     return np.asarray(normal) if doubt < TURN_SIGMA and scatter < SCATTER_M else None

@@ -123,7 +123,7 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
                     sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part)  # fmt: skip
 
 
-def _twins(corners: Floats) -> tuple[Longs, Longs]:
+def twins(corners: Floats) -> tuple[Longs, Longs]:
     """Pairs of triangles (f, 3, 3) that share an edge."""
     _, ids = np.unique(np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
     tri = ids.reshape(-1, 3)
@@ -139,7 +139,7 @@ def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64
     """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object."""
     if not len(corners):
         return np.zeros(0, np.int64)
-    a, b = _twins(corners)
+    a, b = twins(corners)
     gap = np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])
     size = np.linalg.norm(corners[b, 1] - corners[b, 0], axis=1) + np.linalg.norm(corners[b, 2] - corners[b, 0], axis=1)
     same = (abs(gap).max(1) < 1e-5 * np.maximum(size, 1e-2)) & (stuffs[a] == stuffs[b])
@@ -152,7 +152,7 @@ def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDAr
     count = int(patch.max()) + 1 if len(patch) else 0
     if not count:
         return np.zeros(0, bool)
-    a, b = _twins(corners)
+    a, b = twins(corners)
     bend = abs(np.einsum("ni,ni->n", normals[a], normals[b]))
     goes_on = (patch[a] != patch[b]) & (stuffs[a] == stuffs[b]) & (bend > np.cos(np.deg2rad(SMOOTH_DEG)))
     ways = np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)

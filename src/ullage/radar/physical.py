@@ -29,6 +29,7 @@ from ullage.radar.facets import Flats, Surfaces, joined
 from ullage.radar.penetration import Curtains, curtains, reflection_tables
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
+from ullage.radar.rounds import Round
 from ullage.radar.visibility import seen
 from ullage.radar.wires import Lines, placed, strung
 from ullage.specs import RadarSpec
@@ -210,6 +211,8 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         look = looks(ready, flats, view)
         out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
         out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, grids)
+        if rounds := ready.world.rounds_at(poses):
+            out += _lay_round(ready, parts, rounds, flats, view, max_bounces, look, grids)
     return out
 
 
@@ -247,6 +250,18 @@ def _lay_over(
     peak = float(abs(grids).max())
     out = lay_curves(ready, parts, flats, view, ways, peak, grids) if curved else []
     return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])
+
+
+def _lay_round(
+    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
+    grids: Complexes,
+) -> list[Laid]:  # fmt: skip
+    """Adds what goes from wall to wall of a round tank, and from one round body to another."""
+    from ullage.radar.round_pairs import lay_pairs
+    from ullage.radar.wall_bounces import lay_walls
+
+    out = lay_walls(ready, parts, rounds, flats, view, most, look, grids)
+    return out + (lay_pairs(ready, parts, rounds, view, grids) if len(rounds) > 1 else [])
 
 
 def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> Laid:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.geometry import invert
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
 from ullage.radar.movers import Movers
+from ullage.radar.rounds import Round, rounds_of
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -30,6 +33,20 @@ class Prepared:
         self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
         self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self.edges = sharp_edges(scene, self.still.rays)
+
+    @cached_property
+    def rounds(self) -> tuple[Round, ...]:
+        """Round walls and bodies, as they stand at the start."""
+        bent = self.still.flats.smooth.any() or len(self.still.corners) or self.moving.any()
+        return rounds_of(self.scene, np.ones(len(self.moving), bool)) if bent else ()
+
+    def rounds_at(self, poses: Floats | None) -> tuple[Round, ...]:
+        """Round walls and bodies where the objects have these poses (None: their first)."""
+        if poses is None or not self.rounds:
+            return self.rounds
+        start = self.scene.poses()
+        moved = [o.motion is not None for o in self.scene.objects]
+        return tuple(r.moved(poses[r.stuff] @ invert(start[r.stuff])) if moved[r.stuff] else r for r in self.rounds)
 
     def poses(self, t_ns: NDArray[np.int64]) -> Floats | list[None]:
         """Of all objects (n, o, 4, 4) at some times (n) [ns]; a None for each where nothing moves."""

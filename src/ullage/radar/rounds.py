@@ -1,0 +1,156 @@
+"""Round walls and bodies in a mesh: which facets lie on one cylinder, and where its axis runs, or on one ball.
+
+They come as flat strips or small triangles. What a wave makes of them on the way to another bounce hangs on their
+curvature, which no single facet has, so the cylinder or the ball through them is found once for a world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ullage.radar.facets import SMOOTH_DEG, twins
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
+OFF_M = 2.5e-3
+"""Corners of facets may lie so far off the cylinder [m]: a sixteenth of a wave."""
+LEAST_M = 0.08
+"""Narrower or shorter things are no mirrors, but two waves in size [m]."""
+_LEVEL = 0.02  # facets whose normal leans more along the axis belong to an end cap
+_MOST = 0.35  # less of a smooth surface is no wall between caps but the belt of a ball
+_DEEP = 0.05  # facets that bend by `SMOOTH_DEG` lie by half of this share of a ball's radius within it
+_ARC_DEG = 100.0  # less of a circle mirrors nothing to its own other side
+_FEWEST = 16  # triangles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """A surface that is part of one circular cylinder or one ball."""
+
+    centre: Floats  # (3) a point of the axis [m]
+    axes: Floats  # (3, 3) rows: two unit vectors across the axis, and the axis
+    radius: float  # mean over the facets [m]
+    low: float  # where the wall begins along the axis, from the centre [m]
+    high: float  # and where it ends [m]
+    depth: float  # by so much facets lie nearer to the axis or farther from it [m]
+    widest: float  # smaller extent of the widest facet [m]
+    stuff: int  # object
+    ball: bool = False
+
+    def local(self, points: Floats) -> Floats:
+        """Points (..., 3) as seen from the centre along the axes [m]."""
+        return np.asarray((points - self.centre) @ self.axes.T)
+
+    def moved(self, move: Floats) -> Round:
+        """The same after a rigid motion (4, 4)."""
+        turn = move[:3, :3]
+        return replace(self, centre=turn @ self.centre + move[:3, 3], axes=self.axes @ turn.T)
+
+
+def rounds_of(scene: Scene, faces: NDArray[np.bool_]) -> tuple[Round, ...]:
+    """The round walls and bodies among some faces (f) of a scene, as they stand at its start."""
+    corners = scene.corners()[faces]
+    stuffs = scene.face_object[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1) / 2
+    kept = area > 1e-12
+    corners, stuffs, area, normals = corners[kept], stuffs[kept], area[kept], normals[kept] / (2 * area[kept, None])
+    found = []
+    for mine in _connected(corners, normals, stuffs):
+        told = corners[mine], normals[mine], area[mine], int(stuffs[mine[0]])
+        ball, wall = _ball(*told), _fitted(*told)
+        if ball is not None and (wall is None or ball.depth < 2 * wall.depth):  # the rims of a drum lie on a ball, too
+            found.append(ball)
+        elif wall is not None:
+            found.append(wall)
+    return tuple(found)
+
+
+def _connected(corners: Floats, normals: Floats, stuffs: NDArray[np.int32]) -> list[Longs]:
+    """Triangles (f, 3, 3) of one object that go on from each to the next with hardly a bend, surface by surface."""
+    if not len(corners):
+        return []
+    a, b = twins(corners)
+    on = (stuffs[a] == stuffs[b]) & (
+        abs(np.einsum("ni,ni->n", normals[a], normals[b])) > np.cos(np.deg2rad(SMOOTH_DEG))
+    )
+    links = coo_array((np.ones(on.sum(), np.int8), (a[on], b[on])), shape=(len(corners), len(corners)))
+    count, name = connected_components(links, directed=False)
+    order = np.argsort(name, kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(name, minlength=count))[:-1])
+    return [group for group in groups if len(group) >= _FEWEST]
+
+
+def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
+    """The cylinder that triangles (n, 3, 3) lie on, if they do; caps that close it smoothly are left off."""
+    kept = np.ones(len(area), bool)
+    for _ in range(4):
+        _, turn = np.linalg.eigh(np.einsum("n,ni,nj->ij", area[kept], normals[kept], normals[kept]))
+        axis = turn[:, 0]
+        level = abs(normals @ axis) < _LEVEL
+        if (level == kept).all() or not level.any():
+            break
+        kept = level
+    if area[kept].sum() < _MOST * area.sum() or not (level == kept).all():
+        return None
+    axes = np.stack([turn[:, 2], np.cross(axis, turn[:, 2]), axis])
+    points = corners[kept] @ axes.T
+    flat = points[..., :2].reshape(-1, 2)
+    middle = flat.mean(0)
+    told = np.column_stack([2 * (flat - middle), np.ones(len(flat))])
+    (x, y, _), *_ = np.linalg.lstsq(told, ((flat - middle) ** 2).sum(1), rcond=None)
+    centre = middle + np.array([x, y])
+    away = np.linalg.norm(flat - centre, axis=1)
+    if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or _arc(flat - centre) < np.deg2rad(_ARC_DEG):
+        return None
+    halves = (points + np.roll(points, 1, 1))[..., :2] / 2 - centre  # of sides: exact for squares
+    gaps = np.linalg.norm(halves, axis=2)
+    radius = float(np.sum(area[kept] * gaps.mean(1)) / area[kept].sum())
+    least, most = points[..., 2].min(), points[..., 2].max()
+    if most - least < LEAST_M:
+        return None
+    return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
+                 float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff)  # fmt: skip
+
+
+def _ball(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
+    """The ball that triangles (n, 3, 3) lie on, if they do."""
+    points = corners.reshape(-1, 3)
+    middle = points.mean(0)
+    told = np.column_stack([2 * (points - middle), np.ones(len(points))])
+    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(told, ((points - middle) ** 2).sum(1), rcond=1e-9)
+    centre = middle + np.array([x, y, z])
+    away = np.linalg.norm(points - centre, axis=1)
+    whole = 4 * np.pi * away.mean() ** 2
+    if rank < 4 or np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or area.sum() < _MOST * whole:
+        return None
+    out = corners.mean(1) - centre
+    if (abs((out * normals).sum(1)) < np.cos(np.deg2rad(SMOOTH_DEG)) * np.linalg.norm(out, axis=1)).any():
+        return None
+    gaps = np.linalg.norm((corners + np.roll(corners, 1, 1)) / 2 - centre, axis=2)
+    radius = float(np.sum(area * gaps.mean(1)) / area.sum())
+    sides = np.linalg.norm(np.roll(corners, 1, 1) - corners, axis=2)
+    depth = float(max(away.max() - radius, radius - gaps.min()))
+    if depth > _DEEP * radius:
+        return None
+    return Round(centre, np.eye(3), radius, -radius, radius, depth, float(sides.min(1).max()), stuff, ball=True)
+
+
+def _arc(points: Floats) -> float:
+    """How much of a circle points (n, 2) about the origin go round [rad]."""
+    angle = np.sort(np.arctan2(points[:, 1], points[:, 0]))
+    return float(2 * np.pi - np.diff(np.append(angle, angle[0] + 2 * np.pi)).max())
+
+
+def _widest(points: Floats, centre: Floats) -> float:
+    """The smaller extent, around or along, of the widest of triangles (n, 3, 3) [m]."""
+    sides = np.roll(points, 1, 1) - points
+    around = np.linalg.norm(sides[..., :2], axis=2).max(1)
+    return float(np.minimum(around, np.ptp(points[..., 2], axis=1)).max())

@@ -1,0 +1,366 @@
+"""Echoes from wall to wall inside a round tank, by rays that bounce and physical optics at the last wall.
+
+Rays leave one antenna all round the axis and are bounced by geometrical optics [Deschamps1972], each with the spread
+of its tube and the caustics it has passed [KravtsovOrlov1993]; Kirchhoff's integral over the last wall, to the other
+antenna, is the sum over them [LingChouLee1989]. Round a cylinder it is a sum over one angle: along the axis nothing
+bends, so paths go straight on there and the integral is that of a point of stationary phase. In the sum a tube counts
+by the root of its width, so where walls focus the wave nothing becomes infinite. That integral errs where a tube has
+shrunk to nothing on the last wall. It may as well be done over the first wall, from the other antenna; each path is
+shared between both by how wide its tube is there, and how far the antenna.
+
+A level floor or roof across the axis turns the way along the axis back: one bounce more, at the height where its
+image has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fresnel
+
+from ullage.geometry import C0
+from ullage.radar.antenna import gain
+from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.mirrors import across, dot, reflected
+from ullage.radar.physical import Bench, Laid, View
+from ullage.radar.rounds import Round
+from ullage.radar.visibility import between
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Longs = NDArray[np.int64]
+
+LEAST_M = 0.25
+"""Narrower pipes are wave guides, not mirrors: their radius is but a few waves [m]."""
+ZONES = 50.0
+"""The sum over a wall fades out where its phase runs ahead by half of this [rad]."""
+ALIAS = 4.0
+"""It fades out, too, where the phase turns by this from one ray to the next [rad]."""
+FAINT = 1e-3
+"""Rays that count less than this share of the one that counts most are left out."""
+FLOORS = 2
+"""Over so many planes across the axis, those whose faces look largest, waves go on."""
+EVERY = 8
+"""Of so many rays one is asked what stands in its way and what becomes of its field; they are but 1 or 2 cm apart."""
+_SAME_M = 0.01  # planes so near to each other are one
+_PULL_M = 4e-3  # points on walls are looked at so far within the facets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fan:
+    """Rays across the axis of a cylinder, from wall to wall and to where they are to end, those that count."""
+
+    points: Floats  # (b, n, 2) where they meet the wall [m]
+    ways: Floats  # (b + 1, n, 2) unit vectors of travel
+    along: Floats  # (b + 1, n) path up to each wall, and to the end [m]
+    weights: Complexes  # (n) of each in the sum, but for the root of the wave number across the axis
+    names: Longs  # (n) number of each among those all round
+    leads: Longs  # (m) those that are paths, turned at the last wall as by a mirror
+    led: Longs  # (n) which of them is next to each
+
+    def some(self) -> Fan:
+        """Every `EVERY`th of them."""
+        which = np.append(np.arange(0, len(self.names) - 1, EVERY), len(self.names) - 1)
+        return replace(self, points=self.points[:, which], ways=self.ways[:, which], along=self.along[:, which],
+                       weights=self.weights[which], names=self.names[which])  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """A floor or a roof, across a cylinder's axis."""
+
+    level: float  # along the axis [m]
+    stuff: int  # object
+
+
+def lay_walls(
+    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, max_bounces: int,
+    look: Floats, grids: Complexes,
+) -> list[Laid]:  # fmt: skip
+    """Adds the echoes from wall to wall of the round tanks that the radar is in to the delay grids.
+
+    Two bounces; with three, another one at the wall, or one at a floor or a roof, those that look largest (p).
+    """
+    out: list[Laid] = []
+    one = bool((view.origins[0] == view.origins[1]).all() and (view.fields[0] == view.fields[1]).all())
+    sides = [replace(view, factor=2 * view.factor)] if one else [view, _swapped(view)]
+    for wall in _around(ready, rounds, view):
+        planes = _planes(flats, wall, look) if max_bounces > 2 else []
+        for side in sides:
+            for bounces in range(2, max_bounces + 1):
+                told = _laid(ready, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
+                out += told
+    return out
+
+
+def _swapped(view: View) -> View:
+    """The antennas in each other's place."""
+    return replace(view, **{row: getattr(view, row)[::-1].copy() for row in ("origins", "frames", "fields")})
+
+
+def _around(ready: Bench, rounds: tuple[Round, ...], view: View) -> Iterator[Round]:
+    """The walls about both antennas whose opposite sides lie within the gate, but for facets that mirror as flats."""
+    narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
+    for wall in rounds:
+        if not wall.ball and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < ready.gate[1]:
+            places = wall.local(view.origins)
+            if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - _PULL_M).all():
+                yield wall
+
+
+def _planes(flats: Flats, wall: Round, look: Floats) -> list[Plane]:
+    """Floors and roofs: where faces lie across the axis, plane by plane, those that look largest (p) first."""
+    level = np.flatnonzero((abs(flats.normals @ wall.axes[2]) > 1 - 1e-6) & (look > 0))
+    found: list[Plane] = []
+    for face in level[np.argsort(-look[level], kind="stable")]:
+        height = float(wall.local(flats.starts[flats.first[face]])[2])
+        if all(abs(height - plane.level) > _SAME_M for plane in found):
+            found.append(Plane(height, int(flats.stuffs[face])))
+        if len(found) == FLOORS:
+            break
+    return found
+
+
+def _laid(
+    ready: Bench, parts: list[Surfaces], view: View, wall: Round, bounces: int, planes: list[Plane], grids: Complexes
+) -> list[Laid]:
+    start, stop = wall.local(view.origins)
+    fan = fan_of(wall.radius, start[:2], stop[:2], bounces, 2 * np.pi / ready.spec.wavelength_m)
+    out = []
+    for plane in (None, *planes):
+        if plane is not None and (start[2] - plane.level) * (stop[2] - plane.level) <= 0:
+            continue
+        told = _over(ready, parts, view, wall, fan, plane, grids)
+        if told is not None:
+            out.append(told)
+    return out
+
+
+def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float) -> Fan:
+    """Rays from one point (2) within a circle over its wall to another (2), the way on from the last wall any.
+
+    Args:
+        radius: of the circle [m].
+        start: from where, about its middle [m].
+        stop: to where [m].
+        bounces: 2 or more.
+        wave: wave number [1/m].
+    """
+    least = min(np.sqrt(ZONES / (wave * radius)), 1.2)
+    step = 2 * np.pi / (int(4 * wave * radius * least * bounces) + 64)
+    shot = _shot(radius, start, bounces, step)
+    (x, y), (u, v), slope, width = shot.points[-1], shot.ways[-1], shot.slopes[-1], shot.width
+    on, off = stop[0] - x, stop[1] - y
+    last = np.sqrt(on * on + off * off)
+    on, off = on / last, off / last
+    turn = (y * (on - u) - x * (off - v)) / radius  # how fast the path grows along the wall
+    back = np.maximum(-(on * x + off * y) / radius, 0.0)
+    path = shot.legs.sum(0) + last
+    weights = np.sqrt(abs(width) / last * path) * (slope + back) / (2 * slope) * _share(shot, last, radius)
+    weights *= _fade(turn, last, width / slope, radius, wave, step)
+    kept = np.flatnonzero(weights > FAINT * weights.max(initial=1e-30))
+    weights = weights[kept] * (step * np.sqrt(0.5j / np.pi)) * 1j ** (shot.caustics[kept] % 4)
+    ways = np.concatenate([shot.ways, np.stack([on, off])[None]])[..., kept].transpose(0, 2, 1)
+    along = np.concatenate([shot.legs.cumsum(0), path[None]])[:, kept]
+    return Fan(np.ascontiguousarray(shot.points[..., kept].transpose(0, 2, 1)), np.ascontiguousarray(ways), along,
+               weights, kept, *_leads(kept, turn[kept], len(turn)))  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """Rays that were sent all round, up to their last wall."""
+
+    points: Floats  # (b, 2, n) where they meet walls [m]
+    ways: Floats  # (b, 2, n) how they come there
+    legs: Floats  # (b, n) from wall to wall [m]
+    slopes: Floats  # (b, n) cos(incidence)
+    width: Floats  # (n) of the tube at the last wall over the angle between rays, less than 0 beyond a caustic [m]
+    caustics: Longs  # (n) that they have passed
+
+
+def _shot(radius: float, start: Floats, bounces: int, step: float) -> Shot:
+    angle = (np.arange(round(2 * np.pi / step)) + 0.5) * step
+    count = len(angle)
+    points, ways, legs, slopes = *np.empty((2, bounces, 2, count)), *np.empty((2, bounces, count))
+    (x, y), u, v = (np.full(count, c) for c in start), np.cos(angle), np.sin(angle)
+    width, bend, caustics = np.zeros(count), np.ones(count), np.zeros(count, np.int64)
+    for bounce in range(bounces):
+        along = x * u + y * v
+        leg = np.sqrt(np.maximum(along * along + radius**2 - x * x - y * y, 0.0)) - along
+        x, y = x + leg * u, y + leg * v
+        slope = np.maximum((x * u + y * v) / radius, 1e-3)
+        wider = width + leg * bend
+        caustics += wider * width < 0
+        points[bounce], ways[bounce], legs[bounce], slopes[bounce] = (x, y), (u, v), leg, slope
+        width, bend = wider, bend - 2 * wider / (radius * slope)
+        u, v = u - 2 * slope * x / radius, v - 2 * slope * y / radius
+    return Shot(points, ways, legs, slopes, width, caustics)
+
+
+def _leads(names: Longs, turn: Floats, count: int) -> tuple[Longs, Longs]:
+    """Those rays (n) out of `count` all round whose path is stationary along the wall, and which of them is next."""
+    after = np.roll(np.arange(len(names)), -1)
+    here = np.flatnonzero((turn * turn[after] <= 0) & ((names[after] - names) % count == 1))
+    leads = np.where(abs(turn[here]) < abs(turn[after[here]]), here, after[here])
+    if not len(leads):
+        leads = np.array([abs(turn).argmin()])
+    gap = abs((names[:, None] - names[leads] + count // 2) % count - count // 2)
+    return leads, gap.argmin(1)
+
+
+def _fade(turn: Floats, last: Floats, width: Floats, radius: float, wave: float, step: float) -> Floats:
+    """What counts of rays (n) whose path grows by `turn` along the last wall: all about a point of stationary phase."""
+    length = last * radius / (last + radius)
+    reach = np.sqrt(turn * turn * (wave * length / ZONES + (wave * width * step / ALIAS) ** 2))
+    return np.asarray(np.sin(np.pi * np.clip(1 - reach, 0, 0.5)) ** 2)
+
+
+def _share(shot: Shot, last: Floats, radius: float) -> Floats:
+    """What rays (n) count for, done from this end, of what they count for from both."""
+    width, bend = last, np.ones(len(last))
+    for leg, slope in zip(shot.legs[:0:-1], shot.slopes[:0:-1], strict=True):
+        bend = bend - 2 * width / (radius * slope)
+        width = width + leg * bend
+    here, there = (shot.width * last) ** 2, (width * shot.legs[0]) ** 2
+    return np.asarray(here / (here + there))
+
+
+def _over(
+    ready: Bench, parts: list[Surfaces], view: View, wall: Round, fan: Fan, plane: Plane | None, grids: Complexes
+) -> Laid | None:
+    """Lays the echo over one fan, with a bounce at a plane across the axis or without."""
+    (_, _, begin), (_, _, end) = wall.local(view.origins)
+    rise = (end if plane is None else 2 * plane.level - end) - begin
+    path = np.sqrt(fan.along[-1] ** 2 + rise**2)
+    if path.min(initial=np.inf) > 2 * ready.gate[1]:
+        return None
+    looked = fan.some()
+    met = _climb(wall, looked, plane, begin, rise)
+    free = _free(parts, view, wall, looked, met, plane)
+    if not free.any():
+        return None
+    seen = free * _covered(wall, plane, met, looked.along, ready.spec.wavelength_m)
+    seen *= _turned(ready, view, wall, looked, plane, met)
+    wavelength = ready.spec.wavelength_m
+    value = view.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * path)) / path * fan.weights
+    value *= np.interp(fan.names, looked.names, seen)
+    echo = deposit(ready, path / C0, value, grids, (0.5, 0.5))
+    leads, count = fan.leads, len(fan.leads)
+    via = np.full((count, 2), -1, np.int64)
+    via[:, : len(fan.points) - 1] = wall.stuff
+    if plane is not None:
+        via[:, 1] = plane.stuff
+    points = np.stack([np.interp(fan.names[leads], looked.names, row) for row in met.stops[-1].T], 1)
+    total = np.bincount(fan.led, echo.real, count) + 1j * np.bincount(fan.led, echo.imag, count)
+    return Laid(np.full(count, wall.stuff, np.int32), points, total, path[leads] / C0, via)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Met:
+    """Where rays of a fan meet the wall, as they climb the axis."""
+
+    stops: Floats  # (b, n, 3) just within the facets [m]
+    heights: Floats  # (b, n) along the axis [m]
+    level: Floats  # (n) share of their way that runs across the axis
+    climb: Floats  # (n) share of it along the axis, at first
+    leg: Longs  # (n) on which they meet the plane; one more than there are where there is none
+
+
+def _climb(wall: Round, fan: Fan, plane: Plane | None, begin: float, rise: float) -> Met:
+    path = np.sqrt(fan.along[-1] ** 2 + rise**2)
+    heights = begin + rise * fan.along[:-1] / fan.along[-1]
+    leg = np.full(len(path), len(fan.ways))
+    if plane is not None:
+        beyond = (heights - plane.level) * (begin - plane.level) < 0
+        heights = np.where(beyond, 2 * plane.level - heights, heights)
+        leg = (~beyond).sum(0)
+    inner = np.minimum(np.maximum(heights, wall.low + _PULL_M), wall.high - _PULL_M)
+    pulled = fan.points * (1 - (wall.depth + _PULL_M) / wall.radius)
+    stops = wall.centre + pulled @ wall.axes[:2] + inner[..., None] * wall.axes[2]
+    return Met(stops, heights, fan.along[-1] / path, rise / path, leg)
+
+
+def _covered(wall: Round, plane: Plane | None, met: Met, along: Floats, wavelength: float) -> Complexes:
+    """What the wall's ends along its axis leave of the waves (n) at their bounces there, by Fresnel's integral.
+
+    The end that stands on the plane is none: beyond it the wall's image goes on.
+    """
+    zone = np.sqrt(wavelength * along[:-1] * (1 - along[:-1] / along[-1]) / met.level**3)
+    ends = [np.full(zone.shape, -0.5 + 0.5j), np.full(zone.shape, 0.5 - 0.5j)]
+    for k, end in enumerate((wall.low, wall.high)):
+        if plane is None or abs(end - plane.level) > _SAME_M:
+            sine, cosine = fresnel(np.sqrt(2) * (end - met.heights) / zone)
+            ends[k] = cosine - 1j * sine
+    return np.asarray(((ends[1] - ends[0]) / (1 - 1j)).prod(0))
+
+
+def _free(parts: list[Surfaces], view: View, wall: Round, fan: Fan, met: Met, plane: Plane | None) -> NDArray[np.bool_]:
+    """Which rays (n) have all legs free and meet what is there: the wall may have gaps, the floor may end."""
+    stops, count = met.stops, len(met.leg)
+    ends = [np.broadcast_to(origin, (1, count, 3)) for origin in view.origins]
+    corners = np.concatenate([ends[0], stops, ends[1]])
+    outward = fan.points @ (wall.axes[:2] * 2 * (wall.depth + _PULL_M) / wall.radius)
+    legs, holds = [corners[:-1], corners[1:].copy()], [stops, stops + outward]
+    if plane is not None:
+        rows, normal = np.arange(count), wall.axes[2]
+        a, b = corners[met.leg, rows], corners[met.leg + 1, rows]
+        gap, beyond = ((point - wall.centre) @ normal - plane.level for point in (a, b))
+        foot = a + (gap / (gap + beyond))[:, None] * (b - 2 * beyond[:, None] * normal - a)
+        lift = np.sign(gap)[:, None] * _PULL_M * normal
+        legs[1][met.leg, rows] = foot + lift
+        legs = [np.concatenate([legs[0], (foot + lift)[None]]), np.concatenate([legs[1], b[None]])]
+        holds = [np.concatenate([here, (foot + side)[None]]) for here, side in zip(holds, (lift, -lift), strict=True)]
+    both = [np.concatenate(rows).reshape(-1, 3) for rows in zip(legs, holds, strict=True)]
+    clear = between(parts, *both).reshape(-1, count)
+    return np.asarray(clear[: len(legs[0])].all(0) & ~clear[len(legs[0]) :].any(0))
+
+
+def _turned(ready: Bench, view: View, wall: Round, fan: Fan, plane: Plane | None, met: Met) -> Complexes:
+    """What the antennas and all reflections make of the waves (n)."""
+    ways, climb = fan.ways @ wall.axes[:2] * met.level[:, None], met.climb[:, None] * wall.axes[2]
+    normals, stuffs = fan.points @ wall.axes[:2] / wall.radius, np.full(len(climb), wall.stuff)
+    u = ways[0] + climb
+    field = across(view.fields[:1], u).astype(complex)
+    total = gain(ready.spec.antenna, u @ view.frames[0].T)
+    for leg in range(len(ways)):
+        mine = np.flatnonzero(met.leg == leg)
+        if plane is not None and len(mine):
+            axis, floor = np.broadcast_to(wall.axes[2], (len(mine), 3)), np.full(len(mine), plane.stuff)
+            field[mine] = reflected(ready.gamma, floor, field[mine], (ways[leg] + climb)[mine], axis)
+            climb = climb.copy()
+            climb[mine] *= -1
+        u = ways[leg] + climb
+        if leg < len(normals):
+            field = reflected(ready.gamma, stuffs, field, u, normals[leg])
+    back = gain(ready.spec.antenna, -u @ view.frames[1].T)
+    return np.asarray(total * back * dot(field, across(view.fields[1:], u)))
+
+
+def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, shares: tuple[float, float]) -> Complexes:
+    """Lays impulses (n) at their delays [s] on the grids; gives them at the carrier.
+
+    They fall by their `shares` as 1 and as 1 / f: a mirror's as 1 / f, points whose sum along a line makes a mirror's
+    as its root, which is half of each.
+    """
+    t0, dt, fold = ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s
+    landed, last = delay - np.floor((delay - t0) / fold) * fold, t0 + grids.shape[1] * dt
+    total = np.zeros(len(delay), complex)
+    while (here := np.flatnonzero(landed < last)).size:
+        echo = value[here] * np.exp(-1j * ready.pulse.omega * landed[here])
+        total[here] += echo
+        place = (landed[here] - t0) / dt
+        first = np.floor(place).astype(np.int64)
+        up = place - first
+        down = 1 - up
+        spline = np.stack([down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6])
+        at = first + np.arange(-1, 3)[:, None]
+        held = (at >= 0) & (at < grids.shape[1])
+        line = np.zeros(grids.shape[1], complex)
+        np.add.at(line, at[held], (spline * echo)[held])
+        for kind, share in enumerate(shares):
+            grids[kind] += share * line
+        landed = landed + fold
+    return total

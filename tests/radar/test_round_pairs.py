@@ -1,0 +1,167 @@
+"""From one ball or drum to another: second derivatives, dense integrals, images, reciprocity, shadow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.experiments.validate import over, radar
+from ullage.radar import round_pairs
+from ullage.radar.physical import prepare
+from ullage.radar.round_pairs import Bodies, paths_over
+from ullage.world import scenes
+from ullage.world.scene import Scene
+
+WAVE = 2 * np.pi * 7.29e9 / 299792458
+
+
+def body(centre, radius, *, ball, axis=(0, 0, 1.0)):
+    up = np.array(axis) / np.linalg.norm(axis)
+    side = np.cross(up, [0.3, 0.5, 0.7])
+    side /= np.linalg.norm(side)
+    return Bodies(np.array([centre], float), np.array([[side, np.cross(up, side), up]]), np.array([radius]),
+                  np.array([[-9.0, 9.0]]), np.array([ball]), np.zeros(1), np.zeros(1, np.int32))  # fmt: skip
+
+
+def named(scene, centre, name):
+    moved = replace(scene, vertices=scene.vertices + np.array(centre) - [2.0, 0, 0])
+    return replace(moved, objects=tuple(replace(o, name=name) for o in moved.objects))
+
+
+def two(first, last):
+    """A ball or a drum, 0.3 m in radius, at each of two places ahead."""
+    made = {"ball": scenes.sphere(0.3, 2.0, edge_m=0.06), "drum": scenes.cylinder(0.3, 1.0, 2.0)}
+    return Scene.union([named(made[first], (2, 0.5, 0), "a"), named(made[last], (2.4, -0.6, 0), "b")])
+
+
+def level(ratio):
+    return float(20 * np.log10(abs(ratio)))
+
+
+@pytest.mark.parametrize("balls", [(True, True), (True, False), (False, False)])
+def test_the_spread_is_that_of_the_paths_second_derivatives(balls):
+    """By differences of the path's length over points of both surfaces, drums leaning; the same from the other end."""
+    start, stop = np.array([0, 0, 0.1]), np.array([0, 0.2, -0.1])
+    first = body((2, 0.5, 0), 0.3, ball=balls[0], axis=(0, 0.1, 1))
+    last = body((2.4, -0.6, 0.2), 0.2, ball=balls[1], axis=(0.2, 0, 1))
+    found = paths_over(start, stop, first, last)
+    frames = [np.linalg.svd(normal)[2][1:] for normal in found.normals]
+
+    def length(step):
+        ends = [b.onto(found.corners[1 + k] + step[2 * k : 2 * k + 2] @ frames[k]) for k, b in enumerate((first, last))]
+        return sum(np.linalg.norm(b - a) for a, b in zip((start, *ends), (*ends, stop), strict=True))
+
+    tiny, axes = 1e-4, np.eye(4)
+    slope = [(length(tiny * a) - length(-tiny * a)) / (2 * tiny) for a in axes]
+    bend = [[(length(tiny * (a + b)) - length(tiny * (a - b)) - length(tiny * (b - a)) + length(-tiny * (a + b)))
+             / (4 * tiny**2) for a in axes] for b in axes]  # fmt: skip
+    legs = np.diff(found.corners, axis=0)[:, 0]
+    sizes = np.linalg.norm(legs, axis=1)
+    slopes = [-legs[k] @ found.normals[k, 0] / sizes[k] for k in (0, 1)]
+    assert np.max(np.abs(slope)) < 1e-6
+    assert found.spread[0] == pytest.approx(np.prod(slopes) / np.prod(sizes) / np.sqrt(np.linalg.det(bend)), rel=1e-3)
+    assert paths_over(stop, start, last, first).spread[0] == pytest.approx(found.spread[0], rel=1e-7)
+
+
+def test_a_ball_over_a_huge_ball_is_a_ball_over_a_floor():
+    """The floor's image sees the ball by itself: spread by the path's second derivatives over the ball alone."""
+    floor, small = body((0, 0, -1e5 - 1.0), 1e5, ball=True), body((2, 0, -0.4), 0.3, ball=True)
+    found = paths_over(np.zeros(3), np.array([0, 0.5, 0.2]), floor, small)
+    image = paths_over(np.array([0, 0, -2.0]), np.array([0, 0.5, 0.2]), body((0, 0, -1e5 - 1.0), 1e5, ball=True), small)
+    assert image.spread[0] == 0  # from beneath there is no way over the floor
+    wide = body((0, 0, -1e3 - 1.0), 1e3, ball=True)
+    near = paths_over(np.zeros(3), np.array([0, 0.5, 0.2]), wide, small)
+    normal, spot = found.normals[1, 0], found.corners[2, 0]
+    ways = [spot - np.array([0, 0, -2.0]), np.array([0, 0.5, 0.2]) - spot]
+    legs = [np.linalg.norm(way) for way in ways]
+    u, cosine = ways[0] / legs[0], -normal @ ways[0] / legs[0]
+    flat = (1 / legs[0] + 1 / legs[1]) * (np.eye(3) - np.outer(u, u)) + 2 * cosine / 0.3 * np.eye(3)
+    frame = np.linalg.svd(normal[None])[2][1:]
+    want = cosine / legs[0] / legs[1] / np.sqrt(np.linalg.det(frame @ flat @ frame.T))
+    assert found.length[0] == pytest.approx(sum(legs), abs=1e-4)
+    assert found.spread[0] == pytest.approx(want, rel=1e-3)
+    assert near.spread[0] == pytest.approx(want, rel=0.02)
+
+
+@pytest.mark.parametrize(("one", "other"), [(((2, 0.5), 0.3), ((2.4, -0.6), 0.3)),
+                                            (((2, 0.5), 0.15), ((2.0, -0.4), 0.3)),
+                                            (((1.5, 0.7), 0.1), ((2.0, -0.8), 0.1))])  # fmt: skip
+def test_two_drums_are_their_dense_double_integral(one, other):
+    """Iterated physical optics across the axes, obliquity of an electric and a magnetic wall in the mean."""
+    rings = []
+    for centre, radius in (one, other):
+        angle = np.arange(count := int(12 * WAVE * radius)) / count * 2 * np.pi
+        normal = np.stack([np.cos(angle), np.sin(angle)], 1)
+        rings.append((np.array(centre) + radius * normal, normal, 2 * np.pi * radius / count))
+    (here, n, dh), (there, m, dt) = rings
+    way, (sent, back) = there[None] - here[:, None], (np.linalg.norm(p, axis=1) for p in (here, there))
+    size = np.linalg.norm(way, axis=2)
+    slopes = [-(here * n).sum(1)[:, None] / sent[:, None], (way * n[:, None]).sum(2) / size,
+              -(way * m[None]).sum(2) / size, -(there * m).sum(1) / back]  # fmt: skip
+    path = sent[:, None] + size + back
+    lit = (slopes[0] > 0) & (slopes[1] > 0) & (slopes[2] > 0) & (slopes[3] > 0)
+    slope = (slopes[0] * slopes[2] + slopes[1] * slopes[3]) / 2
+    each = slope * lit / np.sqrt(sent[:, None] * size * back * path) * np.exp(-1j * WAVE * path)
+    want = 1j * WAVE / (2 * np.pi) * each.sum() * dh * dt
+    found = paths_over(np.zeros(3), np.zeros(3), *(body((*c, 0), r, ball=False) for c, r in (one, other)))
+    assert level(found.spread[0] / want) == pytest.approx(0, abs=1.0)
+    assert abs(np.angle(found.spread[0] * np.exp(-1j * WAVE * found.length[0]) / want)) < 0.2
+
+
+def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
+    """Drums of 1 m hold the zone of 0.25 m; cut at the radar's height they keep half the wave or a quarter."""
+    pose, spec, tall = ul.Trajectory.stationary(), radar(), two("drum", "drum")
+    whole, cut = (abs(over(s, pose, spec, "b", ("a",))) for s in (tall, shifted(tall, -0.5)))
+    first, last = (body((*c, 0), 0.3, ball=False) for c in ((2, 0.5), (2.4, -0.6)))
+    free = 2 * spec.wavelength_m / (4 * np.pi) * paths_over(np.zeros(3), np.zeros(3), first, last).spread[0]
+    assert level(whole / free) == pytest.approx(0, abs=1.5)
+    assert cut / free == pytest.approx(0.25, abs=0.05)
+
+
+def shifted(scene, up):
+    return replace(scene, vertices=scene.vertices + np.array([0, 0, up]))
+
+
+@pytest.mark.parametrize("kinds", [("ball", "ball"), ("drum", "ball")])
+def test_sending_and_receiving_may_be_exchanged(kinds):
+    spec, found = radar().but(antenna_offset_m=0.4), []
+    for roll in (0.0, np.pi):
+        pose = replace(ul.Trajectory.stationary(), quat_xyzw=np.array([[np.sin(roll / 2), 0, 0, np.cos(roll / 2)]]))
+        found.append(sum(over(two(*kinds), pose, spec, a, (b,)) for a, b in ("ab", "ba")))
+    assert abs(found[0]) > 0
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    together, hardly = (over(two(*kinds), ul.Trajectory.stationary(), radar().but(antenna_offset_m=d), "b", ("a",))
+                        + over(two(*kinds), ul.Trajectory.stationary(), radar().but(antenna_offset_m=d), "a", ("b",))
+                        for d in (0.0, 1e-6))  # fmt: skip
+    assert together == pytest.approx(hardly, rel=1e-4)
+
+
+def test_a_fence_between_them_hides_one_from_the_other(monkeypatch):
+    monkeypatch.setattr(round_pairs, "FAINT", 0.0)
+    pose, spec, open_ = ul.Trajectory.stationary(), radar(), two("drum", "drum")
+    fence = Scene.of_mesh(np.array([[2.1, 0, -1.0], [2.6, 0, -1], [2.6, 0, 1], [2.1, 0, 1]]),
+                          np.array([[0, 1, 2], [0, 2, 3]]), name="fence", made_of="pec")  # fmt: skip
+    assert abs(over(open_, pose, spec, "b", ("a",))) > 1e-5
+    wide = replace(fence, vertices=fence.vertices - [0.5, 0.05, 0])
+    assert over(Scene.union([open_, wide]), pose, spec, "b", ("a",)) == 0
+
+
+def test_bodies_that_move_are_where_they_are():
+    """Rounds carried along are those found in the world as it stands then."""
+    still = two("ball", "drum")
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
+    carried = [one.moved(move) for one in prepare(still).rounds]
+    there = prepare(replace(still, vertices=still.vertices @ move[:3, :3].T + move[:3, 3])).rounds
+    for one, other in zip(carried, there, strict=True):
+        assert one.centre[:2] == pytest.approx(other.centre[:2], abs=1e-6)
+        assert abs(one.axes[2] @ other.axes[2]) == pytest.approx(1, abs=1e-9)
+        assert one.local(other.centre)[:2] == pytest.approx([0, 0], abs=1e-6)
+
+
+def test_which_bodies_are_round():
+    kinds = [(body.ball, round(body.radius, 2)) for body in prepare(two("ball", "drum")).rounds]
+    assert kinds == [(True, 0.3), (False, 0.3)]
+    squeezed = two("ball", "ball")
+    assert prepare(replace(squeezed, vertices=squeezed.vertices * [1, 1, 0.8])).rounds == ()
