@@ -86,6 +86,19 @@ def test_all_contributions_add_up_to_the_frame(seed, bounces, apart):
         assert 20 * np.log10(abs(c.samples[peak])) == pytest.approx(c.path_gain_db, abs=3.0)
 
 
+@pytest.mark.parametrize("apart", [0.0, 0.3])
+def test_echoes_between_round_things_add_up_too(apart):
+    spec = RADAR.but(antenna_offset_m=apart)
+    drum = ul.scenes.cylinder(0.3, 1.0, 2.0)
+    drums = [replace(drum, vertices=drum.vertices + np.array([0.0, y, 0.7])) for y in (-0.6, 0.6)]
+    here = ul.Trajectory.stationary((0.2, 0.1, 0.7))
+    for scene, names in ((ul.scenes.tank(1.5, 2.0, strips=96), ("wall", "wall")), (ul.Scene.union(drums), None)):
+        frame = ul.simulate(scene, here, spec, max_bounces=3).samples[0]
+        told = ul.explain(scene, here, spec, max_bounces=3, count=None)
+        assert abs(sum(c.samples.astype(complex) for c in told) - frame).max() < 1e-4 * abs(frame).max()
+        assert any(c.path == names if names else len(c.path) == 2 for c in told)
+
+
 def test_a_ball_is_one_echo_of_its_optical_strength():
     radius, away = 0.3, 3.0
     told = ul.explain(ul.scenes.sphere(radius, away), HERE, RADAR)

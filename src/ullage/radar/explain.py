@@ -16,7 +16,8 @@ from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
-from ullage.radar.physical import Bench, Laid, bench, lay, passive, radio, view_of
+from ullage.radar.laid import Laid
+from ullage.radar.physical import Bench, bench, lay, passive, radio, view_of
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
@@ -344,7 +345,7 @@ def _samples(ready: Bench, laid: list[Laid], rows: _Rows, one: _Cluster, whole: 
     for part in laid:
         mine = shares[first : first + len(part.echo)]
         first += len(part.echo)
-        if part.again is not None and mine.any():
+        if mine.any():
             part.again(mine, grids)
     out = _heard(ready, grids) * whole
     return radio(out[None], ready.spec)[0] if ready.spec.output == "rf" else out.astype(np.complex64)

@@ -14,7 +14,8 @@ from ullage.kernels import wires as string
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.facets import Surfaces
-from ullage.radar.physical import KAPPA, REACH, Bench, Laid, View, common, grown, laid_by, shading
+from ullage.radar.laid import Laid, laid_by
+from ullage.radar.physical import KAPPA, REACH, Bench, View, common, grown, shading
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

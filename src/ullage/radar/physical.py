@@ -26,6 +26,7 @@ from ullage.kernels.near import LEAST_M
 from ullage.radar.antenna import cube
 from ullage.radar.diffraction import Rims, nowhere, rims_of
 from ullage.radar.facets import Flats, Surfaces, joined
+from ullage.radar.laid import Laid, centroids, laid_by
 from ullage.radar.penetration import Curtains, curtains, reflection_tables
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
@@ -52,23 +53,6 @@ class View:
     frames: Floats  # (2, 3, 3) sensor_from_world
     fields: Floats  # (2, 3) unit electric fields in the world
     factor: complex = 1.0 + 0j  # of every echo
-
-
-Again = Callable[[Complexes, Complexes], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Laid:
-    """Echoes laid down, for those who want to know where they came from."""
-
-    stuffs: NDArray[np.int32]  # (m) object
-    points: Floats  # (m, 3) [m]
-    echo: Complexes  # (m) at the carrier
-    delay_s: Floats  # (m)
-    via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
-    before: NDArray[np.int64] | None = None  # (m) how many of them before the object; None: all
-    rays: NDArray[np.bool_] | None = None  # (m) true for a mirror point, false for what its rim adds; None: neither
-    again: Again | None = None  # lays them once more, each times a factor (m), on other grids (3, g)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,25 +287,6 @@ def lay_triangles(
         kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out)
 
     return laid_by(put, shade, grids, stuffs[owner], centroids(leaves))
-
-
-def centroids(triangles: Floats) -> Floats:
-    """Centres (n, 3) of triangles (n, 3, 3); numpy's mean takes five times as long over so short an axis."""
-    return np.asarray((triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3)
-
-
-def laid_by(
-    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: NDArray[np.int32], points: Floats
-) -> Laid:
-    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays."""
-    many = len(shade)
-    echo, delay = np.empty(many, complex), np.empty(many)
-    put(shade, grids, echo, delay)
-
-    def again(factors: Complexes, others: Complexes) -> None:
-        put(shade * factors, others, np.empty(many, complex), np.empty(many))
-
-    return Laid(stuffs, points, echo, delay, again=again)
 
 
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:

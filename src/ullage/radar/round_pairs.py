@@ -17,9 +17,10 @@ from scipy.special import fresnel
 from ullage.geometry import C0
 from ullage.radar.antenna import gain
 from ullage.radar.facets import Surfaces
+from ullage.radar.laid import Laid
 from ullage.radar.mirrors import across, dot, reflected, unit
 from ullage.radar.multipath import most_looked
-from ullage.radar.physical import Bench, Laid, View
+from ullage.radar.physical import Bench, View
 from ullage.radar.rounds import Round
 from ullage.radar.visibility import between
 from ullage.radar.wall_bounces import deposit
@@ -183,7 +184,11 @@ def _laid(
         value = value * _covered(body, paths.corners[1 + k], paths.bends[:, k], wavelength)
     via = np.stack([first.stuffs, np.full(len(near), -1)], 1).astype(np.int64)
     echo = deposit(ready, paths.length / C0, value, grids, (0.0, 1.0))
-    return [Laid(last.stuffs, paths.corners[2], echo, paths.length / C0, via)]
+
+    def again(factors: Complexes, others: Complexes) -> None:
+        deposit(ready, paths.length / C0, value * factors, others, (0.0, 1.0))
+
+    return [Laid(last.stuffs, paths.corners[2], echo, paths.length / C0, again, via)]
 
 
 def _covered(body: Bodies, points: Floats, bends: Floats, wavelength: float) -> Complexes:

@@ -24,8 +24,9 @@ from scipy.special import fresnel
 from ullage.geometry import C0
 from ullage.radar.antenna import gain
 from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.laid import Laid
 from ullage.radar.mirrors import across, dot, reflected
-from ullage.radar.physical import Bench, Laid, View
+from ullage.radar.physical import Bench, View
 from ullage.radar.rounds import Round
 from ullage.radar.visibility import between
 
@@ -255,7 +256,11 @@ def _over(
         via[:, 1] = plane.stuff
     points = np.stack([np.interp(fan.names[leads], looked.names, row) for row in met.stops[-1].T], 1)
     total = np.bincount(fan.led, echo.real, count) + 1j * np.bincount(fan.led, echo.imag, count)
-    return Laid(np.full(count, wall.stuff, np.int32), points, total, path[leads] / C0, via)
+
+    def again(factors: Complexes, others: Complexes) -> None:
+        deposit(ready, path / C0, value * factors[fan.led], others, (0.5, 0.5))
+
+    return Laid(np.full(count, wall.stuff, np.int32), points, total, path[leads] / C0, again, via)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,10 +352,9 @@ def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, sha
     """
     t0, dt, fold = ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s
     landed, last = delay - np.floor((delay - t0) / fold) * fold, t0 + grids.shape[1] * dt
-    total = np.zeros(len(delay), complex)
+    total = value * np.exp(-1j * ready.pulse.omega * landed)  # what lands a pulse later is the same echo
     while (here := np.flatnonzero(landed < last)).size:
         echo = value[here] * np.exp(-1j * ready.pulse.omega * landed[here])
-        total[here] += echo
         place = (landed[here] - t0) / dt
         first = np.floor(place).astype(np.int64)
         up = place - first
@@ -363,4 +367,4 @@ def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, sha
         for kind, share in enumerate(shares):
             grids[kind] += share * line
         landed = landed + fold
-    return total
+    return np.asarray(total)
