@@ -97,3 +97,46 @@ def test_what_some_looks_hear_may_be_a_level_and_is_none():
         finder.hear(crowded(k, share=0.4, loud=10.0 if k % 2 else 1.0))
     assert finder.levels() == []
     assert any(sign == -1 and abs(height) < 0.1 for sign, height in finder.levels(least=RETURNING))
+
+
+def past_corner(number: int, *, ranges: tuple[float, ...]) -> Look:
+    """A look, flown along x, at things whose plan distance is that of a corner at (4, 3), so far below or above it."""
+    position, track = np.array([0.05 * number, 0, HEIGHT_M]), np.array([1.0, 0, 0])
+    along, plan = 4 - position[0], np.hypot(4 - position[0], 3)
+    axes = np.column_stack([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1.0]])
+    heard = Heard(number, position, axes, 1, np.zeros(16), np.zeros(16), np.zeros(8, bool), None)
+    reach = np.hypot(plan, ranges)
+    rows = [[r, 0.003, along / r, 0.01, 1, 2e-4 / r] for r in reach]
+    return Look(heard, track, np.array(rows), np.zeros((len(rows), 5)))
+
+
+def finder_of_a_floor() -> LevelFinder:
+    finder = LevelFinder()
+    for k in range(80):
+        finder.hear(look(k, heading_rad=0.05 * k, abeam=True, wall=1.4e-4))
+    assert any(sign < 0 and abs(height) < 0.05 for sign, height in finder.levels())
+    return finder
+
+
+def test_the_foot_of_a_corner_is_no_other_corner():
+    here = past_corner(0, ranges=(0.0, FLOOR_M))
+    assert finder_of_a_floor().ends(here, [here]).tolist() == [False, True]
+
+
+def test_it_is_none_either_while_what_hides_the_corner_leaves_its_foot():
+    hidden, later = past_corner(0, ranges=(FLOOR_M,)), past_corner(10, ranges=(0.0, FLOOR_M))
+    finder = finder_of_a_floor()
+    assert finder.ends(hidden, [hidden]).tolist() == [False], "nothing tells"
+    assert finder.ends(hidden, [hidden, later]).tolist() == [True]
+
+
+def test_what_stands_elsewhere_stays():
+    here = past_corner(0, ranges=(0.0, FLOOR_M))
+    finder = finder_of_a_floor()
+    farther = past_corner(0, ranges=(0.0, 1.5 * FLOOR_M))
+    assert finder.ends(farther, [farther]).tolist() == [False, False], "no floor is so deep"
+    here.echoes[1, 2] -= 0.1
+    assert finder.ends(here, [here]).tolist() == [False, False], "half a metre farther back"
+    here = past_corner(0, ranges=(0.0, FLOOR_M))
+    here.echoes[1, 5] *= 10
+    assert finder.ends(here, [here]).tolist() == [False, False], "far louder than what it would belong to"

@@ -212,6 +212,7 @@ class UllageMapper:
         weighed, edge = edges_among(look, weighed, runs, self._lobe[name][0][0])
         look = replace(look, sharp=look.sharp.copy())
         look.sharp[edge, 3:] = 0, 1
+        weighed[2][self._levels.ends(look, [look, *(other for one, other, *_ in self._pending if one == name)])] = 0
         yield FOLLOW
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
         open_ = self._folds[name].among(look, weighed[0], self.blocks, usual=self._judge.usual)
@@ -303,7 +304,7 @@ class UllageMapper:
         """
         echo = foot.echo
         false = float(np.clip(1 - echo.trust, LEAST_FALSE, 0.95))
-        if false < 0.5:
+        if false < 0.5 and self.blocks.clear_to(echo.position, foot.way, echo.range_m):
             half = 0.5 * foot.rim * np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
             half = min(half, math.sqrt(foot.radius_m * self.grid.step_m))  # there a hollow wall is half a cell nearer
             gain = min(DISC_SHARE * echo.looks, 1.0) * np.log((1 - false) / false)

@@ -18,6 +18,7 @@ ENOUGH_LOOKS = 60
 NEAR_M = 0.08
 LOUDER = 4.0
 REMEMBERED = 400
+END_M, SAME_M, SAME_ALONG_M, SAME_WAY = (0.3, 4.0), 0.04, 0.15, 0.95
 ONE_HEADING, ABEAM, SOME = 0.94, 0.6, 0.25
 SECTORS, ENOUGH_SECTORS, ENOUGH_THERE = 4, 3, 10
 OFTEN, OFTEN_EACH, ALIKE = 0.35, 0.2, 2.5
@@ -128,6 +129,18 @@ class LevelFinder:
             drop |= at & (look.echoes[:, 5] < LOUDER * self._usual(sign, height))
         return look.only(~drop)
 
+    def ends(self, look: Look, others: list[Look]) -> NDArray[np.bool_]:
+        """Which echoes (k) of a look are those of where an upright thing that is heard ends, at a floor or ceiling.
+
+        An upright wall and a floor, and the corner of two walls and a floor, mirror a wave back as from where they
+        meet: as far along the track as the wall or the corner itself, and at a range that is longer by Pythagoras.
+        What ends there may be heard in that look, or while what stands before it hides it, in others.
+        """
+        z = float(look.heard.position[2])
+        rises = np.unique([round(abs(height - z) / BIN_M) * BIN_M for _, height in self.levels()])
+        rises = rises[(rises > END_M[0]) & (rises < END_M[1])]
+        return _ends_of(look, [other for other in others if abs(look.track @ other.track) > SAME_WAY], rises)
+
     def _usual(self, sign: int, height: float) -> float:
         near = self._heard_at(sign, height)
         return float(np.median(near)) if near else 0.0
@@ -141,3 +154,19 @@ class LevelFinder:
     def _vertical(look: Look, sign: int) -> NDArray[np.bool_]:
         miss = abs(look.echoes[:, 2] - sign * look.track[2])
         return np.asarray(miss < 3 * look.echoes[:, 3] + 0.08)
+
+
+def _ends_of(look: Look, others: list[Look], rises: Floats) -> NDArray[np.bool_]:
+    """Which echoes (k) of a look are from so far below or above (h) what others of its sensor heard level [m]."""
+    if not len(rises) or not others or not len(look.echoes):
+        return np.zeros(len(look.echoes), bool)
+    mine, heard = look.echoes[:, None, None], np.concatenate([other.echoes for other in others])
+    reach, along, there = mine[..., 0], mine[..., 0] * mine[..., 2], heard[:, 0]
+    count = [len(other.echoes) for other in others]
+    moved = np.repeat([(other.heard.position - look.heard.position) @ look.track for other in others], count)
+    signs = np.repeat([np.sign(look.track @ other.track) for other in others], count)
+    onward = there * heard[:, 2] * signs + moved
+    doubt = SAME_ALONG_M + 3 * np.hypot(reach * mine[..., 3], there * heard[:, 3])
+    level = np.sqrt(np.maximum(reach**2 - rises[:, None] ** 2 - along**2 + (along - moved) ** 2, 0.0))
+    loud = reach * mine[..., 5] < LOUDER * there * heard[:, 5]
+    return np.asarray((loud & (abs(level - there) < SAME_M) & (abs(along - onward) < doubt)).any(axis=(1, 2)))
