@@ -24,6 +24,13 @@ def body(centre, radius, *, ball, axis=(0, 0, 1.0)):
                   np.array([[-9.0, 9.0]]), np.array([ball]), np.zeros(1), np.zeros(1, np.int32))  # fmt: skip
 
 
+def onto(one, point):
+    """A point (3) brought to the surface of a body, drums going on for ever."""
+    away = point - one.centres[0]
+    along = 0.0 if one.balls[0] else away @ one.axes[0, 2] * one.axes[0, 2]
+    return one.centres[0] + along + one.radii[0] * (away - along) / np.linalg.norm(away - along)
+
+
 def named(scene, centre, name):
     moved = replace(scene, vertices=scene.vertices + np.array(centre) - [2.0, 0, 0])
     return replace(moved, objects=tuple(replace(o, name=name) for o in moved.objects))
@@ -49,7 +56,8 @@ def test_the_spread_is_that_of_the_paths_second_derivatives(balls):
     frames = [np.linalg.svd(normal)[2][1:] for normal in found.normals]
 
     def length(step):
-        ends = [b.onto(found.corners[1 + k] + step[2 * k : 2 * k + 2] @ frames[k]) for k, b in enumerate((first, last))]
+        ends = [onto(b, found.corners[1 + k, 0] + step[2 * k : 2 * k + 2] @ frames[k])
+                for k, b in enumerate((first, last))]  # fmt: skip
         return sum(np.linalg.norm(b - a) for a, b in zip((start, *ends), (*ends, stop), strict=True))
 
     tiny, axes = 1e-4, np.eye(4)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.geometry import C0
+from ullage.kernels import pairs as kernel
 from ullage.radar.antenna import gain
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
@@ -31,8 +32,8 @@ Longs = NDArray[np.int64]
 
 BODIES = 8
 """Between so many bodies waves go, those that look largest; each fades in."""
-FAINT = 1e-3
-"""Pairs that could not make this share of a frame's strongest echo are left out."""
+FAINT = 5e-4
+"""Pairs that do not make this share of a frame's strongest echo are left out."""
 _STEPS = 12  # of Newton's method, at the most
 _PULL_M = 4e-3  # points on bodies are looked at so far outside of their facets
 
@@ -52,17 +53,6 @@ class Bodies:
     def take(self, which: Longs) -> Bodies:
         """Some of them."""
         return Bodies(*(getattr(self, row)[which] for row in self.__slots__))
-
-    def normals(self, points: Floats) -> Floats:
-        """Outward unit normals (m, 3) next to points (m, 3)."""
-        away = points - self.centres
-        return unit(away - np.where(self.balls, 0.0, dot(away, self.axes[:, 2]))[:, None] * self.axes[:, 2])
-
-    def onto(self, points: Floats) -> Floats:
-        """Points (m, 3) brought to the surfaces; drums go on for ever."""
-        away = points - self.centres
-        along = np.where(self.balls, 0.0, dot(away, self.axes[:, 2]))[:, None] * self.axes[:, 2]
-        return np.asarray(self.centres + along + self.radii[:, None] * unit(away - along))
 
 
 @lru_cache(maxsize=16)
@@ -85,58 +75,20 @@ class Paths:
     spread: Floats  # (m) what a source's wave is less at the end [1/m]; 0 where there is no such path
     bends: Floats  # (m, 2) second derivative of the path along either body's axis, all else as it fits [1/m]
 
+    def take(self, which: Longs) -> Paths:
+        """Some of them."""
+        return Paths(self.corners[:, which], self.normals[:, which], self.length[which], self.spread[which],
+                     self.bends[which])  # fmt: skip
+
 
 def paths_over(start: Floats, stop: Floats, first: Bodies, last: Bodies) -> Paths:
     """The shortest paths from one point (3) over the first bodies (m) and then the last (m) to another (3)."""
-    here = first.onto(first.centres + unit(start - first.centres) + unit(last.centres - first.centres))
-    there = last.onto(last.centres + unit(stop - last.centres) + unit(first.centres - last.centres))
-    for _ in range(_STEPS):
-        slope, bend, frames, _ = _shape(start, stop, first, last, here, there)
-        step = -np.linalg.solve(bend, slope[..., None])[..., 0]
-        far = np.sqrt((step * step).sum(1))
-        step *= np.minimum(1.0, 0.7 * np.minimum(first.radii, last.radii) / np.maximum(far, 1e-12))[:, None]
-        here = first.onto(here + np.einsum("nk,nki->ni", step[:, :2], frames[0]))
-        there = last.onto(there + np.einsum("nk,nki->ni", step[:, 2:], frames[1]))
-        if far.max() < 1e-4:  # the next step would be its square
-            break
-    slope, bend, _, legs = _shape(start, stop, first, last, here, there)
-    normals = np.stack([first.normals(here), last.normals(there)])
-    corners = np.stack([np.broadcast_to(start, here.shape), here, there, np.broadcast_to(stop, here.shape)])
-    ways = np.diff(corners, axis=0) / legs[..., None]
-    slopes = np.stack([-dot(ways[0], normals[0]), dot(ways[1], normals[0]), -dot(ways[1], normals[1]),
-                       dot(ways[2], normals[1])])  # fmt: skip
-    good = (slopes.min(0) > 1e-3) & (abs(slope).max(1) < 1e-5) & (np.linalg.det(bend) > 0)
-    spread = slopes[0] * slopes[2] / (legs.prod(0) * np.sqrt(np.where(good, np.linalg.det(bend), 1.0)))
-    loose = np.linalg.inv(np.where(good[:, None, None], bend, np.eye(4)))
-    bends = 1 / np.stack([loose[:, 1, 1], loose[:, 3, 3]], 1)
-    return Paths(corners, normals, legs.sum(0), np.where(good, spread, 0.0), bends)
-
-
-def _shape(
-    start: Floats, stop: Floats, first: Bodies, last: Bodies, here: Floats, there: Floats
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """First (m, 4) and second (m, 4, 4) derivatives of the path along frames (2, m, 2, 3) of both; its legs (3, m)."""
-    corners = np.stack([np.broadcast_to(start, here.shape), here, there, np.broadcast_to(stop, here.shape)])
-    way = np.diff(corners, axis=0)
-    legs = np.sqrt((way * way).sum(2))
-    way /= legs[..., None]
-    plane = (np.eye(3) - way[..., :, None] * way[..., None, :]) / legs[..., None, None]
-    slopes, bends, frames = [], np.empty((len(here), 4, 4)), []
-    for k, (body, place) in enumerate(((first, here), (last, there))):
-        normal = body.normals(place)
-        up = across(body.axes[:, 2] + 1e-3 * body.axes[:, 0], normal)
-        frame = np.stack([np.cross(up, normal), up], 1)
-        turn = way[k] - way[k + 1]
-        block = frame @ (plane[k] + plane[k + 1]) @ frame.transpose(0, 2, 1)
-        bent = -dot(turn, normal) / body.radii
-        block[:, 0, 0] += bent
-        block[:, 1, 1] += np.where(body.balls, bent, 0.0)
-        bends[:, 2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-        slopes.append(np.einsum("nai,ni->na", frame, turn))
-        frames.append(frame)
-    mixed = -frames[0] @ plane[1] @ frames[1].transpose(0, 2, 1)
-    bends[:, :2, 2:], bends[:, 2:, :2] = mixed, mixed.transpose(0, 2, 1)
-    return np.concatenate(slopes, 1), bends, np.stack(frames), legs
+    many = len(first.radii)
+    both = [np.stack([getattr(first, row), getattr(last, row)]) for row in ("centres", "axes", "radii", "balls")]
+    corners, normals = np.empty((4, many, 3)), np.empty((2, many, 3))
+    lengths, spreads, bends = np.empty(many), np.empty(many), np.empty((many, 2))
+    kernel.shortest(start, stop, *both, _STEPS, corners, normals, lengths, spreads, bends, np.empty(76))
+    return Paths(corners, normals, lengths, spreads, bends)
 
 
 def lay_pairs(
@@ -157,31 +109,33 @@ def lay_pairs(
     legs = np.stack([gaps[0, one] - bodies.radii[one], gaps[1, other] - bodies.radii[other],
                      apart - bodies.radii[one] - bodies.radii[other]])  # fmt: skip
     most = bodies.radii[one] * bodies.radii[other] / (4 * np.maximum(legs, 1e-3).prod(0) * legs.sum(0))
-    least = FAINT * float(abs(grids).max()) * 4 * np.pi / (ready.spec.wavelength_m * float(ready.table.max()) ** 2)
-    loud = (most > least**2) & ((one < other) if together else (one != other))
+    seen = replace(view, factor=2 * view.factor) if together else view
+    least = FAINT * float(abs(grids).max())
+    full = ready.spec.wavelength_m / (4 * np.pi) * abs(seen.factor) * float(ready.table.max()) ** 2
+    loud = (most * full**2 > least**2) & ((one < other) if together else (one != other))
     if not loud.any():
         return []
-    seen = replace(view, factor=2 * view.factor) if together else view
-    return _laid(ready, parts, seen, bodies, one[loud], other[loud], weights, grids)
+    return _laid(ready, parts, seen, bodies, one[loud], other[loud], weights, least, grids)
 
 
 def _laid(
     ready: Bench, parts: list[Surfaces], view: View, bodies: Bodies, one: Longs, other: Longs, weights: Floats,
-    grids: Complexes,
+    least: float, grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
+    """The echoes over pairs of bodies (m), but for those less than a path gain amplitude."""
     first, last = bodies.take(one), bodies.take(other)
     paths = paths_over(view.origins[0], view.origins[1], first, last)
-    near = np.flatnonzero((paths.spread > 0) & (paths.length < 2 * ready.gate[1]))
-    if not len(near):
-        return []
-    paths = Paths(paths.corners[:, near], paths.normals[:, near], paths.length[near], paths.spread[near],
-                  paths.bends[near])  # fmt: skip
-    first, last, one, other = first.take(near), last.take(near), one[near], other[near]
     wavelength = ready.spec.wavelength_m
     value = wavelength / (4 * np.pi) * view.factor * paths.spread * weights[one] * weights[other]
-    value = value * _free(parts, first, last, paths) * _turned(ready, view, first, last, paths)
+    value[(abs(value) * float(ready.table.max()) ** 2 <= least) | (paths.length >= 2 * ready.gate[1])] = 0
+    near = np.flatnonzero(value)  # most are too faint now that their bends are known, and need not be followed
+    if not len(near):
+        return []
+    paths, first, last = paths.take(near), first.take(near), last.take(near)
+    value = value[near] * _turned(ready, view, first, last, paths)
     for k, body in enumerate((first, last)):
         value = value * _covered(body, paths.corners[1 + k], paths.bends[:, k], wavelength)
+    value = value * (abs(value) > least) * _free(parts, first, last, paths)
     via = np.stack([first.stuffs, np.full(len(near), -1)], 1).astype(np.int64)
     echo = deposit(ready, paths.length / C0, value, grids, (0.0, 1.0))
 

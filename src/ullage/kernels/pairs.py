@@ -1,0 +1,155 @@
+"""Loops over pairs of round bodies: the shortest path over both, and its second derivatives, by Newton's method."""
+
+from __future__ import annotations
+
+import math
+
+from ullage.kernels.bounces import _across, _unit
+from ullage.kernels.loops import core, lean
+
+
+@lean(nogil=True, error_model="numpy")
+def shortest(start, stop, centres, axes, radii, balls, steps, corners, normals, lengths, spreads, bends, scratch):  # type: ignore[no-untyped-def]
+    """The shortest paths from one point (3) over the first and then the last body of each pair to another (3).
+
+    Args:
+        start, stop: (3) [m].
+        centres: (2, m, 3) [m]; axes: (2, m, 3, 3) rows, the last one that of a drum; radii: (2, m) [m].
+        balls: (2, m) whether each is a ball.
+        steps: of Newton's method, at the most.
+        corners: (4, m, 3) get the paths [m]; normals: (2, m, 3) get those of the bodies there.
+        lengths: (m) gets their lengths [m].
+        spreads: (m) gets what a source's wave is less at the end [1/m], 0 where there is no such path.
+        bends: (m, 2) gets the second derivative of the path along either body's axis, all else as it fits [1/m].
+        scratch: (76).
+    """
+    rows, table = scratch[:48].reshape((16, 3)), scratch[48:].reshape((4, 7))
+    for i in range(len(radii[0])):
+        for k in range(3):
+            corners[0, i, k], corners[3, i, k] = start[k], stop[k]
+        _begin(corners, i, centres, axes, radii, balls, rows)
+        far, least = math.inf, min(radii[0, i], radii[1, i])
+        for _ in range(steps):
+            if far < 1e-4:  # the next step would be its square
+                break
+            _shape(corners, i, centres, axes, radii, balls, rows, table)
+            _solve(table)
+            far = math.sqrt(table[0, 4] ** 2 + table[1, 4] ** 2 + table[2, 4] ** 2 + table[3, 4] ** 2)
+            share = min(1.0, 0.7 * least / max(far, 1e-12))
+            for side in range(2):
+                here = corners[1 + side, i]
+                for k in range(3):
+                    step = table[2 * side, 4] * rows[4 * side, k] + table[2 * side + 1, 4] * rows[4 * side + 1, k]
+                    here[k] -= share * step
+                _onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
+        _shape(corners, i, centres, axes, radii, balls, rows, table)
+        for k in range(3):
+            normals[0, i, k], normals[1, i, k] = rows[2, k], rows[6, k]
+        lengths[i] = rows[15, 0] + rows[15, 1] + rows[15, 2]
+        steep = max(abs(table[0, 4]), abs(table[1, 4]), abs(table[2, 4]), abs(table[3, 4]))
+        there, back = -_dot(rows[12], rows[2]), -_dot(rows[13], rows[6])
+        facing = min(there, back, _dot(rows[13], rows[2]), _dot(rows[14], rows[6]))
+        area = _solve(table)
+        bends[i, 0], bends[i, 1] = 1 / table[1, 5], 1 / table[3, 6]
+        spreads[i] = 0.0
+        if facing > 1e-3 and steep < 1e-5 and area > 0:
+            spreads[i] = there * back / (rows[15, 0] * rows[15, 1] * rows[15, 2] * math.sqrt(area))
+
+
+@core(nogil=True, error_model="numpy")
+def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-untyped-def]
+    """Puts the middle corners of a path where each body looks both ways."""
+    for side in range(2):
+        body, here = centres[side, i], corners[1 + side, i]
+        _unit(body, corners[3 * side, i], rows[0])
+        _unit(body, centres[1 - side, i], rows[1])
+        for k in range(3):
+            here[k] = body[k] + rows[0, k] + rows[1, k]
+        _onto(body, axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
+
+
+@core(nogil=True, error_model="numpy")
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@core(nogil=True, error_model="numpy")
+def _onto(centre, axis, radius, ball, point, normal):  # type: ignore[no-untyped-def]
+    """Brings a point (3) to a body's surface, drums going on for ever; its outward normal (3) goes to `normal`."""
+    along = 0.0
+    if not ball:
+        for k in range(3):
+            along += (point[k] - centre[k]) * axis[k]
+    for k in range(3):
+        normal[k] = point[k] - centre[k] - along * axis[k]
+    size = max(math.sqrt(_dot(normal, normal)), 1e-12)
+    for k in range(3):
+        normal[k] /= size
+        point[k] = centre[k] + along * axis[k] + radius * normal[k]
+
+
+@core(nogil=True, error_model="numpy")
+def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignore[no-untyped-def]
+    """Second and first derivatives of a path along frames of both bodies: columns 0 to 3 and 4 of `table`.
+
+    Columns 5 and 6 are made unit vectors, along the axes of both. Of `rows`, 0 and 1 get the first body's frame, 2 its
+    normal, 4 to 6 those of the last; 12 to 14 the directions of the legs, and 15 their lengths [m].
+    """
+    for leg in range(3):
+        rows[15, leg] = _unit(corners[leg, i], corners[leg + 1, i], rows[12 + leg])
+    for side in range(2):
+        f, g, normal, turn = rows[4 * side], rows[4 * side + 1], rows[4 * side + 2], rows[4 * side + 3]
+        _onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], corners[1 + side, i], normal)
+        for k in range(3):
+            rows[8, k] = axes[side, i, 2, k] + 1e-3 * axes[side, i, 0, k]
+            turn[k] = rows[12 + side, k] - rows[13 + side, k]
+        _across(rows[8], normal, g)
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            f[k] = g[a] * normal[b] - g[b] * normal[a]
+        bent = -_dot(turn, normal) / radii[side, i]
+        for a in range(2):
+            one = rows[4 * side + a]
+            table[2 * side + a, 4] = _dot(one, turn)
+            for b in range(2):
+                other, total = rows[4 * side + b], 0.0
+                for leg in range(side, side + 2):
+                    way = rows[12 + leg]
+                    total += ((1.0 if a == b else 0.0) - _dot(one, way) * _dot(other, way)) / rows[15, leg]
+                if a == b and (a == 0 or balls[side, i]):
+                    total += bent
+                table[2 * side + a, 2 * side + b] = total
+    for a in range(2):
+        for b in range(2):
+            one, other, way = rows[a], rows[4 + b], rows[13]
+            mixed = (_dot(one, way) * _dot(other, way) - _dot(one, other)) / rows[15, 1]
+            table[a, 2 + b], table[2 + b, a] = mixed, mixed
+    for row in range(4):
+        table[row, 5], table[row, 6] = 1.0 if row == 1 else 0.0, 1.0 if row == 3 else 0.0
+
+
+@core(nogil=True, error_model="numpy")
+def _solve(table):  # type: ignore[no-untyped-def]
+    """Solves for the last three columns (4, 3) of a table (4, 7), in their place; the determinant of the others."""
+    area = 1.0
+    for c in range(4):
+        best = c
+        for row in range(c + 1, 4):
+            if abs(table[row, c]) > abs(table[best, c]):
+                best = row
+        if best != c:
+            area = -area
+            for k in range(7):
+                table[c, k], table[best, k] = table[best, k], table[c, k]
+        pivot = table[c, c]
+        area *= pivot
+        if pivot == 0:
+            pivot = 1e-300
+        for k in range(7):
+            table[c, k] /= pivot
+        for row in range(4):
+            if row != c:
+                share = table[row, c]
+                for k in range(7):
+                    table[row, k] -= share * table[c, k]
+    return area
