@@ -91,6 +91,8 @@ def _lay_small(
     ready: Bench, parts: list[Surfaces], part: Surfaces, flats: Flats, view: View, ways: Ways, grids: Complexes
 ) -> list[Laid]:
     reach = lit_by(ready, part, ways)
+    if not reach.any():
+        return []
     gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
     dark = ~reach.any(0)
     leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
@@ -195,8 +197,9 @@ def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, pea
         if count <= size:
             break
         size = int(1.2 * count)
-    far = [np.linalg.norm(ways.images[of[:count], side, 2] - flats.spheres[on[:count], :3], axis=1) for side in (0, 1)]
-    loud = np.flatnonzero(audible(ready, louds[:count], (far[0] + far[1]) / 2, FACETS * peak))
+    away = ways.images[of[:count], :, 2] - flats.spheres[on[:count], None, :3]
+    paths = np.sqrt(np.einsum("nsi,nsi->ns", away, away)).sum(1) / 2
+    loud = np.flatnonzero(audible(ready, louds[:count], paths, FACETS * peak))
     of, on, gains = of[loud], on[loud], gains[loud]
     sides = flats.first[on + 1] - flats.first[on]
     first = np.concatenate([np.zeros(1, np.int32), np.cumsum(sides, dtype=np.int32)])

@@ -48,7 +48,11 @@ def _through(
     factor: Complexes,
     late: Floats,
 ) -> None:
-    """Follows the rays to some of the points through sheet after sheet."""
+    """Follows the rays to some of the points through sheet after sheet, where there is any."""
+    bare = np.ones(len(todo), bool)
+    for veil in veils:
+        bare &= veil.rays.visible(origin, points[todo], slack_m=SLACK_M)
+    todo = todo[~bare]
     ray = points[todo] - origin
     length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
     ray /= np.maximum(length, 1e-9)[:, None]
