@@ -132,7 +132,7 @@ def _stops(i, point, faces, images, normals, offsets, first, starts, ends, side,
 
 @lean(nogil=True, error_model="numpy")
 def corners(points, at, of, side, made, legs, faces, images, normals, offsets, first, starts, ends, known, rows, stops,  # type: ignore[no-untyped-def]
-            free, a, b, owner, last):  # fmt: skip
+            free, a, b, owner):  # fmt: skip
     """Where one leg of ways to points meets its mirrors, and which stretches must be free; each leg to a point once.
 
     Args:
@@ -145,13 +145,13 @@ def corners(points, at, of, side, made, legs, faces, images, normals, offsets, f
         rows: (m, 2) gets the row of this leg of each pair that is free so far.
         stops: (q, 4, 3) gets the corners of each new row: antenna, at the mirrors, point [m].
         free: (q) gets whether every mirror is met, from in front and within its rim; for pairs only rows[:, 1] is used.
-        a, b: (3 m, 3) get ends of the stretches of new rows [m]; owner: (3 m) their rows.
-        last: (3 m) gets whether a stretch ends at its point.
+        a, b: (3 m, 3) get ends of the stretches of new rows [m]: those to points first, all others at the back.
+        owner: (3 m) gets their rows.
 
     Returns:
-        How many rows there are, and how many stretches.
+        How many rows there are, and how many stretches to points and others.
     """
-    count = 0
+    count, others = 0, 0
     for j in range(len(of)):
         if side == 0 and not free[rows[j, 1]]:
             continue
@@ -164,12 +164,15 @@ def corners(points, at, of, side, made, legs, faces, images, normals, offsets, f
             over = _stops(i, points[p], faces, images, normals, offsets, first, starts, ends, side, stops[row])
             free[row] = over >= 0
             for step in range(over + 1):
+                if step < over:
+                    others += 1
+                place = count if step == over else len(a) - others
                 for k in range(3):
-                    a[count, k], b[count, k] = stops[row, step, k], stops[row, step + 1, k]
-                owner[count], last[count] = row, step == over
-                count += 1
+                    a[place, k], b[place, k] = stops[row, step, k], stops[row, step + 1, k]
+                owner[place] = row
+            count += 1 if over >= 0 else 0
         rows[j, side] = row
-    return made, count
+    return made, count, others
 
 
 @core(nogil=True, error_model="numpy")

@@ -144,13 +144,14 @@ def reached(
     known = np.full((int(ways.legs.max(initial=0)) + 1, len(points)), -1, np.int32)
     rows, stops, free = np.full((len(of), 2), -1), np.empty((room, 4, 3)), np.zeros(room, np.bool_)
     many = 3 * len(of)
-    (a, b), owner, last = np.empty((2, many, 3)), np.empty(many, np.int64), np.empty(many, np.bool_)
+    (a, b), owner = np.empty((2, many, 3)), np.empty(many, np.int64)
     made = 0
     for side in (1, 0):
-        made, count = kernel.corners(points, at, of, side, made, ways.legs, ways.faces, ways.images, flats.normals,
-                                     flats.offsets, flats.first, flats.starts, flats.ends, known, rows, stops, free, a,
-                                     b, owner, last)  # fmt: skip
-        for mine in (last[:count], ~last[:count]):  # most are blocked at the point: then the rest need not be asked
-            asked = np.flatnonzero(mine & free[owner[:count]])
-            free[owner[asked[~between(parts, a[asked], b[asked])]]] = False
+        made, count, others = kernel.corners(points, at, of, side, made, ways.legs, ways.faces, ways.images,
+                                             flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
+                                             known, rows, stops, free, a, b, owner)  # fmt: skip
+        free[owner[:count][~between(parts, a[:count], b[:count])]] = False
+        # most are blocked at the point: then the rest need not be asked
+        asked = many - others + np.flatnonzero(free[owner[many - others :]])
+        free[owner[asked[~between(parts, a.take(asked, 0), b.take(asked, 0))]]] = False
     return Reached(stops, rows, (rows[:, 0] >= 0) & free[rows[:, 0]])
