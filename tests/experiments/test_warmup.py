@@ -24,6 +24,7 @@ from ullage.experiments.warmup import (
 )
 from ullage.pipeline import sink
 from ullage.radar.warmup import Compiling, Job, radar_parts, shared, unswept
+from ullage.world.library import WORLDS
 
 
 @pytest.mark.parametrize("part", NEEDED)
@@ -84,7 +85,9 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert radar_parts("physical", 2, ul.Scene.union([room, ul.scenes.wire(0.001, 0.5, 2.0)])) == (
         "physical", "bounces", "shapes", "ways")  # fmt: skip
     assert "ways" in radar_parts("physical", 3, ul.scenes.hold())
-    everything = {"physical", "rough", "bounces", "shapes", "conductors", "ways"}
+    assert "pairs" in radar_parts("physical", 3, ul.load_scene(WORLDS["cluttered-room"].path))
+    assert "pairs" not in radar_parts("physical", 1, ul.load_scene(WORLDS["cluttered-room"].path))
+    everything = {"physical", "rough", "bounces", "shapes", "conductors", "ways", "pairs"}
     assert set(radar_parts("physical")) == everything
 
 

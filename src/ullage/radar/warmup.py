@@ -36,6 +36,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
     "ways": ("ways", "lit"),
+    "pairs": ("pairs",),
     "conductors": ("lines", "fringe", "double_fringe"),
 }
 """Kernel modules behind each part of a radar."""
@@ -57,7 +58,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many}
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "pairs": many}
     if scene is not None:
         from ullage.radar.prepared import prepare
 
@@ -67,6 +68,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
         led = flats.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
         there["ways"] &= bool(led and (~flats.smooth).any())
+        there["pairs"] = many and len(made.rounds) > 1
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
 
@@ -353,6 +355,15 @@ def _ways() -> None:
     curves.lit_by(ready, still, led)
 
 
+def _pairs() -> None:
+    """The kernel of `round_pairs`, on no bodies at all."""
+    from ullage.radar.round_pairs import Bodies, paths_over
+
+    none, rows = np.zeros(0), np.zeros((0, 3))
+    bodies = Bodies(rows, np.zeros((0, 3, 3)), none, np.zeros((0, 2)), none > 0, none, none.astype(np.int32))
+    paths_over(np.zeros(3), np.zeros(3), bodies, bodies)
+
+
 def _shapes() -> None:
     from ullage.world import scenes
 
@@ -377,16 +388,12 @@ JOBS: tuple[Job, ...] = (
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 3, _paths),
     Job("ways over faces", "ways", 3, _ways),
+    Job("paths over round bodies", "pairs", 1.3, _pairs),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
-    Job(
-        "bounces",
-        "bounces",
-        0.5,
-        partial(_walls, max_bounces=2),
-        ("rims of faces", "echoes of faces", "beams", "paths of bounces"),
-    ),
-)
+    Job("bounces", "bounces", 0.5, partial(_walls, max_bounces=2),
+        ("rims of faces", "echoes of faces", "beams", "paths of bounces")),
+)  # fmt: skip
 
 if __name__ == "__main__":
     beside(JOBS)
