@@ -235,3 +235,18 @@ def test_only_so_much_is_kept(monkeypatch):
     told += legs.tell_all()
     assert len(legs._held) == 17
     assert len(told) > 17, "what comes later still is told"
+
+
+@pytest.mark.parametrize(("near_db", "near_slope", "hidden"), [(0.0, 0.0, True), (0.0, 0.5, False), (-40.0, 0.0, False),
+                                                               (np.inf, 0.0, False)])  # fmt: skip
+def test_what_is_heard_past_a_nearer_wall_came_by_that_wall(near_db, near_slope, hidden):
+    """Two surfaces abeam of one stretch, 2 and 5 m off: loud or faint, in the same way or elsewhere."""
+    path, legs = leg((-0.3, 0, 0), (0.3, 0, 0)), Legs()
+    track = np.array([1.0, 0, 0])
+    for reach, level, slope in ((2.0, near_db, near_slope), (5.0, 0.0, 0.0)):
+        echoes = [Traced(j, at, track, reach - slope * at[0], slope, 1e-3, 0.02, 0.9, ABEAM, level_db=level)
+                  for j, at in enumerate(path)]  # fmt: skip
+        legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
+    assert not legs._behind(0, ABEAM), "the nearer one"
+    assert legs._behind(1, ABEAM) == hidden
+    assert not legs._behind(1, np.array([-0.5, 0.8, 0.3]))

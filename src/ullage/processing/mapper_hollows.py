@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +34,9 @@ class Hollows:
         self._told: list[tuple[Hollow, Floats, Floats]] = []
         self._planes: list[Floats] = []
 
-    def tell(self, bow: Bow, me: Floats, others: Floats, echoes: list[Traced]) -> tuple[Hollow, Floats] | None:
+    def tell(
+        self, bow: Bow, me: Floats, others: Floats, echoes: list[Traced], behind: Callable[[Floats], bool]
+    ) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes and the way (3) to it, if other legs leave but one side of its ring.
 
         Every place of another leg counts here, not each leg by its best: one bend describes all around.
@@ -43,6 +46,7 @@ class Hollows:
             me: the stretch as its bow tells it (22).
             others: those around whose bow is known (m, 22).
             echoes: of the stretch.
+            behind: whether what they come from in some way (3) would lie behind another wall.
         """
         others, ring = _by_place(others), cone(me)
         which, axes, focal, doubt = lines_of(bow, ring)
@@ -61,7 +65,7 @@ class Hollows:
         hollow, most = hollow_of(bow, way, axis), float(odds.max())
         if places.max() < max(LEAST_PLACES, HEARD_SHARE * _should_hear(hollow, way, others)):
             return None
-        if too_faint(echoes, way, hollow.radius_m):
+        if too_faint(echoes, way, hollow.radius_m) or behind(way):
             return None
         if _is_flat(bow, me, others, most) or is_edge(me, others, near, most):
             return None
@@ -79,7 +83,7 @@ class Hollows:
         """Planes (p, 8) that touch them on all sides of where they were heard: normal, distance, foot and reach [m]."""
         return np.concatenate([np.zeros((0, 8)), *self._planes])
 
-    def known(self, me: Floats, echoes: list[Traced]) -> tuple[Hollow, Floats] | None:
+    def known(self, me: Floats, echoes: list[Traced], behind: Callable[[Floats], bool]) -> tuple[Hollow, Floats] | None:
         """A wall known from other stretches that ranges and cosines of a stretch (22) fit, and the way (3) to it."""
         places, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
         reach, cosine = np.array([(e.range_m, e.cosine) for e in echoes]).T
@@ -91,7 +95,7 @@ class Hollows:
             turn = abs(np.mean(np.sum(ways * track, axis=1) - cosine))
             miss = abs(hollow.ranges(places, ways) - reach).max()
             fits = lit and not beside and miss < FITS_M and turn < FITS_COSINE
-            if fits and not too_faint(echoes, middle, hollow.radius_m):
+            if fits and not too_faint(echoes, middle, hollow.radius_m) and not behind(middle):
                 return hollow, middle
         return None
 

@@ -45,6 +45,7 @@ Floats = NDArray[np.float64]
 STRETCH_M, LEAST_ECHOES, SCATTER_M, LEAST_TRUST = 0.6, 8, 0.02, 0.4
 LEG_TURN = float(np.cos(np.radians(15.0)))
 AROUND_M, BESIDE_M, SLACK_M = 3.0, 0.2, 0.1
+BEHIND_M = 0.3
 LEG_WIDE_M = 0.3  # sensors of one body fly beside each other
 COSINE_SIGMA, BOW_COSINE_SIGMA = 0.05, 0.03
 ONE_SIDE = float(np.cos(np.radians(17.0)))
@@ -185,7 +186,11 @@ class Legs:
 
     def _hollow(self, at: int) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes, known or told now, and the way (3) to it."""
-        known = self._hollows.known(self._rows[at], self._kept[at][0])
+
+        def behind(way: Floats) -> bool:
+            return self._behind(at, way)
+
+        known = self._hollows.known(self._rows[at], self._kept[at][0], behind)
         if known is not None:
             return known
         bow, mask = self._bows[at], self._around(at, AROUND_M)
@@ -193,7 +198,7 @@ class Legs:
         told = (
             None
             if bow is None or not mask.any()
-            else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask], self._kept[at][0])
+            else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask], self._kept[at][0], behind)
         )
         if told is not None:  # what waits around may have heard it too
             held, here = self._held, self._rows[at, PLACE : PLACE + 3]
@@ -202,6 +207,20 @@ class Legs:
             open_[at] = False
             self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         return told
+
+    def _behind(self, at: int, way: Floats) -> bool:
+        """Whether the sensor heard a wall nearer in that way (3), there: no wave passes one, but bounces are later."""
+        held, me = self._held, self._rows[at]
+        gap = held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]
+        nearer = (np.einsum("ij,ij->i", gap, gap) < STRETCH_M**2) & (held[:, RANGE] < me[RANGE] - BEHIND_M)
+        nearer &= held[:, AHEAD : AHEAD + 3] @ me[AHEAD : AHEAD + 3] > LEG_TURN
+        nearer &= abs(held[:, TRACK : TRACK + 3] @ way - held[:, COSINE]) < 2 * held[:, DOUBT]
+        for k in np.flatnonzero(nearer):
+            normal, (echoes, _) = held[k, NORMAL : NORMAL + 3], self._kept[k]
+            told = echoes and not normal.any() and np.isfinite(echoes[-1].level_db)
+            if normal @ way > LEG_TURN or (told and not too_faint(echoes, way)):
+                return True
+        return False
 
 
 def stretch_of(echoes: list[Traced]) -> Floats | None:
