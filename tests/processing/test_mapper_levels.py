@@ -120,23 +120,23 @@ def finder_of_a_floor() -> LevelFinder:
 
 def test_the_foot_of_a_corner_is_no_other_corner():
     here = past_corner(0, ranges=(0.0, FLOOR_M))
-    assert finder_of_a_floor().ends(here, [here]).tolist() == [False, True]
+    assert finder_of_a_floor().feet_and_heads(here, [here]).tolist() == [False, True]
 
 
 def test_it_is_none_either_while_what_hides_the_corner_leaves_its_foot():
     hidden, later = past_corner(0, ranges=(FLOOR_M,)), past_corner(10, ranges=(0.0, FLOOR_M))
     finder = finder_of_a_floor()
-    assert finder.ends(hidden, [hidden]).tolist() == [False], "nothing tells"
-    assert finder.ends(hidden, [hidden, later]).tolist() == [True]
+    assert finder.feet_and_heads(hidden, [hidden]).tolist() == [False], "nothing tells"
+    assert finder.feet_and_heads(hidden, [hidden, later]).tolist() == [True]
 
 
 def test_what_stands_elsewhere_stays():
     here = past_corner(0, ranges=(0.0, FLOOR_M))
     finder = finder_of_a_floor()
     farther = past_corner(0, ranges=(0.0, 1.5 * FLOOR_M))
-    assert finder.ends(farther, [farther]).tolist() == [False, False], "no floor is so deep"
+    assert finder.feet_and_heads(farther, [farther]).tolist() == [False, False], "no floor is so deep"
     here.echoes[1, 2] -= 0.1
-    assert finder.ends(here, [here]).tolist() == [False, False], "half a metre farther back"
+    assert finder.feet_and_heads(here, [here]).tolist() == [False, False], "half a metre farther back"
     here = past_corner(0, ranges=(0.0, FLOOR_M))
     here.echoes[1, 5] *= 10
-    assert finder.ends(here, [here]).tolist() == [False, False], "far louder than what it would belong to"
+    assert finder.feet_and_heads(here, [here]).tolist() == [False, False], "far louder than what it would belong to"

@@ -212,7 +212,8 @@ class UllageMapper:
         weighed, edge = edges_among(look, weighed, runs, self._lobe[name][0][0])
         look = replace(look, sharp=look.sharp.copy())
         look.sharp[edge, 3:] = 0, 1
-        weighed[2][self._levels.ends(look, [look, *(other for one, other, *_ in self._pending if one == name)])] = 0
+        around = [look, *(other for one, other, *_ in self._pending if one == name)]
+        weighed[2][self._levels.feet_and_heads(look, around)] = 0
         yield FOLLOW
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
         open_ = self._folds[name].among(look, weighed[0], self.blocks, usual=self._judge.usual)

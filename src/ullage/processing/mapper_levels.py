@@ -18,7 +18,7 @@ ENOUGH_LOOKS = 60
 NEAR_M = 0.08
 LOUDER = 4.0
 REMEMBERED = 400
-END_M, SAME_M, SAME_ALONG_M, SAME_WAY = (0.3, 4.0), 0.025, 0.08, 0.95
+RISE_M, SAME_M, SAME_ALONG_M, SAME_WAY = (0.3, 4.0), 0.025, 0.08, 0.95
 ONE_HEADING, ABEAM, SOME = 0.94, 0.6, 0.25
 SECTORS, ENOUGH_SECTORS, ENOUGH_THERE = 4, 3, 10
 OFTEN, OFTEN_EACH, ALIKE = 0.35, 0.2, 2.5
@@ -129,8 +129,8 @@ class LevelFinder:
             drop |= at & (look.echoes[:, 5] < LOUDER * self._usual(sign, height))
         return look.only(~drop)
 
-    def ends(self, look: Look, others: list[Look]) -> NDArray[np.bool_]:
-        """Which echoes (k) of a look are those of where an upright thing that is heard ends, at a floor or ceiling.
+    def feet_and_heads(self, look: Look, others: list[Look]) -> NDArray[np.bool_]:
+        """Which echoes (k) of a look come from where an upright thing that is heard ends, at a floor or a ceiling.
 
         An upright wall and a floor, and the corner of two walls and a floor, mirror a wave back as from where they
         meet: as far along the track as the wall or the corner itself, and at a range that is longer by Pythagoras.
@@ -138,8 +138,8 @@ class LevelFinder:
         """
         z = float(look.heard.position[2])
         rises = np.unique([round(abs(height - z) / BIN_M) * BIN_M for _, height in self.levels()])
-        rises = rises[(rises > END_M[0]) & (rises < END_M[1])]
-        return _ends_of(look, [other for other in others if abs(look.track @ other.track) > SAME_WAY], rises)
+        rises = rises[(rises > RISE_M[0]) & (rises < RISE_M[1])]
+        return _feet_of(look, [other for other in others if abs(look.track @ other.track) > SAME_WAY], rises)
 
     def _usual(self, sign: int, height: float) -> float:
         near = self._heard_at(sign, height)
@@ -156,7 +156,7 @@ class LevelFinder:
         return np.asarray(miss < 3 * look.echoes[:, 3] + 0.08)
 
 
-def _ends_of(look: Look, others: list[Look], rises: Floats) -> NDArray[np.bool_]:
+def _feet_of(look: Look, others: list[Look], rises: Floats) -> NDArray[np.bool_]:
     """Which echoes (k) of a look are from so far below or above (h) what others of its sensor heard level [m]."""
     if not len(rises) or not others or not len(look.echoes):
         return np.zeros(len(look.echoes), bool)
