@@ -86,7 +86,8 @@ def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats
 
 def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> NDArray[np.bool_]:
     """Whether nothing stands between the points a (n, 3) and b (n, 3), which may lie on surfaces."""
-    clear = np.ones(len(a), bool)
+    clear = None
     for part in parts:
-        clear &= part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
-    return clear
+        open_ = part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
+        clear = open_ if clear is None else clear & open_
+    return np.ones(len(a), bool) if clear is None else clear
