@@ -9,9 +9,9 @@ from ullage.kernels.loops import core, lean
 
 
 @lean(nogil=True, error_model="numpy")
-def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor, frames, table, flat, near, wave, axes,  # type: ignore[no-untyped-def]
-              units, level):  # fmt: skip
-    """How strong paths over mirror points would be if nothing stood in their way, and the axes of their zones.
+def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor, frames, table, flat, wave, axes,  # type: ignore[no-untyped-def]
+              units, level, ranges, excess):  # fmt: skip
+    """How strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
 
     Args:
         paths: (b, 5, 3) corners from transmitter to receiver, the fourth on the face at the end [m].
@@ -20,15 +20,15 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
         normals: (p, 3), offsets: (p), across: (p, 2, 3) of the faces.
         factor: (b) complex, what reflections leave; paths where it is 0 are left out.
         frames: (1, 2, 3, 3) sensor_from_world; table, flat: the antennas' pattern, as in `facets.deposit`.
-        near: paths that exceed the mirror path by more are left out [m].
         wave: number [1/m].
         axes: (b, 2, 3) gets those of the zones, in the plane of incidence and across it, to where the phase is 1 [m].
         units: (2, 3) scratch.
-        level: (b) gets the strengths, 0 for paths that are left out.
+        level: (b) gets path gain amplitudes, 0 for paths that are left out.
+        ranges: (b) gets mean ranges, and excess: (b) how much longer each path is than that over a mirror [m].
     """
     sent, taken = units[0], units[1]
     for i in range(len(paths)):
-        level[i] = 0.0
+        level[i], ranges[i], excess[i] = 0.0, 0.0, 0.0
         if factor[i] == 0:
             continue
         p = ends_on[i]
@@ -40,8 +40,7 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
         for k in range(3):
             straight += (images[i, k] - twice * normals[p, k] - receiver[k]) ** 2
         there, back = math.sqrt(there), math.sqrt(back)
-        if there + back - math.sqrt(straight) >= near:
-            continue
+        ranges[i], excess[i] = 0.5 * (there + back), there + back - math.sqrt(straight)
         first, gone = 1, 0.0
         for k in range(3):
             gone += (paths[i, 1, k] - paths[i, 0, k]) ** 2
@@ -58,7 +57,7 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
             aside -= across[p, 1, k] * taken[k]
         gain = toward(table, flat, frames, 0, 0, sent[0], sent[1], sent[2])
         gain *= toward(table, flat, frames, 0, 1, taken[0], taken[1], taken[2])
-        level[i] = abs(factor[i]) * gain / (there + back)
+        level[i] = abs(factor[i]) * gain / (2 * wave * (there + back))
         slant = math.sqrt(max(1 - along * along - aside * aside, 0.01))
         reach = math.sqrt(2 / wave / (1 / there + 1 / back))
         size = math.sqrt(along * along + aside * aside)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,13 @@ from ullage.kernels import beams as kernel
 from ullage.kernels import bounces, edges
 from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.faint import audible
 from ullage.radar.flats import lay_rim, parted
 from ullage.radar.laid import Laid
 from ullage.radar.mirrors import mirrored
 from ullage.radar.physical import Bench, View, common
 from ullage.radar.visibility import between
-from ullage.radar.zones import shares
+from ullage.radar.zones import shares, strengths
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -36,6 +36,9 @@ FADE = 0.1
 """Mirrors and end faces fade in over this share of the size at which they are taken, so that none comes at a stroke."""
 FAINT = 1e-3
 """Beams over mirrors that cover less of their Fresnel zones than this are left out; all are less by as much."""
+REST = 0.0
+"""What beams that are left out would make within a pulse's length at the most, with phases at random, is no more than
+this of the strongest echo that comes with fewer bounces."""
 EXCESS_M = 0.5
 """Rims whose path exceeds the mirror path by more are left out [m]."""
 
@@ -204,14 +207,26 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     frames, fields = np.empty((many, 2, 3, 3)), np.empty((many, 2, 3))
     bounces.reflect(path, beams.chains, on, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
                     factor, frames, fields, np.empty((3, 3)), np.empty(3, complex))  # fmt: skip
-    factor *= shares(ready, flats, view, beams, path, factor, lambda *asked: clear(parts, *asked))
+    owner = np.concatenate([rim.owner, rim.holders, which])
+    factor[_silent(many, owner)] = 0
+    strong = strengths(ready, flats, view, beams, path, factor)
+    faint = ~audible(ready, strong.level, strong.ranges, REST * float(abs(grids).max()))
+    strong.level[faint] = 0
+    factor[faint] = 0
+    factor *= shares(ready, flats, view, beams, path, strong, lambda *asked: clear(parts, *asked))
     plain = np.full(many, len(ready.gamma) - 1, np.int32)
     _, _, _, table, flat, _, *rest = common(ready, view, grids)
     told = normals, plain, origins, frames, fields, table, flat, factor, *rest
-    owner = np.concatenate([rim.owner, rim.holders, which])
     laid = lay_rim(rim, points, which, (factor[owner] != 0).astype(complex), np.zeros(len(owner)), told)
     via = np.where(beams.chains >= 0, flats.stuffs[beams.chains], -1)
     return [replace(laid, stuffs=flats.stuffs[on][owner], via=via[owner])]
+
+
+def _silent(many: int, owner: Longs) -> NDArray[np.bool_]:
+    """Which of so many beams own nothing that echoes."""
+    out = np.ones(many, np.bool_)
+    out[owner] = False
+    return out
 
 
 def _radars(view: View, beams: Beams) -> Floats:
@@ -240,7 +255,7 @@ def _through(flats: Flats, view: View, beams: Beams, lit: Floats) -> Floats:
     return path
 
 
-def clear(parts: list[Surfaces], path: Floats, wanted: NDArray[Any]) -> NDArray[np.bool_]:
+def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> NDArray[np.bool_]:
     """Whether each path (b, 5, 3) that is wanted (not 0) is free on all its legs."""
     out = wanted != 0
     starts, ends = np.empty((2, 4 * len(path), 3))

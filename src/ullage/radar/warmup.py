@@ -325,7 +325,7 @@ def _paths() -> None:
     points, paths, chains = np.zeros((0, 3)), np.zeros((0, 5, 3)), np.zeros((0, 2), np.int64)
     bounces.middles(np.zeros(1, np.int32), np.zeros((0, 2, 3)), points)
     bounces.legs(points, points, chains, flats.normals, flats.offsets, view.origins, long, points, paths)
-    bounces.stretches(paths, np.zeros(0, complex), points, points, long)
+    bounces.stretches(paths, row, points, points, long)
     bounces.cover(paths, chains, flats.normals, flats.widths, ready.spec.wavelength_m, np.zeros(3), row)
     bounces.stand_ins(points, np.zeros((0, 12)), none, tips, none, tips, long, row, row > 0, points)
     bounces.reflect(paths, chains, long, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,

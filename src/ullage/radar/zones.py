@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +75,8 @@ def shares(
     view: View,
     beams: Beams,
     path: Floats,
-    factor: Complexes,
-    clear: Callable[[Floats, NDArray[Any]], NDArray[np.bool_]],
+    strong: Strengths,
+    clear: Callable[[Floats, Floats], NDArray[np.bool_]],
 ) -> Complexes:
     """What part (b) of the echo of each path (b, 5, 3) is left by what stands in its way.
 
@@ -86,19 +86,19 @@ def shares(
         view: the radar.
         beams: what the paths run in.
         path: corners from transmitter to receiver [m].
-        factor: (b) what reflections leave, 0 where it does not matter.
+        strong: what they would bring; of 0 for those that do not matter.
         clear: whether paths (n, 5, 3) that are wanted (n), not 0, are free.
     """
-    zones = _strongest(ready, flats, view, beams, path, factor)
+    zones = _strongest(beams, path, strong, NEAR * ready.spec.wavelength_m)
     many = len(zones.paths)
 
     def reached(of: Longs, points: Floats) -> NDArray[np.bool_]:
         out = np.empty((len(of), 5, 3))
         bounces.legs(beams.images, beams.firsts, beams.chains, flats.normals, flats.offsets, view.origins,
                      zones.paths[of], points, out)  # fmt: skip
-        return clear(out, np.ones(len(of), complex))
+        return clear(out, np.ones(len(of)))
 
-    out = clear(path, factor).astype(complex)
+    out = clear(path, strong.level).astype(complex)
     if not many:
         return out
     asked, places = np.empty((many, RAYS, CELLS)), np.empty((many * RAYS * CELLS, 3))
@@ -129,16 +129,33 @@ def _borders(
     return borders
 
 
-def _strongest(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, factor: Complexes) -> Zones:
-    """Paths over mirror points that would be the strongest if nothing stood in their way, and their zones."""
-    axes, level = np.empty((len(path), 2, 3)), np.empty(len(path))
-    wavelength = ready.spec.wavelength_m
+@dataclass(frozen=True, slots=True, eq=False)
+class Strengths:
+    """What paths (b) would bring if nothing stood in their way and faces had no ends."""
+
+    level: Floats  # (b) path gain amplitudes
+    ranges: Floats  # (b) mean ranges [m]
+    excess: Floats  # (b) by which each path is longer than that over the mirror point [m]
+    axes: Floats  # (b, 2, 3) of its Fresnel zone, to where the phase is 1 rad [m]
+
+
+def strengths(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, factor: Complexes) -> Strengths:
+    """How strong paths (b, 5, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
+    level, ranges, excess = np.empty((3, len(path)))
+    out = Strengths(level, ranges, excess, np.empty((len(path), 2, 3)))
     kernel.strengths(path, beams.images, view.origins[1], beams.ends_on, flats.normals, flats.offsets, flats.across,
-                     factor, view.frames[None], ready.table, ready.spec.antenna.kind == "isotropic", NEAR * wavelength,
-                     2 * np.pi / wavelength, axes, np.empty((2, 3)), level)  # fmt: skip
+                     factor, view.frames[None], ready.table, ready.spec.antenna.kind == "isotropic",
+                     2 * np.pi / ready.spec.wavelength_m, out.axes, np.empty((2, 3)), out.level, out.ranges,
+                     out.excess)  # fmt: skip
+    return out
+
+
+def _strongest(beams: Beams, path: Floats, strong: Strengths, near_m: float) -> Zones:
+    """Paths over mirror points that would be the strongest if nothing stood in their way, and their zones."""
+    level = strong.level * (strong.excess < near_m)
     some = np.argsort(-level)[: 2 * BEST]  # laying out a zone costs more than telling these
     some = some[level[some] > 0]
-    lit, axes, level = path[some, 3], axes[some], level[some]
+    lit, axes, level = path[some, 3], strong.axes[some], level[some]
     rough = np.empty((len(some), RAYS))
     kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(RAYS), LAST, rough)
     counts = np.empty(len(some), complex)
