@@ -10,7 +10,7 @@ from ullage.kernels.loops import core, lean
 
 @lean(nogil=True, error_model="numpy")
 def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor, frames, table, flat, wave, axes,  # type: ignore[no-untyped-def]
-              units, level, ranges, excess):  # fmt: skip
+              units, level, excess):  # fmt: skip
     """How strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
 
     Args:
@@ -24,11 +24,11 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
         axes: (b, 2, 3) gets those of the zones, in the plane of incidence and across it, to where the phase is 1 [m].
         units: (2, 3) scratch.
         level: (b) gets path gain amplitudes, 0 for paths that are left out.
-        ranges: (b) gets mean ranges, and excess: (b) how much longer each path is than that over a mirror [m].
+        excess: (b) gets by how much each path is longer than that over a mirror [m].
     """
     sent, taken = units[0], units[1]
     for i in range(len(paths)):
-        level[i], ranges[i], excess[i] = 0.0, 0.0, 0.0
+        level[i], excess[i] = 0.0, 0.0
         if factor[i] == 0:
             continue
         p = ends_on[i]
@@ -40,7 +40,7 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
         for k in range(3):
             straight += (images[i, k] - twice * normals[p, k] - receiver[k]) ** 2
         there, back = math.sqrt(there), math.sqrt(back)
-        ranges[i], excess[i] = 0.5 * (there + back), there + back - math.sqrt(straight)
+        excess[i] = there + back - math.sqrt(straight)
         first, gone = 1, 0.0
         for k in range(3):
             gone += (paths[i, 1, k] - paths[i, 0, k]) ** 2

@@ -20,7 +20,6 @@ from ullage.kernels import edges, lit
 from ullage.kernels import facets as triangle
 from ullage.kernels import ways as kernel
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.faint import audible
 from ullage.radar.flats import Outlined, Rim, lay_parted, parted
 from ullage.radar.laid import Laid, centroids
 from ullage.radar.mirrors import unit
@@ -41,6 +40,9 @@ FACETS = 1.5e-2
 this of a frame's strongest echo. What they make turns out to be far less: most are hidden, or cancel."""
 REST = 4e-3
 """So much for parts of the rims of the facets that are left."""
+MANY = 25.0
+"""So many would have to be in phase to make that: one that makes more than so small a share is not left out."""
+_LEVELS = 40  # loudness in steps of 3 dB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +117,20 @@ def lit_by(ready: Bench, part: Surfaces, ways: Ways) -> Bools:
     out = np.zeros((len(ways), len(part.corners)), np.bool_)
     lit.meet_triangles(ways.images, ways.planes, ways.counts, ready.gate[1], part.spheres, part.first, part.corners,
                        part.normals, part.backs.outward, part.backs.boxes, out)  # fmt: skip
+    return out
+
+
+def audible(ready: Bench, loud: Floats, paths: Floats, rest: float) -> Bools:
+    """Which of some echoes (n) of amplitudes `loud` at mean ranges `paths` [m] count.
+
+    All the others within a pulse's length make, with phases at random, at most a path gain amplitude of `rest`, and
+    none of them makes more than its `MANY`th.
+    """
+    if rest <= 0:
+        return np.asarray(loud != 0)
+    long, out = 2 * ready.pulse.half_m, np.empty(len(loud), np.bool_)
+    sums = np.zeros((int(paths.max(initial=0.0) / long) + 1, _LEVELS + 1))
+    lit.sift(loud, paths, long, rest, rest / MANY, sums, out)
     return out
 
 

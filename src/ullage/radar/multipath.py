@@ -18,7 +18,6 @@ from ullage.kernels import beams as kernel
 from ullage.kernels import bounces, edges
 from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.faint import audible
 from ullage.radar.flats import lay_rim, parted
 from ullage.radar.laid import Laid
 from ullage.radar.mirrors import mirrored
@@ -36,9 +35,6 @@ FADE = 0.1
 """Mirrors and end faces fade in over this share of the size at which they are taken, so that none comes at a stroke."""
 FAINT = 1e-3
 """Beams over mirrors that cover less of their Fresnel zones than this are left out; all are less by as much."""
-REST = 0.0
-"""What beams that are left out would make within a pulse's length at the most, with phases at random, is no more than
-this of the strongest echo that comes with fewer bounces."""
 EXCESS_M = 0.5
 """Rims whose path exceeds the mirror path by more are left out [m]."""
 
@@ -210,9 +206,6 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     owner = np.concatenate([rim.owner, rim.holders, which])
     factor[_silent(many, owner)] = 0
     strong = strengths(ready, flats, view, beams, path, factor)
-    faint = ~audible(ready, strong.level, strong.ranges, REST * float(abs(grids).max()))
-    strong.level[faint] = 0
-    factor[faint] = 0
     factor *= shares(ready, flats, view, beams, path, strong, lambda *asked: clear(parts, *asked))
     plain = np.full(many, len(ready.gamma) - 1, np.int32)
     _, _, _, table, flat, _, *rest = common(ready, view, grids)

@@ -134,18 +134,16 @@ class Strengths:
     """What paths (b) would bring if nothing stood in their way and faces had no ends."""
 
     level: Floats  # (b) path gain amplitudes
-    ranges: Floats  # (b) mean ranges [m]
     excess: Floats  # (b) by which each path is longer than that over the mirror point [m]
     axes: Floats  # (b, 2, 3) of its Fresnel zone, to where the phase is 1 rad [m]
 
 
 def strengths(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, factor: Complexes) -> Strengths:
     """How strong paths (b, 5, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
-    level, ranges, excess = np.empty((3, len(path)))
-    out = Strengths(level, ranges, excess, np.empty((len(path), 2, 3)))
+    out = Strengths(np.empty(len(path)), np.empty(len(path)), np.empty((len(path), 2, 3)))
     kernel.strengths(path, beams.images, view.origins[1], beams.ends_on, flats.normals, flats.offsets, flats.across,
                      factor, view.frames[None], ready.table, ready.spec.antenna.kind == "isotropic",
-                     2 * np.pi / ready.spec.wavelength_m, out.axes, np.empty((2, 3)), out.level, out.ranges,
+                     2 * np.pi / ready.spec.wavelength_m, out.axes, np.empty((2, 3)), out.level,
                      out.excess)  # fmt: skip
     return out
 
