@@ -221,13 +221,15 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
         normals: (p, 3) and stuffs: (p) of the faces.
         gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
         frames: (2, 3, 3) sensor_from_world and fields: (2, 3) of transmitter and receiver.
-        factor: (b) multiplied by the reflections; paths where it is 0 are left alone.
+        factor: (b) multiplied by the reflections; paths where it is 0 get nothing at all.
         frames_out: (b, 2, 3, 3) gets the frames, the transmitter's as its last image holds it.
         fields_out: (b, 2, 3) gets the fields likewise.
         units, field: (3, 3), (3) complex, scratch.
     """
     unit, start, taken = units[0], units[1], units[2]
     for i in range(len(paths)):
+        if factor[i] == 0:
+            continue
         for side in range(2):
             for k in range(3):
                 fields_out[i, side, k] = fields[side, k]
@@ -239,8 +241,6 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
                 for row in range(3):
                     _mirrored(n, frames_out[i, 0, row])
                 _mirrored(n, fields_out[i, 0])
-        if factor[i] == 0:
-            continue
         double = chains[i, 1] >= 0
         if _unit(paths[i, 0], paths[i, 1], unit) <= 1e-9:
             _unit(paths[i, 1], paths[i, 2], unit)

@@ -131,10 +131,13 @@ def lay_parted(
     return laid, np.concatenate([rim.owner, rim.holders, which])
 
 
-def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /) -> Laid:
+def lay_rim(
+    rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /,
+    stuffs: Ints | None = None, via: Longs | None = None, before: Longs | None = None,
+) -> Laid:  # fmt: skip
     """Lays rims and mirror points (k, 9) with factor and delay [s] of what stands before pieces, ends and points.
 
-    The stuffs of what is laid are told as those of faces.
+    The stuffs (m) of what is laid are those of faces that `told` gives, if none are named.
     """
     owner = np.concatenate([rim.owner, rim.holders, which.astype(np.int32)])
     ends = np.concatenate([rim.tips, points])
@@ -146,8 +149,10 @@ def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Flo
     def places() -> Floats:
         return np.concatenate([0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6]), ends[:, :3]])
 
-    rays = np.arange(len(owner)) >= len(owner) - len(points)
-    return laid_by(put, shade, told[-1], told[1][owner], places, rays=rays)
+    rays = np.zeros(len(owner), np.bool_)
+    rays[len(owner) - len(points) :] = True
+    stuffs = told[1][owner] if stuffs is None else stuffs
+    return laid_by(put, shade, told[-1], stuffs, places, via=via, before=before, rays=rays)
 
 
 def _looks(

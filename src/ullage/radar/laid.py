@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +42,12 @@ def centroids(triangles: Floats) -> Floats:
 
 def laid_by(
     put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: NDArray[np.int32], points: Floats | Places,
-    *, rays: NDArray[np.bool_] | None = None,
+    **more: Any,
 ) -> Laid:  # fmt: skip
-    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays."""
+    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays.
+
+    What `more` there is to tell of them is as in `Laid`.
+    """
     many = len(shade)
     echo, delay = np.empty(many, complex), np.empty(many)
     put(shade, grids, echo, delay)
@@ -51,4 +55,4 @@ def laid_by(
     def again(factors: Complexes, others: Complexes) -> None:
         put(shade * factors, others, np.empty(many, complex), np.empty(many))
 
-    return Laid(stuffs, points, echo, delay, again, rays=rays)
+    return Laid(stuffs, points, echo, delay, again, **more)

@@ -199,27 +199,21 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     lit = np.empty((many, 3))
     bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, np.empty(many),
                       np.empty(many, np.bool_), lit)  # fmt: skip
-    path, factor = _through(flats, view, beams, lit), np.asarray(weights * view.factor, complex)
+    owner = np.concatenate([rim.owner, rim.holders, which])
+    path, factor = _through(flats, view, beams, lit), np.zeros(many, complex)
+    factor[owner] = weights[owner] * view.factor  # most beams hold nothing that echoes
     frames, fields = np.empty((many, 2, 3, 3)), np.empty((many, 2, 3))
     bounces.reflect(path, beams.chains, on, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
                     factor, frames, fields, np.empty((3, 3)), np.empty(3, complex))  # fmt: skip
-    owner = np.concatenate([rim.owner, rim.holders, which])
-    factor[_silent(many, owner)] = 0
     strong = strengths(ready, flats, view, beams, path, factor)
     factor *= shares(ready, flats, view, beams, path, strong, lambda *asked: clear(parts, *asked))
     plain = np.full(many, len(ready.gamma) - 1, np.int32)
     _, _, _, table, flat, _, *rest = common(ready, view, grids)
     told = normals, plain, origins, frames, fields, table, flat, factor, *rest
-    laid = lay_rim(rim, points, which, (factor[owner] != 0).astype(complex), np.zeros(len(owner)), told)
+    free = (factor != 0).astype(complex)
     via = np.where(beams.chains >= 0, flats.stuffs[beams.chains], -1)
-    return [replace(laid, stuffs=flats.stuffs[on][owner], via=via[owner])]
-
-
-def _silent(many: int, owner: Longs) -> NDArray[np.bool_]:
-    """Which of so many beams own nothing that echoes."""
-    out = np.ones(many, np.bool_)
-    out[owner] = False
-    return out
+    return [lay_rim(rim, points, which, free[owner], np.zeros(len(owner)), told, stuffs=flats.stuffs[on][owner],
+                    via=via[owner])]  # fmt: skip
 
 
 def _radars(view: View, beams: Beams) -> Floats:
