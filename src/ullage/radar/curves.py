@@ -157,7 +157,7 @@ def _lay_strips(
     def shaded(points: Floats, owner: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         out = np.zeros(len(points), complex)
         wanted = np.concatenate([np.flatnonzero(loud), np.arange(len(loud), len(points))])
-        points, owner = points[wanted], owner[wanted]
+        points, owner = points.take(wanted, 0), owner[wanted]
         inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims
         points = points + NUDGE_M * unit(inward)
         stuffs = flats.stuffs[strips.on[owner]]
@@ -200,8 +200,8 @@ def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, pea
     sides = flats.first[on + 1] - flats.first[on]
     first = np.concatenate([np.zeros(1, np.int32), np.cumsum(sides, dtype=np.int32)])
     edge = np.arange(first[-1]) + np.repeat(flats.first[on] - first[:-1], sides)
-    faces = Outlined(flats.normals[on], flats.offsets[on], flats.spheres[on], flats.across[on], first,
-                     flats.starts[edge], flats.ends[edge])  # fmt: skip
+    faces = Outlined(flats.normals.take(on, 0), flats.offsets[on], flats.spheres.take(on, 0), flats.across.take(on, 0),
+                     first, flats.starts.take(edge, 0), flats.ends.take(edge, 0))  # fmt: skip
     return Strips(of, on, gains, faces)
 
 

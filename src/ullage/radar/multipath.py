@@ -181,7 +181,7 @@ def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen
 def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: Beams, grids: Complexes) -> list[Laid]:
     gate = np.array(ready.gate[1:])
     on, starts, ends = beams.ends_on, np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
-    normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
+    normals, offsets, spheres = flats.normals.take(on, 0), flats.offsets[on], flats.spheres.take(on, 0)
     many, origins = len(beams), _radars(view, beams)
     middles = np.empty((many, 3))
     bounces.middles(beams.first, beams.edges, middles)

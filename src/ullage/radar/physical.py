@@ -334,7 +334,8 @@ def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> 
 
 def near(one: Floats, other: Floats) -> bool:
     """Whether two antennas (3) see the same, being as near to each other as this."""
-    return bool(((one - other) ** 2).sum() < _ONE_EYE_M**2)
+    gap = one - other
+    return float(gap @ gap) < _ONE_EYE_M**2
 
 
 _ONE_EYE_M = 0.1  # antennas nearer to each other than this see the same, as seen from between them

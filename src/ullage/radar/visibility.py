@@ -26,13 +26,15 @@ def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats, sheets: Curt
 
     1 in the open, 0 behind anything opaque; behind thin sheets what they let through, at most `SHEETS` of them.
     """
-    clear = np.ones(len(points), bool)
+    clear = None
     veils: list[Veil] = []
     for part in parts:
         opaque, veil = part.casters(sheets.thin)
-        clear &= opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
+        open_ = opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
+        clear = open_ if clear is None else clear & open_
         if veil is not None:
             veils.append(veil)
+    clear = np.ones(len(points), bool) if clear is None else clear
     factor, late = clear.astype(complex), np.zeros(len(points))
     if veils:
         _through(veils, origin, points, np.flatnonzero(clear), sheets, factor, late)
