@@ -96,7 +96,8 @@ def _lay_small(
     gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
     dark = ~reach.any(0)
     leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
-        part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of))  # fmt: skip
+        part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of,
+        np.empty((96, 3, 3))))  # fmt: skip
     of, at = np.nonzero(reach[:, owner])
     factor = heard(ready, parts, flats, view, ways, of, centroids(leaves), part.stuffs[owner[at]], at)
     free = np.flatnonzero(factor)

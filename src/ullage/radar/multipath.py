@@ -162,8 +162,8 @@ def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen
         first, edges = np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3))
         made, used = kernel.trace(view.origins, bounces_, gate_m, chosen.mirrors, flats.mirrors, flats.sizes,
                                   flats.flat_of, flats.normals, flats.offsets, flats.spheres, flats.loop_of,
-                                  flats.loops, flats.starts, chosen.targets, apex, chain, on, first,
-                                  edges)  # fmt: skip
+                                  flats.loops, flats.starts, chosen.targets, apex, chain, on, first, edges,
+                                  *kernel.scratch())  # fmt: skip
         if made <= rooms[0] and used <= rooms[1]:
             break
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]

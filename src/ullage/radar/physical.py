@@ -287,7 +287,8 @@ def lay_triangles(
     told = common(ready, view, grids)
 
     def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out)
+        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
+                       np.empty(3, complex))  # fmt: skip
 
     return laid_by(put, shade, grids, stuffs[owner], centroids(leaves))
 
@@ -320,7 +321,7 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
         dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
         part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
-        KAPPA * ready.spec.wavelength_m, REACH, out, owner))  # fmt: skip
+        KAPPA * ready.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
 
 
 def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:

@@ -383,16 +383,16 @@ def _conductors() -> None:
 JOBS: tuple[Job, ...] = (
     Job("rays", "thesis", 1, _thesis),
     Job("rims of faces", "physical", 5, _rims),
-    Job("beams", "bounces", 2.8, _beams),
+    Job("beams", "bounces", 2.6, _beams),
     Job("edges of conductors", "conductors", 7.5, _conductors),
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
-    Job("paths of bounces", "bounces", 3, _paths),
-    Job("ways over faces", "ways", 3, _ways),
+    Job("paths of bounces", "bounces", 2.6, _paths),
+    Job("ways over faces", "ways", 3.3, _ways),
     Job("paths over round bodies", "pairs", 1.3, _pairs),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
-    Job("bounces", "bounces", 0.5, partial(_walls, max_bounces=2),
+    Job("bounces", "bounces", 0.9, partial(_walls, max_bounces=2),
         ("rims of faces", "echoes of faces", "beams", "paths of bounces")),
 )  # fmt: skip
 
