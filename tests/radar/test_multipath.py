@@ -18,7 +18,7 @@ def covered(widths, before=4.0, after=6.0, wavelength=0.04):
     path = np.array([[[0, 0, 0], [0, 0, 0], [before, 0, 0], [before - after, 0, 0], [0, 0, 0]]], float)
     out = np.ones(1)
     chain = np.array([[0, -1]])
-    bounces.cover(path, chain, np.array([[1.0, 0, 0]]), np.array([widths], float), wavelength, out)
+    bounces.cover(path, chain, np.array([[1.0, 0, 0]]), np.array([widths], float), wavelength, np.empty(3), out)
     return out[0]
 
 

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ullage.kernels.loops import core, loop
+from ullage.kernels.loops import core, lean
 from ullage.kernels.near import height
 
 MOST = 96  # corners of a clipped outline
 FACE, LIT, NONE = np.int64(0), np.int64(2), np.int64(-1)  # outlines of faces and mirrors; no mirror. No literals
 SLIVER_M = 1e-7  # parts no wider than this are none: a face that touches a beam is not lit
+
+
+def scratch() -> tuple[NDArray[Any], ...]:
+    """Room for `trace`: two images, the planes of two beams, outlines, and counts."""
+    return (np.empty(3), np.empty(3), np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4)), np.empty((4, MOST, 3)),
+            np.empty(2, np.int64))  # fmt: skip
 
 
 @core(nogil=True, error_model="numpy")
@@ -145,9 +153,9 @@ def _ends(apex, planes, made, a, b, skip, receiver, gate, targets, normals, offs
         at[0], at[1] = at[0] + 1, end
 
 
-@loop(nogil=True, error_model="numpy")
+@lean(nogil=True, error_model="numpy")
 def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
-          targets, apexes, chains, ends_on, first, edges):  # fmt: skip
+          targets, apexes, chains, ends_on, first, edges, one, two, planes1, planes2, clipped, at):  # fmt: skip
     """Every beam of two or three bounces: over one or two mirrors, then on the face it ends on.
 
     Args:
@@ -163,13 +171,11 @@ def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offse
         targets: (t) faces where beams may end.
         apexes: (b, 3) gets the transmitter's images; chains: (b, 2) the mirrors, -1 for none; ends_on: (b) the face.
         first: (b + 1) gets the first edge of each beam; edges: (m, 2, 3) the outlines.
+        one, two, planes1, planes2, clipped, at: as `scratch` gives them.
 
     Returns:
         How many beams and edges there are; only those that fit are written.
     """
-    one, two = np.empty(3), np.empty(3)
-    planes1, planes2 = np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4))
-    clipped, at = np.empty((4, MOST, 3)), np.empty(2, np.int64)
     at[0], at[1] = 0, 0
     first[0] = 0
     for a in mirrors:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from ullage.kernels.loops import core, lean, loop
+from ullage.kernels.loops import core, lean
 
 
-@loop(nogil=True, error_model="numpy")
-def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def stand_ins(middle, pieces, owner, tips, holders, points, which, least, cut, out):  # type: ignore[no-untyped-def]
     """One point (b, 3) on each beam's lit part to speak for it: the mirror point, or where the rim's path is least.
 
     Args:
@@ -21,12 +19,12 @@ def stand_ins(middle, pieces, owner, tips, holders, points, which, out):  # type
         holders: (n) beam of each end.
         points: (k, 3) mirror points [m].
         which: (k) beam of each.
+        least, cut: (b), (b), scratch.
         out: (b, 3) gets the points, a hair inside the rim [m].
     """
     count = len(middle)
-    least, cut = np.empty(count), np.empty(count, np.bool_)
     for i in range(count):
-        least[i], cut[i] = np.inf, False
+        least[i], cut[i] = math.inf, False
         for k in range(3):
             out[i, k] = middle[i, k]
     for j in range(len(pieces)):
@@ -69,18 +67,20 @@ def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: ignore[no-untyped-def]
-    """Corners (b, 5, 3) of each path from transmitter to receiver; one mirror only: the first corner twice.
+def legs(images, firsts, chains, normals, offsets, origins, rows, lit, out):  # type: ignore[no-untyped-def]
+    """Corners (n, 5, 3) of each path from transmitter to receiver; one mirror only: the first corner twice.
 
     Args:
         images: (b, 3) the transmitter's last image, and firsts: (b, 3) its first [m].
         chains: (b, 2) faces that mirror, -1 for none.
         normals: (p, 3) and offsets: (p) of the faces.
         origins: (2, 3) transmitter and receiver [m].
-        lit: (b, 3) point on the face at the end of each path [m].
+        rows: (n) beam of each path.
+        lit: (n, 3) point on the face at the end of each [m].
         out: gets the corners [m].
     """
     for i in range(len(lit)):
+        beam = rows[i]
         for k in range(3):
             out[i, 0, k], out[i, 1, k], out[i, 3, k], out[i, 4, k] = (
                 origins[0, k],
@@ -88,11 +88,31 @@ def legs(images, firsts, chains, normals, offsets, origins, lit, out):  # type: 
                 lit[i, k],
                 origins[1, k],
             )
-        last = chains[i, 0] if chains[i, 1] < 0 else chains[i, 1]
-        _cross(images[i], lit[i], normals[last], offsets[last], out[i, 2])
-        if chains[i, 1] >= 0:
-            first = chains[i, 0]
-            _cross(firsts[i], out[i, 2], normals[first], offsets[first], out[i, 1])
+        last = chains[beam, 0] if chains[beam, 1] < 0 else chains[beam, 1]
+        _cross(images[beam], lit[i], normals[last], offsets[last], out[i, 2])
+        if chains[beam, 1] >= 0:
+            first = chains[beam, 0]
+            _cross(firsts[beam], out[i, 2], normals[first], offsets[first], out[i, 1])
+
+
+@lean(nogil=True, error_model="numpy")
+def stretches(paths, wanted, starts, ends, owner):  # type: ignore[no-untyped-def]
+    """Ends (m, 3), (m, 3) of the legs of paths (n, 5, 3) that are wanted (not 0), and the path of each; gives m."""
+    count = 0
+    for i in range(len(paths)):
+        if wanted[i] == 0:
+            continue
+        for step in range(4):
+            square = 0.0
+            for k in range(3):
+                square += (paths[i, step + 1, k] - paths[i, step, k]) ** 2
+            if square == 0 and step == 0:  # paths over one mirror have no first leg
+                continue
+            for k in range(3):
+                starts[count, k], ends[count, k] = paths[i, step, k], paths[i, step + 1, k]
+            owner[count] = i
+            count += 1
+    return count
 
 
 @lean(nogil=True, error_model="numpy")
@@ -106,8 +126,8 @@ def middles(first, edges, out):  # type: ignore[no-untyped-def]
                 out[i, k] += edges[e, 0, k] / (first[i + 1] - first[i])
 
 
-@loop(nogil=True, error_model="numpy")
-def cover(paths, chains, normals, widths, wavelength, out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignore[no-untyped-def]
     """How much of a wave each path's mirrors (b, 2) reflect, multiplied into `out` (b): all, or what they cover.
 
     A mirror smaller than the Fresnel zone sqrt(lambda d1 d2 / (d1 + d2)) reflects, by Kirchhoff's integral, the area
@@ -118,9 +138,9 @@ def cover(paths, chains, normals, widths, wavelength, out):  # type: ignore[no-u
         chains: (b, 2) faces that mirror, -1 for none.
         normals: (p, 3) and widths: (p, 2) of the faces [m].
         wavelength: [m].
+        size: (3) scratch.
         out: (b) multiplied.
     """
-    size = np.empty(3)
     for i in range(len(paths)):
         total = 0.0
         for j in range(3):
@@ -190,8 +210,9 @@ def _mirrored(n, vector):  # type: ignore[no-untyped-def]
         vector[k] -= twice * n[k]
 
 
-@loop(nogil=True, error_model="numpy")
-def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, factor, frames_out, fields_out):  # type: ignore[no-untyped-def]
+@lean(nogil=True, error_model="numpy")
+def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, factor, frames_out, fields_out, units,  # type: ignore[no-untyped-def]
+            field):  # fmt: skip
     """What all reflections along each path make of the transmitted field, as the receiver's polarisation takes it.
 
     Args:
@@ -200,13 +221,15 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
         normals: (p, 3) and stuffs: (p) of the faces.
         gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
         frames: (2, 3, 3) sensor_from_world and fields: (2, 3) of transmitter and receiver.
-        factor: (b) multiplied by the reflections; paths where it is 0 are left alone.
+        factor: (b) multiplied by the reflections; paths where it is 0 get nothing at all.
         frames_out: (b, 2, 3, 3) gets the frames, the transmitter's as its last image holds it.
         fields_out: (b, 2, 3) gets the fields likewise.
+        units, field: (3, 3), (3) complex, scratch.
     """
-    unit, start, taken = np.empty(3), np.empty(3), np.empty(3)
-    field = np.empty(3, np.complex128)
+    unit, start, taken = units[0], units[1], units[2]
     for i in range(len(paths)):
+        if factor[i] == 0:
+            continue
         for side in range(2):
             for k in range(3):
                 fields_out[i, side, k] = fields[side, k]
@@ -218,8 +241,6 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
                 for row in range(3):
                     _mirrored(n, frames_out[i, 0, row])
                 _mirrored(n, fields_out[i, 0])
-        if factor[i] == 0:
-            continue
         double = chains[i, 1] >= 0
         if _unit(paths[i, 0], paths[i, 1], unit) <= 1e-9:
             _unit(paths[i, 1], paths[i, 2], unit)

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.loops import core, lean, loop
+from ullage.kernels.loops import core, lean
 from ullage.kernels.near import TOUCH_M, lifted
 
 C0 = 299_792_458.0
@@ -21,8 +21,8 @@ ONE = np.int64(0)  # the radar, where there is but one
 FROM, TO = np.int64(0), np.int64(1)  # ends of a piece
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
-def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, leaves, owner):  # type: ignore[no-untyped-def]
+@lean(fastmath=True, nogil=True, error_model="numpy")
+def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, leaves, owner, stack):  # type: ignore[no-untyped-def]
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
     Args:
@@ -36,11 +36,11 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
         reach: longest edge over range.
         leaves: (m, 3, 3) gets the pieces [m].
         owner: (m) gets the index of each piece's triangle.
+        stack: (96, 3, 3) scratch.
 
     Returns:
         How many pieces there are; only the first m are written.
     """
-    stack = np.empty((96, 3, 3))
     count = 0
     for k in range(len(spheres)):
         r = _mean_range(spheres[k, 0], spheres[k, 1], spheres[k, 2], origins)
@@ -336,9 +336,9 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
     return bulge / 24, area, share
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
+@lean(fastmath=True, nogil=True, error_model="numpy")
 def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-            gamma, lag, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+            gamma, lag, omega, t0, dt, fold, grids, echo, delay, rows, w):  # fmt: skip
     """Lays the echo of every piece on the delay grids.
 
     Args:
@@ -363,9 +363,9 @@ def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, field
         grids: (3, g) complex, added to.
         echo: (m) gets the complex echo of each piece at the carrier.
         delay: (m) gets its delay [s].
+        rows, w: (5, 3), (3) complex, scratch.
     """
-    w, x, places = np.empty(3, np.complex128), np.empty(3), np.empty(3)
-    base, cosine, tau = np.empty(3), np.empty(3), np.empty(3)
+    x, places, base, cosine, tau = rows[0], rows[1], rows[2], rows[3], rows[4]
     last = t0 + grids.shape[1] * dt
     for k in range(len(leaves)):
         echo[k], delay[k] = 0j, 0.0

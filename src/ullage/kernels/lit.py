@@ -131,7 +131,8 @@ def _kept(point, images, faces, normals, stuffs, most, stuff, slopes):  # type: 
 
 @lean(nogil=True, error_model="numpy")
 def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, stuffs,  # type: ignore[no-untyped-def]
-               outward, boxes, first, starts, table, flat, most, wave, of, on, gains, louds, scratch):  # fmt: skip
+               outward, boxes, first, starts, table, flat, most, wave, of, on, gains, louds, paths,
+               scratch):  # fmt: skip
     """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
 
     Args:
@@ -144,6 +145,7 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
         of, on: (m), (m) get way and face of each pair.
         gains: (m) gets the antennas' gains there, times the way's weight and what it reflects.
         louds: (m) gets what each returns at the most, about, so that squares add up to the power of a curved surface.
+        paths: (m) gets the mean range of each [m].
         scratch: (7, 6).
 
     Returns:
@@ -182,8 +184,63 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
                 half = math.pi / wave  # strips narrower than half a wave add up in phase with those beside them
                 of[count], on[count], gains[count] = i, p, kept * gain
                 louds[count] = kept * loud * math.sqrt(max(half / max(width, 1e-9), 1.0))
+                here, there = 0.0, 0.0
+                for k in range(3):
+                    here, there = here + (spheres[p, k] - one[k]) ** 2, there + (spheres[p, k] - other[k]) ** 2
+                paths[count] = 0.5 * (math.sqrt(here) + math.sqrt(there))
             count += 1
     return count
+
+
+@lean(nogil=True, error_model="numpy")
+def rim_louds(pieces, owner, tips, holders, ties, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
+    """How loud pieces of rims are and ends, at the most: those from which a piece goes on are told with that.
+
+    Args:
+        pieces, owner, tips, holders, ties: as `edges.cut` gives them.
+        gains: (k) of the faces.
+        unit: wavelength over 16 pi squared [m].
+        louds: (m + n) gets path gain amplitudes of pieces, then of ends; paths: (m + n) their mean ranges [m].
+
+    Returns:
+        How many there are.
+    """
+    count = len(pieces)
+    for i in range(count):
+        louds[i] = unit * max(pieces[i, 8], pieces[i, 9]) * abs(pieces[i, 10]) * gains[owner[i]]
+        paths[i] = 0.5 * pieces[i, 6]
+    for i in range(len(tips)):
+        loud, tie = unit * math.hypot(tips[i, 4], tips[i, 5]) * gains[holders[i]], ties[i]
+        if tie >= 0:
+            louds[tie] = max(louds[tie], loud)
+        else:
+            louds[count], paths[count] = loud, 0.5 * tips[i, 3]
+            count += 1
+    return count
+
+
+@lean(nogil=True, error_model="numpy")
+def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped-def]
+    """Which echoes (n) count: all but those that together, with phases at random, make at most `rest` in a pulse.
+
+    Args:
+        louds: (n) path gain amplitudes.
+        paths: (n) mean ranges [m]; long: those of a pulse [m].
+        least: one that makes more counts by itself.
+        sums: (cells, levels) of 0, for cells so long and steps of 3 dB, the last for what makes `rest` alone.
+        out: (n) gets whether each counts.
+    """
+    last = sums.shape[1] - 1
+    for i in range(len(louds)):
+        share = (louds[i] / rest) ** 2
+        sums[int(paths[i] / long), min(max(math.frexp(share)[1] + last, 0), last)] += share
+    for cell in range(len(sums)):
+        for level in range(last):
+            sums[cell, level + 1] += sums[cell, level]
+    for i in range(len(louds)):
+        share = (louds[i] / rest) ** 2
+        held = sums[int(paths[i] / long), min(max(math.frexp(share)[1] + last, 0), last)] > 1
+        out[i] = louds[i] != 0 and (held or abs(louds[i]) > least)
 
 
 @lean(nogil=True, error_model="numpy")

@@ -15,9 +15,23 @@ START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def look_at(pieces, tips, owner, normals, inward, out):  # type: ignore[no-untyped-def]
-    """Where to look for pieces and ends of rims: (m + n, 3) points on their faces, `inward` of them [m]."""
-    for i in range(len(pieces)):
+def look_at(pieces, owner, tips, holders, ties, normals, inward, out, faces, seats):  # type: ignore[no-untyped-def]
+    """Where to look for pieces and ends of rims: points on their faces, `inward` of them [m].
+
+    Ends from which a piece goes on are seen where it is.
+
+    Args:
+        pieces: (m, 12), owner: (m), tips: (n, 9), holders: (n), ties: (n) as `edges.cut` gives them.
+        normals: (p, 3) of the faces.
+        out: (m + n, 3) gets the points [m], as many as there are.
+        faces: (m + n) gets the face of each.
+        seats: (m + n) gets which of them each piece, then each end, is seen by.
+
+    Returns:
+        How many points there are.
+    """
+    count = len(pieces)
+    for i in range(count):
         p = owner[i]
         nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
         ex, ey, ez = pieces[i, 3] - pieces[i, 0], pieces[i, 4] - pieces[i, 1], pieces[i, 5] - pieces[i, 2]
@@ -26,13 +40,20 @@ def look_at(pieces, tips, owner, normals, inward, out):  # type: ignore[no-untyp
         out[i, 0] = 0.5 * (pieces[i, 0] + pieces[i, 3]) + scale * x
         out[i, 1] = 0.5 * (pieces[i, 1] + pieces[i, 4]) + scale * y
         out[i, 2] = 0.5 * (pieces[i, 2] + pieces[i, 5]) + scale * z
+        faces[i], seats[i] = p, i
     for i in range(len(tips)):
+        seats[len(pieces) + i] = ties[i]
+        if ties[i] >= 0:
+            continue
         square = 0.0
         for k in range(3):
             square += tips[i, 6 + k] ** 2
         scale = math.sqrt(2) * inward / max(math.sqrt(square), 0.1)
         for k in range(3):
-            out[len(pieces) + i, k] = tips[i, k] + scale * tips[i, 6 + k]
+            out[count, k] = tips[i, k] + scale * tips[i, 6 + k]
+        faces[count], seats[len(pieces) + i] = holders[i], count
+        count += 1
+    return count
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -195,10 +216,26 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
 
 
 @lean(nogil=True, error_model="numpy")
-def inside(points, owner, normals, first, starts, ends, out):  # type: ignore[no-untyped-def]
-    """Whether each point (m, 3) lies within the rim of its face (m)."""
+def look_about(points, which, across, zone, wavelength, normals, first, starts, ends, out, faces, within):  # type: ignore[no-untyped-def]
+    """Where to look about mirror points (k, 9): places (k z, 3) of their first Fresnel zones [m].
+
+    Args:
+        points: (k, 9) as `crossings` gives them, on the faces `which`: (k).
+        across: (p, 2, 3), normals: (p, 3), first: (p + 1), starts: (e, 3), ends: (e, 3) of the faces.
+        zone: (z, 2) places over the zone's radius, the first in its middle; wavelength: [m].
+        out: gets the places; faces: (k z) the face of each.
+        within: (k, z) gets which of them lie on their faces: those in the middle do.
+    """
+    row = 0
     for i in range(len(points)):
-        out[i] = held(points[i], owner[i], normals, first, starts, ends)
+        p, radius = which[i], math.sqrt(0.25 * wavelength * points[i, 3])
+        for j in range(len(zone)):
+            for k in range(3):
+                away = zone[j, 0] * across[p, 0, k] + zone[j, 1] * across[p, 1, k]
+                out[row, k] = points[i, k] + radius * away
+            faces[row] = p
+            within[i, j] = j == 0 or held(out[row], p, normals, first, starts, ends)
+            row += 1
 
 
 @core(nogil=True, error_model="numpy")

@@ -4,7 +4,67 @@ from __future__ import annotations
 
 import math
 
+from ullage.kernels.facets import toward
 from ullage.kernels.loops import core, lean
+
+
+@lean(nogil=True, error_model="numpy")
+def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor, frames, table, flat, wave, axes,  # type: ignore[no-untyped-def]
+              units, level, excess):  # fmt: skip
+    """How strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
+
+    Args:
+        paths: (b, 5, 3) corners from transmitter to receiver, the fourth on the face at the end [m].
+        images: (b, 3) the transmitter's last images and receiver: (3) [m].
+        ends_on: (b) face at the end.
+        normals: (p, 3), offsets: (p), across: (p, 2, 3) of the faces.
+        factor: (b) complex, what reflections leave; paths where it is 0 are left out.
+        frames: (1, 2, 3, 3) sensor_from_world; table, flat: the antennas' pattern, as in `facets.deposit`.
+        wave: number [1/m].
+        axes: (b, 2, 3) gets those of the zones, in the plane of incidence and across it, to where the phase is 1 [m].
+        units: (2, 3) scratch.
+        level: (b) gets path gain amplitudes, 0 for paths that are left out.
+        excess: (b) gets by how much each path is longer than that over a mirror [m].
+    """
+    sent, taken = units[0], units[1]
+    for i in range(len(paths)):
+        level[i], excess[i] = 0.0, 0.0
+        if factor[i] == 0:
+            continue
+        p = ends_on[i]
+        there, back, twice, straight = 0.0, 0.0, -2 * offsets[p], 0.0
+        for k in range(3):
+            there += (paths[i, 3, k] - images[i, k]) ** 2
+            back += (receiver[k] - paths[i, 3, k]) ** 2
+            twice += 2 * normals[p, k] * images[i, k]
+        for k in range(3):
+            straight += (images[i, k] - twice * normals[p, k] - receiver[k]) ** 2
+        there, back = math.sqrt(there), math.sqrt(back)
+        excess[i] = there + back - math.sqrt(straight)
+        first, gone = 1, 0.0
+        for k in range(3):
+            gone += (paths[i, 1, k] - paths[i, 0, k]) ** 2
+        if gone == 0:  # over one mirror
+            first = 2
+            for k in range(3):
+                gone += (paths[i, 2, k] - paths[i, 0, k]) ** 2
+        gone = max(math.sqrt(gone), 1e-12)
+        along, aside = 0.0, 0.0
+        for k in range(3):
+            sent[k] = (paths[i, first, k] - paths[i, 0, k]) / gone
+            taken[k] = (paths[i, 3, k] - paths[i, 4, k]) / max(back, 1e-12)
+            along -= across[p, 0, k] * taken[k]
+            aside -= across[p, 1, k] * taken[k]
+        gain = toward(table, flat, frames, 0, 0, sent[0], sent[1], sent[2])
+        gain *= toward(table, flat, frames, 0, 1, taken[0], taken[1], taken[2])
+        level[i] = abs(factor[i]) * gain / (2 * wave * (there + back))
+        slant = math.sqrt(max(1 - along * along - aside * aside, 0.01))
+        reach = math.sqrt(2 / wave / (1 / there + 1 / back))
+        size = math.sqrt(along * along + aside * aside)
+        along, aside = (along / size, aside / size) if size > 1e-6 else (1.0, 0.0)
+        for k in range(3):
+            axes[i, 0, k] = (along * across[p, 0, k] + aside * across[p, 1, k]) * reach / slant
+            axes[i, 1, k] = (along * across[p, 1, k] - aside * across[p, 0, k]) * reach
 
 
 @lean(nogil=True, error_model="numpy")
@@ -40,6 +100,33 @@ def outline(lit, axes, which, first, edges, turn, last, out):  # type: ignore[no
                 away, along = (ax * (by - ay) - ay * (bx - ax)) / bottom, (ax * y - ay * x) / bottom
                 if away > 0 and -1e-9 <= along <= 1 + 1e-9:
                     out[i, r] = min(out[i, r], away * away)
+
+
+@lean(nogil=True, error_model="numpy")
+def places(lit, axes, ends, turn, last, asked, out):  # type: ignore[no-untyped-def]
+    """Where to ask about zones (k): along each ray in the middles of cells of like shares of the fading weight.
+
+    Args:
+        lit: (k, 3) mirror points and axes: (k, 2, 3) of the zones [m].
+        ends: (k, n rays) phases at which the face ends, on n times as many rays, those asked for among them [rad].
+        turn: (n rays, 2) cosine and sine of each.
+        last: phase at which the weight has faded out [rad].
+        asked: (k, rays, cells) gets the phases [rad].
+        out: (k rays cells, 3) gets the places [m].
+    """
+    rays, cells = asked.shape[1], asked.shape[2]
+    row, fine = 0, ends.shape[1] // rays
+    for i in range(len(lit)):
+        for r in range(rays):
+            left = 1 - ends[i, fine * r] / last
+            whole = 1 - left * left
+            for c in range(cells):
+                asked[i, r, c] = last * (1 - math.sqrt(1 - (c + 0.5) / cells * whole))
+                away = math.sqrt(asked[i, r, c])
+                x, y = away * turn[fine * r, 0], away * turn[fine * r, 1]
+                for k in range(3):
+                    out[row, k] = lit[i, k] + x * axes[i, 0, k] + y * axes[i, 1, k]
+                row += 1
 
 
 @core(nogil=True, error_model="numpy")

@@ -96,11 +96,15 @@ def _lay_small(
     gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
     dark = ~reach.any(0)
     leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
-        part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of))  # fmt: skip
+        part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of,
+        np.empty((96, 3, 3))))  # fmt: skip
     of, at = np.nonzero(reach[:, owner])
     factor = heard(ready, parts, flats, view, ways, of, centroids(leaves), part.stuffs[owner[at]], at)
     free = np.flatnonzero(factor)
-    out, bare = [], _bare(ready)
+    out: list[Laid] = []
+    if not len(free):
+        return out
+    bare = _bare(ready)
     for way, here in enumerate(np.split(free, np.searchsorted(of[free], np.arange(1, len(ways))))):
         if len(here):
             pieces, between = (leaves[at[here]], owner[at[here]]), (factor[here], np.zeros(len(here)))
@@ -123,15 +127,12 @@ def audible(ready: Bench, loud: Floats, paths: Floats, rest: float) -> Bools:
     All the others within a pulse's length make, with phases at random, at most a path gain amplitude of `rest`, and
     none of them makes more than its `MANY`th.
     """
-    squares = loud * loud
     if rest <= 0:
-        return np.asarray(squares > 0)
-    levels = np.clip(np.frexp(squares / rest**2)[1] + _LEVELS, 0, _LEVELS)  # of 3 dB, the last one for what counts
-    cells = (paths / (2 * ready.pulse.half_m)).astype(np.int64)
-    many = int(cells.max(initial=0)) + 1
-    sums = np.bincount(cells * (_LEVELS + 1) + levels, squares, many * (_LEVELS + 1)).reshape(many, -1).cumsum(1)
-    least = (sums <= rest**2).sum(1)
-    return np.asarray(((levels >= least[cells]) | (squares > (rest / MANY) ** 2)) & (squares > 0))
+        return np.asarray(loud != 0)
+    long, out = 2 * ready.pulse.half_m, np.empty(len(loud), np.bool_)
+    sums = np.zeros((int(paths.max(initial=0.0) / long) + 1, _LEVELS + 1))
+    lit.sift(loud, paths, long, rest, rest / MANY, sums, out)
+    return out
 
 
 def _lay_strips(
@@ -152,12 +153,12 @@ def _lay_strips(
     if not (len(rim.pieces) or len(rim.tips) or (rim.windings > 0.5).any()):
         return []
 
-    loud = _rims_heard(ready, rim, strips.gains, REST * peak)
+    loud = rims_heard(ready, rim, strips.gains, REST * peak)
 
     def shaded(points: Floats, owner: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         out = np.zeros(len(points), complex)
         wanted = np.concatenate([np.flatnonzero(loud), np.arange(len(loud), len(points))])
-        points, owner = points[wanted], owner[wanted]
+        points, owner = points.take(wanted, 0), owner[wanted]
         inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims
         points = points + NUDGE_M * unit(inward)
         stuffs = flats.stuffs[strips.on[owner]]
@@ -173,14 +174,12 @@ def _lay_strips(
     return [ways.told(replace(laid, stuffs=flats.stuffs[strips.on[owner]]), strips.of[owner])]
 
 
-def _rims_heard(ready: Bench, rim: Rim, gains: Floats, rest: float) -> Bools:
+def rims_heard(ready: Bench, rim: Rim, gains: Floats, rest: float) -> Bools:
     """Which pieces of rims and which ends without one count, of faces (k) with so much gain."""
-    unit, lone = ready.spec.wavelength_m / (16 * np.pi**2), rim.ties < 0
-    pieces = rim.pieces[:, 8:10].max(1) * abs(rim.pieces[:, 10]) * gains[rim.owner]
-    ends = np.hypot(rim.tips[:, 4], rim.tips[:, 5]) * gains[rim.holders]
-    np.maximum.at(pieces, rim.ties[~lone], ends[~lone])
-    paths = np.concatenate([rim.pieces[:, 6], rim.tips[lone, 3]])
-    return audible(ready, unit * np.concatenate([pieces, ends[lone]]), paths / 2, rest)
+    louds, paths = np.empty((2, len(rim.pieces) + len(rim.tips)))
+    count = lit.rim_louds(rim.pieces, rim.owner, rim.tips, rim.holders, rim.ties, gains,
+                          ready.spec.wavelength_m / (16 * np.pi**2), louds, paths)  # fmt: skip
+    return audible(ready, louds[:count], paths[:count], rest)
 
 
 def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, peak: float) -> Strips:
@@ -188,24 +187,22 @@ def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, pea
     size = min(len(ways) * len(smooth), 8192)
     while True:
         of, on = np.empty(size, np.int64), np.empty(size, np.int64)
-        gains, louds = np.empty((2, size))
+        gains, louds, paths = np.empty((3, size))
         count = lit.meet_faces(ways.images, ways.frames, ways.faces, ways.planes, ways.counts, ways.weights,
                                ready.gate[1], smooth, flats.spheres, flats.normals, flats.offsets, flats.stuffs,
                                backs.outward, backs.boxes, flats.first, flats.starts, ready.table,
                                ready.spec.antenna.kind == "isotropic", _most(ready), ready.pulse.omega / C0, of, on,
-                               gains, louds, np.empty((7, 6)))  # fmt: skip
+                               gains, louds, paths, np.empty((7, 6)))  # fmt: skip
         if count <= size:
             break
         size = int(1.2 * count)
-    away = ways.images[of[:count], :, 2] - flats.spheres[on[:count], None, :3]
-    paths = np.sqrt(np.einsum("nsi,nsi->ns", away, away)).sum(1) / 2
-    loud = np.flatnonzero(audible(ready, louds[:count], paths, FACETS * peak))
+    loud = np.flatnonzero(audible(ready, louds[:count], paths[:count], FACETS * peak))
     of, on, gains = of[loud], on[loud], gains[loud]
     sides = flats.first[on + 1] - flats.first[on]
     first = np.concatenate([np.zeros(1, np.int32), np.cumsum(sides, dtype=np.int32)])
     edge = np.arange(first[-1]) + np.repeat(flats.first[on] - first[:-1], sides)
-    faces = Outlined(flats.normals[on], flats.offsets[on], flats.spheres[on], flats.across[on], first,
-                     flats.starts[edge], flats.ends[edge])  # fmt: skip
+    faces = Outlined(flats.normals.take(on, 0), flats.offsets[on], flats.spheres.take(on, 0), flats.across.take(on, 0),
+                     first, flats.starts.take(edge, 0), flats.ends.take(edge, 0))  # fmt: skip
     return Strips(of, on, gains, faces)
 
 

@@ -9,6 +9,7 @@ surface touches, edges of what lets waves through, and bodies narrower than a qu
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,8 +139,14 @@ def facing(edges: Edges, sheets: NDArray[np.bool_], origin: Floats) -> NDArray[n
 
 def outward(edges: Edges, which: Ints | Longs) -> Floats:
     """Unit vectors (n, 3) from some of the edges into the middle of their open sides."""
-    half = (edges.angles[which] * np.pi / 2)[:, None]
-    return np.asarray(np.cos(half) * edges.inward[which, 0] + np.sin(half) * edges.normals[which, 0])
+    return np.asarray(_outward(edges)[which])
+
+
+@lru_cache(maxsize=8)
+def _outward(edges: Edges) -> Floats:
+    """Those of all edges (w, 3)."""
+    half = (edges.angles * np.pi / 2)[:, None]
+    return np.asarray(np.cos(half) * edges.inward[:, 0] + np.sin(half) * edges.normals[:, 0])
 
 
 def _none() -> Edges:

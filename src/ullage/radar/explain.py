@@ -194,7 +194,7 @@ def _rows(laid: list[Laid]) -> _Rows:
         return np.asarray(np.concatenate(rows)[at])
 
     flags = [(p.rays, np.zeros(len(p.echo), bool), np.ones(len(p.echo), bool)) for p in laid]
-    return _Rows(at, echo[at], picked([p.delay_s for p in laid]), picked([p.points for p in laid]), picked(chains),
+    return _Rows(at, echo[at], picked([p.delay_s for p in laid]), picked([p.places for p in laid]), picked(chains),
                  picked(scatterers), picked([no if rays is None else rays for rays, no, _ in flags]),
                  picked([yes if rays is None else rays for rays, _, yes in flags]))  # fmt: skip
 

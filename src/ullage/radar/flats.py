@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,12 @@ class Rim:
     holders: Ints  # (n) face of each end
     ties: Ints  # (n) piece that goes on from each end, -1 for none
     windings: Floats  # (k) turns of each face's rim around the axis
+
+    @staticmethod
+    def none(faces: int) -> Rim:
+        """No rims, of so many faces that hold their mirror points."""
+        none = np.zeros(0, np.int32)
+        return Rim(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(faces))
 
 
 def parted(count: int, edges: int, fill: Callable[..., tuple[int, int]]) -> Rim:
@@ -116,16 +122,22 @@ def lay_parted(
     points, which = points[:count], which[:count]
     looks, owner, seats, open_ = _looks(ready, flats, rim, points, which)
     shade, extra = shading_of(looks, owner)
-    factor, late = _mean(shade[len(shade) - open_.size :], extra[len(extra) - open_.size :], open_)
-    shade, extra = np.concatenate([shade[seats], factor]), np.concatenate([extra[seats], late])
+    if len(points):
+        factor, late = _mean(shade[len(shade) - open_.size :], extra[len(extra) - open_.size :], open_)
+        shade, extra = np.concatenate([shade[seats], factor]), np.concatenate([extra[seats], late])
+    else:
+        shade, extra = shade[seats], extra[seats]
     laid = lay_rim(rim, points, which, shade, extra, told)
     return laid, np.concatenate([rim.owner, rim.holders, which])
 
 
-def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /) -> Laid:
+def lay_rim(
+    rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Floats, told: tuple[Any, ...], /,
+    stuffs: Ints | None = None, via: Longs | None = None, before: Longs | None = None,
+) -> Laid:  # fmt: skip
     """Lays rims and mirror points (k, 9) with factor and delay [s] of what stands before pieces, ends and points.
 
-    The stuffs of what is laid are told as those of faces.
+    The stuffs (m) of what is laid are those of faces that `told` gives, if none are named.
     """
     owner = np.concatenate([rim.owner, rim.holders, which.astype(np.int32)])
     ends = np.concatenate([rim.tips, points])
@@ -134,37 +146,35 @@ def lay_rim(rim: Rim, points: Floats, which: Longs, shade: Complexes, extra: Flo
         draw.lay_rims(rim.pieces, ends, len(rim.tips), owner, shade, extra, *told[:-1], grids, *out,
                       np.empty(TAPS, complex), np.empty(TAPS))  # fmt: skip
 
-    middle = 0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6])
-    laid = laid_by(put, shade, told[-1], told[1][owner], np.concatenate([middle, ends[:, :3]]))
-    return replace(laid, rays=np.arange(len(owner)) >= len(owner) - len(points))
+    def places() -> Floats:
+        return np.concatenate([0.5 * (rim.pieces[:, :3] + rim.pieces[:, 3:6]), ends[:, :3]])
+
+    rays = np.zeros(len(owner), np.bool_)
+    rays[len(owner) - len(points) :] = True
+    stuffs = told[1][owner] if stuffs is None else stuffs
+    return laid_by(put, shade, told[-1], stuffs, places, via=via, before=before, rays=rays)
 
 
 def _looks(
     ready: Bench, flats: Flats | Outlined, rim: Rim, points: Floats, which: Longs
-) -> tuple[Floats, NDArray[np.integer], Longs, NDArray[np.bool_]]:
+) -> tuple[Floats, Longs, Longs, NDArray[np.bool_]]:
     """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 
-    Ends from which a piece goes on are seen where it is. Also on which face each look lies, which of the looks each
-    piece and end is seen by, and which points of the zones lie on their faces (k, _ZONE).
+    Also on which face each look lies, which of the looks each piece and end is seen by, and which points of the zones
+    lie on their faces (k, _ZONE).
     """
-    free = rim.ties < 0
-    lone = rim.tips[free]
-    cut = len(rim.pieces)
-    seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), rim.ties)])
-    spots = np.empty((cut + len(lone), 3))
-    draw.look_at(rim.pieces, lone, rim.owner, flats.normals, _NUDGE_M, spots)
-    radius = np.sqrt(ready.spec.wavelength_m * points[:, 3] / 4)[:, None, None]
-    spread = _ZONE @ flats.across[which]
-    zone = (points[:, None, :3] + radius * spread).reshape(-1, 3)
-    around = np.repeat(which, len(_ZONE))
-    within = np.empty(len(zone), np.bool_)
-    draw.inside(zone, around, flats.normals, flats.first, flats.starts, flats.ends, within)
-    held = within.reshape(len(points), len(_ZONE))
-    held[:, 0] = True
-    return np.concatenate([spots, zone]), np.concatenate([rim.owner, rim.holders[free], around]), seats, held
+    most, about = len(rim.pieces) + len(rim.tips), len(points) * len(_ZONE)
+    spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
+    seats, within = np.empty(most, np.int64), np.empty((len(points), len(_ZONE)), np.bool_)
+    count = draw.look_at(rim.pieces, rim.owner, rim.tips, rim.holders, rim.ties, flats.normals, _NUDGE_M, spots, faces,
+                         seats)  # fmt: skip
+    draw.look_about(points, which, flats.across, _ZONE, ready.spec.wavelength_m, flats.normals, flats.first,
+                    flats.starts, flats.ends, spots[count:], faces[count:], within)  # fmt: skip
+    return spots[: count + about], faces[: count + about], seats, within
 
 
 def _mean(shade: Complexes, extra: Floats, held: NDArray[np.bool_]) -> tuple[Complexes, Floats]:
     """Mean factor and delay over the part of each zone that lies on its face."""
     share = held.sum(1)
-    return (shade.reshape(held.shape) * held).sum(1) / share, (extra.reshape(held.shape) * held).sum(1) / share
+    shade, extra = shade.reshape(held.shape), extra.reshape(held.shape)
+    return np.einsum("kz,kz->k", shade, held) / share, np.einsum("kz,kz->k", extra, held) / share

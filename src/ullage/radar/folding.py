@@ -35,6 +35,8 @@ def limits_of(flats: Flats, view: View, gate_m: float, fold_s: float) -> NDArray
     gap = flats.normals @ origin - flats.offsets
     away = abs(gap)
     far = np.flatnonzero((away > gate_m - 0.5) & (away < far_m))
+    if not len(far):
+        return np.full(len(flats), gate_m)
     foot = origin - gap[far, None] * flats.normals[far]
     beside = ((foot - flats.spheres[far, :3]) ** 2).sum(1) < (flats.spheres[far, 3] + 0.5) ** 2
     limits = np.full(len(flats), gate_m)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 Again = Callable[[Complexes, Complexes], None]
+Places = Callable[[], Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,13 +21,18 @@ class Laid:
     """Echoes laid down, for those who want to know where they came from."""
 
     stuffs: NDArray[np.int32]  # (m) object
-    points: Floats  # (m, 3) [m]
+    points: Floats | Places  # (m, 3) [m], or what gives them: most frames are never explained
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
     again: Again  # lays them once more, each times a factor (m), on other grids (3, g)
     via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
     before: NDArray[np.int64] | None = None  # (m) how many of them before the object; None: all
     rays: NDArray[np.bool_] | None = None  # (m) true for a mirror point, false for what its rim adds; None: neither
+
+    @property
+    def places(self) -> Floats:
+        """Where each echo came from (m, 3) [m]."""
+        return self.points() if callable(self.points) else self.points
 
 
 def centroids(triangles: Floats) -> Floats:
@@ -34,9 +41,13 @@ def centroids(triangles: Floats) -> Floats:
 
 
 def laid_by(
-    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: NDArray[np.int32], points: Floats
-) -> Laid:
-    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays."""
+    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: NDArray[np.int32], points: Floats | Places,
+    **more: Any,
+) -> Laid:  # fmt: skip
+    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays.
+
+    What `more` there is to tell of them is as in `Laid`.
+    """
     many = len(shade)
     echo, delay = np.empty(many, complex), np.empty(many)
     put(shade, grids, echo, delay)
@@ -44,4 +55,4 @@ def laid_by(
     def again(factors: Complexes, others: Complexes) -> None:
         put(shade * factors, others, np.empty(many, complex), np.empty(many))
 
-    return Laid(stuffs, points, echo, delay, again)
+    return Laid(stuffs, points, echo, delay, again, **more)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.kernels import rims as draw
 from ullage.radar.facets import Flats
 
 Floats = NDArray[np.float64]
@@ -19,23 +18,6 @@ def mirrored(point: Floats, flats: Flats, faces: Longs) -> Floats:
     """Images (n, 3) of a point (3) in faces (n)."""
     n = flats.normals[faces]
     return np.asarray(point - 2 * (n @ point - flats.offsets[faces])[:, None] * n)
-
-
-def crossing(
-    flats: Flats, faces: Longs, images: Floats, origin: Floats, points: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Where the lines from images to points (n, 3) cross their faces (n), and whether within their rims.
-
-    From in front only: what is mirrored, `origin` (3), lies on the same side of the face as the point.
-    """
-    n, d = flats.normals[faces], flats.offsets[faces]
-    here, there = np.einsum("ni,ni->n", n, images) - d, np.einsum("ni,ni->n", n, points) - d
-    span = here - there
-    share = here / np.where(abs(span) < 1e-12, 1.0, span)
-    out = np.ascontiguousarray(images + share[:, None] * (points - images))
-    within = np.empty(len(out), np.bool_)
-    draw.inside(out, np.ascontiguousarray(faces), flats.normals, flats.first, flats.starts, flats.ends, within)
-    return out, within & ((n @ origin - d) * there > 0)
 
 
 def reflected(

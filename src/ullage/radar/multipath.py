@@ -9,6 +9,7 @@ A mirror that does not cover its Fresnel zone passes on only the part that it co
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from ullage.radar.laid import Laid
 from ullage.radar.mirrors import mirrored
 from ullage.radar.physical import Bench, View, common
 from ullage.radar.visibility import between
-from ullage.radar.zones import shares
+from ullage.radar.zones import shares, strengths
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -109,10 +110,15 @@ def _chosen(flats: Flats, look: Floats, gate_m: float, wavelength_m: float) -> C
     Each has a weight that rises from 0 as it comes to look larger than the largest one left out, so that the choice,
     made anew at each pose, changes nothing suddenly along a track.
     """
-    narrow = flats.smooth & (flats.widths.min(1, initial=np.inf) < np.sqrt(wavelength_m * gate_m / 2))
-    look = np.where(narrow, 0.0, look)  # done by `curves`, with one bounce at them
+    look = look * _wide(flats, np.sqrt(wavelength_m * gate_m / 2))
     mirrors, mirror_weights = most_looked(look[flats.flat_of])
     return Chosen(mirrors, mirror_weights, *most_looked(look))
+
+
+@lru_cache(maxsize=8)
+def _wide(flats: Flats, least_m: float) -> NDArray[np.bool_]:
+    """Which faces (p) are no narrow facets of curved surfaces: those are done by `curves`, with one bounce at them."""
+    return np.asarray(~(flats.smooth & (flats.widths.min(1, initial=np.inf) < least_m)))
 
 
 def looks(ready: Bench, flats: Flats, view: View) -> Floats:
@@ -138,7 +144,10 @@ def _looks_from(ready: Bench, flats: Flats, place: Floats) -> Floats:
 def most_looked(look: Floats, count: int | None = None) -> tuple[Longs, Floats]:
     """Which of all (n) look largest, `MIRRORS` or so many, and what each of all counts."""
     count = MIRRORS if count is None else count
-    least = np.partition(look, -count - 1)[-count - 1] if len(look) > count else 0.0
+    least = 0.0
+    if len(look) > count:
+        some = look[look > 0.1 * look.max()]  # few are parted sooner than all
+        least = np.partition(some if len(some) > count else look, -count - 1)[-count - 1]
     which = np.flatnonzero(look > least)
     weights = np.zeros(len(look))
     weights[which] = np.minimum((look[which] / max(least, 1e-12) - 1) / FADE, 1)
@@ -153,19 +162,18 @@ def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen
         first, edges = np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3))
         made, used = kernel.trace(view.origins, bounces_, gate_m, chosen.mirrors, flats.mirrors, flats.sizes,
                                   flats.flat_of, flats.normals, flats.offsets, flats.spheres, flats.loop_of,
-                                  flats.loops, flats.starts, chosen.targets, apex, chain, on, first,
-                                  edges)  # fmt: skip
+                                  flats.loops, flats.starts, chosen.targets, apex, chain, on, first, edges,
+                                  *kernel.scratch())  # fmt: skip
         if made <= rooms[0] and used <= rooms[1]:
             break
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
     chain, on = chain[:made], on[:made]
     weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
-    if flats.smooth.any():
-        met = np.concatenate([flats.flat_of[chain], on[:, None]], 1)
-        weights[(flats.smooth[met] & (np.column_stack([chain, on]) >= 0)).sum(1) == 1] = 0
     double = chain[:, 1] >= 0
     weights[double] *= chosen.mirror_weights[chain[double, 1]]
     faces = np.where(chain >= 0, flats.flat_of[chain], -1).astype(np.int64)
+    curved = flats.smooth.view(np.int8)
+    weights[curved[on] + curved[faces[:, 0]] + curved[faces[:, 1]] * double == 1] = 0
     firsts = mirrored(view.origins[0], flats, faces[:, 0]) if made else np.zeros((0, 3))
     return Beams(apex[:made], firsts, faces, on, first[: made + 1], edges[:used], weights)
 
@@ -173,13 +181,13 @@ def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen
 def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: Beams, grids: Complexes) -> list[Laid]:
     gate = np.array(ready.gate[1:])
     on, starts, ends = beams.ends_on, np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
-    normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
-    origins = np.stack([beams.images, np.broadcast_to(view.origins[1], beams.images.shape)], 1)
-    middles = np.empty((len(beams), 3))
+    normals, offsets, spheres = flats.normals.take(on, 0), flats.offsets[on], flats.spheres.take(on, 0)
+    many, origins = len(beams), _radars(view, beams)
+    middles = np.empty((many, 3))
     bounces.middles(beams.first, beams.edges, middles)
     weights = beams.weights * _both_ways(flats, beams)
     bounces.cover(_through(flats, view, beams, middles), beams.chains, flats.normals, flats.widths,
-                  ready.spec.wavelength_m, weights)  # fmt: skip
+                  ready.spec.wavelength_m, np.empty(3), weights)  # fmt: skip
     weights = np.maximum(weights - FAINT, 0)
     which = np.flatnonzero(weights)
     rim = parted(len(which), len(starts), lambda *room: edges.cut(
@@ -188,21 +196,31 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     points = np.empty((len(which), 9))
     count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points)
     points, which = points[:count], which[:count]
-    lit = np.empty((len(beams), 3))
-    bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, lit)
-    path = _through(flats, view, beams, lit)
-    free = shares(ready, flats, view, beams, path, weights, lambda *asked: clear(parts, *asked))
-    factor = weights * free * view.factor
-    frames, fields = np.empty((len(beams), 2, 3, 3)), np.empty((len(beams), 2, 3))
+    lit = np.empty((many, 3))
+    bounces.stand_ins(middles, rim.pieces, rim.owner, rim.tips, rim.holders, points, which, np.empty(many),
+                      np.empty(many, np.bool_), lit)  # fmt: skip
+    owner = np.concatenate([rim.owner, rim.holders, which])
+    path, factor = _through(flats, view, beams, lit), np.zeros(many, complex)
+    factor[owner] = weights[owner] * view.factor  # most beams hold nothing that echoes
+    frames, fields = np.empty((many, 2, 3, 3)), np.empty((many, 2, 3))
     bounces.reflect(path, beams.chains, on, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
-                    factor, frames, fields)  # fmt: skip
-    plain = np.full(len(beams), len(ready.gamma) - 1, np.int32)
+                    factor, frames, fields, np.empty((3, 3)), np.empty(3, complex))  # fmt: skip
+    strong = strengths(ready, flats, view, beams, path, factor)
+    factor *= shares(ready, flats, view, beams, path, strong, lambda *asked: clear(parts, *asked))
+    plain = np.full(many, len(ready.gamma) - 1, np.int32)
     _, _, _, table, flat, _, *rest = common(ready, view, grids)
     told = normals, plain, origins, frames, fields, table, flat, factor, *rest
-    owner = np.concatenate([rim.owner, rim.holders, which])
-    laid = lay_rim(rim, points, which, (factor[owner] != 0).astype(complex), np.zeros(len(owner)), told)
+    free = (factor != 0).astype(complex)
     via = np.where(beams.chains >= 0, flats.stuffs[beams.chains], -1)
-    return [replace(laid, stuffs=flats.stuffs[on][owner], via=via[owner])]
+    return [lay_rim(rim, points, which, free[owner], np.zeros(len(owner)), told, stuffs=flats.stuffs[on][owner],
+                    via=via[owner])]  # fmt: skip
+
+
+def _radars(view: View, beams: Beams) -> Floats:
+    """The radars (b, 2, 3) of beams: the transmitter's images, and the receiver [m]."""
+    out = np.empty((len(beams), 2, 3))
+    out[:, 0], out[:, 1] = beams.images, view.origins[1]
+    return out
 
 
 def _both_ways(flats: Flats, beams: Beams) -> Floats:
@@ -219,18 +237,18 @@ def _both_ways(flats: Flats, beams: Beams) -> Floats:
 def _through(flats: Flats, view: View, beams: Beams, lit: Floats) -> Floats:
     """Corners (b, 5, 3) of each beam's path from transmitter to receiver over a point (b, 3) of its end."""
     path = np.empty((len(beams), 5, 3))
-    bounces.legs(beams.images, beams.firsts, beams.chains, flats.normals, flats.offsets, view.origins, lit, path)
+    bounces.legs(beams.images, beams.firsts, beams.chains, flats.normals, flats.offsets, view.origins,
+                 np.arange(len(beams)), lit, path)  # fmt: skip
     return path
 
 
 def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> NDArray[np.bool_]:
     """Whether each path (b, 5, 3) that is wanted (not 0) is free on all its legs."""
     out = wanted != 0
-    for step in range(4):
-        todo = np.flatnonzero(out)
-        if step == 0:  # paths over one mirror have no first leg
-            todo = todo[(path[todo, 0] != path[todo, 1]).any(1)]
-        out[todo] = between(parts, path[todo, step], path[todo, step + 1])
+    starts, ends = np.empty((2, 4 * len(path), 3))
+    owner = np.empty(4 * len(path), np.int64)
+    count = bounces.stretches(path, wanted, starts, ends, owner)
+    out[owner[:count][~between(parts, starts[:count], ends[:count])]] = False
     return np.asarray(out)
 
 
@@ -248,7 +266,7 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
         on, first = beams.ends_on, beams.first
         asked = (beams.chains[:, 1] >= 0) == (order == 3)
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
-        origins = np.stack([beams.images, np.broadcast_to(view.origins[1], beams.images.shape)], 1)
+        origins = _radars(view, beams)
     normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
     which = np.flatnonzero(asked)
     rim = parted(len(which), len(starts), lambda *room: edges.cut(

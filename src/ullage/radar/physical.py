@@ -179,12 +179,12 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
             out.append(_lay_small(ready, parts, part, view, grids))
         out += lay_flats(ready, parts, part, view, grids)
     if len(ready.lines):
-        out.append(_lay_wires(ready, parts, view, poses, grids))
+        out += _lay_wires(ready, parts, view, poses, grids)
     if len(ready.rims.edges):
         from ullage.radar.fringes import lay_edges
 
         out += lay_edges(ready, parts, view, poses, grids)
-    if any(m.roughness_m for m in ready.world.materials):
+    if ready.world.rough:
         from ullage.radar.roughness import lay_grit
 
         out.append(lay_grit(ready, parts, view, poses, grids))
@@ -208,8 +208,9 @@ def _off(parts: list[Surfaces], view: View) -> View:
     origins = view.origins
     for part in parts:
         normals, offsets = part.flats.normals, part.flats.offsets
-        gaps = np.einsum("si,pi->sp", origins, normals) - offsets
-        close = abs(gaps) < LEAST_M
+        some = origins[:1] if (origins[0] == origins[1]).all() else origins
+        gaps = np.array([normals @ origin for origin in some]) - offsets
+        close = np.repeat(abs(gaps) < LEAST_M, 3 - len(some), 0)
         if close.any():
             origins = origins.copy()
             for s, p in np.argwhere(close):
@@ -248,20 +249,22 @@ def _lay_round(
     return out + (lay_pairs(ready, parts, rounds, view, grids) if len(rounds) > 1 else [])
 
 
-def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> Laid:
+def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> list[Laid]:
     lines = ready.lines
     starts, ends = placed(lines, poses)
     gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, view.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
-    middle = pieces.mean(1)
+    if not len(pieces):
+        return []
+    middle = 0.5 * (pieces[:, 0] + pieces[:, 1])
     shade, extra = shading(ready, parts, view, middle)
     told = common(ready, view, grids)
 
     def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
         string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:-1], grids, *out)
 
-    return laid_by(put, shade, grids, lines.stuffs[owner], middle)
+    return [laid_by(put, shade, grids, lines.stuffs[owner], middle)]
 
 
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
@@ -284,7 +287,8 @@ def lay_triangles(
     told = common(ready, view, grids)
 
     def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out)
+        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
+                       np.empty(3, complex))  # fmt: skip
 
     return laid_by(put, shade, grids, stuffs[owner], centroids(leaves))
 
@@ -317,7 +321,7 @@ def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray
         dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
         part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
-        KAPPA * ready.spec.wavelength_m, REACH, out, owner))  # fmt: skip
+        KAPPA * ready.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
 
 
 def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
@@ -331,7 +335,8 @@ def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> 
 
 def near(one: Floats, other: Floats) -> bool:
     """Whether two antennas (3) see the same, being as near to each other as this."""
-    return bool(((one - other) ** 2).sum() < _ONE_EYE_M**2)
+    gap = one - other
+    return float(gap @ gap) < _ONE_EYE_M**2
 
 
 _ONE_EYE_M = 0.1  # antennas nearer to each other than this see the same, as seen from between them

@@ -29,6 +29,7 @@ class Prepared:
         self.moving = moves[scene.face_object] if len(scene.faces) else np.zeros(0, bool)
         self.still = gather(scene, ~self.moving)
         self.materials = tuple(o.material for o in scene.objects)
+        self.rough = any(material.roughness_m for material in self.materials)
         self._movers = Movers(scene, self.moving) if self.moving.any() else None
         self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
         self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed

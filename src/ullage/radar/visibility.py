@@ -26,13 +26,15 @@ def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats, sheets: Curt
 
     1 in the open, 0 behind anything opaque; behind thin sheets what they let through, at most `SHEETS` of them.
     """
-    clear = np.ones(len(points), bool)
+    clear = None
     veils: list[Veil] = []
     for part in parts:
         opaque, veil = part.casters(sheets.thin)
-        clear &= opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
+        open_ = opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
+        clear = open_ if clear is None else clear & open_
         if veil is not None:
             veils.append(veil)
+    clear = np.ones(len(points), bool) if clear is None else clear
     factor, late = clear.astype(complex), np.zeros(len(points))
     if veils:
         _through(veils, origin, points, np.flatnonzero(clear), sheets, factor, late)
@@ -86,7 +88,8 @@ def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats
 
 def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> NDArray[np.bool_]:
     """Whether nothing stands between the points a (n, 3) and b (n, 3), which may lie on surfaces."""
-    clear = np.ones(len(a), bool)
+    clear = None
     for part in parts:
-        clear &= part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
-    return clear
+        open_ = part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
+        clear = open_ if clear is None else clear & open_
+    return np.ones(len(a), bool) if clear is None else clear

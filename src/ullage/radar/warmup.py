@@ -25,6 +25,7 @@ from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
+    from ullage.radar.facets import Flats
     from ullage.radar.physical import Bench, View
 
 Tell = Callable[[str], None]
@@ -283,18 +284,18 @@ def _room(roughness_m: float = 0.0) -> Scene:
     return replace(room, objects=walls)
 
 
-def _bench(scene: Scene) -> tuple[Bench, View]:
+def _bench(scene: Scene) -> tuple[Bench, View, Flats]:
     from ullage.radar.physical import bench, view_of
 
     spec = RadarSpec.preset("x4m05")
-    return bench(scene, spec), view_of(spec, np.zeros(3), np.eye(3))
+    ready = bench(scene, spec)
+    return ready, view_of(spec, np.zeros(3), np.eye(3)), ready.world.still.flats
 
 
 def _rims() -> None:
     from ullage.radar.flats import rims
 
-    ready, view = _bench(_room())
-    flats = ready.world.still.flats
+    ready, view, flats = _bench(_room())
     rims(ready, flats, view, np.arange(len(flats)), np.full(len(flats), 9.0))
 
 
@@ -302,19 +303,16 @@ def _echoes() -> None:
     from ullage.radar.flats import Rim, lay_parted
     from ullage.radar.physical import common, shading
 
-    ready, view = _bench(_room())
-    flats, none = ready.world.still.flats, np.zeros(0, np.int32)
+    ready, view, flats = _bench(_room())
     told = flats.normals, flats.stuffs, *common(ready, view, np.zeros((3, ready.places), complex))
-    rim = Rim(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(len(flats)))
-    lay_parted(ready, flats, np.arange(len(flats)), rim, np.full(len(flats), 9.0),
+    lay_parted(ready, flats, np.arange(len(flats)), Rim.none(len(flats)), np.full(len(flats), 9.0),
                lambda at, _: shading(ready, ready.world.parts(), view, at), told)  # fmt: skip
 
 
 def _beams() -> None:
     from ullage.radar.multipath import beams_of, looks
 
-    ready, view = _bench(_room())
-    flats = ready.world.still.flats
+    ready, view, flats = _bench(_room())
     beams_of(ready, flats, view, 3, looks(ready, flats, view))
 
 
@@ -322,36 +320,39 @@ def _paths() -> None:
     """The kernels of `multipath` beyond beams and rims, on no paths at all."""
     from ullage.kernels import bounces
 
-    ready, view = _bench(_room())
-    flats, none, long = ready.world.still.flats, np.zeros(0, np.int32), np.zeros(0, np.int64)
+    ready, view, flats = _bench(_room())
+    none, long, row, tips = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 9))
     points, paths, chains = np.zeros((0, 3)), np.zeros((0, 5, 3)), np.zeros((0, 2), np.int64)
     bounces.middles(np.zeros(1, np.int32), np.zeros((0, 2, 3)), points)
-    bounces.legs(points, points, chains, flats.normals, flats.offsets, view.origins, points, paths)
-    bounces.cover(paths, chains, flats.normals, flats.widths, ready.spec.wavelength_m, np.zeros(0))
-    bounces.stand_ins(points, np.zeros((0, 12)), none, np.zeros((0, 9)), none, np.zeros((0, 9)), long, points)
+    bounces.legs(points, points, chains, flats.normals, flats.offsets, view.origins, long, points, paths)
+    bounces.stretches(paths, row, points, points, long)
+    bounces.cover(paths, chains, flats.normals, flats.widths, ready.spec.wavelength_m, np.zeros(3), row)
+    bounces.stand_ins(points, np.zeros((0, 12)), none, tips, none, tips, long, row, row > 0, points)
     bounces.reflect(paths, chains, long, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
-                    np.zeros(0, complex), np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)))  # fmt: skip
+                    row + 0j, np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)), np.zeros((3, 3)),
+                    np.zeros(3, complex))  # fmt: skip
 
 
 def _ways() -> None:
     """The kernels of ways over flat faces, to no points, wires and facets at all."""
     from ullage.kernels import ways
     from ullage.radar import curves
+    from ullage.radar.flats import Rim
     from ullage.radar.multipath import looks
     from ullage.radar.ways import reached, ways_of
 
-    ready, view = _bench(_room())
-    still, none, long = ready.world.still, np.zeros((0, 3)), np.zeros(0, np.int64)
-    flats, both, field = still.flats, np.zeros((0, 2), complex), np.zeros((2, 3), complex)
+    ready, view, flats = _bench(_room())
+    still, none, long, both = ready.world.still, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 2), complex)
     led = ways_of(ready, flats, view, 3, looks(ready, flats, view))
     known = reached([], flats, led, long, none)
     mirrors = flats.normals, flats.stuffs, flats.widths, ready.spec.wavelength_m, ready.gamma
     ways.weigh(known.stops, known.rows, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32),
-               both[:, 0].copy(), np.zeros((3, 3)), field)  # fmt: skip
+               both[:, 0].copy(), np.zeros((3, 3)), np.zeros((2, 3), complex))  # fmt: skip
     ways.meet_wires(none, none, led.images, led.faces, 9.0, view.fields, flats.normals, flats.offsets, *mirrors[1:3],
                     flats.first, flats.starts, flats.ends, *mirrors[3:], long, long, both, np.zeros(0),
-                    np.zeros((5, 4, 3)), field)  # fmt: skip
-    curves.met(ready, flats, still.flat_backs, led, long, 0.0)
+                    np.zeros((5, 4, 3)), np.zeros((2, 3), complex))  # fmt: skip
+    curves.met(ready, flats, still.flat_backs, led, long, 1.0)
+    curves.rims_heard(ready, Rim.none(0), np.zeros(0), 1.0)
     curves.lit_by(ready, still, led)
 
 
@@ -375,23 +376,23 @@ def _conductors() -> None:
     from ullage.radar.fringes import lay_edges
     from ullage.world import scenes
 
-    ready, view = _bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"))
+    ready, view, _ = _bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"))
     lay_edges(ready, ready.world.parts(), view, None, np.zeros((3, ready.places), complex))
 
 
 JOBS: tuple[Job, ...] = (
     Job("rays", "thesis", 1, _thesis),
     Job("rims of faces", "physical", 5, _rims),
-    Job("beams", "bounces", 2.8, _beams),
+    Job("beams", "bounces", 2.6, _beams),
     Job("edges of conductors", "conductors", 7.5, _conductors),
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
-    Job("paths of bounces", "bounces", 3, _paths),
-    Job("ways over faces", "ways", 3, _ways),
+    Job("paths of bounces", "bounces", 2.6, _paths),
+    Job("ways over faces", "ways", 3.3, _ways),
     Job("paths over round bodies", "pairs", 1.3, _pairs),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
-    Job("bounces", "bounces", 0.5, partial(_walls, max_bounces=2),
+    Job("bounces", "bounces", 0.9, partial(_walls, max_bounces=2),
         ("rims of faces", "echoes of faces", "beams", "paths of bounces")),
 )  # fmt: skip
 

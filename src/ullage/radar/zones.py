@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from ullage.kernels import bounces
 from ullage.kernels import zones as kernel
-from ullage.radar.antenna import gain
 from ullage.radar.facets import Flats
 from ullage.radar.physical import Bench, View
 
@@ -55,11 +54,6 @@ def _turn(rays: int) -> Floats:
     return np.stack([np.cos(angles), np.sin(angles)], 1)
 
 
-def _phases(ends: Floats, shares: Floats) -> Floats:
-    """Phases [rad] up to which such shares of the fading weight lie, on rays that end at some phase."""
-    return np.asarray(LAST * (1 - np.sqrt(1 - shares * (1 - (1 - ends / LAST) ** 2))))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Zones:
     """The Fresnel zones of some paths (k)."""
@@ -81,7 +75,7 @@ def shares(
     view: View,
     beams: Beams,
     path: Floats,
-    weights: Floats,
+    strong: Strengths,
     clear: Callable[[Floats, Floats], NDArray[np.bool_]],
 ) -> Complexes:
     """What part (b) of the echo of each path (b, 5, 3) is left by what stands in its way.
@@ -92,25 +86,25 @@ def shares(
         view: the radar.
         beams: what the paths run in.
         path: corners from transmitter to receiver [m].
-        weights: (b) of the paths, 0 where it does not matter.
-        clear: whether paths (n, 5, 3) of weights (n) are free.
+        strong: what they would bring; of 0 for those that do not matter.
+        clear: whether paths (n, 5, 3) that are wanted (n), not 0, are free.
     """
-    zones = _strongest(ready, flats, view, beams, path, weights)
+    zones = _strongest(beams, path, strong, NEAR * ready.spec.wavelength_m)
     many = len(zones.paths)
 
-    def legs(of: Longs, points: Floats) -> Floats:
-        row, out = zones.paths[of], np.empty((len(of), 5, 3))
-        bounces.legs(beams.images[row], beams.firsts[row], beams.chains[row], flats.normals, flats.offsets,
-                     view.origins, points, out)  # fmt: skip
-        return out
+    def reached(of: Longs, points: Floats) -> NDArray[np.bool_]:
+        out = np.empty((len(of), 5, 3))
+        bounces.legs(beams.images, beams.firsts, beams.chains, flats.normals, flats.offsets, view.origins,
+                     zones.paths[of], points, out)  # fmt: skip
+        return clear(out, np.ones(len(of)))
 
-    asked = _phases(zones.ends[:, ::FINE, None], (np.arange(CELLS) + 0.5) / CELLS)
-    away = (_turn(FINE * RAYS)[::FINE] @ zones.axes)[:, :, None]
-    places = zones.lit[:, None, None] + np.sqrt(asked)[..., None] * away
-    more = legs(np.repeat(np.arange(many), RAYS * CELLS), places.reshape(-1, 3))
-    clears = clear(np.concatenate([path, more]), np.concatenate([weights, np.ones(len(more))]))
-    out, free = clears[: len(path)].astype(complex), clears[len(path) :].reshape(many, RAYS, CELLS)
-    borders = _borders(zones, asked, free, lambda of, points: clear(legs(of, points), np.ones(len(of))))
+    out = clear(path, strong.level).astype(complex)
+    if not many:
+        return out
+    asked, places = np.empty((many, RAYS, CELLS)), np.empty((many * RAYS * CELLS, 3))
+    kernel.places(zones.lit, zones.axes, zones.ends, _turn(FINE * RAYS), LAST, asked, places)
+    free = reached(np.repeat(np.arange(many), RAYS * CELLS), places).reshape(many, RAYS, CELLS)
+    borders = _borders(zones, asked, free, reached)
     found = np.empty(many, complex)
     kernel.parts(free, borders, zones.ends, LAST, np.empty((RAYS, CELLS)), np.empty(RAYS, np.int64), found)
     out[zones.paths] = found
@@ -135,24 +129,31 @@ def _borders(
     return borders
 
 
-def _strongest(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, weights: Floats) -> Zones:
+@dataclass(frozen=True, slots=True, eq=False)
+class Strengths:
+    """What paths (b) would bring if nothing stood in their way and faces had no ends."""
+
+    level: Floats  # (b) path gain amplitudes
+    excess: Floats  # (b) by which each path is longer than that over the mirror point [m]
+    axes: Floats  # (b, 2, 3) of its Fresnel zone, to where the phase is 1 rad [m]
+
+
+def strengths(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, factor: Complexes) -> Strengths:
+    """How strong paths (b, 5, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
+    out = Strengths(np.empty(len(path)), np.empty(len(path)), np.empty((len(path), 2, 3)))
+    kernel.strengths(path, beams.images, view.origins[1], beams.ends_on, flats.normals, flats.offsets, flats.across,
+                     factor, view.frames[None], ready.table, ready.spec.antenna.kind == "isotropic",
+                     2 * np.pi / ready.spec.wavelength_m, out.axes, np.empty((2, 3)), out.level,
+                     out.excess)  # fmt: skip
+    return out
+
+
+def _strongest(beams: Beams, path: Floats, strong: Strengths, near_m: float) -> Zones:
     """Paths over mirror points that would be the strongest if nothing stood in their way, and their zones."""
-    normals, offsets = flats.normals[beams.ends_on], flats.offsets[beams.ends_on]
-    there, back = _size(path[:, 3] - beams.images), _size(view.origins[1] - path[:, 3])
-    twice = 2 * (np.einsum("bi,bi->b", normals, beams.images) - offsets)
-    excess = there + back - _size(beams.images - twice[:, None] * normals - view.origins[1])
-    some = np.flatnonzero((weights != 0) & (excess < NEAR * ready.spec.wavelength_m))
-    level = _level(ready, flats, view, beams, path, weights, some) / (there + back)[some]
-    first = np.argsort(-level)[: 2 * BEST]  # laying out a zone costs more than telling these
-    some, level = some[first], level[first]
-    lit, across = path[some, 3], flats.across[beams.ends_on[some]]
-    out = np.einsum("bai,bi->ba", across, view.origins[1] - lit) / back[some, None]
-    slant = np.sqrt(np.maximum(1 - (out**2).sum(1), 0.01))[:, None]
-    reach = np.sqrt(ready.spec.wavelength_m / np.pi / (1 / there[some] + 1 / back[some]))[:, None]
-    size = _size(out)[:, None]
-    out = np.where(size > 1e-6, out / np.maximum(size, 1e-9), np.array([1.0, 0.0]))
-    turned = np.stack([-out[:, 1], out[:, 0]], 1)
-    axes = np.stack([out / slant, turned], 1) * reach[..., None] @ across
+    level = strong.level * (strong.excess < near_m)
+    some = np.argsort(-level)[: 2 * BEST]  # laying out a zone costs more than telling these
+    some = some[level[some] > 0]
+    lit, axes, level = path[some, 3], strong.axes[some], level[some]
     rough = np.empty((len(some), RAYS))
     kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(RAYS), LAST, rough)
     counts = np.empty(len(some), complex)
@@ -161,23 +162,6 @@ def _strongest(ready: Bench, flats: Flats, view: View, beams: Beams, path: Float
     order = np.argsort(-level)[:BEST]
     order = order[level[order] > FAINT * level.max(initial=0.0)]
     ends = np.empty((len(order), FINE * RAYS))
-    some, lit, axes = some[order], lit[order], np.ascontiguousarray(axes[order])
+    some, lit, axes = some[order], lit[order], axes[order]
     kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(FINE * RAYS), LAST, ends)
     return Zones(some, lit, axes, ends)
-
-
-def _level(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, weights: Floats, some: Longs) -> Floats:
-    """What reflections and antennas leave of some paths."""
-    ways, factor = path[some], weights[some].astype(complex)
-    frames, fields = np.empty((len(some), 2, 3, 3)), np.empty((len(some), 2, 3))
-    bounces.reflect(ways, beams.chains[some], beams.ends_on[some], flats.normals, flats.stuffs, ready.gamma,
-                    view.frames, view.fields, factor, frames, fields)  # fmt: skip
-    lone = (ways[:, 1] == ways[:, 0]).all(1)
-    sent = (np.where(lone[:, None], ways[:, 2], ways[:, 1]) - ways[:, 0]) @ view.frames[0].T
-    taken = (ways[:, 3] - ways[:, 4]) @ view.frames[1].T
-    gains = gain(ready.spec.antenna, np.concatenate([sent, taken]))
-    return np.asarray(abs(factor) * gains[: len(some)] * gains[len(some) :])
-
-
-def _size(vectors: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))

@@ -99,13 +99,14 @@ class Raycaster:
         """
         ends = np.ascontiguousarray(np.asarray(targets, np.float64).reshape(-1, 3))
         starts = np.ascontiguousarray(np.asarray(origin, np.float64).reshape(-1, 3))
-        clear = np.ones(len(ends), bool)
+        clear = None
         for body in self._bodies:
             here, there = starts, ends
             if body.motion is not None:
                 here, there = (self._seen_by(body, p, p, t_ns)[0] for p in (np.broadcast_to(starts, ends.shape), ends))
-            clear &= body.open(here, there, leave_m, slack_m)
-        return clear
+            open_ = body.open(here, there, leave_m, slack_m)
+            clear = open_ if clear is None else clear & open_
+        return np.ones(len(ends), bool) if clear is None else clear
 
     def standing(self, poses: Floats) -> Raycaster:
         """The same with every object in one place from now on, by poses (o, 4, 4); `corners` and `normals` stay."""

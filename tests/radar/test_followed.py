@@ -1,0 +1,170 @@
+"""What is followed of a frame's paths and rims and what is not: loops against the same over arrays."""
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.kernels import lit
+from ullage.kernels import rims as draw
+from ullage.radar import curves, multipath, zones
+from ullage.radar.antenna import gain
+from ullage.radar.flats import Rim
+from ullage.radar.physical import bench, echoes
+
+RADAR = ul.RadarSpec.preset("x4m05", noise=None)
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+
+
+def room(plate=True):
+    there = {"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0} if plate else None
+    return ul.scenes.room((6, 4, 3), plate=there)
+
+
+def rim(rng, count=40):
+    """Pieces, ends beside some of them and ends by themselves, of no shape at all."""
+    pieces, tips = rng.uniform(-1, 1, (count, 12)), rng.uniform(-1, 1, (count, 9))
+    pieces[:, 6:8] += 3
+    tips[:, 3] += 3
+    ties = np.where(rng.random(count) < 0.5, rng.integers(0, count, count), -1)
+    owner, holders = (rng.integers(0, 5, count).astype(np.int32) for _ in range(2))
+    return Rim(pieces, owner, tips, holders, ties.astype(np.int32), np.ones(5))
+
+
+def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
+    """Thousands, most of them too faint by themselves."""
+    rng, ready, rest = np.random.default_rng(1), bench(room(), RADAR), 2e-6
+    loud, paths = rest * 10 ** rng.uniform(-2.0, -1.3, 4000), rng.uniform(0, 1.0, 4000) ** 3
+    loud[::50] = 0
+    told = curves.audible(ready, loud, paths, rest)
+    cells, steps = (paths / (2 * ready.pulse.half_m)).astype(int), np.frexp((loud / rest) ** 2)[1]
+    steps[loud == 0] = 1000
+    below = np.zeros(len(loud))
+    for cell, step in {*zip(cells, steps, strict=True)}:
+        mine = cells == cell
+        below[mine & (steps == step)] = (loud[mine & (steps <= step)] ** 2).sum()
+    assert (told == (((below > rest**2) | (loud > rest / curves.MANY)) & (loud > 0))).all()
+    together = told & (loud <= rest / curves.MANY)
+    assert together.mean() > 0.02
+    assert (~told & (loud > 0)).mean() > 0.2
+    assert (curves.audible(ready, loud, paths, 0.0) == (loud > 0)).all()
+
+
+def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():
+    parted, gains = rim(np.random.default_rng(2)), np.arange(1.0, 6)
+    louds, paths = np.empty((2, 80))
+    count = lit.rim_louds(
+        parted.pieces, parted.owner, parted.tips, parted.holders, parted.ties, gains, 2.0, louds, paths
+    )
+    lone = parted.ties < 0
+    ends = 2 * np.hypot(parted.tips[:, 4], parted.tips[:, 5]) * gains[parted.holders]
+    pieces = 2 * parted.pieces[:, 8:10].max(1) * abs(parted.pieces[:, 10]) * gains[parted.owner]
+    np.maximum.at(pieces, parted.ties[~lone], ends[~lone])
+    assert count == 40 + lone.sum()
+    assert louds[:count] == pytest.approx(np.concatenate([pieces, ends[lone]]))
+    assert paths[:count] == pytest.approx(np.concatenate([parted.pieces[:, 6], parted.tips[lone, 3]]) / 2)
+
+
+def test_ends_are_seen_where_the_piece_is_that_goes_on_or_by_themselves():
+    parted, normals = rim(np.random.default_rng(3)), np.tile([0.0, 0, 1], (5, 1))
+    spots, faces, seats = np.empty((80, 3)), np.empty(80, np.int64), np.empty(80, np.int64)
+    count = draw.look_at(
+        parted.pieces, parted.owner, parted.tips, parted.holders, parted.ties, normals, 0.0, spots, faces, seats
+    )
+    lone = np.flatnonzero(parted.ties < 0)
+    assert count == 40 + len(lone)
+    assert spots[:40] == pytest.approx((parted.pieces[:, :3] + parted.pieces[:, 3:6]) / 2)
+    assert spots[40:count] == pytest.approx(parted.tips[lone, :3])
+    assert (faces[:count] == np.concatenate([parted.owner, parted.holders[lone]])).all()
+    tied = parted.ties >= 0
+    assert (seats[40:][tied] == parted.ties[tied]).all()
+    assert (seats[40:][lone] == np.arange(40, count)).all()
+
+
+def test_a_zone_about_a_mirror_point_is_looked_at_where_it_lies_on_the_face():
+    points = np.array([[0.1, 0.5, 0, 4.0, 0, 0, 0, 0, 0]])
+    across, zone = np.array([[[1.0, 0, 0], [0, 1, 0]]]), np.array([[0.0, 0], [1, 0], [-1, 0], [0, 1]])
+    out, faces, within = np.empty((4, 3)), np.empty(4, np.int64), np.empty((1, 4), np.bool_)
+    starts, ends = SQUARE, np.roll(SQUARE, -1, 0)
+    first, normals = np.array([0, 4], np.int32), np.array([[0.0, 0, 1]])
+    draw.look_about(points, np.array([0]), across, zone, 0.04, normals, first, starts, ends, out, faces, within)
+    radius = np.sqrt(0.04 * 4.0 / 4)
+    assert out == pytest.approx(points[:, :3] + radius * np.column_stack([zone, np.zeros(4)]))
+    assert within.tolist() == [[True, True, False, True]]
+
+
+def test_paths_are_free_where_all_their_legs_are_and_only_wanted_ones_are_asked():
+    parts = bench(room(), RADAR).world.parts(None)
+    a, left, right, behind = [-1.0, 0, 0], [1.0, 1.9, 0.2], [1.0, -1.9, 0.2], [2.8, 0.0, 0.0]  # the plate is before it
+    paths = np.array(
+        [
+            [a, a, left, right, a],
+            [a, left, right, left, a],
+            [a, a, left, behind, a],
+            [a, behind, left, right, a],
+            [a, a, left, right, a],
+        ]
+    )
+    assert multipath.clear(parts, paths, np.array([1.0, 0.3, 1, 1, 0])).tolist() == [True, True, False, False, False]
+
+
+def followed(monkeypatch, scene, place=(0.1, 0.2, 0.1)):
+    """Beams as they are followed, what they would bring, and which of them are laid."""
+    kept, shares, lay = {}, multipath.shares, multipath.lay_rim
+
+    def shares_of(ready, flats, view, beams, path, strong, clear):
+        kept.update(path=path, beams=beams, view=view, level=strong.level.copy(), excess=strong.excess, flats=flats)
+        return shares(ready, flats, view, beams, path, strong, clear)
+
+    def laid(rim, points, which, *more, **told):
+        kept["owner"] = np.unique(np.concatenate([rim.owner, rim.holders, which]))
+        return lay(rim, points, which, *more, **told)
+
+    monkeypatch.setattr(multipath, "shares", shares_of)
+    monkeypatch.setattr(multipath, "lay_rim", laid)
+    echoes(scene, ul.Trajectory.stationary(place), RADAR, max_bounces=3)
+    return kept
+
+
+def test_beams_that_hold_nothing_that_echoes_are_not_followed(monkeypatch):
+    kept = followed(monkeypatch, ul.scenes.hold(), (0.1, -7, 4))
+    silent = np.ones(len(kept["level"]), bool)
+    silent[kept["owner"]] = False
+    assert silent.mean() > 0.3
+    assert (kept["level"][silent] == 0).all()
+    assert (kept["level"][~silent] > 0).mean() > 0.9
+
+
+def test_beams_are_as_strong_as_their_gains_reflections_and_length(monkeypatch):
+    """In a room of metal that reflects all, with one antenna for both ways."""
+    scene = ul.scenes.room((6, 4, 3), material="pec")
+    kept = followed(monkeypatch, scene)
+    path, beams, flats = kept["path"], kept["beams"], kept["flats"]
+    heard = np.flatnonzero(kept["level"])
+    full = heard[beams.weights[heard] == 1.0]  # over one mirror some count twice or not at all, and fields may turn
+    first = np.where((path[full, 1] == path[full, 0]).all(1)[:, None], path[full, 2], path[full, 1])
+    turn = kept["view"].frames[0].T
+    gains = gain(RADAR.antenna, (first - path[full, 0]) @ turn) * gain(
+        RADAR.antenna, (path[full, 3] - path[full, 4]) @ turn
+    )
+    there = np.linalg.norm(path[full, 3] - beams.images[full], axis=1)
+    back = np.linalg.norm(path[full, 4] - path[full, 3], axis=1)
+    most = 2 * gains * RADAR.wavelength_m / (4 * np.pi * (there + back))
+    assert len(full) > 10
+    assert (kept["level"][full] <= 1.01 * most).all()
+    assert (kept["level"][full] > 0.45 * most).any()
+    normals = flats.normals[beams.ends_on]
+    height = np.einsum("bi,bi->b", normals, beams.images) - flats.offsets[beams.ends_on]
+    mirror = np.linalg.norm(beams.images - 2 * height[:, None] * normals - kept["view"].origins[1], axis=1)
+    assert kept["excess"][full] == pytest.approx(there + back - mirror[full], abs=1e-9)
+
+
+def test_zones_are_asked_in_cells_of_like_weight():
+    """Each cell of a ray holds as much of the fading weight: phases are where (1 - phase / last)^2 falls evenly."""
+    lit_at, axes = np.array([[1.0, 2, 3]]), np.array([[[0.1, 0, 0], [0, 0.2, 0]]])
+    ends, turn = np.full((1, 8), 5.0), zones._turn(8)
+    asked, out = np.empty((1, 4, 3)), np.empty((12, 3))
+    zones.kernel.places(lit_at, axes, ends, turn, 7.0, asked, out)
+    left = (1 - asked / 7.0) ** 2
+    assert left[0, 0] == pytest.approx(1 - (np.arange(3) + 0.5) / 3 * (1 - (2 / 7) ** 2))
+    away = np.sqrt(asked[0, :, :, None]) * (turn[::2] @ axes[0])[:, None]
+    assert out == pytest.approx((lit_at + away).reshape(-1, 3))
