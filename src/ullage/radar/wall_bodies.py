@@ -17,15 +17,14 @@ from scipy.special import fresnel
 
 from ullage.geometry import C0
 from ullage.kernels import chains as kernel
-from ullage.radar.antenna import gain
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
-from ullage.radar.mirrors import across, dot, reflected, unit
+from ullage.radar.mirrors import dot, unit
 from ullage.radar.multipath import most_looked
 from ullage.radar.physical import Bench, View
+from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import BODIES, FAINT
 from ullage.radar.rounds import Round
-from ullage.radar.visibility import between
 from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, around, deposit, planes_of, swapped
 
 Floats = NDArray[np.float64]
@@ -153,7 +152,7 @@ def _over(
     asked = np.unique(np.concatenate([first, (first + 1) % len(value)]))
     path = _real(lines, wall, body, view.origins, turn, asked)
     seen = np.zeros(len(value), complex)
-    seen[asked] = value[asked] * _free(parts, path) * _turned(ready, view, path)
+    seen[asked] = value[asked] * free(parts, path) * turned(ready, view, path)
     seen[asked] *= _covered(lines, wall, body, asked, turn, ready.spec.wavelength_m)
     return _deposited(ready, lines, wall, path, asked, (first, share, weights), seen, grids)
 
@@ -187,17 +186,6 @@ def _between(lines: Lines, radius: float, first: Longs, share: Floats) -> tuple[
     path = a + u * (p + u * (3 * (b - a) - 2 * p - q + u * (2 * (a - b) + p + q)))
     slope = p + u * (2 * (3 * (b - a) - 2 * p - q) + 3 * u * (2 * (a - b) + p + q))
     return path, slope / step
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Real:
-    """Paths as they run, planes across the axis among their surfaces."""
-
-    corners: Floats  # (s + 2, n, 3) [m]
-    normals: Floats  # (s, n, 3) to where the waves are
-    depths: Floats  # (s, n) by so much facets lie off [m]
-    stuffs: Longs  # (s, n)
-    there: Bools  # (n) whether there is such a path
 
 
 def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, asked: Longs) -> Real:
@@ -239,27 +227,6 @@ def _unfolded(
     which = [np.where(late, kinds[0], floor), np.where(late, floor, kinds[0]), *kinds[1:]]
     there = (gap < 0) & (then > 0) & (gaps[2:] > 0).all(0)
     return np.stack([begin, *stops]), np.stack(faces), np.stack(which), there
-
-
-def _free(parts: list[Surfaces], path: Real) -> Bools:
-    """Which paths (n) are free, and touch what is there."""
-    stops, lift = path.corners[1:-1], path.normals * (path.depths + PULL_M)[..., None]
-    corners = np.concatenate([path.corners[:1], stops + lift, path.corners[-1:]])
-    here, there = np.concatenate([corners[:-1], stops + lift]), np.concatenate([corners[1:], stops - lift])
-    clear = between(parts, here.reshape(-1, 3), there.reshape(-1, 3)).reshape(len(here), -1)
-    legs = len(corners) - 1
-    return np.asarray(path.there & clear[:legs].all(0) & ~clear[legs:].any(0))
-
-
-def _turned(ready: Bench, view: View, path: Real) -> Complexes:
-    """What the antennas and all reflections make of the waves (n)."""
-    ways = np.stack([unit(way) for way in np.diff(path.corners, axis=0)])
-    field = across(view.fields[:1], ways[0]).astype(complex)
-    for way, normal, stuffs in zip(ways, path.normals, path.stuffs, strict=False):
-        field = reflected(ready.gamma, stuffs, field, way, normal)
-    total = gain(ready.spec.antenna, ways[0] @ view.frames[0].T)
-    total = total * gain(ready.spec.antenna, -ways[-1] @ view.frames[1].T)
-    return np.asarray(total * dot(field, across(view.fields[1:], ways[-1])))
 
 
 def _covered(lines: Lines, wall: Round, body: Round, asked: Longs, turn: Turn, wavelength: float) -> Complexes:
