@@ -6,6 +6,7 @@ import gc
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -86,8 +87,12 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
         "physical", "bounces", "shapes", "ways")  # fmt: skip
     assert "ways" in radar_parts("physical", 3, ul.scenes.hold())
     assert "pairs" in radar_parts("physical", 3, ul.load_scene(WORLDS["cluttered-room"].path))
+    assert "chains" not in radar_parts("physical", 3, ul.load_scene(WORLDS["cluttered-room"].path))
+    ball = ul.scenes.sphere(0.3, 1.0)
+    deep = ul.Scene.union([replace(tank, vertices=tank.vertices - [0, 0, 0.5]), ball])
+    assert "chains" in radar_parts("physical", 2, deep)
     assert "pairs" not in radar_parts("physical", 1, ul.load_scene(WORLDS["cluttered-room"].path))
-    everything = {"physical", "rough", "bounces", "shapes", "conductors", "ways", "pairs"}
+    everything = {"physical", "rough", "bounces", "shapes", "conductors", "ways", "pairs", "chains"}
     assert set(radar_parts("physical")) == everything
 
 

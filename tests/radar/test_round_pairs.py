@@ -127,6 +127,14 @@ def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
     assert cut / free == pytest.approx(0.25, abs=0.05)
 
 
+def test_where_the_origin_lies_along_drums_is_no_matter():
+    """World and radar 5 m higher: drums are known by a point of their axis, which may be far below."""
+    high, low = (over(shifted(two("drum", "drum"), up), ul.Trajectory.stationary((0, 0, up)), radar(), "b", ("a",))
+                 for up in (5.0, 0.0))  # fmt: skip
+    assert abs(low) > 1e-4
+    assert high == pytest.approx(low, rel=1e-4)
+
+
 def shifted(scene, up):
     return replace(scene, vertices=scene.vertices + np.array([0, 0, up]))
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import jv, spherical_jn, spherical_yn, yv
+from scipy.special import h2vp, hankel2, jv, jvp, spherical_jn, spherical_yn, yv
 
 from ullage.geometry import C0
 
@@ -87,6 +87,49 @@ def dense_tank(
             slope = abs((ways[0] + ways[1]) @ normal) / 2 * np.sum(back * fields[1], 1)
             total[which] += (2 if which == 0 else 1) * np.sum(slope * spread * np.exp(-1j * k * path))
     return complex(1j / (4 * np.pi) * total[0]), complex(1j / (4 * np.pi) * total[1])
+
+
+def tank_and_drum(
+    radius_m: float, drum: tuple[float, float, float], position_m: Floats, frequency_hz: float, *, twice: bool,
+    soft: bool = True,
+) -> complex:  # fmt: skip
+    """Echo over the wall of a round tank and an upright conducting drum in it, across the axis.
+
+    The drum by its exact series [Balanis2012, ch. 11], the wall by Kirchhoff's integral, obliquity the mean of an
+    electric and a magnetic wall's. That waves widen along the axis, too, is not in it: of a path of length P the echo
+    is this over the root of P.
+
+    Args:
+        radius_m: of the tank, about the origin [m].
+        drum: its centre (x, y) and its radius [m].
+        position_m: (2) the radar [m].
+        frequency_hz: [Hz].
+        twice: from the drum to the wall and back to it; else over wall and drum, once each way round.
+        soft: whether fields are upright, along the drum; else level.
+    """
+    k, step = wave_number(frequency_hz), 1e-4
+    angle = 2 * np.pi * np.arange(count := int(8 * k * radius_m)) / count
+    out, middle = np.stack([np.cos(angle), np.sin(angle)], 1), np.array(drum[:2])
+    sizes = radius_m + step * np.array([-1.0, 0.0, 1.0])
+    x, y = np.moveaxis(sizes[:, None, None] * out - middle, 2, 0)
+    x_from, y_from = position_m - middle
+    apart = np.arctan2(y, x) - np.arctan2(y_from, x_from)
+    near, far = k * np.hypot(x_from, y_from), k * np.hypot(x, y)
+    before, wave = [hankel2(-1, near), hankel2(-1, far)], [hankel2(0, near), hankel2(0, far)]
+    bessel, hankel = (jv, hankel2) if soft else (jvp, h2vp)
+    total = np.zeros(far.shape, complex)
+    for n in range(int(k * drum[2] + 6 * (k * drum[2]) ** (1 / 3) + 12)):
+        share = (2 if n else 1) * bessel(n, k * drum[2]) / hankel(n, k * drum[2])
+        total -= share * wave[0] * wave[1] * np.cos(n * apart)
+        wave, before = [2 * n / at * w - b for at, w, b in zip((near, far), wave, before, strict=True)], wave
+    inner, drums, outer = total * np.sqrt(np.pi * k / 2) * np.exp(-0.25j * np.pi)
+    slope = 1j * (outer - inner) / (2 * step * k)  # the wave times cos(incidence)
+    way = radius_m * out - position_m
+    gap = np.linalg.norm(way, axis=1)
+    sent, cosine = np.exp(-1j * k * gap) / np.sqrt(gap), (way * out).sum(1) / gap
+    each = drums * slope if twice else sent * (cosine * drums + slope)
+    unit = np.sqrt(1j * k / (2 * np.pi)) * 2 * np.pi * radius_m / count / (2 * k)
+    return complex(each.sum() * unit * (-1 if soft else 1))
 
 
 def dense_walls(

@@ -15,6 +15,7 @@ from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
 from ullage.radar.physical import bench, echoes, lay, path_gain_cw, view_of
+from ullage.radar.wall_bodies import lay_wall_bodies
 from ullage.specs import AntennaSpec, RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -177,6 +178,9 @@ def tanks() -> Iterator[Row]:
         for bounces in (2, 3):
             found, dense = walls_heard(scene, 1.2, 2.0, place, bounces)
             yield Row(f"tank, {bounces} bounces wall to wall, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
+    for name, reach, twice in (("wall and drum", 1.91, False), ("drum, wall and drum", 2.34, True)):
+        found, dense = drum_heard((0.75, 0.0, 0.2), (0.1, -0.4), reach, twice=twice)
+        yield Row(f"tank and drum in it, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
 
 
 def walls_heard(
@@ -191,6 +195,38 @@ def walls_heard(
     ours = [over(scene, pose, radar().but(center_hz=f), "wall", ("wall",) * (bounces - 1)) for f in hz]
     want = [oracles.dense_walls(radius, height_m, np.array(place), f, bounces) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want)
+
+
+def over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int) -> complex:
+    """Path gain at the carrier of the echoes over a tank's wall and round bodies in it alone, so many bounces."""
+    ready = bench(scene, spec)
+    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    world, grids = ready.world, np.zeros((3, ready.places), complex)
+    look = np.zeros(len(world.still.flats))
+    laid = lay_wall_bodies(ready, world.parts(), world.rounds, world.still.flats, view, bounces, look, grids)
+    return complex(sum(p.echo.sum() for p in laid if p.via is not None and ((p.via >= 0).sum(1) == bounces - 1).all()))
+
+
+def drum_heard(
+    drum: tuple[float, float, float], place: tuple[float, float], reach_m: float, *, twice: bool = False,
+    carrier_hz: float = 7.29e9,
+) -> tuple[Complexes, Complexes]:  # fmt: skip
+    """Echoes over the wall of a tank of 1.2 m and a drum in it, as pulses over range: ours, and by exact series.
+
+    Ranges lie about that of an echo, `reach_m`; from the wall to the drum, or `twice`, from the drum to the wall and
+    back.
+    """
+    hz = carrier_hz + np.linspace(-1.1e9, 1.1e9, 28)
+    weight = np.exp(-0.5 * ((hz - carrier_hz) / 0.45e9) ** 2)
+    ranges = reach_m + np.arange(-0.1, 0.1, 0.01)
+    delayed = np.exp(4j * np.pi / C0 * np.multiply.outer(ranges, hz)) * weight / weight.sum()
+    inside = scenes.cylinder(drum[2], 6.0, 0.0, name="drum", edge_m=0.06)
+    inside = replace(inside, vertices=inside.vertices + np.array([*drum[:2], 3.5]))
+    scene, pose = Scene.union([scenes.tank(1.2, 7.0, "pec", strips=96), inside]), Trajectory.stationary((*place, 3.5))
+    wall, body = sorted((one.radius for one in bench(scene, radar()).world.rounds), reverse=True)
+    ours = [over_wall(scene, pose, radar().but(center_hz=f), 3 if twice else 2) for f in hz]
+    want = [oracles.tank_and_drum(wall, (*drum[:2], body), np.array(place), f, twice=twice) for f in hz]
+    return delayed @ np.array(ours), delayed @ np.array(want) / np.sqrt(2 * ranges)
 
 
 def rooms() -> Iterator[Row]:

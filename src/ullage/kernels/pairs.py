@@ -9,11 +9,11 @@ from ullage.kernels.loops import core, lean
 
 
 @lean(nogil=True, error_model="numpy")
-def shortest(start, stop, centres, axes, radii, balls, steps, corners, normals, lengths, spreads, bends, scratch):  # type: ignore[no-untyped-def]
-    """The shortest paths from one point (3) over the first and then the last body of each pair to another (3).
+def shortest(starts, stops, centres, axes, radii, balls, steps, corners, normals, lengths, spreads, bends, scratch):  # type: ignore[no-untyped-def]
+    """The shortest paths from one point over the first and then the last body of each pair to another.
 
     Args:
-        start, stop: (3) [m].
+        starts, stops: (m, 3) [m].
         centres: (2, m, 3) [m]; axes: (2, m, 3, 3) rows, the last one that of a drum; radii: (2, m) [m].
         balls: (2, m) whether each is a ball.
         steps: of Newton's method, at the most.
@@ -26,7 +26,7 @@ def shortest(start, stop, centres, axes, radii, balls, steps, corners, normals, 
     rows, table = scratch[:48].reshape((16, 3)), scratch[48:].reshape((4, 7))
     for i in range(len(radii[0])):
         for k in range(3):
-            corners[0, i, k], corners[3, i, k] = start[k], stop[k]
+            corners[0, i, k], corners[3, i, k] = starts[i, k], stops[i, k]
         _begin(corners, i, centres, axes, radii, balls, rows)
         far, least = math.inf, min(radii[0, i], radii[1, i])
         for _ in range(steps):
@@ -34,8 +34,12 @@ def shortest(start, stop, centres, axes, radii, balls, steps, corners, normals, 
                 break
             _shape(corners, i, centres, axes, radii, balls, rows, table)
             _solve(table)
-            far = math.sqrt(table[0, 4] ** 2 + table[1, 4] ** 2 + table[2, 4] ** 2 + table[3, 4] ** 2)
-            share = min(1.0, 0.7 * least / max(far, 1e-12))
+            far, wide = 0.0, 1e-12
+            for side in range(2):  # along drums steps of any length do
+                far += table[2 * side, 4] ** 2 + table[2 * side + 1, 4] ** 2
+                wide += table[2 * side, 4] ** 2 + (table[2 * side + 1, 4] ** 2 if balls[side, i] else 0.0)
+            far = math.sqrt(far)
+            share = min(1.0, 0.7 * least / math.sqrt(wide))
             for side in range(2):
                 here = corners[1 + side, i]
                 for k in range(3):
@@ -58,14 +62,21 @@ def shortest(start, stop, centres, axes, radii, balls, steps, corners, normals, 
 
 @core(nogil=True, error_model="numpy")
 def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-untyped-def]
-    """Puts the middle corners of a path where each body looks both ways."""
+    """Puts the middle corners of a path where each body looks both ways, those of drums as high as its ends."""
     for side in range(2):
-        body, here = centres[side, i], corners[1 + side, i]
+        along, axis = 0.0, axes[side, i, 2]
+        if not balls[side, i]:
+            for k in range(3):
+                along += (0.5 * (corners[0, i, k] + corners[3, i, k]) - centres[side, i, k]) * axis[k]
+        for k in range(3):
+            rows[3 + side, k] = centres[side, i, k] + along * axis[k]
+    for side in range(2):
+        body, here = rows[3 + side], corners[1 + side, i]
         _unit(body, corners[3 * side, i], rows[0])
-        _unit(body, centres[1 - side, i], rows[1])
+        _unit(body, rows[4 - side], rows[1])
         for k in range(3):
             here[k] = body[k] + rows[0, k] + rows[1, k]
-        _onto(body, axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
+        _onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
 
 
 @core(nogil=True, error_model="numpy")

@@ -16,15 +16,14 @@ from scipy.special import fresnel
 
 from ullage.geometry import C0
 from ullage.kernels import pairs as kernel
-from ullage.radar.antenna import gain
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
-from ullage.radar.mirrors import across, dot, reflected, unit
+from ullage.radar.mirrors import dot
 from ullage.radar.multipath import most_looked
 from ullage.radar.physical import Bench, View
+from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.rounds import Round
-from ullage.radar.visibility import between
-from ullage.radar.wall_bounces import deposit
+from ullage.radar.wall_bounces import PULL_M, deposit
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -35,14 +34,13 @@ BODIES = 8
 FAINT = 5e-4
 """Pairs that do not make this share of a frame's strongest echo are left out."""
 _STEPS = 12  # of Newton's method, at the most
-_PULL_M = 4e-3  # points on bodies are looked at so far outside of their facets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
     """Balls and drums, one for each row."""
 
-    centres: Floats  # (m, 3) [m]
+    centres: Floats  # (m, 3) middles [m]
     axes: Floats  # (m, 3, 3) rows: two across the axis, and the axis
     radii: Floats  # (m) [m]
     ends: Floats  # (m, 2) of drums along the axis, from the centre [m]
@@ -54,13 +52,21 @@ class Bodies:
         """Some of them."""
         return Bodies(*(getattr(self, row)[which] for row in self.__slots__))
 
+    def gaps(self, points: Floats) -> Floats:
+        """How far points (m, 3) or one of them lie from the centres of balls or the axes of drums (m) [m]."""
+        away = points - self.centres
+        along = dot(away, self.axes[:, 2])
+        along = along - np.clip(along, self.ends[:, 0], self.ends[:, 1]) * ~self.balls
+        return np.asarray(np.sqrt(np.maximum(dot(away, away) - dot(away, self.axes[:, 2]) ** 2, 0.0) + along**2))
+
 
 @lru_cache(maxsize=16)
 def bodies_of(rounds: tuple[Round, ...], narrow: float) -> Bodies:
     """Round bodies as rows, those whose facets are narrower than this [m]."""
     rounds = tuple(r for r in rounds if r.widest < narrow)
-    return Bodies(np.array([r.centre for r in rounds]), np.array([r.axes for r in rounds]),
-                  np.array([r.radius for r in rounds]), np.array([(r.low, r.high) for r in rounds]),
+    half = np.array([(r.high - r.low) / 2 for r in rounds])
+    return Bodies(np.array([r.centre + (r.low + r.high) / 2 * r.axes[2] for r in rounds]),
+                  np.array([r.axes for r in rounds]), np.array([r.radius for r in rounds]), np.stack([-half, half], 1),
                   np.array([r.ball for r in rounds]), np.array([r.depth for r in rounds]),
                   np.array([r.stuff for r in rounds], np.int32))  # fmt: skip
 
@@ -82,12 +88,13 @@ class Paths:
 
 
 def paths_over(start: Floats, stop: Floats, first: Bodies, last: Bodies) -> Paths:
-    """The shortest paths from one point (3) over the first bodies (m) and then the last (m) to another (3)."""
+    """The shortest paths from points (3) or (m, 3) over the first bodies (m) and then the last (m) to others."""
     many = len(first.radii)
+    ends = [np.ascontiguousarray(np.broadcast_to(point, (many, 3)), float) for point in (start, stop)]
     both = [np.stack([getattr(first, row), getattr(last, row)]) for row in ("centres", "axes", "radii", "balls")]
     corners, normals = np.empty((4, many, 3)), np.empty((2, many, 3))
     lengths, spreads, bends = np.empty(many), np.empty(many), np.empty((many, 2))
-    kernel.shortest(start, stop, *both, _STEPS, corners, normals, lengths, spreads, bends, np.empty(76))
+    kernel.shortest(*ends, *both, _STEPS, corners, normals, lengths, spreads, bends, np.empty(76))
     return Paths(corners, normals, lengths, spreads, bends)
 
 
@@ -99,13 +106,13 @@ def lay_pairs(
     bodies, together = bodies_of(rounds, narrow), bool((view.origins[0] == view.origins[1]).all())
     if len(bodies.radii) < 2:
         return []
-    gaps = np.array([np.linalg.norm(bodies.centres - origin, axis=1) for origin in view.origins])
+    gaps = np.array([bodies.gaps(origin) for origin in view.origins])
     look = np.where(gaps.min(0) < ready.gate[1] + bodies.radii, bodies.radii / gaps.max(0), 0.0)
     which, weights = most_looked(look, BODIES)
     if len(which) < 2:
         return []
     one, other = np.repeat(which, len(which)), np.tile(which, len(which))
-    apart = np.linalg.norm(bodies.centres[one] - bodies.centres[other], axis=1)
+    apart = _apart(bodies.take(one), bodies.take(other))
     legs = np.stack([gaps[0, one] - bodies.radii[one], gaps[1, other] - bodies.radii[other],
                      apart - bodies.radii[one] - bodies.radii[other]])  # fmt: skip
     most = bodies.radii[one] * bodies.radii[other] / (4 * np.maximum(legs, 1e-3).prod(0) * legs.sum(0))
@@ -116,6 +123,12 @@ def lay_pairs(
     if not loud.any():
         return []
     return _laid(ready, parts, seen, bodies, one[loud], other[loud], weights, least, grids)
+
+
+def _apart(first: Bodies, last: Bodies) -> Floats:
+    """How far the middles or axes of bodies lie apart at the least (m) [m]; of parallel drums as far as they do."""
+    lean = np.sqrt(np.maximum(1 - dot(first.axes[:, 2], last.axes[:, 2]) ** 2, 0.0)) * ~last.balls
+    return np.asarray(first.gaps(last.centres) - lean * last.ends[:, 1])
 
 
 def _laid(
@@ -132,10 +145,11 @@ def _laid(
     if not len(near):
         return []
     paths, first, last = paths.take(near), first.take(near), last.take(near)
-    value = value[near] * _turned(ready, view, first, last, paths)
+    path = _real(first, last, paths)
+    value = value[near] * turned(ready, view, path)
     for k, body in enumerate((first, last)):
-        value = value * _covered(body, paths.corners[1 + k], paths.bends[:, k], wavelength)
-    value = value * (abs(value) > least) * _free(parts, first, last, paths)
+        value = value * covered(body, paths.corners[1 + k], paths.bends[:, k], wavelength)
+    value = value * (abs(value) > least) * free(parts, path)
     via = np.stack([first.stuffs, np.full(len(near), -1)], 1).astype(np.int64)
     echo = deposit(ready, paths.length / C0, value, grids, (0.0, 1.0))
 
@@ -145,33 +159,25 @@ def _laid(
     return [Laid(last.stuffs, paths.corners[2], echo, paths.length / C0, again, via)]
 
 
-def _covered(body: Bodies, points: Floats, bends: Floats, wavelength: float) -> Complexes:
+def _real(first: Bodies, last: Bodies, paths: Paths) -> Real:
+    """Paths as they run, corners beyond the ends of drums drawn onto them."""
+    corners = paths.corners.copy()
+    for k, body in enumerate((first, last)):
+        corners[1 + k] = drawn(body, corners[1 + k])
+    return Real(corners, paths.normals, np.stack([first.depths, last.depths]), np.stack([first.stuffs, last.stuffs]),
+                np.ones(len(paths.length), bool))  # fmt: skip
+
+
+def drawn(body: Bodies, points: Floats) -> Floats:
+    """Points (m, 3) on bodies, those beyond the ends of drums drawn onto them."""
+    up = dot(points - body.centres, body.axes[:, 2])
+    inner = np.where(body.balls, up, np.clip(up, body.ends[:, 0] + PULL_M, body.ends[:, 1] - PULL_M))
+    return np.asarray(points + (inner - up)[:, None] * body.axes[:, 2])
+
+
+def covered(body: Bodies, points: Floats, bends: Floats, wavelength: float) -> Complexes:
     """What the ends of drums leave of waves (m) at points (m, 3), by Fresnel's integral along the axis."""
     along = dot(points - body.centres, body.axes[:, 2])
     sine, cosine = fresnel((body.ends - along[:, None]) * np.sqrt(2 * bends / wavelength)[:, None])
     out = np.diff(cosine - 1j * sine, axis=1)[:, 0] / (1 - 1j)
     return np.where(body.balls, 1.0, out)
-
-
-def _free(parts: list[Surfaces], first: Bodies, last: Bodies, paths: Paths) -> NDArray[np.bool_]:
-    """Which paths (m) are free, and touch what is there."""
-    stops = paths.corners[1:3].copy()
-    for k, body in enumerate((first, last)):
-        up = dot(stops[k] - body.centres, body.axes[:, 2])
-        inner = np.where(body.balls, up, np.clip(up, body.ends[:, 0] + _PULL_M, body.ends[:, 1] - _PULL_M))
-        stops[k] += (inner - up)[:, None] * body.axes[:, 2]
-    lift = paths.normals * (np.stack([first.depths, last.depths]) + _PULL_M)[..., None]
-    corners = np.concatenate([paths.corners[:1], stops + lift, paths.corners[3:]])
-    here, there = np.concatenate([corners[:3], stops + lift]), np.concatenate([corners[1:], stops - lift])
-    clear = between(parts, here.reshape(-1, 3), there.reshape(-1, 3)).reshape(5, -1)
-    return np.asarray(clear[:3].all(0) & ~clear[3:].any(0))
-
-
-def _turned(ready: Bench, view: View, first: Bodies, last: Bodies, paths: Paths) -> Complexes:
-    """What the antennas and both reflections make of the waves (m)."""
-    ways = np.stack([unit(way) for way in np.diff(paths.corners, axis=0)])
-    field = across(view.fields[:1], ways[0]).astype(complex)
-    for k, body in enumerate((first, last)):
-        field = reflected(ready.gamma, body.stuffs, field, ways[k], paths.normals[k])
-    total = gain(ready.spec.antenna, ways[0] @ view.frames[0].T) * gain(ready.spec.antenna, -ways[2] @ view.frames[1].T)
-    return np.asarray(total * dot(field, across(view.fields[1:], ways[2])))

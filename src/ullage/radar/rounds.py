@@ -48,6 +48,11 @@ class Round:
         """Points (..., 3) as seen from the centre along the axes [m]."""
         return np.asarray((points - self.centre) @ self.axes.T)
 
+    def holds(self, other: Round) -> bool:
+        """Whether another body stands within this wall, as far as its middle tells."""
+        x, y, z = self.local(other.centre + 0.5 * (other.low + other.high) * other.axes[2])
+        return bool(not self.ball and np.hypot(x, y) + other.radius < self.radius and self.low < z < self.high)
+
     def moved(self, move: Floats) -> Round:
         """The same after a rigid motion (4, 4)."""
         turn = move[:3, :3]

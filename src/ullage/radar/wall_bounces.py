@@ -46,8 +46,10 @@ FLOORS = 2
 """Over so many planes across the axis, those whose faces look largest, waves go on."""
 EVERY = 8
 """Of so many rays one is asked what stands in its way and what becomes of its field; they are but 1 or 2 cm apart."""
-_SAME_M = 0.01  # planes so near to each other are one
-_PULL_M = 4e-3  # points on walls are looked at so far within the facets
+SAME_M = 0.01
+"""Planes so near to each other are one [m]."""
+PULL_M = 4e-3
+"""Points on round things are looked at so far off their facets [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +89,9 @@ def lay_walls(
     """
     out: list[Laid] = []
     one = bool((view.origins[0] == view.origins[1]).all() and (view.fields[0] == view.fields[1]).all())
-    sides = [replace(view, factor=2 * view.factor)] if one else [view, _swapped(view)]
-    for wall in _around(ready, rounds, view):
-        planes = _planes(flats, wall, look) if max_bounces > 2 else []
+    sides = [replace(view, factor=2 * view.factor)] if one else [view, swapped(view)]
+    for wall in around(ready, rounds, view):
+        planes = planes_of(flats, wall, look) if max_bounces > 2 else []
         for side in sides:
             for bounces in range(2, max_bounces + 1):
                 told = _laid(ready, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
@@ -97,28 +99,28 @@ def lay_walls(
     return out
 
 
-def _swapped(view: View) -> View:
+def swapped(view: View) -> View:
     """The antennas in each other's place."""
     return replace(view, **{row: getattr(view, row)[::-1].copy() for row in ("origins", "frames", "fields")})
 
 
-def _around(ready: Bench, rounds: tuple[Round, ...], view: View) -> Iterator[Round]:
+def around(ready: Bench, rounds: tuple[Round, ...], view: View) -> Iterator[Round]:
     """The walls about both antennas whose opposite sides lie within the gate, but for facets that mirror as flats."""
     narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
     for wall in rounds:
         if not wall.ball and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < ready.gate[1]:
             places = wall.local(view.origins)
-            if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - _PULL_M).all():
+            if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - PULL_M).all():
                 yield wall
 
 
-def _planes(flats: Flats, wall: Round, look: Floats) -> list[Plane]:
+def planes_of(flats: Flats, wall: Round, look: Floats) -> list[Plane]:
     """Floors and roofs: where faces lie across the axis, plane by plane, those that look largest (p) first."""
     level = np.flatnonzero((abs(flats.normals @ wall.axes[2]) > 1 - 1e-6) & (look > 0))
     found: list[Plane] = []
     for face in level[np.argsort(-look[level], kind="stable")]:
         height = float(wall.local(flats.starts[flats.first[face]])[2])
-        if all(abs(height - plane.level) > _SAME_M for plane in found):
+        if all(abs(height - plane.level) > SAME_M for plane in found):
             found.append(Plane(height, int(flats.stuffs[face])))
         if len(found) == FLOORS:
             break
@@ -282,8 +284,8 @@ def _climb(wall: Round, fan: Fan, plane: Plane | None, begin: float, rise: float
         beyond = (heights - plane.level) * (begin - plane.level) < 0
         heights = np.where(beyond, 2 * plane.level - heights, heights)
         leg = (~beyond).sum(0)
-    inner = np.minimum(np.maximum(heights, wall.low + _PULL_M), wall.high - _PULL_M)
-    pulled = fan.points * (1 - (wall.depth + _PULL_M) / wall.radius)
+    inner = np.minimum(np.maximum(heights, wall.low + PULL_M), wall.high - PULL_M)
+    pulled = fan.points * (1 - (wall.depth + PULL_M) / wall.radius)
     stops = wall.centre + pulled @ wall.axes[:2] + inner[..., None] * wall.axes[2]
     return Met(stops, heights, fan.along[-1] / path, rise / path, leg)
 
@@ -296,7 +298,7 @@ def _covered(wall: Round, plane: Plane | None, met: Met, along: Floats, waveleng
     zone = np.sqrt(wavelength * along[:-1] * (1 - along[:-1] / along[-1]) / met.level**3)
     ends = [np.full(zone.shape, -0.5 + 0.5j), np.full(zone.shape, 0.5 - 0.5j)]
     for k, end in enumerate((wall.low, wall.high)):
-        if plane is None or abs(end - plane.level) > _SAME_M:
+        if plane is None or abs(end - plane.level) > SAME_M:
             sine, cosine = fresnel(np.sqrt(2) * (end - met.heights) / zone)
             ends[k] = cosine - 1j * sine
     return np.asarray(((ends[1] - ends[0]) / (1 - 1j)).prod(0))
@@ -307,14 +309,14 @@ def _free(parts: list[Surfaces], view: View, wall: Round, fan: Fan, met: Met, pl
     stops, count = met.stops, len(met.leg)
     ends = [np.broadcast_to(origin, (1, count, 3)) for origin in view.origins]
     corners = np.concatenate([ends[0], stops, ends[1]])
-    outward = fan.points @ (wall.axes[:2] * 2 * (wall.depth + _PULL_M) / wall.radius)
+    outward = fan.points @ (wall.axes[:2] * 2 * (wall.depth + PULL_M) / wall.radius)
     legs, holds = [corners[:-1], corners[1:].copy()], [stops, stops + outward]
     if plane is not None:
         rows, normal = np.arange(count), wall.axes[2]
         a, b = corners[met.leg, rows], corners[met.leg + 1, rows]
         gap, beyond = ((point - wall.centre) @ normal - plane.level for point in (a, b))
         foot = a + (gap / (gap + beyond))[:, None] * (b - 2 * beyond[:, None] * normal - a)
-        lift = np.sign(gap)[:, None] * _PULL_M * normal
+        lift = np.sign(gap)[:, None] * PULL_M * normal
         legs[1][met.leg, rows] = foot + lift
         legs = [np.concatenate([legs[0], (foot + lift)[None]]), np.concatenate([legs[1], b[None]])]
         holds = [np.concatenate([here, (foot + side)[None]]) for here, side in zip(holds, (lift, -lift), strict=True)]

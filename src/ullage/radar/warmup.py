@@ -20,6 +20,7 @@ import numpy as np
 
 from ullage import kernels
 from ullage.data import Trajectory
+from ullage.radar import warmup_rounds
 from ullage.radar.copies import cores
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
@@ -38,6 +39,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "shapes": ("facets", "wires"),
     "ways": ("ways", "lit"),
     "pairs": ("pairs",),
+    "chains": ("chains",),
     "conductors": ("lines", "fringe", "double_fringe"),
 }
 """Kernel modules behind each part of a radar."""
@@ -59,7 +61,8 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "pairs": many}
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "pairs": many,
+             "chains": many}  # fmt: skip
     if scene is not None:
         from ullage.radar.prepared import prepare
 
@@ -70,6 +73,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         led = flats.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
         there["ways"] &= bool(led and (~flats.smooth).any())
         there["pairs"] = many and len(made.rounds) > 1
+        there["chains"] = many and any(wall.holds(body) for wall in made.rounds for body in made.rounds)
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
 
@@ -356,15 +360,6 @@ def _ways() -> None:
     curves.lit_by(ready, still, led)
 
 
-def _pairs() -> None:
-    """The kernel of `round_pairs`, on no bodies at all."""
-    from ullage.radar.round_pairs import Bodies, paths_over
-
-    none, rows = np.zeros(0), np.zeros((0, 3))
-    bodies = Bodies(rows, np.zeros((0, 3, 3)), none, np.zeros((0, 2)), none > 0, none, none.astype(np.int32))
-    paths_over(np.zeros(3), np.zeros(3), bodies, bodies)
-
-
 def _shapes() -> None:
     from ullage.world import scenes
 
@@ -389,7 +384,8 @@ JOBS: tuple[Job, ...] = (
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 2.6, _paths),
     Job("ways over faces", "ways", 3.3, _ways),
-    Job("paths over round bodies", "pairs", 1.3, _pairs),
+    Job("paths over round bodies", "pairs", 1.3, warmup_rounds.pairs),
+    Job("paths over a tank's wall", "chains", 2, warmup_rounds.chains),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
     Job("bounces", "bounces", 0.9, partial(_walls, max_bounces=2),

@@ -1,0 +1,199 @@
+"""Loops over paths by lines along a round wall and over a round body before it: the shortest over both, by Newton."""
+
+from __future__ import annotations
+
+import math
+
+from ullage.kernels.bounces import _across, _unit
+from ullage.kernels.loops import core, lean
+from ullage.kernels.pairs import _dot, _onto
+
+
+@lean(nogil=True, error_model="numpy")
+def over_lines(  # type: ignore[no-untyped-def]
+    ends, walls, feet, up, centre, axes, radius, ball, steps, corners, normals, lengths, spreads, bends, rows, table
+):
+    """The shortest paths from one point to another over a line and one body, in some order, for each of many lines.
+
+    Args:
+        ends: (2, 3) where paths begin and end [m].
+        walls: (s) which of the two or three surfaces are lines, as the wave meets them; the others are the body.
+        feet: (n, 3) a point of each line [m]; up: (3) unit vector along all of them.
+        centre: (3) of the body [m]; axes: (3, 3) rows, the last one that of a drum; radius [m]; ball: or a drum.
+        steps: of Newton's method, at the most.
+        corners: (s + 2, n, 3) get the paths [m]; normals: (s, n, 3) get those of the body.
+        lengths: (n) gets their lengths [m].
+        spreads: (n) gets what a source's wave is less at the end, but for the integral across the lines [m^-1.5]; 0
+            where there is no such path.
+        bends: (s, n) gets the second derivative of the path along the axis of each surface, all else as it fits [1/m].
+        rows: (16, 3); table: (5, 9). Room to work.
+    """
+    known = False
+    for i in range(len(feet)):
+        _start(ends, walls, feet, up, centre, axes, radius, ball, known, corners, i, rows)
+        far = math.inf
+        for _ in range(steps):
+            if far < 1e-4:  # the next step would be its square
+                break
+            _frames(corners, i, walls, up, centre, axes, radius, ball, rows)
+            size = _second(walls, radius, ball, rows, table)
+            _eliminate(table, size)
+            far = _step(corners, i, walls, radius, ball, rows, table)
+        _frames(corners, i, walls, up, centre, axes, radius, ball, rows)
+        size = _second(walls, radius, ball, rows, table)
+        known = _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table)
+
+
+@core(nogil=True, error_model="numpy")
+def _start(ends, walls, feet, up, centre, axes, radius, ball, known, corners, i, rows):  # type: ignore[no-untyped-def]
+    """Puts the corners of a path where those of the last one were, or where the body looks both ways."""
+    many, middle, along = len(walls), rows[2], 0.0
+    for k in range(3):
+        corners[0, i, k], corners[many + 1, i, k] = ends[0, k], ends[1, k]
+        along += (0.5 * (ends[0, k] + ends[1, k]) - centre[k]) * axes[2, k]
+    for k in range(3):
+        middle[k] = centre[k] + (0.0 if ball else along * axes[2, k])
+    for s in range(many):
+        here, along = corners[1 + s, i], 0.0
+        if walls[s]:
+            for k in range(3):
+                before = corners[1 + s, i - 1, k] if known else 0.5 * (middle[k] + ends[min(s, 1), k])
+                along += (before - feet[i, k]) * up[k]
+            for k in range(3):
+                here[k] = feet[i, k] + along * up[k]
+    for s in range(many):
+        here = corners[1 + s, i]
+        if not walls[s]:
+            _unit(middle, corners[s, i], rows[0])
+            _unit(middle, corners[s + 2, i], rows[1])
+            for k in range(3):
+                here[k] = corners[1 + s, i - 1, k] if known else middle[k] + rows[0, k] + rows[1, k]
+            _onto(centre, axes[2], radius, ball, here, rows[3])
+
+
+@core(nogil=True, error_model="numpy")
+def _frames(corners, i, walls, up, centre, axes, radius, ball, rows):  # type: ignore[no-untyped-def]
+    """Directions in which corners may move: of surface s rows 3 s and 3 s + 1, along its axis last; its normal.
+
+    Rows 9 to 12 get the directions of the legs, 13 and 14 their lengths [m].
+    """
+    many, sizes = len(walls), rows[13:15].reshape(6)
+    for s in range(many):
+        f, g, normal = rows[3 * s], rows[3 * s + 1], rows[3 * s + 2]
+        if walls[s]:
+            for k in range(3):
+                f[k] = up[k]
+            continue
+        _onto(centre, axes[2], radius, ball, corners[1 + s, i], normal)
+        for k in range(3):
+            rows[15, k] = axes[2, k] + (1e-3 * axes[0, k] if ball else 0.0)  # at a ball's pole, too, there is one
+        _across(rows[15], normal, g)
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            f[k] = g[a] * normal[b] - g[b] * normal[a]
+    for leg in range(many + 1):  # only now is all of the path where it belongs
+        sizes[leg] = _unit(corners[leg, i], corners[leg + 1, i], rows[9 + leg])
+
+
+@core(nogil=True, error_model="numpy")
+def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
+    """Second and first derivatives of a path: columns 0 to 4, and 5, of `table`; how many unknowns there are.
+
+    A line has one, along it; a body two, around and along its axis. Columns 6 to 8 are made unit vectors along the
+    axes of the surfaces. Of `rows`, as `_frames` gives them, 15 is made use of.
+    """
+    many, sizes, turn, first = len(walls), rows[13:15].reshape(6), rows[15], 0
+    for a in range(5):
+        for b in range(9):
+            table[a, b] = 0.0
+    for s in range(many):
+        free = 1 if walls[s] else 2
+        for k in range(3):
+            turn[k] = rows[9 + s, k] - rows[10 + s, k]
+        for a in range(free):
+            one = rows[3 * s + a]
+            table[first + a, 5] = _dot(one, turn)
+            for b in range(free):
+                other, total = rows[3 * s + b], 0.0
+                for leg in range(s, s + 2):
+                    way = rows[9 + leg]
+                    total += ((1.0 if a == b else 0.0) - _dot(one, way) * _dot(other, way)) / sizes[leg]
+                if a == b and not walls[s] and (a == 0 or ball):
+                    total -= _dot(turn, rows[3 * s + 2]) / radius
+                table[first + a, first + b] = total
+            for b in range(0 if s + 1 == many else (1 if walls[s + 1] else 2)):
+                other, way = rows[3 * s + 3 + b], rows[10 + s]
+                mixed = (_dot(one, way) * _dot(other, way) - _dot(one, other)) / sizes[s + 1]
+                table[first + a, first + free + b], table[first + free + b, first + a] = mixed, mixed
+        table[first + free - 1, 6 + s] = 1.0
+        first += free
+    return first
+
+
+@core(nogil=True, error_model="numpy")
+def _step(corners, i, walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
+    """Moves the corners of a path by what Newton's method tells; how far it told them to go [m]."""
+    total, wide, row = 0.0, 1e-12, 0
+    for s in range(len(walls)):
+        if not walls[s]:
+            wide = max(wide, math.hypot(table[row, 5], table[row + 1, 5] if ball else 0.0))
+        row += 1 if walls[s] else 2
+    share, row = min(1.0, 0.7 * radius / wide), 0
+    for s in range(len(walls)):
+        for a in range(1 if walls[s] else 2):
+            for k in range(3):
+                corners[1 + s, i, k] -= share * table[row, 5] * rows[3 * s + a, k]
+            total += table[row, 5] ** 2
+            row += 1
+    return math.sqrt(total)
+
+
+@core(nogil=True, error_model="numpy")
+def _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table):  # type: ignore[no-untyped-def]
+    """Writes down a path, given its second derivatives; whether it is one."""
+    many, sizes, steep, row = len(walls), rows[13:15].reshape(6), 0.0, 0
+    lengths[i], facing, over, under = sizes[0], 1.0, 1.0, sizes[0]
+    for s in range(many):
+        lengths[i] += sizes[s + 1]
+        under *= sizes[s + 1]
+        if not walls[s]:
+            there, back = -_dot(rows[9 + s], rows[3 * s + 2]), _dot(rows[10 + s], rows[3 * s + 2])
+            facing, over = min(facing, there, back), over * there
+            for k in range(3):
+                normals[s, i, k] = rows[3 * s + 2, k]
+    for row in range(size):
+        steep = max(steep, abs(table[row, 5]))
+    area, row = _eliminate(table, size), 0
+    for s in range(many):
+        row += 1 if walls[s] else 2
+        bends[s, i] = 1 / table[row - 1, 6 + s]
+    good = facing > 1e-3 and steep < 1e-5 and area > 0
+    spreads[i] = over / (under * math.sqrt(area)) if good else 0.0
+    return good
+
+
+@core(nogil=True, error_model="numpy")
+def _eliminate(table, size):  # type: ignore[no-untyped-def]
+    """Solves for columns 5 to 8 of a table (5, 9), in their place; the determinant of so many first rows."""
+    area = 1.0
+    for c in range(size):
+        best = c
+        for row in range(c + 1, size):
+            if abs(table[row, c]) > abs(table[best, c]):
+                best = row
+        if best != c:
+            area = -area
+            for k in range(9):
+                table[c, k], table[best, k] = table[best, k], table[c, k]
+        pivot = table[c, c]
+        area *= pivot
+        if pivot == 0:
+            pivot = 1e-300
+        for k in range(9):
+            table[c, k] /= pivot
+        for row in range(size):
+            if row != c:
+                share = table[row, c]
+                for k in range(9):
+                    table[row, k] -= share * table[c, k]
+    return area

@@ -1,0 +1,51 @@
+"""Paths over mirrors and round bodies as they run: what stands in their way, and what becomes of the field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.radar.antenna import gain
+from ullage.radar.facets import Surfaces
+from ullage.radar.mirrors import across, dot, reflected, unit
+from ullage.radar.physical import Bench, View
+from ullage.radar.visibility import between
+from ullage.radar.wall_bounces import PULL_M
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Real:
+    """Paths from antenna to antenna over as many surfaces each."""
+
+    corners: Floats  # (s + 2, n, 3) [m]
+    normals: Floats  # (s, n, 3) to where the waves are
+    depths: Floats  # (s, n) by so much facets lie off [m]
+    stuffs: NDArray[np.integer]  # (s, n)
+    there: Bools  # (n) whether there is such a path
+
+
+def free(parts: list[Surfaces], path: Real) -> Bools:
+    """Which paths (n) are free, and touch what is there."""
+    stops, lift = path.corners[1:-1], path.normals * (path.depths + PULL_M)[..., None]
+    corners = np.concatenate([path.corners[:1], stops + lift, path.corners[-1:]])
+    here, there = np.concatenate([corners[:-1], stops + lift]), np.concatenate([corners[1:], stops - lift])
+    clear = between(parts, here.reshape(-1, 3), there.reshape(-1, 3)).reshape(len(here), -1)
+    legs = len(corners) - 1
+    return np.asarray(path.there & clear[:legs].all(0) & ~clear[legs:].any(0))
+
+
+def turned(ready: Bench, view: View, path: Real) -> Complexes:
+    """What the antennas and all reflections make of the waves (n)."""
+    ways = np.stack([unit(way) for way in np.diff(path.corners, axis=0)])
+    field = across(view.fields[:1], ways[0]).astype(complex)
+    for way, normal, stuffs in zip(ways, path.normals, path.stuffs, strict=False):
+        field = reflected(ready.gamma, stuffs, field, way, normal)
+    total = gain(ready.spec.antenna, ways[0] @ view.frames[0].T)
+    total = total * gain(ready.spec.antenna, -ways[-1] @ view.frames[1].T)
+    return np.asarray(total * dot(field, across(view.fields[1:], ways[-1])))

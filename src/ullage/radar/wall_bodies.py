@@ -1,0 +1,285 @@
+"""Echoes over the wall of a round tank and a ball or drum that stands in it.
+
+A concave wall gives up to three paths of stationary phase and focuses; a body seen from outside gives one path and
+spreads. So the body is done by geometrical optics, for each line along the wall by itself: of the ways over the line
+and the body there is one that is shortest, and its second derivatives are its spread [BornWolf1999]. Kirchhoff's
+integral across those lines is the sum over them [LingChouLee1989], which is infinite nowhere and has all paths in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fresnel
+
+from ullage.geometry import C0
+from ullage.kernels import chains as kernel
+from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.laid import Laid
+from ullage.radar.mirrors import dot, unit
+from ullage.radar.multipath import most_looked
+from ullage.radar.physical import Bench, View
+from ullage.radar.real_paths import Real, free, turned
+from ullage.radar.round_pairs import BODIES, FAINT
+from ullage.radar.rounds import Round
+from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, around, deposit, planes_of, swapped
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Turn = tuple[Plane, int] | None
+Chain = tuple[View, bool, tuple[bool, ...], Turn]
+
+WALL_FIRST = (True, False)
+TO_AND_FRO = (False, True, False)
+"""Which surfaces of a chain are the wall."""
+_STEPS = 12  # of Newton's method, at the most
+_TURN = 0.8  # the phase turns by no more from place to place [rad]
+_CLOSE = 0.3  # lines along the wall lie this apart for a point a metre before it, closer for a nearer one
+_FEWEST, _MOST = 64, 720  # so many lines
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """Paths over each of some lines along the wall, all round."""
+
+    walls: NDArray[np.bool_]  # (s) which surfaces are the wall
+    corners: Floats  # (s + 2, n, 3) [m]
+    normals: Floats  # (s, n, 3) of the surfaces, to where the waves are
+    length: Floats  # (n) [m]
+    slope: Floats  # (n) how fast that grows along the wall
+    spread: Floats  # (n) what a source's wave is less at the end, but for the integral across the lines [m^-1.5]
+    bends: Floats  # (s, n) second derivative along the axis of each surface, all else as it fits [1/m]
+    near: float  # how far off the wall the nearer leg begins, both as one [m]
+
+
+def lay_wall_bodies(
+    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
+    grids: Complexes,
+) -> list[Laid]:  # fmt: skip
+    """Adds the echoes over the wall of a tank that the radar is in and one body in it to the delay grids.
+
+    Two bounces; with three, another one at a floor or a roof across the axis, those that look largest (p), or from the
+    body to the wall and back. What is too faint beside what the grids hold is left out.
+    """
+    out: list[Laid] = []
+    one = bool((view.origins[0] == view.origins[1]).all() and (view.fields[0] == view.fields[1]).all())
+    least = FAINT * float(abs(grids).max())
+    for wall in around(ready, rounds, view):
+        planes = planes_of(flats, wall, look) if most > 2 else []
+        for body, weight in _within(ready, rounds, wall, view):
+            told = replace(view, factor=weight * view.factor)
+            sides = [(replace(told, factor=2 * told.factor), False)] if one else [(told, False), (swapped(told), True)]
+            chains: list[Chain] = [(side, back, WALL_FIRST, turn) for side, back in sides for turn in _turns(planes)]
+            chains += [(told, False, TO_AND_FRO, None)] if most > 2 else []
+            for side, back, walls, turn in chains:
+                laid = _over(ready, parts, side, wall, body, walls, turn, least, grids)
+                out += [] if laid is None else [_reversed(laid) if back else laid]
+    return out
+
+
+def _turns(planes: list[Plane]) -> list[Turn]:
+    """No plane at all; each of some, met before the body or after it."""
+    return [None, *((plane, end) for plane in planes for end in (0, 1))]
+
+
+def _within(ready: Bench, rounds: tuple[Round, ...], wall: Round, view: View) -> Iterator[tuple[Round, float]]:
+    """The bodies within a wall that have both antennas outside, those that look largest, and what each counts."""
+    narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
+    bodies = [b for b in rounds if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, view)]
+    gaps = np.array([np.linalg.norm(view.origins - body.centre, axis=1).max() for body in bodies])
+    which, weights = most_looked(np.array([body.radius for body in bodies]) / gaps, BODIES)
+    for k in which:
+        yield bodies[k], float(weights[k])
+
+
+def _outside(body: Round, view: View) -> bool:
+    x, y, z = body.local(view.origins).T
+    away = np.sqrt(x * x + y * y + (z * z if body.ball else 0.0))
+    return bool((away > body.radius + body.depth + PULL_M).all())
+
+
+def lines_over(wall: Round, body: Round, ends: Floats, walls: tuple[bool, ...]) -> Lines:
+    """The shortest paths from one point (2, 3) [m] over each of many lines along a wall, and a body, to another."""
+    many = len(walls)
+    x, y, _ = wall.local(np.concatenate([ends, body.centre[None]])).T
+    gaps = wall.radius - np.hypot(x, y) - [0.0, 0.0, body.radius]
+    close = _CLOSE * max(float(gaps.min()), 0.1) ** 0.75  # so is a cubic between them right to a fraction of a wave
+    count = int(np.clip(2 * np.pi * wall.radius / close, _FEWEST, _MOST))
+    angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
+    out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
+    feet, kinds = wall.centre + wall.radius * out, np.array(walls)
+    corners, normals = np.empty((many + 2, count, 3)), np.empty((many, count, 3))
+    length, spread, bends = *np.empty((2, count)), np.empty((many, count))
+    kernel.over_lines(ends, kinds, feet, wall.axes[2], body.centre, body.axes, body.radius, body.ball, _STEPS,
+                      corners, normals, length, spread, bends, np.empty((16, 3)), np.empty((5, 9)))  # fmt: skip
+    at = walls.index(True)
+    normals[at] = -out
+    there, back = unit(corners[at + 1] - corners[at]), unit(corners[at + 2] - corners[at + 1])
+    inward, outward = dot(there, out), -dot(back, out)
+    spread = spread * (inward + outward) / 2 * ((inward > 0) & (outward > 0))
+    legs = [np.linalg.norm(corners[at + k + 1] - corners[at + k], axis=1).min() for k in (0, 1)]
+    slope = dot(there - back, np.cross(wall.axes[2], out))
+    return Lines(kinds, corners, normals, length, slope, spread, bends, float(1 / (1 / legs[0] + 1 / legs[1])))
+
+
+def _over(
+    ready: Bench, parts: list[Surfaces], view: View, wall: Round, body: Round, walls: tuple[bool, ...],
+    turn: Turn, least: float, grids: Complexes,
+) -> Laid | None:  # fmt: skip
+    """Lays the echo over one chain of surfaces, with a bounce at a plane across the axis or without."""
+    ends = view.origins
+    if turn is not None:
+        heights = wall.local(ends)[:, 2] - turn[0].level
+        if heights[0] * heights[1] <= 0:
+            return None
+        ends = ends.copy()
+        ends[turn[1]] -= 2 * heights[turn[1]] * wall.axes[2]
+    lines, wave = lines_over(wall, body, ends, walls), 2 * np.pi / ready.spec.wavelength_m
+    near = lines.length < 2 * ready.gate[1]
+    value = lines.spread * near * view.factor / (2 * wave) * np.sqrt(0.5j * wave / np.pi)
+    around_ = _sampled(lines, wall.radius, wave, value != 0)
+    if around_ is None:
+        return None
+    first, share, weights = around_
+    loud = np.abs(value[first]) * weights
+    if loud.sum() * float(ready.table.max()) ** 2 < least:
+        return None
+    asked = np.unique(np.concatenate([first, (first + 1) % len(value)]))
+    path = _real(lines, wall, body, view.origins, turn, asked)
+    seen = np.zeros(len(value), complex)
+    seen[asked] = value[asked] * free(parts, path) * turned(ready, view, path)
+    seen[asked] *= _covered(lines, wall, body, asked, turn, ready.spec.wavelength_m)
+    return _deposited(ready, lines, wall, path, asked, (first, share, weights), seen, grids)
+
+
+def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Longs, Floats, Floats] | None:
+    """Places for the sum along the wall: after which line, by what share of the way to the next, and what each counts.
+
+    All about points of stationary phase, as far as the phase runs ahead by half of `ZONES` at the least.
+    """
+    count = len(lines.length)
+    step, cut = 2 * np.pi * radius / count, min(np.sqrt(ZONES / (wave * lines.near)), 2.0)
+    after = np.roll(np.arange(count), -1)
+    least = np.minimum(abs(lines.slope), abs(lines.slope[after])) * (lines.slope * lines.slope[after] > 0)
+    which = np.flatnonzero(there & there[after] & (least < cut))
+    if not len(which):
+        return None
+    many = int(step * wave * cut / _TURN) + 2
+    share = np.tile((np.arange(many) + 0.5) / many, len(which))
+    first = np.repeat(which, many)
+    gone = abs(_between(lines, radius, first, share)[1]) / cut
+    weights = np.sin(np.pi * np.clip(1 - gone, 0, 0.5)) ** 2 * (step / many)
+    kept = np.flatnonzero(weights)
+    return (first[kept], share[kept], weights[kept]) if len(kept) else None
+
+
+def _between(lines: Lines, radius: float, first: Longs, share: Floats) -> tuple[Floats, Floats]:
+    """Path (m) [m] between lines and the next ones, and how fast it grows, by cubics through both."""
+    step, then = 2 * np.pi * radius / len(lines.length), (first + 1) % len(lines.length)
+    a, b, u = lines.length[first], lines.length[then], share
+    p, q = step * lines.slope[first], step * lines.slope[then]
+    path = a + u * (p + u * (3 * (b - a) - 2 * p - q + u * (2 * (a - b) + p + q)))
+    slope = p + u * (2 * (3 * (b - a) - 2 * p - q) + 3 * u * (2 * (a - b) + p + q))
+    return path, slope / step
+
+
+def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, asked: Longs) -> Real:
+    """Some paths (n), what lies beyond a plane brought back; corners beyond ends of round things drawn onto them."""
+    corners, normals = lines.corners[:, asked], lines.normals[:, asked]
+    kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(asked), 1)  # wall, body, plane
+    there, plane_stuff = np.ones(len(asked), bool), -1
+    if turn is not None:
+        plane, end = turn
+        back = slice(None, None, -1 if end else 1)  # as seen from the end that is an image
+        side = float(np.sign(wall.local(origins[end])[2] - plane.level))
+        corners, normals, kinds, there = _unfolded(wall, plane, side, corners[back], normals[back], kinds[back])
+        corners, normals, kinds, plane_stuff = corners[back], normals[back], kinds[back], plane.stuff
+    corners = corners.copy()
+    for kind, thing in enumerate((wall, body)):
+        if not thing.ball:
+            up = (corners[1:-1] - thing.centre) @ thing.axes[2]
+            inner = np.clip(up, thing.low + PULL_M, thing.high - PULL_M)
+            corners[1:-1] += np.where(kinds == kind, inner - up, 0.0)[..., None] * thing.axes[2]
+    depths, stuffs = np.array([wall.depth, body.depth, 0.0]), np.array([wall.stuff, body.stuff, plane_stuff])
+    return Real(corners, normals, depths[kinds], stuffs[kinds], there)
+
+
+def _unfolded(
+    wall: Round, plane: Plane, side: float, corners: Floats, normals: Floats, kinds: Longs
+) -> tuple[Floats, Floats, Longs, Bools]:
+    """Paths (n) that begin beyond a plane across the axis as they run, turned back at it, and whether that may be."""
+    axis = side * wall.axes[2]
+    gaps = (corners - wall.centre) @ axis - side * plane.level
+    late = (gaps[1] < 0) & (kinds[0] == 0)  # the wall's own image is met first
+    a, b = (np.where(late[:, None], corners[k + 1], corners[k]) for k in (0, 1))
+    gap, then = (np.where(late, gaps[k + 1], gaps[k]) for k in (0, 1))
+    foot = a + (gap / np.where(gap < then, gap - then, -1.0))[:, None] * (b - a)
+    begin, first = (corners[k] - 2 * gaps[k][:, None] * axis for k in (0, 1))
+    swap, flat = late[:, None], np.broadcast_to(axis, foot.shape)
+    stops = [np.where(swap, first, foot), np.where(swap, foot, corners[1]), *corners[2:]]
+    faces = [np.where(swap, normals[0], flat), np.where(swap, flat, normals[0]), *normals[1:]]
+    floor = np.full(len(late), 2)
+    which = [np.where(late, kinds[0], floor), np.where(late, floor, kinds[0]), *kinds[1:]]
+    there = (gap < 0) & (then > 0) & (gaps[2:] > 0).all(0)
+    return np.stack([begin, *stops]), np.stack(faces), np.stack(which), there
+
+
+def _covered(lines: Lines, wall: Round, body: Round, asked: Longs, turn: Turn, wavelength: float) -> Complexes:
+    """What the ends of wall and drum leave of the waves (n), by Fresnel's integral along their axes.
+
+    The wall's end that stands on a plane which is met beside the wall is none: beyond it the wall's image goes on.
+    """
+    total = np.ones(len(asked), complex)
+    for s, on_wall in enumerate(lines.walls):
+        thing = wall if on_wall else body
+        if thing.ball:
+            continue
+        along = (lines.corners[1 + s, asked] - thing.centre) @ thing.axes[2]
+        root, ends = np.sqrt(np.maximum(2 * lines.bends[s, asked], 0.0) / wavelength), []
+        for sign, end in ((-1, thing.low), (1, thing.high)):
+            beside = on_wall and turn is not None and s == (0, len(lines.walls) - 1)[turn[1]]
+            if beside and turn is not None and abs(end - turn[0].level) < SAME_M:
+                ends.append(np.full(len(along), sign * (0.5 - 0.5j)))
+            else:
+                sine, cosine = fresnel((end - along) * root)
+                ends.append(cosine - 1j * sine)
+        total *= (ends[1] - ends[0]) / (1 - 1j)
+    return total
+
+
+def _deposited(
+    ready: Bench, lines: Lines, wall: Round, path: Real, asked: Longs, places: tuple[Longs, Floats, Floats],
+    seen: Complexes, grids: Complexes,
+) -> Laid:  # fmt: skip
+    """Lays the sum over places along the wall; told as one echo for each point of stationary phase."""
+    first, share, weights = places
+    then = (first + 1) % len(seen)
+    value = (seen[first] * (1 - share) + seen[then] * share) * weights
+    length, slope = _between(lines, wall.radius, first, share)
+    echo = deposit(ready, length / C0, value, grids, (0.5, 0.5))
+    leads = np.flatnonzero((slope[:-1] * slope[1:] <= 0) & ((first[1:] - first[:-1]) % len(seen) <= 1))
+    leads = leads if len(leads) else np.array([abs(slope).argmin()])
+    place = first + share
+    gap = abs((place[:, None] - place[leads] + len(seen) / 2) % len(seen) - len(seen) / 2)
+    led, count = gap.argmin(1), len(leads)
+    total = np.bincount(led, echo.real, count) + 1j * np.bincount(led, echo.imag, count)
+    at = np.searchsorted(asked, first[leads])
+    names = path.stuffs[:, at]
+    via = np.full((count, 2), -1, np.int64)
+    via[:, : len(names) - 1] = names[:-1].T
+
+    def again(factors: Complexes, others: Complexes) -> None:
+        deposit(ready, length / C0, value * factors[led], others, (0.5, 0.5))
+
+    return Laid(names[-1].astype(np.int32), path.corners[-2, at], total, length[leads] / C0, again, via)
+
+
+def _reversed(laid: Laid) -> Laid:
+    """Echoes traced from the receiver, as the wave runs: it meets last what was traced first."""
+    via = np.array([[b, a] if b >= 0 else [a, b] for a, b in np.asarray(laid.via)], np.int64)
+    return replace(laid, via=via, before=np.zeros(len(via), np.int64))
