@@ -1,9 +1,10 @@
 """Ordinary inspection missions through volumes, cells of 0.1 m: mean and 95 % interval over the flights of each.
 
-Worlds and missions are those of `volume_missions`. `ullage reproduce --only volumes` judges flights that rise and sink,
-and level ones, over five seeds.
+Worlds and missions are those of `volume_missions`; "others" are rooms with a mission each. In tanks each tenth frame
+counts for what could be seen. `ullage reproduce --only volumes` judges flights that rise and sink, and level ones, over
+five seeds.
 
-python benchmarks/volume_table.py [--missions room,cabin] [--flights 0,1,2] [--only WORD] [--keep FOLDER]
+python benchmarks/volume_table.py [--missions room,cabin,others] [--flights 0,1,2] [--only WORD] [--keep FOLDER]
 """
 
 from __future__ import annotations
@@ -13,11 +14,19 @@ import sys
 import tempfile
 from pathlib import Path
 
-from volume_missions import MISSIONS, frames_of, world
+from volume_missions import MISSIONS, OTHERS, TANKS, frames_of, world
 
 import ullage as ul
 from ullage.experiments.reproduce import flights
 from ullage.experiments.reproduce.volumes import COLUMNS
+
+SAID = ("f1", "precision", "recall", "surface_declared_free", "known_behind")
+
+
+def missions(names: list[str], word: str) -> list[tuple[str, str]]:
+    """Worlds and missions, of those worlds and with that word in their name."""
+    out = [(name, m) for name in names if name != "others" for m in MISSIONS if word in m]
+    return out + [(name, "") for name in OTHERS if "others" in names and word in name]
 
 
 def main() -> None:
@@ -31,16 +40,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as own:
         folder = options.keep or Path(own)
         folder.mkdir(parents=True, exist_ok=True)
-        for name in options.missions.split(","):
+        for name, mission in missions(options.missions.split(","), options.only):
             scene = world(name)
             grid = ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5)
-            for mission in (m for m in MISSIONS if options.only in m):
-                for seed in map(int, options.flights.split(",")):
-                    frames = frames_of(name, mission, seed, folder)
-                    got = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
-                    row = flights.values_of(got, tuple(COLUMNS))
-                    scores.setdefault(f"{name}, {mission}", []).append(row)
-                    print(f"{seed} {name}, {mission}: F1 {row['f1']:.3f}", file=sys.stderr, flush=True)
+            for seed in map(int, options.flights.split(",")):
+                frames = frames_of(name, mission, seed, folder)
+                heard = {key: f[::10] for key, f in frames.items()} if name in TANKS else frames
+                got = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, heard)
+                row = flights.values_of(got, tuple(COLUMNS))
+                scores.setdefault(f"{name}, {mission}".rstrip(", "), []).append(row)
+                said = " ".join(f"{COLUMNS[key]} {row[key]:.4f}" for key in SAID)
+                print(f"{seed} {name}, {mission}: {said}", file=sys.stderr, flush=True)
     print("| mission |", " | ".join(COLUMNS.values()), "|")
     print("|---|" + "---|" * len(COLUMNS))
     for line in flights.rows_of(scores, COLUMNS):

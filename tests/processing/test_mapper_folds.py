@@ -3,7 +3,7 @@ import pytest
 
 import ullage as ul
 from ullage.processing.blocks import Blocks
-from ullage.processing.mapper_folds import Fold
+from ullage.processing.mapper_folds import Fold, is_hidden
 from ullage.processing.mapper_looks import Heard, Look
 
 FOLD_M, REACH_M, WAVE_M = 9.87, 3.0, 0.041
@@ -58,3 +58,15 @@ def test_what_stands_close_before_a_far_wall_belongs_to_it():
     assert folds(blocks_with((REACH_M + FOLD_M - 0.4, 2.0)))
     assert folds(blocks_with((REACH_M + FOLD_M, 2.0)))
     assert not folds(blocks_with((REACH_M + FOLD_M - 2.0, 2.0)))
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_a_wall_is_hidden_by_what_covers_its_fresnel_zone_and_not_by_less(dims):
+    assert is_hidden(blocks_with((3.0, 1.0), dims=dims), np.zeros(3), NORTH, 6.0, WAVE_M)
+    assert not is_hidden(blocks_with((3.0, 0.1), dims=dims), np.zeros(3), NORTH, 6.0, WAVE_M), "a stray cell"
+    aside = np.array([-1.0, 0.0, 0.0])
+    assert not is_hidden(blocks_with((3.0, 1.0), dims=dims), aside, NORTH, 6.0, WAVE_M), "its rim"
+    assert not is_hidden(blocks_with((6.0, 1.0), dims=dims), np.zeros(3), NORTH, 6.0, WAVE_M), "itself"
+    assert is_hidden(blocks_with((5.5, 0.1), dims=dims), np.zeros(3), NORTH, 6.0, WAVE_M), (
+        "the wall itself, told in part"
+    )

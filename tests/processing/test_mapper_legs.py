@@ -9,7 +9,8 @@ import pytest
 
 from ullage.kernels.rolls import AHEAD, LEG, WIDE
 from ullage.processing import mapper_legs
-from ullage.processing.mapper_bows import bow_of
+from ullage.processing.mapper_bows import Hollow, bow_of
+from ullage.processing.mapper_hollows import Hollows
 from ullage.processing.mapper_legs import Legs, bends_of, bowed_row, stretch_of
 from ullage.processing.mapper_rings import weigh
 from ullage.processing.mapper_tracks import Traced
@@ -250,3 +251,37 @@ def test_what_is_heard_past_a_nearer_wall_came_by_that_wall(near_db, near_slope,
     assert not legs._behind(0, ABEAM), "the nearer one"
     assert legs._behind(1, ABEAM) == hidden
     assert not legs._behind(1, np.array([-0.5, 0.8, 0.3]))
+
+
+@pytest.mark.parametrize(("wall_m", "bent"), [(1.6, False), (1.6, True), (2.4, False)])
+def test_what_is_heard_from_where_floor_and_wall_meet_is_no_wall_behind_it(wall_m, bent):
+    """A floor that is known 1.1 m below, a wall abeam and an echo off both in turn, on a leg that climbs."""
+    path, legs, found = leg((-0.3, 0, -0.05), (0.3, 0, 0.05)), Legs(), []
+    track = (path[-1] - path[0]) / np.linalg.norm(path[-1] - path[0])
+    down = path[:, 2] + 1.1
+    abeam = np.hypot(path[:, 0], wall_m) if bent else np.full(len(path), wall_m)
+    floor = np.array([0.0, 0.0, -1.0])
+    for reach in (down, np.full(len(path), 1.6), np.hypot(down, abeam)):
+        fall = -np.gradient(reach) / np.linalg.norm(path[1] - path[0])
+        echoes = [Traced(j, at, track, reach[j], fall[j], 1e-3, 0.02, 0.9, ABEAM, way=floor if reach is down else None)
+                  for j, at in enumerate(path)]  # fmt: skip
+        legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
+        found.append(legs._in_corner(len(found)))
+    assert found == [False, False, wall_m == 1.6]
+
+
+@pytest.mark.parametrize(("turns_deg", "known"), [((0, 30, 60), True), ((0, 60), False)])
+def test_a_bent_wall_is_known_on_round_from_where_it_was_last_known(turns_deg, known):
+
+    hollows, up = Hollows(), np.array([0.0, 0.0, 1.0])
+    hollows._keep(Hollow(np.zeros(3), up, 3.0), ABEAM, 3.0 * ABEAM)
+    for turn in np.radians(turns_deg):
+        way, track = np.array([-np.sin(turn), np.cos(turn), 0.0]), np.array([np.cos(turn), np.sin(turn), 0.0])
+        places = 1.4 * way + np.linspace(-0.3, 0.3, 13)[:, None] * track
+        away = np.linalg.norm(places, axis=1)
+        fall = np.sum(places * track, axis=1) / away
+        echoes = [Traced(j, places[j], track, 3.0 - away[j], fall[j], 1e-3, 0.02, 0.9, way) for j in range(13)]
+        row = stretch_of(echoes)
+        row[AHEAD : AHEAD + 3], row[WIDE] = way, LEAST
+        found = hollows.known(row, echoes, lambda _: False)
+    assert (found is not None) == known

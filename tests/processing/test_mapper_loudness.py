@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
 
 from ullage.processing.mapper_legs import Legs
-from ullage.processing.mapper_loudness import level_db, too_faint
+from ullage.processing.mapper_loudness import facing_db, fallen, level_db, too_faint
 from ullage.processing.mapper_tracks import Traced
 
 AHEAD, LEAST = np.array([0.0, 1.0, 0.0]), float(np.cos(np.radians(50)))
-BORESIGHT_DBI = 6.0
+BORESIGHT_DBI, WAVE_M = 6.0, 0.041
 PERMITTIVITY = {"ceiling board": 1.48, "wood": 1.99, "plasterboard": 2.73, "concrete": 5.24}  # [ITU-R-P2040]
 
 
@@ -18,7 +19,7 @@ def echoes_of(db: float, *, range_m: float = 3.0, count: int = 9) -> list[Traced
     """Echoes that lie so far under those of a perfect mirror on boresight."""
     x = np.array([1.0, 0, 0])
     return [
-        Traced(j, 0.05 * j * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + BORESIGHT_DBI)
+        Traced(j, 0.05 * j * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 2 * BORESIGHT_DBI)
         for j in range(count)
     ]
 
@@ -42,9 +43,11 @@ def test_a_straight_edge_is_too_faint_for_a_wall(range_m):
 
 
 def test_a_wall_off_boresight_is_as_much_fainter_as_the_antenna_says():
-    wood = echoes_of(-15 - 3.0)
+    wood = echoes_of(-15 - 2 * 3.0)  # out and back
     assert not too_faint(wood, turned(32.5))
     assert too_faint(echoes_of(-18 - 7.0), AHEAD)
+    assert not too_faint(echoes_of(-24 - 5.5), turned(32.5))
+    assert too_faint(echoes_of(-24 - 6.5), turned(32.5))
     assert not too_faint(echoes_of(-18 - 7.0), turned(47.0))
     assert not too_faint(echoes_of(-60.0), turned(60.0))
 
@@ -72,9 +75,41 @@ def test_legs_tell_no_wall_of_what_is_too_faint(db, told):
         reach = 3.0 + rng.normal(0, 0.004, len(at))
         for k in range(0, 65, 13):
             echoes = [
-                Traced(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 6.0)
+                Traced(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=db + 12.0)
                 for j in range(k, k + 13)
             ]
             legs.add(echoes, echoes, AHEAD, LEAST, 2.0)
     out += legs.tell_all()
     assert bool(out) is told
+
+
+def half_plane(beyond_m: np.ndarray, range_m: float) -> list[Traced]:
+    """Echoes off a mirror that ends where it is flown past, so far from the feet [m]: Cornu's spiral [BornWolf1999]."""
+    v = -2 * beyond_m / np.sqrt(WAVE_M * range_m)
+    sine, cosine = fresnel(v)
+    level = 20 * np.log10(np.abs((0.5 + cosine) + 1j * (0.5 + sine)) / np.sqrt(2)) + 2 * BORESIGHT_DBI
+    x = np.array([1.0, 0, 0])
+    return [
+        Traced(j, at * x, x, range_m, 0.0, 1e-3, 0.02, 0.9, AHEAD, level_db=float(level[j]))
+        for j, at in enumerate(beyond_m)
+    ]
+
+
+@pytest.mark.parametrize("range_m", [1.5, 3.0, 6.0])
+def test_past_the_edge_of_a_wall_its_echo_has_fallen_by_six_decibels(range_m):
+    beyond = np.arange(-1.0, 0.6, 0.05) + 0.01
+    echoes = half_plane(beyond, range_m)
+    gone = fallen(echoes, echoes, AHEAD, np.sqrt(WAVE_M / 2))
+    wall = np.array([facing_db(e, AHEAD) for e in echoes]) > -24.0  # what is fainter is none anyway
+    assert gone[(beyond > 0.02) & wall].all()
+    assert not gone[beyond < -0.02].any()
+
+
+def test_a_wall_of_less_reflectivity_beside_another_is_one_farther_on():
+    echoes = echoes_of(0.0, count=40)
+    for e in echoes[20:]:
+        e.level_db -= 8.0
+    gone = fallen(echoes, echoes, AHEAD, np.sqrt(WAVE_M / 2))
+    assert gone[20:25].all()
+    assert not gone[32:].any()
+    assert not fallen(echoes, echoes, turned(60.0), np.sqrt(WAVE_M / 2)).any(), "no level is known there"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import fresnel
 
 import ullage as ul
 from ullage.processing.inverse_sensor import least_cosine, mirror_m
@@ -68,17 +69,21 @@ def follow_all(
     mirror_m: float = np.inf,
     step_m: float = 0.05,
     folded=lambda *_: False,
+    height: np.ndarray | float = 1e-3,
 ) -> tuple[EchoTracks, list]:
     tracks, feet = EchoTracks(folded), []
-    tracks.mirror_m["front"] = mirror_m
+    tracks.mirror_m["front"], tracks.wave_m = mirror_m, 0.041
     tracks.believe(list(levels), at[0])
     axes = np.column_stack([AHEAD, [-1.0, 0, 0], [0, 0, 1.0]])
-    for echo in traced(at, reach, np.random.default_rng(5)):
+    heights = np.broadcast_to(height, len(at))
+    for k, echo in enumerate(traced(at, reach, np.random.default_rng(5))):
         heard = Heard(echo.t_ns, echo.position, axes, 1, np.zeros(16), np.zeros(16), np.zeros(8, bool), None)
         heard.step_m = step_m
-        look = Look(heard, echo.track, np.array([[echo.range_m, 0.003, echo.cosine, 0.02, 1, 1e-3]]), np.zeros((1, 5)))
+        look = Look(
+            heard, echo.track, np.array([[echo.range_m, 0.003, echo.cosine, 0.02, 1, heights[k]]]), np.zeros((1, 5))
+        )
         feet += tracks.follow("front", look, np.array([echo.cosine]), np.array([0.02]), np.array([0.9]), LEAST)
-    return tracks, feet
+    return tracks, feet + tracks.end()
 
 
 def test_every_echo_of_a_wall_is_told_once_it_is_sure_and_none_twice():
@@ -98,6 +103,20 @@ def test_what_is_30_db_fainter_than_a_mirror_makes_no_wall():
     assert heard
     assert not feet
     assert not len(tracks.walls)
+
+
+@pytest.mark.parametrize("onward", [1, -1])
+def test_a_wall_ends_where_its_echo_has_fallen_by_half_on_the_way_there_and_on_the_way_past(onward):
+    at = waving(60)[::onward]
+    beyond = at[:, 0] - 1.5
+    sine, cosine = fresnel(-2 * beyond / np.sqrt(0.041 * 3.0))
+    mirror = 0.25 * 1e-3 * 3.0  # 12 dB under what an antenna of 6 dBi gives it out and back
+    height = 1e-3 * np.abs(0.5 + cosine + 1j * (0.5 + sine)) / np.sqrt(2)
+    _, feet = follow_all(at, 3.0 - at[:, 1], mirror_m=mirror, height=height)
+    assert max(foot.at[0] for foot in feet) < 1.5 + 0.05
+    assert sum(foot.at[0] < 1.45 for foot in feet) >= 25
+    _, everywhere = follow_all(at, 3.0 - at[:, 1], mirror_m=mirror)
+    assert max(foot.at[0] for foot in everywhere) > 2.5
 
 
 def test_what_may_be_folded_is_told_once_nothing_farther_off_can_have_made_it():

@@ -22,7 +22,7 @@ from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_ends import without_ends
-from ullage.processing.mapper_folds import Fold
+from ullage.processing.mapper_folds import Fold, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import STEP_M, Listener, Look, lit_ways, ways_apart
@@ -107,7 +107,7 @@ class UllageMapper:
         for part in parts:
             name = part.sensor
             step = float(part.range_m[-1] - part.range_m[0]) / (len(part.range_m) - 1)
-            self._wavelength_m = part.spec.wavelength_m
+            self._wavelength_m = self._tracks.wave_m = part.spec.wavelength_m
             self._axis[name] = float(part.range_m[0]), step, float(part.range_m[-1])
             self._levels.rim_m, self._tracks.mirror_m[name] = rim_mirror_m(part), mirror_m(part)
             hit_deg, free_deg = heard_deg(part.spec.antenna)
@@ -157,7 +157,7 @@ class UllageMapper:
 
     def _insert_last(self) -> Iterator[int]:
         yield from self._insert_waiting(self._levels)
-        deque(map(self._lay_disc, self._tracks.join()), maxlen=0)
+        deque(map(self._lay_disc, chain(self._tracks.end(), self._tracks.join())), maxlen=0)
         while self._late:
             yield from self._insert(*self._late.popleft())
         self._turns.end()
@@ -305,7 +305,7 @@ class UllageMapper:
         """
         echo = foot.echo
         false = float(np.clip(1 - echo.trust, LEAST_FALSE, 0.95))
-        if false < 0.5 and self.blocks.clear_to(echo.position, foot.way, echo.range_m):
+        if false < 0.5 and not is_hidden(self.blocks, echo.position, foot.way, echo.range_m, self._wavelength_m):
             half = 0.5 * foot.rim * np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
             half = min(half, math.sqrt(foot.radius_m * self.grid.step_m))  # there a hollow wall is half a cell nearer
             gain = min(DISC_SHARE * echo.looks, 1.0) * np.log((1 - false) / false)

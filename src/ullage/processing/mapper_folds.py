@@ -7,6 +7,7 @@ it, how loud its echo could be, and what stands before it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -65,14 +66,34 @@ class Fold(NamedTuple):
             return False
         step, slope = blocks.grid.step_m, math.sqrt(self.wave_m / (2 * far))  # half the zone's width over its range
         beyond, hidden = reach + OWN_CELLS * step, blocks.grid.dims == 3
-        for side in _across(way, blocks.grid.dims):
-            for part in ACROSS:
-                ray = (way + part * slope * side) / math.hypot(1.0, part * slope)
-                if blocks.clear_to(eye, ray, reach - step):
-                    hidden = False
-                    if blocks.clear_to(eye + beyond * ray, ray, far - BESIDE_M - beyond):
-                        return True
+        for ray in _zone(way, slope, blocks.grid.dims):
+            if blocks.clear_to(eye, ray, reach - step):
+                hidden = False
+                if blocks.clear_to(eye + beyond * ray, ray, far - BESIDE_M - beyond):
+                    return True
         return hidden
+
+
+def is_hidden(blocks: Blocks, eye: Floats, way: Floats, range_m: float, wave_m: float) -> bool:
+    """Whether what the map holds hides a place in a way (3): it covers the first Fresnel zone, or is of the same wall.
+
+    An echo passes beside what is narrower. What stands close before the place belongs to its wall, of which not all is
+    told: waves go on inside it, and from it round corners.
+    """
+    if blocks.clear_to(eye, way, range_m):
+        return False
+    near = max(range_m - BESIDE_M, 0.0)
+    if not blocks.clear_to(eye + near * way, way, range_m - near):
+        return True
+    rays = _zone(way, math.sqrt(wave_m / (2 * range_m)), blocks.grid.dims)
+    return not any(blocks.clear_to(eye, ray, range_m / float(ray @ way)) for ray in rays)
+
+
+def _zone(way: Floats, slope: float, dims: int) -> Iterator[Floats]:
+    """Unit vectors (3) through parts of a first Fresnel zone about a way (3), of half width `slope` for each metre."""
+    for side in _across(way, dims):
+        for part in ACROSS:
+            yield (way + part * slope * side) / math.hypot(1.0, part * slope)
 
 
 def _across(way: Floats, dims: int) -> list[Floats]:

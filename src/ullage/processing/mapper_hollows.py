@@ -25,6 +25,7 @@ MOST_HOLLOWS, FAR_M = 64, 1e4
 FITS_M, FITS_COSINE = 0.03, 0.08  # of a wall known from elsewhere, so far on round it and along its line
 BEYOND_M = 1.0
 ON_ROUND, ON_ALONG_M = float(np.cos(np.radians(40.0))), 1.0
+FURTHER = float(np.cos(np.radians(15.0)))  # on round from where a wall was heard, it is known from there on too
 
 
 class Hollows:
@@ -65,7 +66,8 @@ class Hollows:
         hollow, most = hollow_of(bow, way, axis), float(odds.max())
         if places.max() < max(LEAST_PLACES, HEARD_SHARE * _should_hear(hollow, way, others)):
             return None
-        if too_faint(echoes, way, hollow.radius_m) or behind(way):
+        middle = hollow.ways(np.mean([e.position for e in echoes], axis=0)[None], way)[0]
+        if too_faint(echoes, middle, hollow.radius_m) or behind(middle):
             return None
         if _is_flat(bow, me, others, most) or is_edge(me, others, near, most):
             return None
@@ -96,6 +98,9 @@ class Hollows:
             miss = abs(hollow.ranges(places, ways) - reach).max()
             fits = lit and not beside and miss < FITS_M and turn < FITS_COSINE
             if fits and not too_faint(echoes, middle, hollow.radius_m) and not behind(middle):
+                if middle @ way < FURTHER:
+                    self._told.append((hollow, middle, places[len(ways) // 2] + reach[len(ways) // 2] * middle))
+                    del self._told[:-MOST_HOLLOWS]
                 return hollow, middle
         return None
 

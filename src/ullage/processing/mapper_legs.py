@@ -45,7 +45,8 @@ Floats = NDArray[np.float64]
 STRETCH_M, LEAST_ECHOES, SCATTER_M, LEAST_TRUST = 0.6, 8, 0.02, 0.4
 LEG_TURN = float(np.cos(np.radians(15.0)))
 AROUND_M, BESIDE_M, SLACK_M = 3.0, 0.2, 0.1
-BEHIND_M = 0.3
+BEHIND_M = 0.15
+CORNER_RANGE_M, CORNER_COSINE, LEVEL, MOST_BENT_M = 0.03, 0.06, 0.98, 0.8
 LEG_WIDE_M = 0.3  # sensors of one body fly beside each other
 COSINE_SIGMA, BOW_COSINE_SIGMA = 0.05, 0.03
 ONE_SIDE = float(np.cos(np.radians(17.0)))
@@ -188,7 +189,7 @@ class Legs:
         """The bent wall of a stretch's echoes, known or told now, and the way (3) to it."""
 
         def behind(way: Floats) -> bool:
-            return self._behind(at, way)
+            return self._behind(at, way) or self._in_corner(at)
 
         known = self._hollows.known(self._rows[at], self._kept[at][0], behind)
         if known is not None:
@@ -212,7 +213,7 @@ class Legs:
         """Whether the sensor heard a wall nearer in that way (3), there: no wave passes one, but bounces are later."""
         held, me = self._held, self._rows[at]
         gap = held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]
-        nearer = (np.einsum("ij,ij->i", gap, gap) < STRETCH_M**2) & (held[:, RANGE] < me[RANGE] - BEHIND_M)
+        nearer = (np.einsum("ij,ij->i", gap, gap) < STRETCH_M**2) & (held[:, RANGE] + gap @ way < me[RANGE] - BEHIND_M)
         nearer &= held[:, AHEAD : AHEAD + 3] @ me[AHEAD : AHEAD + 3] > LEG_TURN
         nearer &= abs(held[:, TRACK : TRACK + 3] @ way - held[:, COSINE]) < 2 * held[:, DOUBT]
         for k in np.flatnonzero(nearer):
@@ -221,6 +222,37 @@ class Legs:
             if normal @ way > LEG_TURN or (told and not too_faint(echoes, way)):
                 return True
         return False
+
+    def _in_corner(self, at: int) -> bool:
+        """Whether a stretch may be heard off a floor or ceiling that is known and off an upright wall in turn.
+
+        Waves come back from where they meet: at range r with r^2 = h^2 + d^2 and fall a with r a = h b + d c, for h
+        and b of the floor and d and c of the wall, which the same sensor hears there too. Between places the range of a
+        bent wall changes by the mean of its falls.
+        """
+        held, me = self._held, self._rows[at]
+        sheets = held[abs(held[:, NORMAL + 2]) > LEVEL]
+        up = np.sign(sheets[:, NORMAL + 2])
+        high = up * (sheets[:, PLACE + 2] - me[PLACE + 2]) + sheets[:, RANGE]
+        high, first = np.unique(np.round(high / CORNER_RANGE_M), return_index=True)
+        high, rise = high * CORNER_RANGE_M, up[first] * me[TRACK + 2]
+        near = (high > 0) & (high < 0.9 * me[RANGE])
+        high, rise = high[near, None], rise[near, None]
+        wall = np.sqrt(me[RANGE] ** 2 - high**2)
+        fall = (me[RANGE] * me[COSINE] - high * rise) / wall
+        along = (held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]) @ me[TRACK : TRACK + 3]
+        turn = held[:, TRACK : TRACK + 3] @ me[TRACK : TRACK + 3]
+        there = (
+            (abs(along) < STRETCH_M)
+            & (abs(turn) > LEG_TURN)
+            & (held[:, AHEAD : AHEAD + 3] @ me[AHEAD : AHEAD + 3] > LEG_TURN)
+        )
+        there &= np.linalg.norm(held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3], axis=1) < STRETCH_M
+        its = held[there, COSINE] * np.sign(turn[there])
+        miss = abs(held[there, RANGE] + along[there] * (its + fall) / 2 - wall)
+        return bool(
+            ((miss < CORNER_RANGE_M) & (abs(its - fall) < CORNER_COSINE + abs(along[there]) / MOST_BENT_M)).any()
+        )
 
 
 def stretch_of(echoes: list[Traced]) -> Floats | None:

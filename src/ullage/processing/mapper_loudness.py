@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 FAINTEST_DB, FOCUS_DB = -24.0, 10.0  # between the faintest wall and the strongest edge; a focus is no sharper
+EDGE_DB, NEAR_ZONES = 6.0, 2.0  # at an edge under what is beside it; how far beside, so that other walls do not count
 TOLD_DEG = 47.5  # farther off boresight the antenna's gain is known from above only
 
 
@@ -45,5 +46,32 @@ def too_faint(echoes: list[Traced], way: Floats, radius_m: float = math.inf) -> 
         return False
     bend = abs(1 - echoes[-1].range_m / radius_m)
     focus = min(-10 * math.log10(max(bend, 1e-9)), FOCUS_DB)
-    wall = float(np.interp(off, OFF_DEG, OFF_DBI)) + focus + FAINTEST_DB
+    wall = 2 * float(np.interp(off, OFF_DEG, OFF_DBI)) + focus + FAINTEST_DB
     return bool(np.median([e.level_db for e in echoes]) < wall)
+
+
+def facing_db(echo: Traced, way: Floats) -> float:
+    """Level of an echo against a perfect mirror's in a way (3) [dB]; not a number where that is not known."""
+    off = math.degrees(math.acos(min(max(float(way @ echo.ahead), -1.0), 1.0)))
+    if off > TOLD_DEG or not math.isfinite(echo.level_db):
+        return math.nan
+    return echo.level_db - 2 * float(np.interp(off, OFF_DEG, OFF_DBI))
+
+
+def fallen(feet: list[Traced], echoes: list[Traced], way: Floats, zone: float) -> NDArray[np.bool_]:
+    """Which feet (f) of a reflector have half the level of others near by, or less: they lie past its edge.
+
+    A half-plane whose edge is at the foot mirrors half the wave, 6 dB less; beyond it the level falls on
+    [BornWolf1999]. So are those that are fainter than any wall.
+
+    Args:
+        feet: echoes asked about.
+        echoes: of the reflector.
+        way: to it (3).
+        zone: half width of the first Fresnel zone over the root of the range [m^0.5].
+    """
+    mine, level = (np.array([facing_db(e, way) for e in some]) for some in (feet, echoes))
+    at, all_at = (np.array([e.position + e.range_m * way for e in some]) for some in (feet, echoes))
+    near = np.linalg.norm(at[:, None] - all_at, axis=2) < NEAR_ZONES * zone * np.sqrt([[e.range_m] for e in feet])
+    most = np.where(near & np.isfinite(level), level, -np.inf).max(axis=1)
+    return np.asarray(mine < np.maximum(most - EDGE_DB, FAINTEST_DB))

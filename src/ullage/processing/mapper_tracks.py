@@ -19,7 +19,7 @@ from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_bows import own_share
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look, dense_looks
-from ullage.processing.mapper_loudness import level_db, too_faint
+from ullage.processing.mapper_loudness import fallen, level_db, too_faint
 from ullage.processing.mapper_rims import rim_of
 from ullage.processing.mapper_screens import (
     BEYOND_M,
@@ -125,11 +125,13 @@ class EchoTracks:
 
     Attributes:
         mirror_m: amplitude times range of a perfect mirror before an antenna of 0 dBi, by sensor where it is known [m].
+        wave_m: wavelength of the carrier [m].
     """
 
     def __init__(self, may_be_folded: Callable[[str, Traced, Floats], bool] = lambda *_: False) -> None:
         self._may_be_folded = may_be_folded
         self.mirror_m: dict[str, float] = {}
+        self.wave_m = 0.0
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
         self._held: list[list[Foot]] = []
@@ -223,7 +225,8 @@ class EchoTracks:
             goes_on = now - last.t_ns < LINK_NS and np.linalg.norm(here - last.position) < LINK_PATH_M
             (held if goes_on else gone).append(one)
         self._gone.extend(one for one in gone if len(one.screens))
-        free, feet = list(held), []
+        free = list(held)
+        feet = [f for one in gone if one.normal is not None and not one.doubts for f in self._tell_passed(one, None)]
         for k in np.argsort(-trust):
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
@@ -266,17 +269,42 @@ class EchoTracks:
             one.doubts = min(one.doubts + 1, SURE_FEET) if doubtful else max(one.doubts - 1, 0)
             if one.doubts:
                 return []
-            fresh = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
-            for foot in fresh:
-                foot.echo.laid, foot.echo.way = True, foot.way
-            if one.post is None and too_faint(one.echoes, one.normal):
-                return []
-            return [told for foot in fresh for told in (self._remember(foot) if foot.flat else [foot])]
+            return self._tell_passed(one, echo.position)
         way = None if echo.laid else self._known(echo)
         if way is None or self._may_be_folded(echo.sensor, echo, way):
             return []
         echo.laid, echo.way = True, way
         return [Foot(echo, way, True, one.rim)]
+
+    def _tell_passed(self, one: Followed, here: Floats | None) -> list[Foot]:
+        """The feet of a reflector that was followed half a Fresnel zone beyond them, or to its end, are told.
+
+        From the edge of a wall on, an echo's level falls by over 6 dB in so much; one that does is of no wall.
+
+        Args:
+            one: with a direction.
+            here: where it is followed now (3), None at its end [m].
+        """
+        feet = [Foot(e, *one.way(e), one.rim) for e in one.echoes if not e.laid]
+        for foot in feet:
+            foot.echo.way = foot.way
+        zone = np.sqrt(self.wave_m / 2)
+        ripe = [
+            f for f in feet if here is None or np.linalg.norm(here - f.echo.position) > zone * np.sqrt(f.echo.range_m)
+        ]
+        for foot in ripe:
+            foot.echo.laid = True
+        if one.post is None and one.normal is not None and ripe:
+            if too_faint(one.echoes, one.normal):
+                return []
+            past = fallen([f.echo for f in ripe], one.echoes, one.normal, zone)
+            ripe = [foot for foot, none in zip(ripe, past, strict=True) if not none]
+        return [told for foot in ripe for told in (self._remember(foot) if foot.flat else [foot])]
+
+    def end(self) -> list[Foot]:
+        """The feet of all that was followed to the last look."""
+        last = [one for held in self._open.values() for one in held if one.normal is not None and not one.doubts]
+        return [foot for one in last for foot in self._tell_passed(one, None)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
