@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_looks import Heard, Look
@@ -59,6 +62,21 @@ def test_what_is_louder_than_a_mirror_at_the_rim_is_a_wall_on_all_headings_too()
     for each in looks:
         finder.hear(each)
     assert finder.without_levels(looks[-1]).echoes[:, 0].tolist() == [WALL_M]
+
+
+def test_a_ceiling_that_is_neared_later_stays_one():
+    finder = LevelFinder()
+    finder.rim_m = 3e-4  # a mirror there; the ceiling is half as good, and eight times as near as at first
+    ceiling_m = 2.4
+    for k in range(800):
+        rise = 0.0 if k < 200 else 2.1  # the first round low, the others high
+        one = look(k, heading_rad=0.05 * k, abeam=True, wall=0.0)
+        away = ceiling_m - rise
+        echoes = np.array([[away, 0.003, 0, 0.01, 1, 1.5e-4 / away]])
+        heard = replace(one.heard, position=one.heard.position + np.array([0, 0, rise]))
+        finder.hear(Look(heard, one.track, echoes, np.zeros((1, 5))))
+    found = [height for sign, height in finder.levels() if sign > 0]
+    assert found == [pytest.approx(HEIGHT_M + ceiling_m, abs=0.05)]
 
 
 def crowded(number: int, *, share: float, loud: float) -> Look:

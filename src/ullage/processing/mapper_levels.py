@@ -72,7 +72,7 @@ class LevelFinder:
             for echo in look.echoes[self._vertical(look, sign)]:
                 place = int((z + sign * echo[0] - self._base + REACH_M) / BIN_M)
                 seen.update(k for k in (place, place + 1) if 0 <= k < self._votes[sign].shape[1])
-                self._loud.setdefault(sign * (place + 1), []).append(float(echo[5]))
+                self._loud.setdefault(sign * (place + 1), []).append(float(echo[0] * echo[5]))
                 del self._loud[sign * (place + 1)][:-REMEMBERED]
             self._votes[sign][sector, list(seen)] += 1
 
@@ -113,12 +113,12 @@ class LevelFinder:
 
     def _may_be_wall(self, sign: int, height: float) -> bool:
         """Whether a persistent sheet may stand upright: it is too loud, or nothing but one way along it was flown."""
-        if self._base is not None and abs(height - self._base) * self._usual(sign, height) > self.rim_m:
+        if self._usual(sign, height) > self.rim_m:
             return True
         turned = abs(self._headings) < ONE_HEADING * self._looks
-        if turned or self._abeam < (1 - SOME) * self._looks or self._base is None:
+        if turned or self._abeam < (1 - SOME) * self._looks:
             return False
-        return abs(height - self._base) * self._usual(sign, height) * LOUDER > float(np.median(self._strong))
+        return self._usual(sign, height) * LOUDER > float(np.median(self._strong))
 
     def without_levels(self, look: Look) -> Look:
         """The look without its echoes of floor and ceiling."""
@@ -126,7 +126,7 @@ class LevelFinder:
         z = float(look.heard.position[2])
         for sign, height in self.levels():
             at = self._vertical(look, sign) & (abs(look.echoes[:, 0] - sign * (height - z)) < NEAR_M)
-            drop |= at & (look.echoes[:, 5] < LOUDER * self._usual(sign, height))
+            drop |= at & (look.echoes[:, 0] * look.echoes[:, 5] < LOUDER * self._usual(sign, height))
         return look.only(~drop)
 
     def feet_and_heads(self, look: Look, others: list[Look]) -> NDArray[np.bool_]:
@@ -142,11 +142,12 @@ class LevelFinder:
         return _feet_of(look, [other for other in others if abs(look.track @ other.track) > SAME_WAY], rises)
 
     def _usual(self, sign: int, height: float) -> float:
+        """How well what lies at a height reflects: amplitude times range [m], the same from every height flown at."""
         near = self._heard_at(sign, height)
         return float(np.median(near)) if near else 0.0
 
     def _heard_at(self, sign: int, height: float) -> list[float]:
-        """Amplitudes of the last echoes from about a height."""
+        """Amplitudes times ranges [m] of the last echoes from about a height."""
         place = int((height - (self._base or 0.0) + REACH_M) / BIN_M + 0.5)
         return [v for k in range(place - 1, place + 3) for v in self._loud.get(sign * k, [])]
 

@@ -178,6 +178,11 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         if len(part.corners):
             out.append(_lay_small(ready, parts, part, view, grids))
         out += lay_flats(ready, parts, part, view, grids)
+    rounds = ready.world.rounds_at(poses)
+    if rounds:
+        from ullage.radar.arcs import lay_arcs
+
+        out += lay_arcs(ready, parts, rounds, view, grids)
     if len(ready.lines):
         out += _lay_wires(ready, parts, view, poses, grids)
     if len(ready.rims.edges):
@@ -195,7 +200,7 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         look = looks(ready, flats, view)
         out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
         out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, grids)
-        if rounds := ready.world.rounds_at(poses):
+        if rounds:
             out += _lay_round(ready, parts, rounds, flats, view, max_bounces, look, grids)
     return out
 

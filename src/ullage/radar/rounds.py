@@ -6,7 +6,7 @@ curvature, which no single facet has, so the cylinder or the ball through them i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ _MOST = 0.35  # less of a smooth surface is no wall between caps but the belt of
 _DEEP = 0.05  # facets that bend by `SMOOTH_DEG` lie by half of this share of a ball's radius within it
 _ARC_DEG = 100.0  # less of a circle mirrors nothing to its own other side
 _FEWEST = 16  # triangles
+_SAME_RAD = 1e-4  # lines along the axis nearer to each other than this are one
+_FILLED = 0.02  # gaps of a strip that is whole, for rounding and chords
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,13 +38,14 @@ class Round:
 
     centre: Floats  # (3) a point of the axis [m]
     axes: Floats  # (3, 3) rows: two unit vectors across the axis, and the axis
-    radius: float  # mean over the facets [m]
+    radius: float  # of a cylinder at the facets' corners, of a ball the mean over the facets [m]
     low: float  # where the wall begins along the axis, from the centre [m]
     high: float  # and where it ends [m]
     depth: float  # by so much facets lie nearer to the axis or farther from it [m]
     widest: float  # smaller extent of the widest facet [m]
     stuff: int  # object
     ball: bool = False
+    strips: Floats = field(default_factory=lambda: np.zeros((0, 4)))  # (s, 4) angle, half width [rad], low, high [m]
 
     def local(self, points: Floats) -> Floats:
         """Points (..., 3) as seen from the centre along the axes [m]."""
@@ -117,12 +120,35 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
         return None
     halves = (points + np.roll(points, 1, 1))[..., :2] / 2 - centre  # of sides: exact for squares
     gaps = np.linalg.norm(halves, axis=2)
-    radius = float(np.sum(area[kept] * gaps.mean(1)) / area[kept].sum())
+    radius = float(away.mean())
     least, most = points[..., 2].min(), points[..., 2].max()
     if most - least < LEAST_M:
         return None
     return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
-                 float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff)  # fmt: skip
+                 float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff,
+                 strips=_strips(points, centre, area[kept]))  # fmt: skip
+
+
+def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:
+    """Strips (s, 4) between lines along the axis that triangles (n, 3, 3) fill: angle, half width [rad], low, high.
+
+    Those with gaps are left out, and those that are not rectangles.
+    """
+    x, y = np.moveaxis(points[..., :2] - centre, 2, 0)
+    angle = np.arctan2(y, x)
+    first = angle[:, :1]
+    turned = (angle - first + np.pi) % (2 * np.pi) - np.pi
+    low, high = first[:, 0] + turned.min(1), first[:, 0] + turned.max(1)
+    middle, half = ((low + high) / 2 + np.pi) % (2 * np.pi) - np.pi, (high - low) / 2
+    order = np.lexsort((half, middle))
+    apart = (np.diff(middle[order]) > _SAME_RAD) | (abs(np.diff(half[order])) > _SAME_RAD)
+    out = []
+    for mine in np.split(order, np.flatnonzero(apart) + 1):
+        heights, width = points[mine][..., 2], 2 * half[mine[0]] * np.hypot(x[mine[0], 0], y[mine[0], 0])
+        bottom, top = heights.min(), heights.max()
+        if abs(area[mine].sum() - width * (top - bottom)) < _FILLED * width * (top - bottom):
+            out.append((middle[mine[0]], half[mine[0]], bottom, top))
+    return np.array(out).reshape(-1, 4)
 
 
 def _ball(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
