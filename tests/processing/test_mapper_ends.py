@@ -75,3 +75,33 @@ def test_a_post_goes_on_nowhere():
     assert not len(lost(map_of((0.0, 0.0), (0.09, 0.0)), blocks))
     empty = np.full(GRID.shape, FREE, np.int8)
     assert not len(lost(empty, blocks))
+
+
+def arc_of(*pieces_deg):
+    """Free throughout, but for pieces of a round wall of 2.5 m about the origin, two cells thick."""
+    percent = np.full(GRID.shape, FREE, np.int8)
+    for low, high in pieces_deg:
+        turn = np.radians(np.linspace(low, high, 400))
+        for radius in (2.45, 2.55):
+            at = radius * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+            percent[tuple(GRID.index(at)[0].T)] = WALL
+    return percent
+
+
+def test_a_round_wall_goes_on_from_one_piece_to_the_next():
+    # It was passed within, and silent from 4 of 16 directions: none of them need be the normal.
+    turn = np.radians(np.linspace(0, 90, 30))
+    where = lost(arc_of((-30, 30), (55, 115)), looked_from(np.column_stack([np.cos(turn), np.sin(turn)])))
+    angle, away = np.degrees(np.arctan2(where[:, 1], where[:, 0])), np.linalg.norm(where, axis=1)
+    gap = (angle > 33) & (angle < 52)
+    assert set(np.round(angle[gap & (abs(away - 2.5) < 0.08)] / 3)) >= set(range(12, 17))
+    assert np.all(abs(away[gap] - 2.5) < 0.5)
+
+
+def test_a_gap_of_a_round_wall_that_was_flown_through_stays_free():
+    blocks = looked_from([(np.cos(t), np.sin(t)) for t in np.radians(np.linspace(0, 90, 30))])
+    out = np.array([np.cos(np.radians(42)), np.sin(np.radians(42)), 0.0])
+    for s in np.arange(1.0, 3.5, 0.1):
+        blocks.clear(s * out, 0.4)
+    where = lost(arc_of((-30, 30), (55, 115)), blocks)
+    assert np.all(np.linalg.norm(np.cross(np.column_stack([where, 0 * where[:, 0]]), out), axis=1) > 0.35)

@@ -1,7 +1,9 @@
 """Where a wall on a plane may go on unseen: silence that no wall there would have broken frees nothing.
 
 A smooth wall answers only from the foot of the perpendicular. In line with what is known of it, cells that no sensor
-has passed are silent whether it goes on there or not, from however many places on one side they were looked at.
+has passed are silent whether it goes on there or not, from however many places on one side they were looked at. A bent
+wall answers from its own normal at each place, which is not known to the few degrees that matter: between two pieces of
+one only a flight through proves a gap.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ Ints = NDArray[np.int64]
 
 WINDOW_M, FARTHEST_M = 0.6, 3.0
 LEAST_CELLS, FLAT_CELLS = 4, 0.9  # of a line: how many, and one sigma across it at most
-SQUARE_DEG = 5.0
+SQUARE_DEG, STRAIGHT_DEG, BENT_DEG = 5.0, 6.0, 30.0
 
 
 def without_ends(percent: NDArray[np.int8], corner: tuple[int, ...], blocks: Blocks, least: int) -> None:
@@ -38,12 +40,19 @@ def without_ends(percent: NDArray[np.int8], corner: tuple[int, ...], blocks: Blo
         return
     way, on = _lines(solid, WINDOW_M / blocks.grid.step_m)
     wall, most = binary_dilation(percent >= least, np.ones((3, 3), bool)), round(FARTHEST_M / blocks.grid.step_m)
-    cells, along = _onward(wall, solid[on], way[on], most)
+    ends = _ends(wall, solid[on], way[on])
+    cells, along = _free(percent, *_onward(wall, *ends, most))
+    percent[tuple(cells[~_passed(_silent(blocks, cells + np.array(corner)), along)].T)] = UNKNOWN
+    cells, along = _free(percent, *_around(*ends, most))
+    percent[tuple(cells[~_silent(blocks, cells + np.array(corner)).all(axis=1)].T)] = UNKNOWN
+
+
+def _free(percent: NDArray[np.int8], cells: Ints, along: Floats) -> tuple[Ints, Floats]:
+    """Those of cells (c, 2), and the ways there, that are on a map and free."""
     inside = np.all((cells >= 0) & (cells < percent.shape), axis=1)
     cells, along = cells[inside], along[inside]
     free = (percent[tuple(cells.T)] >= 0) & (percent[tuple(cells.T)] < 50)
-    cells, along = cells[free], along[free]
-    percent[tuple(cells[~_passed(_silent(blocks, cells + np.array(corner)), along)].T)] = UNKNOWN
+    return cells[free], along[free]
 
 
 def _lines(solid: Ints, window: float) -> tuple[Floats, Bools]:
@@ -59,17 +68,46 @@ def _lines(solid: Ints, window: float) -> tuple[Floats, Bools]:
     return np.column_stack([np.sin(turn), np.cos(turn)]), (count >= LEAST_CELLS) & (narrow < FLAT_CELLS**2)
 
 
-def _onward(wall: Bools, solid: Ints, way: Floats, most: int) -> tuple[Ints, Floats]:
-    """Cells (c, 2) in line with wall cells (s, 2), as far on as the wall runs back from these; and the ways there."""
+def _ends(wall: Bools, solid: Ints, way: Floats) -> tuple[Ints, Floats]:
+    """Where lines of wall cells (s, 2) end (e, 2), and the ways out of them (e, 2)."""
+    cells, ways = np.concatenate([solid, solid]), np.concatenate([way, -way])
+    end = ~np.all([_at(wall, cells + k * ways) for k in (2, 4, 6, 8)], axis=0)
+    return cells[end], ways[end]
+
+
+def _onward(wall: Bools, last: Ints, on: Floats, most: int) -> tuple[Ints, Floats]:
+    """Cells (c, 2) in line with ends (e, 2) of walls, as far on as they run back from there; and the ways there."""
     cells, ways = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
-    for along in (way, -way):
-        end = ~np.all([_at(wall, solid + k * along) for k in (2, 4, 6, 8)], axis=0)
-        last, on = solid[end], along[end]
-        for k in range(1, most + 1):
-            known = _at(wall, last - k * on)
-            last, on = last[known], on[known]
-            cells.append(np.rint(last + k * on).astype(np.int64))
-            ways.append(on)
+    for k in range(1, most + 1):
+        known = _at(wall, last - k * on)
+        last, on = last[known], on[known]
+        cells.append(np.rint(last + k * on).astype(np.int64))
+        ways.append(on)
+    return np.concatenate(cells), np.concatenate(ways)
+
+
+def _around(last: Ints, on: Floats, most: int) -> tuple[Ints, Floats]:
+    """Cells (c, 2) of curves from each end (e, 2) of a wall to others that it bends to, and their ways there.
+
+    A round wall goes on so from one known piece to the next. Straight ones and corners are not joined.
+    """
+    pairs = cKDTree(last).query_pairs(most, output_type="ndarray")
+    gap = (last[pairs[:, 1]] - last[pairs[:, 0]]).astype(float)
+    apart = np.linalg.norm(gap, axis=1)
+    fair = np.cos(np.radians(BENT_DEG)) * apart
+    one, other = (on[pairs[:, k]] for k in (0, 1))
+    bent = -(one * other).sum(1) < np.cos(np.radians(STRAIGHT_DEG))
+    met = (apart > 1) & bent & ((gap * one).sum(1) > fair) & (-(gap * other).sum(1) > fair)
+    first, gap, apart = last[pairs[met, 0]], gap[met], apart[met, None]
+    start, stop = one[met] * apart, -other[met] * apart
+    cells, ways = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
+    for t in np.linspace(0, 1, 2 * most + 1)[1:-1]:  # Hermite's cubic
+        place = (3 * t**2 - 2 * t**3) * gap + (t**3 - 2 * t**2 + t) * start + (t**3 - t**2) * stop
+        way = 6 * (t - t**2) * gap + (3 * t**2 - 4 * t + 1) * start + (3 * t**2 - 2 * t) * stop
+        way /= np.linalg.norm(way, axis=1)[:, None]
+        for aside in (-1, 0, 1):
+            cells.append(np.rint(first + place + aside * way[:, ::-1] * [1, -1]).astype(np.int64))
+            ways.append(way)
     return np.concatenate(cells), np.concatenate(ways)
 
 
