@@ -132,7 +132,16 @@ def test_antennas_hardly_apart_are_antennas_in_one_place(thing):
     assert together == pytest.approx(apart, rel=1e-3)
 
 
+AROUND = ((-0.4, 0.2, 1.2), (-0.3, 0.3, 1.1), (-0.6, 0.1, 1.3), (-0.4, -0.3, 1.0), (0.1, 0.6, 1.2))
+
+
 def test_a_floor_is_the_image_of_what_it_mirrors():
+    off = [off_the_image(np.array(place)) for place in AROUND]
+    assert np.median(off) < 0.05
+    assert max(off) < 0.15  # where its ways half cancel
+
+
+def off_the_image(place):
     """Over it either antenna is heard from its image, in a wall as high again below; the drum ends in the air."""
     scene, spec = tank("ball"), radar()
     wall = scenes.tank(1.5, 6.0, "pec", strips=96)
@@ -140,7 +149,7 @@ def test_a_floor_is_the_image_of_what_it_mirrors():
     ball = scenes.sphere(0.3, 0.0, edge_m=0.06, name="thing")
     ball = replace(ball, vertices=ball.vertices + np.array([0.8, 0.0, 1.5]))
     deep = Scene.union([replace(wall, vertices=wall.vertices - [0, 0, 3.0]), ball])
-    place, ready = np.array([-0.4, 0.2, 1.2]), bench(deep, spec)
+    ready = bench(deep, spec)
     both = [place * [1, 1, -1], place]
     view = replace(view_of(spec, place, np.eye(3)), origins=np.array(both))
     flats, grids = ready.world.still.flats, np.zeros((3, ready.places), complex)
@@ -149,7 +158,7 @@ def test_a_floor_is_the_image_of_what_it_mirrors():
     floor = [part for part in heard(scene, at(*place), spec, 3) if ((part.via >= 0).sum(1) == 2).all()
              and (part.via[:, 0] != part.stuffs).all()]  # fmt: skip
     assert abs(want) > 1e-5
-    assert total(floor) == pytest.approx(2 * want, rel=0.1)
+    return abs(total(floor) / (2 * want) - 1)
 
 
 def test_what_stands_between_hides():
