@@ -45,7 +45,7 @@ Floats = NDArray[np.float64]
 STRETCH_M, LEAST_ECHOES, SCATTER_M, LEAST_TRUST = 0.6, 8, 0.02, 0.4
 LEG_TURN = float(np.cos(np.radians(15.0)))
 AROUND_M, BESIDE_M, SLACK_M = 3.0, 0.2, 0.1
-BEHIND_M = 0.15
+BEHIND_M = 0.3
 CORNER_RANGE_M, CORNER_COSINE, LEVEL, MOST_BENT_M = 0.03, 0.06, 0.98, 0.8
 LEG_WIDE_M = 0.3  # sensors of one body fly beside each other
 COSINE_SIGMA, BOW_COSINE_SIGMA = 0.05, 0.03
@@ -213,7 +213,7 @@ class Legs:
         """Whether the sensor heard a wall nearer in that way (3), there: no wave passes one, but bounces are later."""
         held, me = self._held, self._rows[at]
         gap = held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]
-        nearer = (np.einsum("ij,ij->i", gap, gap) < STRETCH_M**2) & (held[:, RANGE] + gap @ way < me[RANGE] - BEHIND_M)
+        nearer = (np.einsum("ij,ij->i", gap, gap) < STRETCH_M**2) & (held[:, RANGE] < me[RANGE] - BEHIND_M)
         nearer &= held[:, AHEAD : AHEAD + 3] @ me[AHEAD : AHEAD + 3] > LEG_TURN
         nearer &= abs(held[:, TRACK : TRACK + 3] @ way - held[:, COSINE]) < 2 * held[:, DOUBT]
         for k in np.flatnonzero(nearer):
