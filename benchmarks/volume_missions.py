@@ -128,13 +128,14 @@ def points(mission: str, name: str, seed: int) -> np.ndarray:
     return out + rng.uniform(-0.12, 0.12, out.shape) * [1, 1, 0.3]
 
 
-def frames_of(name: str, mission: str, seed: int, folder: Path) -> dict[str, Frames]:
+def frames_of(name: str, mission: str, seed: int, folder: Path, bounces: int = 1) -> dict[str, Frames]:
     """A mission's frames, simulated once and kept in the folder; `OTHERS` have a mission of their own."""
-    file = folder / f"{name} {mission} {seed}.pkl".replace(" ", "_").replace(",", "")
+    more = f" {bounces} bounces" if bounces > 1 else ""
+    file = folder / f"{name} {mission} {seed}{more}.pkl".replace(" ", "_").replace(",", "")
     if not file.exists():
         places, yaw = OTHERS[name][2:] if name in OTHERS else (points(mission, name, seed), "along")
         path = ul.fly(ul.Waypoints(places, speed_m_s=0.5, stop=True, yaw=yaw), rate_hz=25)
-        made = ul.simulate(world(name), path, ul.Rig.preset("thesis-4"), seed=seed)
+        made = ul.simulate(world(name), path, ul.Rig.preset("thesis-4"), seed=seed, max_bounces=bounces)
         file.write_bytes(pickle.dumps({key: replace(f, simulated=None) for key, f in made.items()}))
     frames: dict[str, Frames] = pickle.loads(file.read_bytes())
     return frames

@@ -4,7 +4,8 @@ Worlds and missions are those of `volume_missions`; "others" are rooms with a mi
 counts for what could be seen. `ullage reproduce --only volumes` judges flights that rise and sink, and level ones, over
 five seeds.
 
-python benchmarks/volume_table.py [--missions room,cabin,others] [--flights 0,1,2] [--only WORD] [--keep FOLDER]
+python benchmarks/volume_table.py [--missions room,cabin,others] [--flights 0,1,2] [--only WORD] [--bounces 3]
+    [--plane] [--keep FOLDER]
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ def main() -> None:
     parser.add_argument("--missions", default="room", help="worlds to fly missions through, as room,tank")
     parser.add_argument("--flights", default="0", help="seeds of the flights, as 0,1,2")
     parser.add_argument("--only", default="", help="missions that hold this word")
+    parser.add_argument("--bounces", type=int, default=1, help="of the echoes, 1 to 3")
+    parser.add_argument("--plane", action="store_true", help="a map of the plane that is flown in, not of the volume")
     parser.add_argument("--keep", type=Path, help="folder that keeps simulated frames for the next run")
     options = parser.parse_args()
     scores: flights.Scores = {}
@@ -42,9 +45,9 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for name, mission in missions(options.missions.split(","), options.only):
             scene = world(name)
-            grid = ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5)
+            grid = ul.Grid.covering(scene.bounds, 0.1, dims=2 if options.plane else 3, margin_m=0.5)
             for seed in map(int, options.flights.split(",")):
-                frames = frames_of(name, mission, seed, folder)
+                frames = frames_of(name, mission, seed, folder, options.bounces)
                 heard = {key: f[::10] for key, f in frames.items()} if name in TANKS else frames
                 got = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, heard)
                 row = flights.values_of(got, tuple(COLUMNS))
