@@ -57,7 +57,7 @@ def test_an_arc_is_what_the_integral_over_it_says():
             np.zeros(3), np.eye(3), radius, -1.5, 1.5, 0.0, width, 0, strips=np.array([[angle, half, -1.5, 1.5]])
         )
         view = physical.View(np.array([eye, eye]), np.array([np.eye(3)] * 2), np.zeros((2, 3)))
-        lines = arcs._lines(wall, view)
+        lines = arcs._lines(wall)
         spots = arcs._spots(view, lines)
         mine = arcs._along(lines, spots, wave) * arcs._bulge(lines, spots, wave) * spots.cosine
         mine = (mine / spots.ranges.prod(0) * np.exp(-1j * wave * spots.ranges.sum(0))).sum()
