@@ -6,7 +6,7 @@ import math
 
 from ullage.kernels.bounces import _across, _unit
 from ullage.kernels.loops import core, lean
-from ullage.kernels.pairs import _dot, _onto
+from ullage.kernels.pairs import _dot, _onto, eliminate
 
 
 @lean(nogil=True, error_model="numpy")
@@ -37,7 +37,7 @@ def over_lines(  # type: ignore[no-untyped-def]
                 break
             _frames(corners, i, walls, up, centre, axes, radius, ball, rows)
             size = _second(walls, radius, ball, rows, table)
-            _eliminate(table, size)
+            eliminate(table, size)
             far = _step(corners, i, walls, radius, ball, rows, table)
         _frames(corners, i, walls, up, centre, axes, radius, ball, rows)
         size = _second(walls, radius, ball, rows, table)
@@ -163,37 +163,10 @@ def _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table
                 normals[s, i, k] = rows[3 * s + 2, k]
     for row in range(size):
         steep = max(steep, abs(table[row, 5]))
-    area, row = _eliminate(table, size), 0
+    area, row = eliminate(table, size), 0
     for s in range(many):
         row += 1 if walls[s] else 2
         bends[s, i] = 1 / table[row - 1, 6 + s]
     good = facing > 1e-3 and steep < 1e-5 and area > 0
     spreads[i] = over / (under * math.sqrt(area)) if good else 0.0
     return good
-
-
-@core(nogil=True, error_model="numpy")
-def _eliminate(table, size):  # type: ignore[no-untyped-def]
-    """Solves for columns 5 to 8 of a table (5, 9), in their place; the determinant of so many first rows."""
-    area = 1.0
-    for c in range(size):
-        best = c
-        for row in range(c + 1, size):
-            if abs(table[row, c]) > abs(table[best, c]):
-                best = row
-        if best != c:
-            area = -area
-            for k in range(9):
-                table[c, k], table[best, k] = table[best, k], table[c, k]
-        pivot = table[c, c]
-        area *= pivot
-        if pivot == 0:
-            pivot = 1e-300
-        for k in range(9):
-            table[c, k] /= pivot
-        for row in range(size):
-            if row != c:
-                share = table[row, c]
-                for k in range(9):
-                    table[row, k] -= share * table[c, k]
-    return area

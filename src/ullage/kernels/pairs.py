@@ -33,7 +33,7 @@ def shortest(starts, stops, centres, axes, radii, balls, steps, corners, normals
             if far < 1e-4:  # the next step would be its square
                 break
             _shape(corners, i, centres, axes, radii, balls, rows, table)
-            _solve(table)
+            eliminate(table, len(table))
             far, wide = 0.0, 1e-12
             for side in range(2):  # along drums steps of any length do
                 far += table[2 * side, 4] ** 2 + table[2 * side + 1, 4] ** 2
@@ -53,7 +53,7 @@ def shortest(starts, stops, centres, axes, radii, balls, steps, corners, normals
         steep = max(abs(table[0, 4]), abs(table[1, 4]), abs(table[2, 4]), abs(table[3, 4]))
         there, back = -_dot(rows[12], rows[2]), -_dot(rows[13], rows[6])
         facing = min(there, back, _dot(rows[13], rows[2]), _dot(rows[14], rows[6]))
-        area = _solve(table)
+        area = eliminate(table, len(table))
         bends[i, 0], bends[i, 1] = 1 / table[1, 5], 1 / table[3, 6]
         spreads[i] = 0.0
         if facing > 1e-3 and steep < 1e-5 and area > 0:
@@ -140,27 +140,27 @@ def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignor
 
 
 @core(nogil=True, error_model="numpy")
-def _solve(table):  # type: ignore[no-untyped-def]
-    """Solves for the last three columns (4, 3) of a table (4, 7), in their place; the determinant of the others."""
-    area = 1.0
-    for c in range(4):
+def eliminate(table, size):  # type: ignore[no-untyped-def]
+    """Solves so many first rows and columns of a table for its other columns, in their place; their determinant."""
+    columns, area = table.shape[1], 1.0
+    for c in range(size):
         best = c
-        for row in range(c + 1, 4):
+        for row in range(c + 1, size):
             if abs(table[row, c]) > abs(table[best, c]):
                 best = row
         if best != c:
             area = -area
-            for k in range(7):
+            for k in range(columns):
                 table[c, k], table[best, k] = table[best, k], table[c, k]
         pivot = table[c, c]
         area *= pivot
         if pivot == 0:
             pivot = 1e-300
-        for k in range(7):
+        for k in range(columns):
             table[c, k] /= pivot
-        for row in range(4):
+        for row in range(size):
             if row != c:
                 share = table[row, c]
-                for k in range(7):
+                for k in range(columns):
                     table[row, k] -= share * table[c, k]
     return area
