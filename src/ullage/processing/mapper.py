@@ -20,6 +20,7 @@ from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
+from ullage.processing.mapper_beyond import without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import Fold, is_hidden
@@ -90,6 +91,7 @@ class UllageMapper:
         self._open: deque[Iterator[int]] = deque()
         self._due = HEAR
         self._flown: dict[tuple[int, ...], None] = {}
+        self._ends: dict[tuple[int, ...], None] = {}  # of silence straight ahead
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -256,7 +258,11 @@ class UllageMapper:
         walls = self._tracks.walls
         screens = np.concatenate([walls, self._tracks.screens(walls)])
         yield from self.blocks.insert_in_steps(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
-        if self.grid.dims == 2:
+        if self.grid.dims == 3:
+            ahead = min(self._hush[SECTORS[3][0] // 2, SECTORS[3][1] // 2], arcs[:, 0].min(initial=far))
+            end = heard.position + ahead * heard.axes[:, 0]
+            self._ends[tuple(np.rint(end / self.grid.step_m).astype(int).tolist())] = None
+        else:
             yield CAST
             self._lay_strips(beam, arcs, rims, hit[0], look_share(heard.step_m))
 
@@ -375,6 +381,10 @@ class UllageMapper:
             thin_lines(self.blocks.pools, self.blocks.edge, np.array(corner[::-1]), SOLID, solid, percent)
             without_ends(percent, corner, self.blocks, SOLID)
         flown = np.array(list(self._flown), float).reshape(-1, 3) * self.grid.step_m
+        if self.grid.dims == 3:
+            ends = np.array(list(self._ends), float).reshape(-1, 3) * self.grid.step_m
+            without_behind(percent, corner, self.grid, self._tracks.hollow_pieces)
+            without_beyond(percent, corner, self.grid, ends, flown, max(FLOWN_M, self.grid.step_m))
         without_cut_off(percent, corner, self.grid, flown)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
 
