@@ -278,28 +278,29 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | 
 
 def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
     leaves, owner = triangles(ready, part, view)
-    shade, extra = shading(ready, parts, view, centroids(leaves))
-    return lay_triangles(ready, part.normals, part.stuffs, (leaves, owner), (shade, extra), view, grids)
+    between = shading(ready, parts, view, centroids(leaves))
+    pieces = leaves, owner, np.zeros(len(owner), np.int64)
+    return lay_triangles(part.normals, part.stuffs, pieces, between, common(ready, view, grids))
 
 
 def lay_triangles(
-    ready: Bench,
     normals: Floats,
     stuffs: NDArray[np.int32],
-    pieces: tuple[Floats, NDArray[np.int32]],
+    pieces: tuple[Floats, NDArray[np.int32], NDArray[np.int64]],
     between: tuple[Complexes, Floats],
-    view: View,
-    grids: Complexes,
+    told: tuple[Any, ...],
 ) -> Laid:
-    """Lays pieces of triangles, as `triangles` gives them, with factor and delay [s] of what stands before each."""
-    (leaves, owner), (shade, extra) = pieces, between
-    told = common(ready, view, grids)
+    """Lays pieces of triangles, as `triangles` gives them, and the radar of each (m).
+
+    With factor and delay [s] of what stands before each; what the kernel is `told` of radars (w) is as in `common`.
+    """
+    (leaves, owner, of), (shade, extra) = pieces, between
 
     def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
+        kernel.deposit(leaves, owner, of, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
                        np.empty(3, complex))  # fmt: skip
 
-    return laid_by(put, shade, grids, stuffs[owner], centroids(leaves))
+    return laid_by(put, shade, told[-1], stuffs[owner], lambda: centroids(leaves))
 
 
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:

@@ -339,7 +339,7 @@ def _paths() -> None:
 
 def _ways() -> None:
     """The kernels of ways over flat faces, to no points, wires and facets at all."""
-    from ullage.kernels import ways
+    from ullage.kernels import lit, ways
     from ullage.radar import curves
     from ullage.radar.flats import Rim
     from ullage.radar.multipath import looks
@@ -357,7 +357,7 @@ def _ways() -> None:
                     np.zeros((5, 4, 3)), np.zeros((2, 3), complex))  # fmt: skip
     curves.met(ready, flats, still.flat_backs, led, long, 1.0)
     curves.rims_heard(ready, Rim.none(0), np.zeros(0), 1.0)
-    curves.lit_by(ready, still, led)
+    lit.pair_up(curves.lit_by(ready, still, led), np.zeros(0, np.int32), long, long)
 
 
 def _shapes() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,11 @@ class Ways:
         there = self.faces[:, 0] >= 0
         return replace(laid, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
 
-    def view(self, way: int, view: View) -> View:
-        """The radar as one way's end sees it: its antennas' last images, mirrored."""
-        ends = np.ascontiguousarray(self.images[way, :, 2])
-        return View(ends, self.frames[way], view.fields, view.factor * self.weights[way])
+    def end(self, view: View, told: tuple[Any, ...], of: Longs | None = None) -> tuple[Any, ...]:
+        """What kernels are told, as `common` gives it, with the radar as the ends of all or some (m) ways see it."""
+        some = slice(None) if of is None else of
+        fields = np.repeat(view.fields[None], len(self.weights[some]), 0)
+        return (self.ends[some], self.frames[some], fields, *told[3:5], told[5] * self.weights[some], *told[6:])
 
 
 def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> Ways:
