@@ -38,6 +38,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
     "ways": ("ways", "lit"),
+    "rounds": ("impulses",),
     "pairs": ("pairs",),
     "chains": ("chains",),
     "conductors": ("lines", "fringe", "double_fringe"),
@@ -61,8 +62,8 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "pairs": many,
-             "chains": many}  # fmt: skip
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "rounds": True,
+             "pairs": many, "chains": many}  # fmt: skip
     if scene is not None:
         from ullage.radar.prepared import prepare
 
@@ -73,6 +74,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         led = flats.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
         there["ways"] &= bool(led and (~flats.smooth).any())
         there["pairs"] = many and len(made.rounds) > 1
+        there["rounds"] = there["pairs"] or any(len(wall.strips) for wall in made.rounds)
         there["chains"] = many and any(wall.holds(body) for wall in made.rounds for body in made.rounds)
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
@@ -384,6 +386,7 @@ JOBS: tuple[Job, ...] = (
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 2.6, _paths),
     Job("ways over faces", "ways", 3.3, _ways),
+    Job("echoes of round things", "rounds", 0.7, warmup_rounds.rounds),
     Job("paths over round bodies", "pairs", 1.3, warmup_rounds.pairs),
     Job("paths over a tank's wall", "chains", 2, warmup_rounds.chains),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
