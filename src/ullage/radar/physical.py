@@ -246,7 +246,8 @@ def _lay_round(
     ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
     grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
-    """Adds what goes from wall to wall of a round tank, to round bodies in it, and from one of them to another."""
+    """Adds what goes from wall to wall of a round tank, to round bodies in it, and between these, over flats too."""
+    from ullage.radar.flat_pairs import lay_flat_pairs
     from ullage.radar.round_pairs import lay_pairs
     from ullage.radar.wall_bodies import lay_wall_bodies
     from ullage.radar.wall_bounces import lay_walls
@@ -255,7 +256,7 @@ def _lay_round(
     if len(rounds) > 1:
         out += lay_wall_bodies(ready, parts, rounds, flats, view, most, look, grids)
         out += lay_pairs(ready, parts, rounds, view, grids)
-    return out
+    return out + (lay_flat_pairs(ready, parts, rounds, flats, view, look, grids) if most > 2 else [])
 
 
 def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> list[Laid]:

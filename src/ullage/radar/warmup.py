@@ -39,7 +39,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "shapes": ("facets", "wires"),
     "ways": ("ways", "lit"),
     "rounds": ("impulses",),
-    "pairs": ("pairs",),
+    "pairs": ("pairs", "flat_pairs"),
     "chains": ("chains",),
     "conductors": ("lines", "fringe", "double_fringe"),
 }

@@ -74,7 +74,7 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
     """
     look = look * ~flats.smooth
-    first = np.sort(np.argpartition(look, -FACES - 1)[-FACES - 1 :]) if len(look) > FACES else np.arange(len(look))
+    first = largest(look, FACES)
     taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
     one = bool((view.origins[0] == view.origins[1]).all())
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
@@ -89,6 +89,11 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     held = reach <= ready.gate[1]
     all_ = faces, via, legs, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
     return Ways(*(all_ if held.all() else (row[held] for row in all_)))
+
+
+def largest(look: Floats, count: int) -> Longs:
+    """So many of all (p) that look largest, and the next one, in order."""
+    return np.sort(np.argpartition(look, -count - 1)[-count - 1 :]) if len(look) > count else np.arange(len(look))
 
 
 @lru_cache(maxsize=64)
