@@ -28,11 +28,6 @@ class Real:
     stuffs: NDArray[np.integer]  # (s, n)
     there: Bools  # (n) whether there is such a path
 
-    def take(self, which: NDArray[np.int64]) -> Real:
-        """Some of them."""
-        return Real(self.corners[:, which], self.normals[:, which], self.depths[:, which], self.stuffs[:, which],
-                    self.there[which])  # fmt: skip
-
 
 def free(parts: list[Surfaces], path: Real) -> Bools:
     """Which paths (n) are free, and touch what is there."""
