@@ -38,6 +38,7 @@ from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
 
 KAPPA = 1 / 8
 """Largest squared transverse edge of a piece over wavelength times range."""
@@ -174,10 +175,16 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
     parts = ready.world.parts(poses)
     view = _off(parts, view)
     out: list[Laid] = []
+    done: tuple[Bools | None, Bools | None] = None, None
+    if ready.world.balls:
+        from ullage.radar.ball_echoes import lay_balls
+
+        out, done = lay_balls(ready, parts, view, grids)
     for part in parts:
+        small, large = done if part is parts[0] else (None, None)
         if len(part.corners):
-            out.append(_lay_small(ready, parts, part, view, grids))
-        out += lay_flats(ready, parts, part, view, grids)
+            out.append(_lay_small(ready, parts, part, view, grids, small))
+        out += lay_flats(ready, parts, part, view, grids, large)
     rounds = ready.world.rounds_at(poses)
     if rounds:
         from ullage.radar.arcs import lay_arcs
@@ -276,8 +283,10 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | 
     return [laid_by(put, shade, grids, lines.stuffs[owner], middle)]
 
 
-def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
-    leaves, owner = triangles(ready, part, view)
+def _lay_small(
+    ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes, done: Bools | None
+) -> Laid:
+    leaves, owner = triangles(ready, part, view, done)
     shade, extra = shading(ready, parts, view, centroids(leaves))
     return lay_triangles(ready, part.normals, part.stuffs, (leaves, owner), (shade, extra), view, grids)
 
@@ -321,13 +330,15 @@ def grown(
         size = int(1.2 * count)
 
 
-def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
-    """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
+def triangles(ready: Bench, part: Surfaces, view: View, done: Bools | None = None) -> tuple[Floats, NDArray[np.int32]]:
+    """Triangles within the gate but those `done` (f), small enough for the closed form, and which each came from."""
     opaque = ~ready.sheets.thin[part.stuffs]
     if near(*view.origins):
         dark = part.backs.hidden(view.origins, opaque)
     else:  # a face takes from one place and gives to the other
         dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
+    if done is not None:
+        dark = dark | done
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
         part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
         KAPPA * ready.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
