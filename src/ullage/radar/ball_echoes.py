@@ -33,7 +33,6 @@ LEAST_M = 0.05
 """Nearer to a ball the wave is no ray: its facets are done as they are [m]."""
 _RINGS, _AROUND = 24, 16  # places at which the slow part is known: along the range, and around
 _MOST = 5  # harmonics around
-_APART_RAD = 1.0  # antennas apart are taken for one between them where that changes no phase by more than this
 _NODES, _SHARES = np.polynomial.legendre.leggauss(3)
 
 
@@ -62,16 +61,21 @@ def taken(ready: Bench, view: View) -> list[Part]:
     wavelength = ready.spec.wavelength_m
     most, out = np.sqrt(wavelength * ready.gate[1] / 2), []
     middle = view.origins.mean(0)
-    apart = float(((view.origins[1] - view.origins[0]) ** 2).sum()) / 4 * 2 * np.pi / wavelength
+    apart = apart_rad(ready, view)
     for ball in ready.world.balls:
         coarse = wavelength / 2 < ball.widest < most  # others are no grating, or mirrors of their own
         if coarse and (ready.lag[ball.stuff, 1:, 0] < 0).all() and not ready.sheets.thin[ball.stuff]:
             parts = _parts(ball, middle)
             near = min(part.low for part in parts)
             clear = parts[0].inner or parts[0].away > ball.radius or not ball.holds(parts[0].axes[0] * ball.radius)
-            if clear and near > max(LEAST_M, apart / _APART_RAD):
+            if clear and near > max(LEAST_M, apart):
                 out += [part for part in parts if part.low < ready.gate[1]]
     return out
+
+
+def apart_rad(ready: Bench, view: View) -> float:
+    """By so much, over the range [m], a path's phase changes at most if the antennas are one between them [rad]."""
+    return float(((view.origins[1] - view.origins[0]) ** 2).sum()) / 4 * 2 * np.pi / ready.spec.wavelength_m
 
 
 def _parts(ball: Ball, origin: Floats) -> list[Part]:
@@ -116,7 +120,7 @@ def lay_balls(
     Returns:
         What was laid; which small triangles (f) and which flat faces (p) of what stands still are done so.
     """
-    balls = taken(ready, view)
+    balls = taken(ready, view) if ready.world.balls else []
     if not balls:
         return [], (None, None)
     laid = [told for part in balls if (told := _laid(ready, parts, part, view, grids)) is not None]

@@ -170,16 +170,12 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 
 def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
+    from ullage.radar.ball_echoes import lay_balls
     from ullage.radar.flats import lay_flats
 
     parts = ready.world.parts(poses)
     view = _off(parts, view)
-    out: list[Laid] = []
-    done: tuple[Bools | None, Bools | None] = None, None
-    if ready.world.balls:
-        from ullage.radar.ball_echoes import lay_balls
-
-        out, done = lay_balls(ready, parts, view, grids)
+    out, done = lay_balls(ready, parts, view, grids)
     for part in parts:
         small, large = done if part is parts[0] else (None, None)
         if len(part.corners):
@@ -253,12 +249,14 @@ def _lay_round(
     ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
     grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
-    """Adds what goes from wall to wall of a round tank, to round bodies in it, and from one of them to another."""
+    """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, and from one of them to another."""
+    from ullage.radar.ball_bounces import lay_inside
     from ullage.radar.round_pairs import lay_pairs
     from ullage.radar.wall_bodies import lay_wall_bodies
     from ullage.radar.wall_bounces import lay_walls
 
     out = lay_walls(ready, parts, rounds, flats, view, most, look, grids)
+    out += lay_inside(ready, parts, view, most, grids)
     if len(rounds) > 1:
         out += lay_wall_bodies(ready, parts, rounds, flats, view, most, look, grids)
         out += lay_pairs(ready, parts, rounds, view, grids)
