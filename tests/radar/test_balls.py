@@ -96,6 +96,33 @@ def test_which_surfaces_are_balls():
     assert of(ball[0], torn) == []
 
 
+def vessel(radius: float, crown: float, knuckle: float, around: int = 64) -> tuple[np.ndarray, np.ndarray]:
+    """A cylinder 2 m long, closed at both ends by part of a large ball that goes over into it by part of a torus."""
+    lean = np.arcsin((radius - knuckle) / (crown - knuckle))
+    one, other = np.linspace(0, lean, 14), np.linspace(lean, np.pi / 2, 5)[1:]
+    sunk = np.sqrt((crown - knuckle) ** 2 - (radius - knuckle) ** 2)
+    middle = np.stack([crown * np.sin(one), crown * np.cos(one) - sunk + 1], 1)
+    bend = np.stack([radius - knuckle + knuckle * np.sin(other), knuckle * np.cos(other) + 1], 1)
+    head = np.concatenate([middle, bend])
+    profile = np.concatenate([head, head[::-1] * [1, -1]])
+    turn = np.arange(around) * 2 * np.pi / around
+    rings = profile[:, :1] * np.stack([np.cos(turn), np.sin(turn)], -1)[:, None]
+    points = np.concatenate([rings.swapaxes(0, 1), np.broadcast_to(profile[:, 1:, None], (len(profile), around, 1))], 2)
+    k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(around), indexing="ij")
+    a, b = k * around + j, k * around + (j + 1) % around
+    faces = np.concatenate([np.stack([a, a + around, b], -1), np.stack([b, a + around, b + around], -1)])
+    return points.reshape(-1, 3), faces.reshape(-1, 3)
+
+
+def test_the_crowns_of_dished_heads_are_found_and_the_wall_between_them():
+    world = prepare(Scene.of_mesh(*vessel(1.5, 3.0, 0.3), name="vessel", made_of="pec"))
+    rim = 3.0 * np.cos(np.arcsin(1.2 / 2.7))
+    assert [ball.radius for ball in world.balls] == pytest.approx([3.0, 3.0])
+    assert [ball.caps[0, 3] for ball in world.balls] == pytest.approx([-rim, -rim])
+    (wall,) = world.rounds
+    assert (wall.radius, wall.high - wall.low) == pytest.approx((1.5, 2.0))
+
+
 def test_all_facets_of_a_ball_are_done_and_no_others():
     capsule = Scene.of_mesh(*shapes.capsule(0.7, 1.5, segment_m=0.1), name="tank", made_of="pec")
     world = prepare(capsule)

@@ -25,6 +25,10 @@ Bools = NDArray[np.bool_]
 _FEWEST = 16  # triangles
 _DEEP = 0.05  # by more than this share of their radius facets do not lie within a ball
 _WHOLE = 0.01  # facets must fill all that the rims leave of the ball, to this share of it
+_SEEDS = 12  # facets of a surface from which domes are grown
+_PATCH = 2.0  # of a facet's longest side lie the middles of those from which one is begun
+_TRUE_M = 5e-4  # so far corners of a dome that is grown lie off it at the most [m]
+_WIDE_M = 1.0  # smaller surfaces are no vessels, and are not searched for domes
 _INNER = 4  # corners off rims
 _LEAST_SHARE = 0.02  # of a whole ball: less tells no radius
 
@@ -49,11 +53,16 @@ class Ball:
 
 def balls_of(shells: Sequence[Shell], still: Surfaces) -> tuple[Ball, ...]:
     """The balls and domes among smooth surfaces that stand still, and which faces each is made of."""
-    found: list[Ball | None] = []
+    found: list[Ball] = []
     for shell in shells:
         whole = _fitted(shell)
-        found += [whole] if whole is not None else [_fitted(part) for part in _leftovers(shell)]
-    return tuple(_claimed(ball, still) for ball in found if ball is not None)
+        if whole is not None:
+            found.append(whole)
+        if whole is not None or np.linalg.norm(np.ptp(shell.corners.reshape(-1, 3), axis=0)) < _WIDE_M:
+            continue
+        closing = [ball for part in _leftovers(shell) if (ball := _fitted(part)) is not None]
+        found += closing or _crowns(shell)
+    return tuple(_claimed(ball, still) for ball in found)
 
 
 def _leftovers(shell: Shell) -> list[Shell]:
@@ -65,16 +74,42 @@ def _leftovers(shell: Shell) -> list[Shell]:
     return [rest_of.take(mine) for mine in linked(rest_of) if len(mine) >= _FEWEST]
 
 
-def _fitted(shell: Shell) -> Ball | None:
-    """The ball or dome that a surface is, if it is one."""
-    points = shell.corners.reshape(-1, 3)
+def _crowns(shell: Shell) -> list[Ball]:
+    """Domes that go over into something else as smoothly as into themselves, grown from some of the facets."""
+    middles, sides = shell.corners.mean(1), np.linalg.norm(shell.corners - shell.corners[:, [1, 2, 0]], axis=2)
+    found, open_ = [], np.ones(len(middles), bool)
+    for seed in np.linspace(0, len(middles) - 1, _SEEDS).astype(np.int64):
+        mine = np.flatnonzero(np.linalg.norm(middles - middles[seed], axis=1) < _PATCH * sides[seed].max())
+        for _ in range(2):  # what the first few tell, and what all of those tell
+            centre, radius, off = _sphere(shell.corners[mine].reshape(-1, 3))
+            if not open_[seed] or off > _TRUE_M:
+                break
+            on = (abs(np.linalg.norm(shell.corners - centre, axis=2) - radius) < _TRUE_M).all(1) & open_
+            mine = np.flatnonzero(on)
+            if len(mine) < _FEWEST or not on[seed]:
+                break
+            mine = next((mine[part] for part in linked(shell.take(mine)) if seed in mine[part]), mine[:0])
+        else:
+            open_[mine] = False
+            ball = _fitted(shell.take(mine)) if len(mine) >= _FEWEST else None
+            found += [ball] if ball is not None else []
+    return found
+
+
+def _sphere(points: Floats) -> tuple[Floats, float, float]:
+    """Centre and radius of the sphere through points (n, 3), and how far they lie off it at the most [m]."""
     middle = points.mean(0)
     told = np.column_stack([2 * (points - middle), np.ones(len(points))])
     (x, y, z, _), *_, rank, _ = np.linalg.lstsq(told, ((points - middle) ** 2).sum(1), rcond=1e-9)
     centre = middle + np.array([x, y, z])
     away = np.linalg.norm(points - centre, axis=1)
-    radius = float(away.mean())
-    if rank < 4 or np.ptp(away) > 2 * OFF_M or radius < LEAST_M:
+    return centre, float(away.mean()), float(np.ptp(away)) if rank == 4 else np.inf
+
+
+def _fitted(shell: Shell) -> Ball | None:
+    """The ball or dome that a surface is, if it is one."""
+    centre, radius, off = _sphere(shell.corners.reshape(-1, 3))
+    if off > 2 * OFF_M or radius < LEAST_M:
         return None
     local = shell.corners - centre
     sides = np.linalg.norm(np.roll(local, 1, 1) - local, axis=2)

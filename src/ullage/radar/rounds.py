@@ -152,8 +152,11 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
 def _leveled(normals: Floats, area: Floats) -> tuple[NDArray[np.bool_], Floats, bool]:
     """Which facets (n) lie along an axis; columns (3, 3), the axis first; whether the search for it has settled."""
     kept = np.ones(len(area), bool)
-    for _ in range(4):
+    for search in range(4):
         _, turn = np.linalg.eigh(np.einsum("n,ni,nj->ij", area[kept], normals[kept], normals[kept]))
+        if search == 0:  # of a vessel with flat heads the axis is not what fewest facets look along
+            walls = area @ (abs(normals @ turn) < _LEVEL)
+            turn = np.roll(turn, -int(walls.argmax()), axis=1)
         level = abs(normals @ turn[:, 0]) < _LEVEL
         if (level == kept).all() or not level.any():
             break
