@@ -145,7 +145,10 @@ def test_what_stands_before_a_ball_hides_it():
 def test_echoes_of_a_ball_add_up_to_the_frame():
     scene = ul.scenes.sphere(1.0, 0.0, edge_m=0.15)
     path = ul.Trajectory.stationary((0.3, 0.1, 0.0), n=1)
-    frames = ul.simulate(scene, path, SPEC.but(noise=None))
+    frames = ul.simulate(scene, path, EVEN.but(noise=None))
     told = explain(frames, 0, count=None)
     total = sum(echo.samples for echo in told)
     assert abs(total - frames.samples[0]).max() < 1e-3 * abs(frames.samples[0]).max()
+    near, far = 1 - np.hypot(0.3, 0.1), 1 + np.hypot(0.3, 0.1)
+    loud = [echo.range_m for echo in told if echo.path_gain_db > told[0].path_gain_db - 25]
+    assert sorted(loud) == pytest.approx([near, far], abs=0.02)

@@ -146,13 +146,17 @@ def _laid(ready: Bench, parts: list[Surfaces], part: Part, view: View, grids: Co
     delay = 2 * ranges / C0 + np.interp(ranges, rings, late)
     value = 1j / (4 * np.pi) * view.factor * weights * ball.radius / part.away * ranges * mean
     echo = deposit(ready, delay, value, grids, (1.0, 0.0))
-    led = np.minimum(np.searchsorted(0.5 * (rings[1:] + rings[:-1]), ranges), len(rings) - 1)
+    at = np.clip(np.searchsorted(rings, ranges) - 1, 0, len(rings) - 2)
+    up = (ranges - rings[at]) / np.maximum(rings[at + 1] - rings[at], 1e-12)
+    up = up * up * (3 - 2 * up)  # rings fade into each other, or each would have echoes of its own ends
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, delay, value * factors[led], others, (1.0, 0.0))
+        deposit(ready, delay, value * (factors[at] * (1 - up) + factors[at + 1] * up), others, (1.0, 0.0))
 
+    total = np.zeros(len(rings), complex)
+    np.add.at(total, at, echo * (1 - up))
+    np.add.at(total, at + 1, echo * up)
     best = (size * np.where(held, 1.0, 1e-9)).argmax(1)
-    total = np.bincount(led, echo.real, len(rings)) + 1j * np.bincount(led, echo.imag, len(rings))
     places = ball.centre + points[np.arange(len(rings)), best]
     return Laid(np.full(len(rings), ball.stuff, np.int32), places, total, 2 * rings / C0 + late, again)
 
