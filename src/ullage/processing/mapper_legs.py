@@ -109,7 +109,7 @@ class Legs:
         self._bowed[at] = row if bow is None else bowed_row(row, bow)
         self._added += 1
         held = self._held
-        open_ = self._around(at, AROUND_M) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
+        open_ = self._around(at, AROUND_M, bent=True) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
         self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         if not known:
             self._waiting[at] = None
@@ -139,15 +139,19 @@ class Legs:
         while self._waiting:
             yield from self.tell(len(self._waiting))
 
-    def _around(self, at: int, most_m: float, *, own: bool = False) -> NDArray[np.bool_]:
+    def _around(self, at: int, most_m: float, *, own: bool = False, bent: bool = False) -> NDArray[np.bool_]:
         """Which stretches may hear the surface that one hears: near, of other legs, and not on one line with it.
 
+        No distance to a surface changes by more than the way between two places. Where it is `bent`, places across the
+        line on which its normals meet hear it R - d and R + d' away, and d + d' is no less than the way between them.
         With `own`, those of its own leg and line as well.
         """
         held, me = self._held, self._rows[at]
         gap = held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]
         squared = np.einsum("ij,ij->i", gap, gap)
-        near = (squared < most_m**2) & ((held[:, RANGE] - me[RANGE]) ** 2 < squared + SLACK_M)
+        near = squared < most_m**2
+        if not bent:
+            near &= (held[:, RANGE] - me[RANGE]) ** 2 < squared + SLACK_M
         if own:
             return np.asarray(near)
         along = gap @ me[TRACK : TRACK + 3]
@@ -194,7 +198,7 @@ class Legs:
         known = self._hollows.known(self._rows[at], self._kept[at][0], behind)
         if known is not None:
             return known
-        bow, mask = self._bows[at], self._around(at, AROUND_M)
+        bow, mask = self._bows[at], self._around(at, AROUND_M, bent=True)
         mask &= self._bowed[: len(mask), BEND_DOUBT] > 0
         told = (
             None
