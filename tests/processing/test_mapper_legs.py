@@ -281,6 +281,17 @@ def test_what_is_heard_from_where_floor_and_wall_meet_is_no_wall_behind_it(wall_
     assert found == [False, False, wall_m == 1.6]
 
 
+def test_a_floor_is_not_the_wall_of_its_own_corner():
+    """On a level leg 1.1 m over a floor a wall at 1.1 m times the root of two is as a corner of two such floors."""
+    path, legs, found = leg((-0.3, 0, 0), (0.3, 0, 0)), Legs(), []
+    for reach, way in ((1.1, np.array([0.0, 0.0, -1.0])), (1.1 * np.sqrt(2), None)):
+        echoes = [Traced(j, at, np.array([1.0, 0, 0]), reach, 0.0, 1e-3, 0.02, 0.9, ABEAM, way=way)
+                  for j, at in enumerate(path)]  # fmt: skip
+        legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
+        found.append(legs._in_corner(len(found)))
+    assert found == [False, False]
+
+
 @pytest.mark.parametrize(("turns_deg", "known"), [((0, 30, 60), True), ((0, 60), False)])
 def test_a_bent_wall_is_known_on_round_from_where_it_was_last_known(turns_deg, known):
 

@@ -252,6 +252,7 @@ class Legs:
             & (held[:, AHEAD : AHEAD + 3] @ me[AHEAD : AHEAD + 3] > LEG_TURN)
         )
         there &= np.linalg.norm(held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3], axis=1) < STRETCH_M
+        there &= abs(held[:, NORMAL + 2]) < LEVEL  # the floor itself is no wall, though it may be as far off as one
         its = held[there, COSINE] * np.sign(turn[there])
         miss = abs(held[there, RANGE] + along[there] * (its + fall) / 2 - wall)
         return bool(
