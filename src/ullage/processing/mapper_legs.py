@@ -100,7 +100,8 @@ class Legs:
             self._leg, self._line = self._leg + 1, row
         row[LEG], row[AHEAD : AHEAD + 3], row[WIDE] = self._leg, ahead, least
         known = [e.way for e in echoes if e.way is not None]
-        if 2 * len(known) > len(echoes):
+        told = 2 * len(known) > len(echoes)
+        if told:
             row[NORMAL : NORMAL + 3] = known[-1]
         at = self._added % MOST_STRETCHES
         self._waiting.pop(at, None)
@@ -111,7 +112,7 @@ class Legs:
         held = self._held
         open_ = self._around(at, AROUND_M, bent=True) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
         self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
-        if not known:
+        if not told:
             self._waiting[at] = None
 
     def tell(self, most: int) -> Iterator[Told]:
