@@ -84,11 +84,25 @@ def cases() -> Iterator[tuple[str, Scene, Trajectory, int]]:
         yield f"22 x 16 m with wires, {seed}", *wired(seed), seed
 
 
-def row(scene: Scene, path: Trajectory, frames: dict[str, Frames]) -> str:
+def rising(path: Trajectory) -> Trajectory:
+    """The same way, rising and sinking by 0.9 m every 2.4 m."""
+    place = path.position.copy()
+    place[:, 2] += 0.45 * np.sin(2 * np.pi / 2.4 * SPEED_M_S / RATE_HZ * np.arange(len(place)))
+    return Trajectory(path.t_ns, place, path.quat_xyzw)
+
+
+def volumes() -> Iterator[tuple[str, Scene, Trajectory, int]]:
+    hall = pillars(ul.scenes.room((25.0, 12.0, 5.0)), [(-6, -2), (0, 2.5), (6, -2)], 0.25)
+    yield "25 x 12 m, volume", hall, rising(round_trip([(-10, -4), (10, -4), (10, 4), (-10, 4), (-10, -3.5)])), 0
+    hall = pillars(ul.scenes.room((22.0, 16.0, 4.0)), [(-5, -3), (5, 3)], 0.3)
+    yield "22 x 16 m, volume", hall, rising(round_trip([(-8, -5), (8, -5), (8, 5), (-8, 5), (-8, -4.5)])), 0
+
+
+def row(scene: Scene, path: Trajectory, frames: dict[str, Frames], dims: int) -> str:
     box = np.stack(
         [np.minimum(scene.bounds[0], path.position.min(0)), np.maximum(scene.bounds[1], path.position.max(0))]
     )
-    omap = ul.map_occupancy(frames, ul.Grid.covering(box, 0.1, margin_m=1.0))
+    omap = ul.map_occupancy(frames, ul.Grid.covering(box, 0.1, dims=dims, margin_m=1.0))
     got = {name: metric.value for name, metric in ul.metrics.map_quality(omap, scene, frames).items()}
     found = [value for name, value in got.items() if name.startswith("found:thing")]
     things = f"{sum(found):.0f} of {len(found)}" if found else ""
@@ -99,14 +113,15 @@ def row(scene: Scene, path: Trajectory, frames: dict[str, Frames]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--only", default="", help="halls whose name holds this word")
+    parser.add_argument("--volume", action="store_true", help="halls in three dimensions")
     options = parser.parse_args()
     print(
         "| hall | F1 | precision | recall | surface free | false cells | things found |\n|---|---|---|---|---|---|---|"
     )
-    for name, scene, path, seed in cases():
+    for name, scene, path, seed in volumes() if options.volume else cases():
         if options.only in name:
             frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=seed)
-            print(f"| {name} |", row(scene, path, frames), flush=True)
+            print(f"| {name} |", row(scene, path, frames, 3 if options.volume else 2), flush=True)
 
 
 if __name__ == "__main__":

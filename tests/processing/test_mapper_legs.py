@@ -10,7 +10,7 @@ import pytest
 from ullage.kernels.rolls import AHEAD, LEG, WIDE
 from ullage.processing import mapper_legs
 from ullage.processing.mapper_bows import Hollow, bow_of
-from ullage.processing.mapper_hollows import Hollows
+from ullage.processing.mapper_hollows import Hollows, _by_place, _share_heard
 from ullage.processing.mapper_legs import Legs, bends_of, bowed_row, stretch_of
 from ullage.processing.mapper_rings import weigh
 from ullage.processing.mapper_tracks import Traced
@@ -146,6 +146,17 @@ def test_two_rounds_of_straight_climbing_legs_tell_a_tanks_wall_before_and_past_
     assert right.min() > np.cos(np.radians(8))
 
 
+def test_a_tanks_wall_is_asked_for_across_its_focus_too():
+    """R + d' and R - d differ by d + d': by more than the way between places that do not face each other."""
+    rng, legs = np.random.default_rng(13), Legs()
+    asked: list[bool] = []
+    legs._hollows.tell = lambda bow, me, others, *_: asked.append(len(others) > 0)
+    fly_in_tank(legs, leg((-0.4, -1.2, -0.1), (0.4, -1.2, 0.1)), 1.0, rng)
+    way, track = np.array([np.sin(0.4), np.cos(0.4), 0]), np.array([np.cos(0.4), -np.sin(0.4), 0.2])
+    fly_in_tank(legs, leg(1.2 * way - 0.4 * track, 1.2 * way + 0.4 * track), -1.0, rng)
+    assert asked == [True, True], "of what the other hears"
+
+
 def test_one_straight_climb_leaves_a_tanks_wall_open():
     rng, legs = np.random.default_rng(12), Legs()
     assert not fly_in_tank(legs, leg((-1.2, -1.2, -0.4), (1.2, -1.2, 0.4)), 1.0, rng)
@@ -159,31 +170,38 @@ def test_one_place_of_another_leg_is_not_enough_for_a_tanks_wall():
     assert not list(legs.tell_all())
 
 
+def tank_stretch(at, way, number: int, more_m: float = 0.0) -> np.ndarray:
+    """A level stretch (22) that hears the wall of a round tank of 3.2 m in some way, or what is so much farther off."""
+    at = np.asarray(at) + np.linspace(-0.6, 0.6, 25)[:, None] * [1.0, 0, 0]
+    reach = 3.2 + more_m - np.sign(way[1] * at[12, 1]) * np.hypot(at[:, 0], at[:, 1])
+    echoes = [Traced(j, at[j], np.array([1.0, 0, 0]), reach[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)]
+    row = stretch_of(echoes[8:17])
+    row[LEG], row[AHEAD : AHEAD + 3], row[WIDE] = number, way, LEAST
+    return bowed_row(row, bow_of(echoes))
+
+
 def test_a_tanks_wall_is_borne_out_from_its_side_and_from_across_but_not_by_the_other_side():
-    def stretch(at, way, reach: float, number: int) -> np.ndarray:
-        at = straight(at)
-        away = np.hypot(at[:, 0], at[:, 1])
-        side = np.sign(way[1] * at[12, 1])
-        echoes = [
-            Traced(j, at[j], np.array([1.0, 0, 0]), 3.2 - side * away[j], 0.0, 1e-3, 0.02, 0.9) for j in range(25)
-        ]
-        assert echoes[12].range_m == pytest.approx(reach)
-        row = stretch_of(echoes[8:17])
-        row[LEG], row[AHEAD : AHEAD + 3], row[WIDE] = number, way, LEAST
-        return bowed_row(row, bow_of(echoes))
-
-    def straight(at) -> np.ndarray:
-        return np.asarray(at) + np.linspace(-0.6, 0.6, 25)[:, None] * [1.0, 0, 0]
-
     out = np.array([0.0, 1.0, 0.0])
-    me = stretch((0, 1.2, 0), out, 2.0, 0)
+    me = tank_stretch((0, 1.2, 0), out, 0)
     line = np.array([[0, 0, 1.0]]), np.array([-1.2]), np.array([0.02])
     for other, borne in (
-        (stretch((0.4, 1.0, 0.8), out, 3.2 - np.hypot(0.4, 1.0), 1), 1),
-        (stretch((0.3, -1.1, -0.4), out, 3.2 + np.hypot(0.3, 1.1), 1), 1),
-        (stretch((0.3, -1.1, -0.4), -out, 3.2 - np.hypot(0.3, 1.1), 1), 0),
+        (tank_stretch((0.4, 1.0, 0.8), out, 1), 1),
+        (tank_stretch((0.3, -1.1, -0.4), out, 1), 1),
+        (tank_stretch((0.3, -1.1, -0.4), -out, 1), 0),
     ):
         assert weigh(me, other[None], out[None], *line)[1][0] == pytest.approx(borne, abs=0.1)
+
+
+@pytest.mark.parametrize(("far_x", "share"), [(0.3, 1.0), (-0.5, 0.25)])
+def test_a_place_hears_a_wall_though_what_else_is_heard_there_has_its_middle_elsewhere(far_x, share):
+    """What comes by way of other walls makes places of its own, here three; they are silent only where the leg is."""
+    out = np.array([0.0, 1.0, 0.0])
+    me, wall = tank_stretch((0, 1.2, 0), out, 0), Hollow(np.zeros(3), np.array([0.0, 0, 1]), 3.2)
+    beside = [tank_stretch((far_x, y, 0.8 + z), out, 1, 3.0) for y, z in ((1.25, 0.0), (1.0, 0.45), (1.25, 0.45))]
+    places = _by_place(np.array([tank_stretch((0.1, 1.1, 0.8), out, 1), *beside]))
+    heard = _share_heard(me, wall, out, places, 0.02)
+    assert len(np.unique(places[:, LEG])) > 2
+    assert heard == pytest.approx(share, abs=0.1)
 
 
 def test_an_upright_edge_makes_no_wall():
@@ -228,6 +246,16 @@ def test_what_scatters_or_is_not_believed_is_no_stretch():
         assert stretch_of([Traced(j, at[j], at[1], reach[j], 0, 1e-3, 0.02, trust) for j in range(len(at))]) is None
 
 
+@pytest.mark.parametrize(("known", "waits"), [(0, True), (6, True), (7, False)])
+def test_a_stretch_of_which_less_than_half_is_known_waits_to_be_told(known, waits):
+    path, legs = leg((-0.31, 0, 0), (0.31, 0, 0)), Legs()
+    echoes = [Traced(j, at, np.array([1.0, 0, 0]), 2.0, 0.0, 1e-3, 0.02, 0.9, way=ABEAM if j < known else None)
+              for j, at in enumerate(path)]  # fmt: skip
+    assert len(echoes) == 12
+    legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
+    assert bool(legs._waiting) == waits
+
+
 def test_only_so_much_is_kept(monkeypatch):
     monkeypatch.setattr(mapper_legs, "MOST_STRETCHES", 17)
     rng, legs, told = np.random.default_rng(8), Legs(), []
@@ -268,6 +296,17 @@ def test_what_is_heard_from_where_floor_and_wall_meet_is_no_wall_behind_it(wall_
         legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
         found.append(legs._in_corner(len(found)))
     assert found == [False, False, wall_m == 1.6]
+
+
+def test_a_floor_is_not_the_wall_of_its_own_corner():
+    """On a level leg 1.1 m over a floor a wall at 1.1 m times the root of two is as a corner of two such floors."""
+    path, legs, found = leg((-0.3, 0, 0), (0.3, 0, 0)), Legs(), []
+    for reach, way in ((1.1, np.array([0.0, 0.0, -1.0])), (1.1 * np.sqrt(2), None)):
+        echoes = [Traced(j, at, np.array([1.0, 0, 0]), reach, 0.0, 1e-3, 0.02, 0.9, ABEAM, way=way)
+                  for j, at in enumerate(path)]  # fmt: skip
+        legs.add(echoes, echoes, ABEAM, LEAST, 2.0)
+        found.append(legs._in_corner(len(found)))
+    assert found == [False, False]
 
 
 @pytest.mark.parametrize(("turns_deg", "known"), [((0, 30, 60), True), ((0, 60), False)])

@@ -11,7 +11,7 @@ from ullage.experiments.validate import radar, walls_heard
 from ullage.radar import wall_bounces
 from ullage.radar.multipath import looks
 from ullage.radar.physical import bench, prepare, view_of
-from ullage.radar.rounds import rounds_of
+from ullage.radar.rounds import rounds_of, shells_of
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -158,7 +158,7 @@ def test_outside_of_a_drum_and_in_a_room_there_is_none():
 
 def test_which_surfaces_are_round_walls():
     def found(scene):
-        return rounds_of(scene, np.ones(len(scene.faces), bool))
+        return rounds_of(shells_of(scene, np.ones(len(scene.faces), bool)))
 
     lying = scenes.cylinder(1.3, 3.0, 0.5, tilt_deg=70, edge_m=0.1)
     (one,) = found(lying)

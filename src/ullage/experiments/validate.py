@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from ullage.data import Trajectory
 from ullage.experiments import oracles
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
+from ullage.radar.ball_bounces import fan_weights
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
 from ullage.radar.physical import bench, echoes, lay, path_gain_cw, view_of
 from ullage.radar.wall_bodies import lay_wall_bodies
+from ullage.radar.wall_bounces import fan_of
 from ullage.specs import AntennaSpec, RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -183,6 +185,25 @@ def tanks() -> Iterator[Row]:
         yield Row(f"tank and drum in it, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
 
 
+def balls() -> Iterator[Row]:
+    """The inside of a ball, at 4 GHz: its wall, and rays from wall to wall, against dense integrals over the wall."""
+    ball, spec = scenes.sphere(1.0, 0.0, "pec", edge_m=0.15), radar().but(center_hz=4e9)
+    seen = path_gain_cw(ball, Trajectory.stationary((0.0, 0.37, 0.0)), spec)[0]
+    yield Row(
+        "ball of 1 m from inside, 0.37 m off its middle", db(oracles.dense_ball(1.0, 0.37, 4e9, 1)), db(seen), 0.1
+    )
+    for away, bounces in ((0.1, 2), (0.37, 2), (0.85, 3)):
+        want, found = oracles.dense_ball(1.0, away, 4e9, bounces), ball_heard(away, 4e9, bounces)
+        yield Row(f"ball, {bounces} bounces wall to wall, {away:g} m off its middle", db(want), db(found), 0.5)
+
+
+def ball_heard(away_m: float, frequency_hz: float, bounces: int) -> complex:
+    """Path gain from wall to wall of a ball of 1 m by rays, where reflections are 1."""
+    place, k = np.array([away_m, 0.0]), oracles.wave_number(frequency_hz)
+    fan = fan_of(1.0, place, place, bounces, k)
+    return complex(2 * (fan_weights(fan) * np.exp(-1j * k * fan.along[-1])).sum())
+
+
 def walls_heard(
     scene: Scene, radius_m: float, height_m: float, place: tuple[float, float, float], bounces: int
 ) -> tuple[Complexes, Complexes]:
@@ -279,7 +300,7 @@ def _carried(scene: Scene, rpy_rad: Floats, shift_m: Floats) -> tuple[Scene, Tra
 
 
 ORACLES: tuple[Callable[[], Iterator[Row]], ...] = (
-    point_targets, plates, edges, spheres, wires, corners, tanks, rooms, laws,
+    point_targets, plates, edges, spheres, wires, corners, tanks, balls, rooms, laws,
 )  # fmt: skip
 
 

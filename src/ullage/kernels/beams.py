@@ -213,3 +213,60 @@ def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
     gap += height(gap, gap)
     for k in range(3):
         out[k] = point[k] - gap * normal[k]
+
+
+@lean(nogil=True, error_model="numpy")
+def looks(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-untyped-def]
+    """How large faces look from the place nearest to each, less what they lack of a Fresnel zone; 0 beyond the gate.
+
+    Args:
+        spheres: (p, 4) centre and radius, and widths: (p, 2) of the faces [m].
+        origins: (k, 3) the places [m].
+        gate, wavelength: [m].
+        out: (p) gets radius over range.
+    """
+    for i in range(len(out)):
+        out[i] = 0.0
+        for s in range(len(origins)):
+            square = 0.0
+            for k in range(3):
+                square += (spheres[i, k] - origins[s, k]) ** 2
+            gap = math.sqrt(square) + 1e-3
+            if gap - spheres[i, 3] <= gate:
+                zone = math.sqrt(0.5 * wavelength * gap)
+                look = spheres[i, 3] / gap * min(widths[i, 0] / zone, 1.0) * min(widths[i, 1] / zone, 1.0)
+                out[i] = max(out[i], look)
+
+
+@lean(nogil=True, error_model="numpy")
+def largest(look, fade, most, which, weights):  # type: ignore[no-untyped-def]
+    """Those that look largest, fewer than `most` has places, and what each of all counts.
+
+    Args:
+        look: (n) how large each looks.
+        fade: they fade in over this share of the size at which they are taken.
+        most: (count + 1) scratch.
+        which: (n) gets those that are larger than the largest one left out.
+        weights: (n) gets what each counts, 0 for those left out.
+
+    Returns:
+        How many they are.
+    """
+    last = len(most) - 1
+    for k in range(last + 1):
+        most[k] = 0.0
+    for i in range(len(look)):
+        if look[i] > most[last]:
+            k = last
+            while k > 0 and most[k - 1] < look[i]:
+                most[k] = most[k - 1]
+                k -= 1
+            most[k] = look[i]
+    least, count = most[last] if len(look) > last else 0.0, 0
+    for i in range(len(look)):
+        weights[i] = 0.0
+        if look[i] > least:
+            weights[i] = min((look[i] / max(least, 1e-12) - 1) / fade, 1.0)
+            which[count] = i
+            count += 1
+    return count

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ullage.kernels.loops import core, lean
+from ullage.kernels.vectors import field_across, mirrored, unit_to
 
 
 @lean(nogil=True, error_model="numpy")
@@ -165,27 +166,7 @@ def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignor
 
 
 @core(nogil=True, error_model="numpy")
-def _unit(a, b, out):  # type: ignore[no-untyped-def]
-    size = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    for k in range(3):
-        out[k] = (b[k] - a[k]) / max(size, 1e-12)
-    return size
-
-
-@core(nogil=True, error_model="numpy")
-def _across(field, unit, out):  # type: ignore[no-untyped-def]
-    """The unit field across the direction of travel."""
-    along = field[0] * unit[0] + field[1] * unit[1] + field[2] * unit[2]
-    square = 0.0
-    for k in range(3):
-        out[k] = field[k] - along * unit[k]
-        square += out[k] * out[k]
-    for k in range(3):
-        out[k] /= max(math.sqrt(square), 1e-9)
-
-
-@core(nogil=True, error_model="numpy")
-def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
+def reflect_field(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
     """Turns the field (3) into that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
     place = min(cosine, 1.0) * (gamma.shape[3] - 1)
@@ -201,13 +182,6 @@ def _reflect(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
     twice = 2 * (n[0] * field[0] + n[1] * field[1] + n[2] * field[2])
     for k in range(3):
         field[k] -= twice * n[k]
-
-
-@core(nogil=True, error_model="numpy")
-def _mirrored(n, vector):  # type: ignore[no-untyped-def]
-    twice = 2 * (n[0] * vector[0] + n[1] * vector[1] + n[2] * vector[2])
-    for k in range(3):
-        vector[k] -= twice * n[k]
 
 
 @lean(nogil=True, error_model="numpy")
@@ -239,21 +213,21 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
             if chains[i, step] >= 0:
                 n = normals[chains[i, step]]
                 for row in range(3):
-                    _mirrored(n, frames_out[i, 0, row])
-                _mirrored(n, fields_out[i, 0])
+                    mirrored(n, frames_out[i, 0, row])
+                mirrored(n, fields_out[i, 0])
         double = chains[i, 1] >= 0
-        if _unit(paths[i, 0], paths[i, 1], unit) <= 1e-9:
-            _unit(paths[i, 1], paths[i, 2], unit)
-        _across(fields[0], unit, start)
+        if unit_to(paths[i, 0], paths[i, 1], unit) <= 1e-9:
+            unit_to(paths[i, 1], paths[i, 2], unit)
+        field_across(fields[0], unit, start)
         for k in range(3):
             field[k] = start[k]
         if double:
-            _reflect(gamma, stuffs[chains[i, 0]], normals[chains[i, 0]], unit, field)
+            reflect_field(gamma, stuffs[chains[i, 0]], normals[chains[i, 0]], unit, field)
         face = chains[i, 1] if double else chains[i, 0]
-        _unit(paths[i, 1], paths[i, 2], unit)
-        _reflect(gamma, stuffs[face], normals[face], unit, field)
-        _unit(paths[i, 2], paths[i, 3], unit)
-        _reflect(gamma, stuffs[ends_on[i]], normals[ends_on[i]], unit, field)
-        _unit(paths[i, 3], paths[i, 4], unit)
-        _across(fields[1], unit, taken)
+        unit_to(paths[i, 1], paths[i, 2], unit)
+        reflect_field(gamma, stuffs[face], normals[face], unit, field)
+        unit_to(paths[i, 2], paths[i, 3], unit)
+        reflect_field(gamma, stuffs[ends_on[i]], normals[ends_on[i]], unit, field)
+        unit_to(paths[i, 3], paths[i, 4], unit)
+        field_across(fields[1], unit, taken)
         factor[i] *= field[0] * taken[0] + field[1] * taken[1] + field[2] * taken[2]

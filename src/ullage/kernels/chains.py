@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from ullage.kernels.bounces import _across, _unit
 from ullage.kernels.loops import core, lean
-from ullage.kernels.pairs import _dot, _onto, eliminate
+from ullage.kernels.pairs import eliminate
+from ullage.kernels.vectors import dot, field_across, onto, unit_to
 
 
 @lean(nogil=True, error_model="numpy")
@@ -64,11 +64,11 @@ def _start(ends, walls, feet, up, centre, axes, radius, ball, known, corners, i,
     for s in range(many):
         here = corners[1 + s, i]
         if not walls[s]:
-            _unit(middle, corners[s, i], rows[0])
-            _unit(middle, corners[s + 2, i], rows[1])
+            unit_to(middle, corners[s, i], rows[0])
+            unit_to(middle, corners[s + 2, i], rows[1])
             for k in range(3):
                 here[k] = corners[1 + s, i - 1, k] if known else middle[k] + rows[0, k] + rows[1, k]
-            _onto(centre, axes[2], radius, ball, here, rows[3])
+            onto(centre, axes[2], radius, ball, here, rows[3])
 
 
 @core(nogil=True, error_model="numpy")
@@ -84,15 +84,15 @@ def _frames(corners, i, walls, up, centre, axes, radius, ball, rows):  # type: i
             for k in range(3):
                 f[k] = up[k]
             continue
-        _onto(centre, axes[2], radius, ball, corners[1 + s, i], normal)
+        onto(centre, axes[2], radius, ball, corners[1 + s, i], normal)
         for k in range(3):
             rows[15, k] = axes[2, k] + (1e-3 * axes[0, k] if ball else 0.0)  # at a ball's pole, too, there is one
-        _across(rows[15], normal, g)
+        field_across(rows[15], normal, g)
         for k in range(3):
             a, b = (k + 1) % 3, (k + 2) % 3
             f[k] = g[a] * normal[b] - g[b] * normal[a]
     for leg in range(many + 1):  # only now is all of the path where it belongs
-        sizes[leg] = _unit(corners[leg, i], corners[leg + 1, i], rows[9 + leg])
+        sizes[leg] = unit_to(corners[leg, i], corners[leg + 1, i], rows[9 + leg])
 
 
 @core(nogil=True, error_model="numpy")
@@ -112,18 +112,18 @@ def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
             turn[k] = rows[9 + s, k] - rows[10 + s, k]
         for a in range(free):
             one = rows[3 * s + a]
-            table[first + a, 5] = _dot(one, turn)
+            table[first + a, 5] = dot(one, turn)
             for b in range(free):
                 other, total = rows[3 * s + b], 0.0
                 for leg in range(s, s + 2):
                     way = rows[9 + leg]
-                    total += ((1.0 if a == b else 0.0) - _dot(one, way) * _dot(other, way)) / sizes[leg]
+                    total += ((1.0 if a == b else 0.0) - dot(one, way) * dot(other, way)) / sizes[leg]
                 if a == b and not walls[s] and (a == 0 or ball):
-                    total -= _dot(turn, rows[3 * s + 2]) / radius
+                    total -= dot(turn, rows[3 * s + 2]) / radius
                 table[first + a, first + b] = total
             for b in range(0 if s + 1 == many else (1 if walls[s + 1] else 2)):
                 other, way = rows[3 * s + 3 + b], rows[10 + s]
-                mixed = (_dot(one, way) * _dot(other, way) - _dot(one, other)) / sizes[s + 1]
+                mixed = (dot(one, way) * dot(other, way) - dot(one, other)) / sizes[s + 1]
                 table[first + a, first + free + b], table[first + free + b, first + a] = mixed, mixed
         table[first + free - 1, 6 + s] = 1.0
         first += free
@@ -157,7 +157,7 @@ def _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table
         lengths[i] += sizes[s + 1]
         under *= sizes[s + 1]
         if not walls[s]:
-            there, back = -_dot(rows[9 + s], rows[3 * s + 2]), _dot(rows[10 + s], rows[3 * s + 2])
+            there, back = -dot(rows[9 + s], rows[3 * s + 2]), dot(rows[10 + s], rows[3 * s + 2])
             facing, over = min(facing, there, back), over * there
             for k in range(3):
                 normals[s, i, k] = rows[3 * s + 2, k]
@@ -170,3 +170,93 @@ def _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table
     good = facing > 1e-3 and steep < 1e-5 and area > 0
     spreads[i] = over / (under * math.sqrt(area)) if good else 0.0
     return good
+
+
+@lean(nogil=True, error_model="numpy")
+def beside(corners, at, out, up, spreads, slopes, least, rows):  # type: ignore[no-untyped-def]
+    """Slopes of paths from line to line, and their spreads times what Kirchhoff's integral has at the wall.
+
+    Args:
+        corners: (s + 2, n, 3) of the paths [m]; at: which surface is the wall that is integrated over.
+        out: (n, 3) its outward unit normals; up: (3) along the lines.
+        spreads: (n) multiplied by the mean cosine of both legs there; 0 where one of them comes from behind.
+        slopes: (n) get how fast the paths grow along the wall.
+        least: (2) gets the shortest leg before it and after it [m].
+        rows: (3, 3), room to work.
+    """
+    there, back, along = rows[0], rows[1], rows[2]
+    least[0] = least[1] = math.inf
+    for i in range(len(out)):
+        least[0] = min(least[0], unit_to(corners[at, i], corners[at + 1, i], there))
+        least[1] = min(least[1], unit_to(corners[at + 1, i], corners[at + 2, i], back))
+        inward, outward = dot(there, out[i]), -dot(back, out[i])
+        spreads[i] *= 0.5 * (inward + outward) if inward > 0 and outward > 0 else 0.0
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            along[k] = up[a] * out[i, b] - up[b] * out[i, a]
+        slopes[i] = dot(there, along) - dot(back, along)
+
+
+@core(nogil=True, error_model="numpy")
+def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
+    """Path [m] by a share of the way from line i to the next, and how fast it grows, by a cubic through both."""
+    j = (i + 1) % len(lengths)
+    a, b, p, q = lengths[i], lengths[j], step * slopes[i], step * slopes[j]
+    bow, bend = 3 * (b - a) - 2 * p - q, 2 * (a - b) + p + q
+    return a + share * (p + share * (bow + share * bend)), (p + share * (2 * bow + 3 * share * bend)) / step
+
+
+@lean(nogil=True, error_model="numpy")
+def sampled(lengths, slopes, there, step, cut, many, first, share, weights):  # type: ignore[no-untyped-def]
+    """Places for the sum along a wall: all about points of stationary phase.
+
+    Args:
+        lengths, slopes: (n) of the paths over lines along the wall [m]; there: (n) whether there are such paths.
+        step: from line to line [m]; many: places between two of them.
+        cut: no places where the path grows faster than this.
+        first, share, weights: (n many) get the line before, by what share of the way to the next, and what each counts.
+
+    Returns:
+        How many places there are.
+    """
+    count = 0
+    for i in range(len(lengths)):
+        j = (i + 1) % len(lengths)
+        least = min(abs(slopes[i]), abs(slopes[j])) if slopes[i] * slopes[j] > 0 else 0.0
+        if not (there[i] and there[j] and least < cut):
+            continue
+        for k in range(many):
+            part = (k + 0.5) / many
+            gone = abs(_between(lengths, slopes, i, part, step)[1]) / cut
+            if gone < 1:
+                first[count], share[count] = i, part
+                weights[count] = math.sin(math.pi * min(1 - gone, 0.5)) ** 2 * (step / many)
+                count += 1
+    return count
+
+
+@lean(nogil=True, error_model="numpy")
+def summed(lengths, slopes, step, seen, first, share, weights, values, paths, rates):  # type: ignore[no-untyped-def]
+    """What places along a wall add, from what lines (n) are seen to: values (m), paths (m) [m], how fast these grow."""
+    for i in range(len(first)):
+        here, u = first[i], share[i]
+        values[i] = (seen[here] * (1 - u) + seen[(here + 1) % len(seen)] * u) * weights[i]
+        paths[i], rates[i] = _between(lengths, slopes, here, u, step)
+
+
+@lean(nogil=True, error_model="numpy")
+def gathered(first, share, leads, many, echo, led, total):  # type: ignore[no-untyped-def]
+    """Adds up the echoes of places (m) by which of some of them, `leads`, is next round a wall of so many lines.
+
+    `led` (m) gets that, `total` the sums.
+    """
+    for j in range(len(leads)):
+        total[j] = 0j
+    for i in range(len(first)):
+        least = math.inf
+        for j in range(len(leads)):
+            apart = abs(first[i] - first[leads[j]] + share[i] - share[leads[j]])
+            apart = min(apart, many - apart)
+            if apart < least:
+                least, led[i] = apart, j
+        total[led[i]] += echo[i]

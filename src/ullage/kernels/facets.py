@@ -293,9 +293,9 @@ def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
+def _corners(leaves, k, normals, face, origins, frames, fields, o, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
     """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
-    mono = same(origins, ONE)
+    mono = same(origins, o)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     bulge, share = 0.0, 0.0
     for i in range(3):
@@ -308,20 +308,20 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
         base[i], cosine[i], tau[i] = 1.0, 0.0, 0.0
         for s in range(1 if mono else 2):
             dx, dy, dz = (
-                leaves[k, i, 0] - origins[0, s, 0],
-                leaves[k, i, 1] - origins[0, s, 1],
-                leaves[k, i, 2] - origins[0, s, 2],
+                leaves[k, i, 0] - origins[o, s, 0],
+                leaves[k, i, 1] - origins[o, s, 1],
+                leaves[k, i, 2] - origins[o, s, 2],
             )
             r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
             ux, uy, uz = dx / r, dy / r, dz / r
             if i == 0:
-                share += te_share(fields, ONE, ux, uy, uz, nx, ny, nz) * (1.0 if mono else 0.5)
+                share += te_share(fields, o, ux, uy, uz, nx, ny, nz) * (1.0 if mono else 0.5)
             along = ex * ux + ey * uy + ez * uz
             c = nx * ux + ny * uy + nz * uz
             far, c = lifted(r, c)
             curve = (ex * ex + ey * ey + ez * ez - along * along) / far
             twice = 2 if mono else 1
-            gain = toward(table, flat, frames, ONE, s, ux, uy, uz) / far
+            gain = toward(table, flat, frames, o, s, ux, uy, uz) / far
             base[i] *= gain * gain if mono else gain
             if s == 1 and cosine[i] * c <= 0:
                 base[i] = 0.0
@@ -337,23 +337,24 @@ def _corners(leaves, k, normals, face, origins, frames, fields, table, flat, bas
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
+def deposit(leaves, owner, of, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
             gamma, lag, omega, t0, dt, fold, grids, echo, delay, rows, w):  # fmt: skip
     """Lays the echo of every piece on the delay grids.
 
     Args:
         leaves: (m, 3, 3) pieces [m].
         owner: (m) triangle of each piece.
+        of: (m) radar of each piece.
         shade: (m) complex two-way factor of what lies between, 0 where hidden.
         extra: (m) delay added by it [s].
         normals: (f, 3) unit normals of the triangles.
         stuffs: (f) material of each triangle.
-        origins: (1, 2, 3) transmitter and receiver [m].
-        frames: (1, 2, 3, 3) sensor_from_world rotations (with mirrors) for both.
-        fields: (1, 2, 3) unit electric fields in the world.
+        origins: (w, 2, 3) transmitter and receiver of each radar, or their images [m].
+        frames: (w, 2, 3, 3) sensor_from_world rotations (with mirrors) for both.
+        fields: (w, 2, 3) unit electric fields in the world.
         table: (6, n, n) one-way amplitude gains.
         flat: the pattern is the constant table[0, 0, 0].
-        factor: (1) multiplies every echo.
+        factor: (w) multiplies every echo.
         gamma: (s, taps, 2, c) complex reflection of each material and tap over cos(incidence), TE and TM.
         lag: (s, taps, c) delay of each tap [s], negative where there is no such tap.
         omega: carrier [rad/s].
@@ -371,11 +372,11 @@ def deposit(leaves, owner, shade, extra, normals, stuffs, origins, frames, field
         echo[k], delay[k] = 0j, 0.0
         if shade[k] == 0:
             continue
-        stuff = stuffs[owner[k]]
+        stuff, o = stuffs[owner[k]], of[k]
         early, area, share = _corners(
-            leaves, k, normals, owner[k], origins, frames, fields, table, flat, base, cosine, tau
+            leaves, k, normals, owner[k], origins, frames, fields, o, table, flat, base, cosine, tau
         )
-        scale = 1j * area / (4 * math.pi) * shade[k] * factor[0]
+        scale = 1j * area / (4 * math.pi) * shade[k] * factor[o]
         for tap in range(gamma.shape[1]):
             if lag[stuff, tap, 0] < 0:
                 break

@@ -271,6 +271,26 @@ def meet_triangles(images, planes, counts, gate, spheres, first, corners, normal
                     lit[i, f] = _cornered(planes[i], counts[i], corners[f], 0, 3)
 
 
+@lean(nogil=True, error_model="numpy")
+def pair_up(lit, owner, of, at):  # type: ignore[no-untyped-def]
+    """Pairs of ways and pieces of the triangles that they can reach.
+
+    Args:
+        lit: (n, f) as `meet_triangles` gives it; owner: (m) triangle of each piece.
+        of, at: (n m) get way and piece of each pair, way by way.
+
+    Returns:
+        How many pairs there are.
+    """
+    count = 0
+    for i in range(len(lit)):
+        for k in range(len(owner)):
+            if lit[i, owner[k]]:
+                of[count], at[count] = i, k
+                count += 1
+    return count
+
+
 @core(nogil=True, error_model="numpy")
 def _cornered(planes, count, starts, begin, end):  # type: ignore[no-untyped-def]
     """Whether no plane leaves all corners of a rim outside."""

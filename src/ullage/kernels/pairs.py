@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ullage.kernels.bounces import _across, _unit
 from ullage.kernels.loops import core, lean
+from ullage.kernels.vectors import dot, field_across, onto, unit_to
 
 
 @lean(nogil=True, error_model="numpy")
@@ -45,14 +45,14 @@ def shortest(starts, stops, centres, axes, radii, balls, steps, corners, normals
                 for k in range(3):
                     step = table[2 * side, 4] * rows[4 * side, k] + table[2 * side + 1, 4] * rows[4 * side + 1, k]
                     here[k] -= share * step
-                _onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
+                onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
         _shape(corners, i, centres, axes, radii, balls, rows, table)
         for k in range(3):
             normals[0, i, k], normals[1, i, k] = rows[2, k], rows[6, k]
         lengths[i] = rows[15, 0] + rows[15, 1] + rows[15, 2]
         steep = max(abs(table[0, 4]), abs(table[1, 4]), abs(table[2, 4]), abs(table[3, 4]))
-        there, back = -_dot(rows[12], rows[2]), -_dot(rows[13], rows[6])
-        facing = min(there, back, _dot(rows[13], rows[2]), _dot(rows[14], rows[6]))
+        there, back = -dot(rows[12], rows[2]), -dot(rows[13], rows[6])
+        facing = min(there, back, dot(rows[13], rows[2]), dot(rows[14], rows[6]))
         area = eliminate(table, len(table))
         bends[i, 0], bends[i, 1] = 1 / table[1, 5], 1 / table[3, 6]
         spreads[i] = 0.0
@@ -72,31 +72,11 @@ def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-un
             rows[3 + side, k] = centres[side, i, k] + along * axis[k]
     for side in range(2):
         body, here = rows[3 + side], corners[1 + side, i]
-        _unit(body, corners[3 * side, i], rows[0])
-        _unit(body, rows[4 - side], rows[1])
+        unit_to(body, corners[3 * side, i], rows[0])
+        unit_to(body, rows[4 - side], rows[1])
         for k in range(3):
             here[k] = body[k] + rows[0, k] + rows[1, k]
-        _onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
-
-
-@core(nogil=True, error_model="numpy")
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@core(nogil=True, error_model="numpy")
-def _onto(centre, axis, radius, ball, point, normal):  # type: ignore[no-untyped-def]
-    """Brings a point (3) to a body's surface, drums going on for ever; its outward normal (3) goes to `normal`."""
-    along = 0.0
-    if not ball:
-        for k in range(3):
-            along += (point[k] - centre[k]) * axis[k]
-    for k in range(3):
-        normal[k] = point[k] - centre[k] - along * axis[k]
-    size = max(math.sqrt(_dot(normal, normal)), 1e-12)
-    for k in range(3):
-        normal[k] /= size
-        point[k] = centre[k] + along * axis[k] + radius * normal[k]
+        onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
 
 
 @core(nogil=True, error_model="numpy")
@@ -107,33 +87,33 @@ def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignor
     normal, 4 to 6 those of the last; 12 to 14 the directions of the legs, and 15 their lengths [m].
     """
     for leg in range(3):
-        rows[15, leg] = _unit(corners[leg, i], corners[leg + 1, i], rows[12 + leg])
+        rows[15, leg] = unit_to(corners[leg, i], corners[leg + 1, i], rows[12 + leg])
     for side in range(2):
         f, g, normal, turn = rows[4 * side], rows[4 * side + 1], rows[4 * side + 2], rows[4 * side + 3]
-        _onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], corners[1 + side, i], normal)
+        onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], corners[1 + side, i], normal)
         for k in range(3):
             rows[8, k] = axes[side, i, 2, k] + 1e-3 * axes[side, i, 0, k]
             turn[k] = rows[12 + side, k] - rows[13 + side, k]
-        _across(rows[8], normal, g)
+        field_across(rows[8], normal, g)
         for k in range(3):
             a, b = (k + 1) % 3, (k + 2) % 3
             f[k] = g[a] * normal[b] - g[b] * normal[a]
-        bent = -_dot(turn, normal) / radii[side, i]
+        bent = -dot(turn, normal) / radii[side, i]
         for a in range(2):
             one = rows[4 * side + a]
-            table[2 * side + a, 4] = _dot(one, turn)
+            table[2 * side + a, 4] = dot(one, turn)
             for b in range(2):
                 other, total = rows[4 * side + b], 0.0
                 for leg in range(side, side + 2):
                     way = rows[12 + leg]
-                    total += ((1.0 if a == b else 0.0) - _dot(one, way) * _dot(other, way)) / rows[15, leg]
+                    total += ((1.0 if a == b else 0.0) - dot(one, way) * dot(other, way)) / rows[15, leg]
                 if a == b and (a == 0 or balls[side, i]):
                     total += bent
                 table[2 * side + a, 2 * side + b] = total
     for a in range(2):
         for b in range(2):
             one, other, way = rows[a], rows[4 + b], rows[13]
-            mixed = (_dot(one, way) * _dot(other, way) - _dot(one, other)) / rows[15, 1]
+            mixed = (dot(one, way) * dot(other, way) - dot(one, other)) / rows[15, 1]
             table[a, 2 + b], table[2 + b, a] = mixed, mixed
     for row in range(4):
         table[row, 5], table[row, 6] = 1.0 if row == 1 else 0.0, 1.0 if row == 3 else 0.0

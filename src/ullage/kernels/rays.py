@@ -90,6 +90,43 @@ def refine_wires(  # type: ignore[no-untyped-def]
             cosine[i] = min(c, 1.0)
 
 
+@lean(nogil=True, error_model="numpy")
+def pass_sheets(todo, lengths, passed, rays, distance, stuff, cosine, slack, last, through, delays, factor, late):  # type: ignore[no-untyped-def]
+    """Takes rays through the sheets that they meet next, and forgets those that meet none on their way.
+
+    Args:
+        todo, lengths, passed, rays: (n), (n) [m], (n) [m], (n, 3) point each ray leads to, how far that is, how much of
+            the way is done, unit vectors; in place, those that are left first.
+        distance, stuff, cosine: (n) [m], (n), (n) to the next sheet, its object, cos(incidence).
+        slack: what stands so near to the point is none, and twice that lies a sheet's other side [m].
+        last: whether what is left now is lost.
+        through, delays: (s, c) what sheets let through, there and back, and their delay [s] over cos(incidence).
+        factor, late: (p) of the points: multiplied, added to.
+
+    Returns:
+        How many are left.
+    """
+    count, n = 0, through.shape[1] - 1
+    for i in range(len(todo)):
+        here = passed[i] + distance[i]
+        if not here < lengths[i] - slack:
+            continue
+        point = todo[i]
+        todo[count], lengths[count], passed[count] = point, lengths[i], here + 2 * slack
+        for k in range(3):
+            rays[count, k] = rays[i, k]
+        count += 1
+        if last:
+            factor[point] = 0
+            continue
+        place = min(cosine[i] * n, n - 1e-3)
+        low = int(place)
+        u = place - low
+        factor[point] *= through[stuff[i], low] * (1 - u) + through[stuff[i], low + 1] * u
+        late[point] += delays[stuff[i], low] * (1 - u) + delays[stuff[i], low + 1] * u
+    return count
+
+
 @lean(nogil=True)
 def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
     """Directions (n, m, 3) of a fan (m, 3) under n rotations (n, 3, 3)."""

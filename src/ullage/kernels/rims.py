@@ -257,3 +257,39 @@ def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def
             if (left * rise < (ends[e, u] - starts[e, u]) * (y - starts[e, v])) == (rise > 0):
                 odd = not odd
     return odd
+
+
+@lean(nogil=True, error_model="numpy")
+def hidden(outward, boxes, origins, opaque, clear, out):  # type: ignore[no-untyped-def]
+    """Which faces turn their backs to all of some places outside their bodies.
+
+    Args:
+        outward: (n, 4) and boxes: (n, 2, 3) as in `radar.solids.Backs`.
+        origins: (k, 3) the places [m].
+        opaque: (n) whether nothing goes through.
+        clear: a place so far outside a body's box is outside the body [m].
+        out: (n) gets the answer.
+    """
+    for i in range(len(out)):
+        out[i] = opaque[i]
+        for s in range(len(origins) if opaque[i] else 0):
+            above, inside = outward[i, 3], True
+            for k in range(3):
+                above += outward[i, k] * origins[s, k]
+                inside = inside and boxes[i, 0, k] - clear <= origins[s, k] <= boxes[i, 1, k] + clear
+            out[i] = out[i] and above < 0 and not inside
+
+
+@lean(nogil=True, error_model="numpy")
+def limits(normals, offsets, spheres, origin, gate, far, out):  # type: ignore[no-untyped-def]
+    """How far the echoes of faces (p) are followed [m]: to the gate, or `far` where they mirror a radar beyond it."""
+    for i in range(len(out)):
+        gap, beside = -offsets[i], 0.0
+        for k in range(3):
+            gap += normals[i, k] * origin[k]
+        out[i] = gate
+        if gate - 0.5 < abs(gap) < far:
+            for k in range(3):
+                beside += (origin[k] - gap * normals[i, k] - spheres[i, k]) ** 2
+            if beside < (spheres[i, 3] + 0.5) ** 2:
+                out[i] = far

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
-from ullage.kernels.bounces import _across, _mirrored, _reflect, _unit
+from ullage.kernels.bounces import reflect_field
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
 from ullage.kernels.loops import core, lean
 from ullage.kernels.rims import held
+from ullage.kernels.vectors import field_across, mirrored, unit_to
 
 PLANES = 20  # of the beams of both legs of a way: five for each of two mirrors
 
@@ -46,7 +47,7 @@ def lead(faces, origins, frames, normals, offsets, spheres, across, first, start
                 for k in range(3):
                     images[i, side, 2, k] = apex[k]
                 for row in range(3):
-                    _mirrored(n, turned[i, side, row])
+                    mirrored(n, turned[i, side, row])
                 for w in range(begin, counts[i]):  # those of the mirror before, as seen in this one
                     along = 0.0
                     for k in range(3):
@@ -185,8 +186,8 @@ def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, l
     while count < 2 and faces[count] >= 0:
         count += 1
     for step in range(count + 1):
-        total += _unit(stops[step], stops[step + 1], last)
-    size = _unit(stops[0], stops[1], last)
+        total += unit_to(stops[step], stops[step + 1], last)
+    size = unit_to(stops[0], stops[1], last)
     along = field[0] * last[0] + field[1] * last[1] + field[2] * last[2]
     square = 0.0
     for k in range(3):
@@ -200,8 +201,8 @@ def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, l
         slope = abs(normals[p, 0] * last[0] + normals[p, 1] * last[1] + normals[p, 2] * last[2])
         for k in range(2):
             cover *= min(1.0, widths[p, k] * math.sqrt(slope) / max(zone, 1e-9))
-        _reflect(gamma, stuffs[p], normals[p], last, wave)
-        size = _unit(stops[step + 1], stops[step + 2], last)
+        reflect_field(gamma, stuffs[p], normals[p], last, wave)
+        size = unit_to(stops[step + 1], stops[step + 2], last)
     return cover
 
 
@@ -234,7 +235,7 @@ def weigh(stops, rows, todo, of, faces, fields, normals, stuffs, widths, wavelen
             square += between[k] * between[k]
         for k in range(3):
             between[k] /= max(math.sqrt(square), 1e-9)
-        _reflect(gamma, owned[j], between, sent, there)
+        reflect_field(gamma, owned[j], between, sent, there)
         out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
 
 
@@ -258,7 +259,7 @@ def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, 
     axis, spot, coming, part, stops = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2], scratch[3:]
     count = 0
     for w in range(len(begins)):
-        size = _unit(begins[w], stops_at[w], axis)
+        size = unit_to(begins[w], stops_at[w], axis)
         for i in range(len(images)):
             path = shortest(begins[w], axis, size, images[i, 0, 2], images[i, 1, 2], spot)
             if path > 2 * gate:
@@ -275,14 +276,14 @@ def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, 
                 continue
             along, across = complex(cover, 0.0), complex(cover, 0.0)
             for side in range(2):
-                _across(axis, coming[side], part[0])
+                field_across(axis, coming[side], part[0])
                 _cross(axis, coming[side], part[1])
                 wave = field[side]
                 along *= wave[0] * part[0, 0] + wave[1] * part[0, 1] + wave[2] * part[0, 2]
                 across *= wave[0] * part[1, 0] + wave[1] * part[1, 1] + wave[2] * part[1, 2]
             across = -across  # the wave goes on against the way in which the receiver's would come
-            _across(coming[0], axis, part[0])
-            _across(coming[1], axis, part[1])
+            field_across(coming[0], axis, part[0])
+            field_across(coming[1], axis, part[1])
             cosine = -(part[0, 0] * part[1, 0] + part[0, 1] * part[1, 1] + part[0, 2] * part[1, 2])
             of[count], on[count] = i, w
             waves[count, 0], waves[count, 1] = along, across

@@ -64,7 +64,7 @@ class Hollows:
         way = np.exp(odds - odds.max()) @ near
         way /= np.linalg.norm(way)
         hollow, most = hollow_of(bow, way, axis), float(odds.max())
-        if places.max() < max(LEAST_PLACES, HEARD_SHARE * _should_hear(hollow, way, others)):
+        if places.max() < LEAST_PLACES or _share_heard(me, hollow, way, others, doubt[best]) < HEARD_SHARE:
             return None
         middle = hollow.ways(np.mean([e.position for e in echoes], axis=0)[None], way)[0]
         if too_faint(echoes, middle, hollow.radius_m) or behind(middle):
@@ -124,11 +124,27 @@ def _is_flat(bow: Bow, me: Floats, others: Floats, hollow: float) -> bool:
     return bool((flat + beam_odds(me, ways)).max() > hollow - EDGE_BETTER)
 
 
-def _should_hear(hollow: Hollow, way: Floats, others: Floats) -> int:
-    """Of the places (m, 22) of other legs, how many look at what they would hear of a hollow wall."""
+def _share_heard(me: Floats, hollow: Hollow, way: Floats, others: Floats, doubt: float) -> float:
+    """Of the places (m, 22) of other legs that look at a hollow wall, the share at which it is heard.
+
+    A place hears it if it does so on the way to the next one. What else is heard there, as by way of other walls, has
+    its middle elsewhere, and so makes places of its own.
+    """
     ways = hollow.ways(others[:, PLACE : PLACE + 3], way)
     lit = np.einsum("ij,ij->i", ways, others[:, AHEAD : AHEAD + 3]) > others[:, WIDE]
-    return len(np.unique(others[lit & (ways @ way > TURNED), LEG]))
+    looks = others[lit & (ways @ way > TURNED)]
+    rows = [
+        others[np.linalg.norm(others[:, PLACE : PLACE + 3] - middle, axis=1) < PLACE_M]
+        for number in np.unique(looks[:, LEG])
+        for middle in [looks[looks[:, LEG] == number, PLACE : PLACE + 3].mean(axis=0)]
+    ]
+    if not rows:
+        return 0.0
+    count = np.repeat(np.arange(len(rows)), [len(some) for some in rows])
+    around = np.concatenate(rows)
+    around[:, LEG] = count
+    line = hollow.axis[None], np.array([(hollow.centre - me[PLACE : PLACE + 3]) @ way]), np.array([doubt])
+    return float(weigh(me, around, way[None], *line)[1][0]) / len(rows)
 
 
 def _by_place(others: Floats) -> Floats:

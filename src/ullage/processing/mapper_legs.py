@@ -102,7 +102,8 @@ class Legs:
             self._leg, self._line = self._leg + 1, row
         row[LEG], row[AHEAD : AHEAD + 3], row[WIDE] = self._leg, ahead, least
         known = [e.way for e in echoes if e.way is not None]
-        if 2 * len(known) > len(echoes):
+        told = 2 * len(known) > len(echoes)
+        if told:
             row[NORMAL : NORMAL + 3] = known[-1]
         at = self._added % MOST_STRETCHES
         self._waiting.pop(at, None)
@@ -111,9 +112,9 @@ class Legs:
         self._bowed[at] = row if bow is None else bowed_row(row, bow)
         self._added += 1
         held = self._held
-        open_ = self._around(at, AROUND_M) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
+        open_ = self._around(at, AROUND_M, bent=True) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
         self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
-        if not known:
+        if not told:
             self._waiting[at] = None
         elif row[NORMAL : NORMAL + 3].any():
             self._barrel(at)
@@ -144,15 +145,19 @@ class Legs:
         while self._waiting:
             yield from self.tell(len(self._waiting))
 
-    def _around(self, at: int, most_m: float, *, own: bool = False) -> NDArray[np.bool_]:
+    def _around(self, at: int, most_m: float, *, own: bool = False, bent: bool = False) -> NDArray[np.bool_]:
         """Which stretches may hear the surface that one hears: near, of other legs, and not on one line with it.
 
+        No distance to a surface changes by more than the way between two places. Where it is `bent`, places across the
+        line on which its normals meet hear it R - d and R + d' away, and d + d' is no less than the way between them.
         With `own`, those of its own leg and line as well.
         """
         held, me = self._held, self._rows[at]
         gap = held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3]
         squared = np.einsum("ij,ij->i", gap, gap)
-        near = (squared < most_m**2) & ((held[:, RANGE] - me[RANGE]) ** 2 < squared + SLACK_M)
+        near = squared < most_m**2
+        if not bent:
+            near &= (held[:, RANGE] - me[RANGE]) ** 2 < squared + SLACK_M
         if own:
             return np.asarray(near)
         along = gap @ me[TRACK : TRACK + 3]
@@ -199,7 +204,7 @@ class Legs:
         known = self._hollows.known(self._rows[at], self._kept[at][0], behind)
         if known is not None:
             return known
-        bow, mask = self._bows[at], self._around(at, AROUND_M)
+        bow, mask = self._bows[at], self._around(at, AROUND_M, bent=True)
         mask &= self._bowed[: len(mask), BEND_DOUBT] > 0
         told = (
             None
@@ -264,6 +269,7 @@ class Legs:
             & (held[:, AHEAD : AHEAD + 3] @ me[AHEAD : AHEAD + 3] > LEG_TURN)
         )
         there &= np.linalg.norm(held[:, PLACE : PLACE + 3] - me[PLACE : PLACE + 3], axis=1) < STRETCH_M
+        there &= abs(held[:, NORMAL + 2]) < LEVEL  # the floor itself is no wall, though it may be as far off as one
         its = held[there, COSINE] * np.sign(turn[there])
         miss = abs(held[there, RANGE] + along[there] * (its + fall) / 2 - wall)
         return bool(

@@ -148,7 +148,8 @@ def _laid(
     value = 1j / (4 * np.pi) * view.factor * shade * _along(lines, spots, wave) * _bulge(lines, spots, wave)
     for way, frame, far in zip(spots.ways, view.frames, spots.ranges, strict=True):
         value *= gain(ready.spec.antenna, way @ frame.T) / far
-    value *= abs(spots.cosine) * _reflection(ready, view, lines, spots)
+    cosine = abs(spots.cosine)
+    value *= cosine * reflection(ready, view, lines.stuffs, cosine, spots.ways, lines.inward)
     delay = spots.ranges.sum(0) / C0 + late
     echo = deposit(ready, delay, value, grids, (0.5, 0.5))
 
@@ -206,14 +207,23 @@ def _bulge(lines: Lines, spots: Spots, wave: float) -> Complexes:
     return np.asarray(lines.half * (SHARES[:, None] * np.exp(-1j * (turn * u + curve * u * u)) * arc).sum(0))
 
 
-def _reflection(ready: Bench, view: View, lines: Lines, spots: Spots) -> Complexes:
-    """Reflection coefficients (n) at the share of the fields that lies across the plane of incidence."""
-    rows = ready.gamma[lines.stuffs, 0]
-    places = np.minimum(abs(spots.cosine), 1.0) * (rows.shape[2] - 1)
+def reflection(ready: Bench, view: View, stuffs: Longs, cosine: Floats, ways: Floats, inward: Floats) -> Complexes:
+    """Reflection coefficients (n) at the share of the fields that lies across the plane of incidence.
+
+    Args:
+        ready: radar and scene.
+        view: where the radar is.
+        stuffs: (n) objects.
+        cosine: (n) of incidence.
+        ways: (2, n, 3) unit vectors from both antennas.
+        inward: (n, 3) normals.
+    """
+    rows = ready.gamma[stuffs, 0]
+    places = np.minimum(cosine, 1.0) * (rows.shape[2] - 1)
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))
     te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
-    one, other = (_across(*told, lines.inward) for told in zip(view.fields, spots.ways, strict=True))
+    one, other = (_across(*told, inward) for told in zip(view.fields, ways, strict=True))
     share = (one + other) / 2
     return np.asarray(share * te + (1 - share) * tm)
 

@@ -98,19 +98,17 @@ def _lay_small(
     leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
         part.spheres, part.first, part.corners, dark, view.origins, gate, fresnel, REACH, pieces, of,
         np.empty((96, 3, 3))))  # fmt: skip
-    of, at = np.nonzero(reach[:, owner])
+    of, at = np.empty((2, len(ways) * len(owner)), np.int64)
+    count = lit.pair_up(reach, owner, of, at)
+    of, at = of[:count], at[:count]
     factor = heard(ready, parts, flats, view, ways, of, centroids(leaves), part.stuffs[owner[at]], at)
     free = np.flatnonzero(factor)
-    out: list[Laid] = []
     if not len(free):
-        return out
-    bare = _bare(ready)
-    for way, here in enumerate(np.split(free, np.searchsorted(of[free], np.arange(1, len(ways))))):
-        if len(here):
-            pieces, between = (leaves[at[here]], owner[at[here]]), (factor[here], np.zeros(len(here)))
-            laid = lay_triangles(bare, part.normals, part.stuffs, pieces, between, ways.view(way, view), grids)
-            out.append(ways.told(laid, of[here]))
-    return out
+        return []
+    of, at = of[free], at[free]
+    pieces, between = (leaves.take(at, 0), owner[at], of), (factor[free], np.zeros(len(free)))
+    told = ways.end(view, common(_bare(ready), view, grids))
+    return [ways.told(lay_triangles(part.normals, part.stuffs, pieces, between, told), of)]
 
 
 def lit_by(ready: Bench, part: Surfaces, ways: Ways) -> Bools:
@@ -166,10 +164,7 @@ def _lay_strips(
         return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(ready.gamma) - 1, np.int32)
-    fields = np.repeat(view.fields[None], len(many), 0)
-    _, _, _, table, flat, factor, *rest = common(ready, view, grids)
-    told = (faces.normals, plain, ends, ways.frames[strips.of], fields, table, flat,
-            factor * ways.weights[strips.of], *rest)  # fmt: skip
+    told = faces.normals, plain, *ways.end(view, common(ready, view, grids), strips.of)
     laid, owner = lay_parted(ready, faces, many, rim, limits, shaded, told)
     return [ways.told(replace(laid, stuffs=flats.stuffs[strips.on[owner]]), strips.of[owner])]
 

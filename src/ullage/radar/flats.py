@@ -74,11 +74,16 @@ def lay_flats(
     part: Surfaces,
     view: View,
     grids: Complexes,
+    done: NDArray[np.bool_] | None = None,
 ) -> list[Laid]:
-    """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it."""
+    """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it.
+
+    Those that are `done` (p) otherwise are left out.
+    """
     flats = part.flats
     opaque = ~ready.sheets.thin[flats.stuffs]
-    which = np.flatnonzero(~part.flat_backs.hidden(view.origins, opaque))
+    hidden = part.flat_backs.hidden(view.origins, opaque)
+    which = np.flatnonzero(~(hidden if done is None else hidden | done))
     if not len(which):
         return []
     limits = limits_of(flats, view, ready.gate[1], ready.fold_s)

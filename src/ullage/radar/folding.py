@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ullage.errors import UllageWarning
 from ullage.geometry import C0
+from ullage.kernels import rims as kernel
 from ullage.radar.facets import Flats
 from ullage.specs import RadarSpec
 
@@ -32,15 +33,8 @@ def limits_of(flats: Flats, view: View, gate_m: float, fold_s: float) -> NDArray
     """
     far_m = gate_m + FOLDS * fold_s * C0 / 2
     origin = (view.origins[0] + view.origins[1]) / 2
-    gap = flats.normals @ origin - flats.offsets
-    away = abs(gap)
-    far = np.flatnonzero((away > gate_m - 0.5) & (away < far_m))
-    if not len(far):
-        return np.full(len(flats), gate_m)
-    foot = origin - gap[far, None] * flats.normals[far]
-    beside = ((foot - flats.spheres[far, :3]) ** 2).sum(1) < (flats.spheres[far, 3] + 0.5) ** 2
-    limits = np.full(len(flats), gate_m)
-    limits[far[beside]] = far_m
+    limits = np.empty(len(flats))
+    kernel.limits(flats.normals, flats.offsets, flats.spheres, origin, gate_m, far_m, limits)
     return limits
 
 

@@ -123,35 +123,17 @@ def _wide(flats: Flats, least_m: float) -> NDArray[np.bool_]:
 
 def looks(ready: Bench, flats: Flats, view: View) -> Floats:
     """How large each face (p) looks from the antenna nearer to it, less what it lacks of a zone; 0 beyond the gate."""
-    one, other = view.origins
-    if (one == other).all():
-        return _looks_from(ready, flats, one)
-    return np.maximum(_looks_from(ready, flats, one), _looks_from(ready, flats, other))
-
-
-def _looks_from(ready: Bench, flats: Flats, place: Floats) -> Floats:
-    gate_m, wavelength_m = ready.gate[1], ready.spec.wavelength_m
-    *centre, radius = flats.spheres.T.copy()  # long rows are quicker than many of three
-    x, y, z = (row - here for row, here in zip(centre, place, strict=True))
-    gap = np.sqrt(x * x + y * y + z * z) + 1e-3
-    zone = np.sqrt(wavelength_m * gap / 2)
-    out = np.where(gap - radius <= gate_m, radius / gap, 0.0)
-    for width in flats.widths.T:
-        out *= np.minimum(width / zone, 1)
+    origins = view.origins[:1] if (view.origins[0] == view.origins[1]).all() else view.origins
+    out = np.empty(len(flats))
+    kernel.looks(flats.spheres, flats.widths, origins, ready.gate[1], ready.spec.wavelength_m, out)
     return out
 
 
 def most_looked(look: Floats, count: int | None = None) -> tuple[Longs, Floats]:
     """Which of all (n) look largest, `MIRRORS` or so many, and what each of all counts."""
-    count = MIRRORS if count is None else count
-    least = 0.0
-    if len(look) > count:
-        some = look[look > 0.1 * look.max()]  # few are parted sooner than all
-        least = np.partition(some if len(some) > count else look, -count - 1)[-count - 1]
-    which = np.flatnonzero(look > least)
-    weights = np.zeros(len(look))
-    weights[which] = np.minimum((look[which] / max(least, 1e-12) - 1) / FADE, 1)
-    return which, weights
+    which, weights = np.empty(len(look), np.int64), np.empty(len(look))
+    made = kernel.largest(look, FADE, np.empty((MIRRORS if count is None else count) + 1), which, weights)
+    return which[:made], weights
 
 
 def trace(flats: Flats, view: View, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:

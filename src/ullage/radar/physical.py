@@ -38,6 +38,7 @@ from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
 
 KAPPA = 1 / 8
 """Largest squared transverse edge of a piece over wavelength times range."""
@@ -169,15 +170,17 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 
 def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
+    from ullage.radar.ball_echoes import lay_balls
     from ullage.radar.flats import lay_flats
 
     parts = ready.world.parts(poses)
     view = _off(parts, view)
-    out: list[Laid] = []
+    out, done = lay_balls(ready, parts, view, grids)
     for part in parts:
+        small, large = done if part is parts[0] else (None, None)
         if len(part.corners):
-            out.append(_lay_small(ready, parts, part, view, grids))
-        out += lay_flats(ready, parts, part, view, grids)
+            out.append(_lay_small(ready, parts, part, view, grids, small))
+        out += lay_flats(ready, parts, part, view, grids, large)
     rounds = ready.world.rounds_at(poses)
     if rounds:
         from ullage.radar.arcs import lay_arcs
@@ -246,16 +249,19 @@ def _lay_round(
     ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
     grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
-    """Adds what goes from wall to wall of a round tank, to round bodies in it, and from one of them to another."""
+    """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
+    from ullage.radar.ball_bounces import lay_inside
+    from ullage.radar.flat_pairs import lay_flat_pairs
     from ullage.radar.round_pairs import lay_pairs
     from ullage.radar.wall_bodies import lay_wall_bodies
     from ullage.radar.wall_bounces import lay_walls
 
     out = lay_walls(ready, parts, rounds, flats, view, most, look, grids)
+    out += lay_inside(ready, parts, view, most, grids)
     if len(rounds) > 1:
         out += lay_wall_bodies(ready, parts, rounds, flats, view, most, look, grids)
         out += lay_pairs(ready, parts, rounds, view, grids)
-    return out
+    return out + (lay_flat_pairs(ready, parts, rounds, flats, view, look, grids) if most > 2 else [])
 
 
 def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> list[Laid]:
@@ -276,30 +282,33 @@ def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | 
     return [laid_by(put, shade, grids, lines.stuffs[owner], middle)]
 
 
-def _lay_small(ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes) -> Laid:
-    leaves, owner = triangles(ready, part, view)
-    shade, extra = shading(ready, parts, view, centroids(leaves))
-    return lay_triangles(ready, part.normals, part.stuffs, (leaves, owner), (shade, extra), view, grids)
+def _lay_small(
+    ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes, done: Bools | None
+) -> Laid:
+    leaves, owner = triangles(ready, part, view, done)
+    between = shading(ready, parts, view, centroids(leaves))
+    pieces = leaves, owner, np.zeros(len(owner), np.int64)
+    return lay_triangles(part.normals, part.stuffs, pieces, between, common(ready, view, grids))
 
 
 def lay_triangles(
-    ready: Bench,
     normals: Floats,
     stuffs: NDArray[np.int32],
-    pieces: tuple[Floats, NDArray[np.int32]],
+    pieces: tuple[Floats, NDArray[np.int32], NDArray[np.int64]],
     between: tuple[Complexes, Floats],
-    view: View,
-    grids: Complexes,
+    told: tuple[Any, ...],
 ) -> Laid:
-    """Lays pieces of triangles, as `triangles` gives them, with factor and delay [s] of what stands before each."""
-    (leaves, owner), (shade, extra) = pieces, between
-    told = common(ready, view, grids)
+    """Lays pieces of triangles, as `triangles` gives them, and the radar of each (m).
+
+    With factor and delay [s] of what stands before each; what the kernel is `told` of radars (w) is as in `common`.
+    """
+    (leaves, owner, of), (shade, extra) = pieces, between
 
     def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.deposit(leaves, owner, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
+        kernel.deposit(leaves, owner, of, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
                        np.empty(3, complex))  # fmt: skip
 
-    return laid_by(put, shade, grids, stuffs[owner], centroids(leaves))
+    return laid_by(put, shade, told[-1], stuffs[owner], lambda: centroids(leaves))
 
 
 def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
@@ -321,13 +330,15 @@ def grown(
         size = int(1.2 * count)
 
 
-def triangles(ready: Bench, part: Surfaces, view: View) -> tuple[Floats, NDArray[np.int32]]:
-    """Triangles within the gate, small enough for the closed form, and which triangle each came from."""
+def triangles(ready: Bench, part: Surfaces, view: View, done: Bools | None = None) -> tuple[Floats, NDArray[np.int32]]:
+    """Triangles within the gate but those `done` (f), small enough for the closed form, and which each came from."""
     opaque = ~ready.sheets.thin[part.stuffs]
     if near(*view.origins):
         dark = part.backs.hidden(view.origins, opaque)
     else:  # a face takes from one place and gives to the other
         dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
+    if done is not None:
+        dark = dark | done
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
         part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
         KAPPA * ready.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.geometry import invert
+from ullage.radar.balls import Ball, balls_of
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
 from ullage.radar.movers import Movers
-from ullage.radar.rounds import Round, rounds_of
+from ullage.radar.rounds import Round, Shell, rounds_of, shells_of
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -38,8 +39,18 @@ class Prepared:
     @cached_property
     def rounds(self) -> tuple[Round, ...]:
         """Round walls and bodies, as they stand at the start."""
+        return rounds_of(self._shells)
+
+    @cached_property
+    def balls(self) -> tuple[Ball, ...]:
+        """Balls and domes that stand still."""
+        moves = [o.motion is not None for o in self.scene.objects]
+        return balls_of([shell for shell in self._shells if not moves[shell.stuff]], self.still)
+
+    @cached_property
+    def _shells(self) -> list[Shell]:
         bent = self.still.flats.smooth.any() or len(self.still.corners) or self.moving.any()
-        return rounds_of(self.scene, np.ones(len(self.moving), bool)) if bent else ()
+        return shells_of(self.scene, np.ones(len(self.moving), bool)) if bent else []
 
     def rounds_at(self, poses: Floats | None) -> tuple[Round, ...]:
         """Round walls and bodies where the objects have these poses (None: their first)."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.radar.antenna import gain
+from ullage.kernels import impulses as kernel
 from ullage.radar.facets import Surfaces
-from ullage.radar.mirrors import across, dot, reflected, unit
 from ullage.radar.physical import Bench, View
 from ullage.radar.visibility import between
 from ullage.radar.wall_bounces import PULL_M
@@ -41,11 +40,9 @@ def free(parts: list[Surfaces], path: Real) -> Bools:
 
 
 def turned(ready: Bench, view: View, path: Real) -> Complexes:
-    """What the antennas and all reflections make of the waves (n)."""
-    ways = np.stack([unit(way) for way in np.diff(path.corners, axis=0)])
-    field = across(view.fields[:1], ways[0]).astype(complex)
-    for way, normal, stuffs in zip(ways, path.normals, path.stuffs, strict=False):
-        field = reflected(ready.gamma, stuffs, field, way, normal)
-    total = gain(ready.spec.antenna, ways[0] @ view.frames[0].T)
-    total = total * gain(ready.spec.antenna, -ways[-1] @ view.frames[1].T)
-    return np.asarray(total * dot(field, across(view.fields[1:], ways[-1])))
+    """What the antennas and all reflections make of the waves (n); the pattern is interpolated, to 3e-4."""
+    out, scratch = np.empty(len(path.there), complex), (np.empty((2, 3)), np.empty(3, complex))
+    corners, normals = (np.ascontiguousarray(row) for row in (path.corners, path.normals))
+    kernel.polarised(corners, normals, path.stuffs.astype(np.int64), ready.gamma, view.frames[None],
+                     view.fields[None], ready.table, ready.spec.antenna.kind == "isotropic", *scratch, out)  # fmt: skip
+    return out

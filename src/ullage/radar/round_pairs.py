@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.geometry import C0
+from ullage.kernels import flat_pairs as flat
 from ullage.kernels import pairs as kernel
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
@@ -90,11 +92,17 @@ class Paths:
 def paths_over(start: Floats, stop: Floats, first: Bodies, last: Bodies) -> Paths:
     """The shortest paths from points (3) or (m, 3) over the first bodies (m) and then the last (m) to others."""
     many = len(first.radii)
-    ends = [np.ascontiguousarray(np.broadcast_to(point, (many, 3)), float) for point in (start, stop)]
+    ends = [np.array(np.broadcast_to(point, (many, 3)), float, order="C") for point in (start, stop)]
     both = [np.stack([getattr(first, row), getattr(last, row)]) for row in ("centres", "axes", "radii", "balls")]
+    return shortest(*ends, *both)
+
+
+def shortest(starts: Floats, stops: Floats, *bodies: NDArray[Any]) -> Paths:
+    """The shortest paths from points (m, 3) over two bodies each, told as (2, m) rows of `Bodies`, to others."""
+    many = len(starts)
     corners, normals = np.empty((4, many, 3)), np.empty((2, many, 3))
     lengths, spreads, bends = np.empty(many), np.empty(many), np.empty((many, 2))
-    kernel.shortest(*ends, *both, _STEPS, corners, normals, lengths, spreads, bends, np.empty(76))
+    kernel.shortest(starts, stops, *bodies, _STEPS, corners, normals, lengths, spreads, bends, np.empty(76))
     return Paths(corners, normals, lengths, spreads, bends)
 
 
@@ -106,15 +114,13 @@ def lay_pairs(
     bodies, together = bodies_of(rounds, narrow), bool((view.origins[0] == view.origins[1]).all())
     if len(bodies.radii) < 2:
         return []
-    gaps = np.array([bodies.gaps(origin) for origin in view.origins])
-    look = np.where(gaps.min(0) < ready.gate[1] + bodies.radii, bodies.radii / gaps.max(0), 0.0)
-    which, weights = most_looked(look, BODIES)
+    which, weights, gaps = seen_bodies(ready, bodies, view, BODIES)
     if len(which) < 2:
         return []
     one, other = np.repeat(which, len(which)), np.tile(which, len(which))
-    apart = _apart(bodies.take(one), bodies.take(other))
+    between = apart(bodies.take(one), bodies.take(other))
     legs = np.stack([gaps[0, one] - bodies.radii[one], gaps[1, other] - bodies.radii[other],
-                     apart - bodies.radii[one] - bodies.radii[other]])  # fmt: skip
+                     between - bodies.radii[one] - bodies.radii[other]])  # fmt: skip
     most = bodies.radii[one] * bodies.radii[other] / (4 * np.maximum(legs, 1e-3).prod(0) * legs.sum(0))
     seen = replace(view, factor=2 * view.factor) if together else view
     least = FAINT * float(abs(grids).max())
@@ -125,7 +131,21 @@ def lay_pairs(
     return _laid(ready, parts, seen, bodies, one[loud], other[loud], weights, least, grids)
 
 
-def _apart(first: Bodies, last: Bodies) -> Floats:
+def seen_bodies(ready: Bench, bodies: Bodies, view: View, count: int) -> tuple[Longs, Floats, Floats]:
+    """Which of all bodies (m) look largest, so many, what each counts, and how far both antennas are (2, m) [m]."""
+    gaps = _gaps(bodies, view)
+    look = np.where(gaps.min(0) < ready.gate[1] + bodies.radii, bodies.radii / np.maximum(gaps.max(0), 1e-6), 0.0)
+    return *most_looked(look, count), gaps
+
+
+@lru_cache(maxsize=8)  # asked twice in a frame
+def _gaps(bodies: Bodies, view: View) -> Floats:
+    out = np.empty((2, len(bodies.radii)))
+    flat.gaps(view.origins, bodies.centres, bodies.axes, bodies.ends, bodies.balls, out)
+    return out
+
+
+def apart(first: Bodies, last: Bodies) -> Floats:
     """How far the middles or axes of bodies lie apart at the least (m) [m]; of parallel drums as far as they do."""
     lean = np.sqrt(np.maximum(1 - dot(first.axes[:, 2], last.axes[:, 2]) ** 2, 0.0)) * ~last.balls
     return np.asarray(first.gaps(last.centres) - lean * last.ends[:, 1])
@@ -178,6 +198,11 @@ def drawn(body: Bodies, points: Floats) -> Floats:
 def covered(body: Bodies, points: Floats, bends: Floats, wavelength: float) -> Complexes:
     """What the ends of drums leave of waves (m) at points (m, 3), by Fresnel's integral along the axis."""
     along = dot(points - body.centres, body.axes[:, 2])
-    sine, cosine = fresnel((body.ends - along[:, None]) * np.sqrt(2 * bends / wavelength)[:, None])
+    return ends_leave(body.ends, body.balls, along, bends, wavelength)
+
+
+def ends_leave(ends: Floats, balls: NDArray[np.bool_], along: Floats, bends: Floats, wavelength: float) -> Complexes:
+    """What ends (m, 2) [m] leave of waves (m) at places along the axis [m] where paths bend so; balls have none."""
+    sine, cosine = fresnel((ends - along[:, None]) * np.sqrt(2 * bends / wavelength)[:, None])
     out = np.diff(cosine - 1j * sine, axis=1)[:, 0] / (1 - 1j)
-    return np.where(body.balls, 1.0, out)
+    return np.where(balls, 1.0, out)

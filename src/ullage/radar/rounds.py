@@ -6,6 +6,7 @@ curvature, which no single facet has, so the cylinder or the ball through them i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -62,23 +63,48 @@ class Round:
         return replace(self, centre=turn @ self.centre + move[:3, 3], axes=self.axes @ turn.T)
 
 
-def rounds_of(scene: Scene, faces: NDArray[np.bool_]) -> tuple[Round, ...]:
-    """The round walls and bodies among some faces (f) of a scene, as they stand at its start."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Shell:
+    """Triangles of one object that go on from each to the next with hardly a bend."""
+
+    corners: Floats  # (n, 3, 3) [m]
+    normals: Floats  # (n, 3)
+    area: Floats  # (n) [m2]
+    stuff: int  # object
+
+    def take(self, which: NDArray[np.integer]) -> Shell:
+        """Some of them."""
+        return Shell(self.corners[which], self.normals[which], self.area[which], self.stuff)
+
+
+def shells_of(scene: Scene, faces: NDArray[np.bool_]) -> list[Shell]:
+    """The smooth surfaces among some faces (f) of a scene, as they stand at its start."""
     corners = scene.corners()[faces]
     stuffs = scene.face_object[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1) / 2
     kept = area > 1e-12
     corners, stuffs, area, normals = corners[kept], stuffs[kept], area[kept], normals[kept] / (2 * area[kept, None])
+    return [Shell(corners[mine], normals[mine], area[mine], int(stuffs[mine[0]]))
+            for mine in _connected(corners, normals, stuffs)]  # fmt: skip
+
+
+def rounds_of(shells: Sequence[Shell]) -> tuple[Round, ...]:
+    """The round walls and bodies among smooth surfaces."""
     found = []
-    for mine in _connected(corners, normals, stuffs):
-        told = corners[mine], normals[mine], area[mine], int(stuffs[mine[0]])
+    for shell in shells:
+        told = shell.corners, shell.normals, shell.area, shell.stuff
         ball, wall = _ball(*told), _fitted(*told)
         if ball is not None and (wall is None or ball.depth < 2 * wall.depth):  # the rims of a drum lie on a ball, too
             found.append(ball)
         elif wall is not None:
             found.append(wall)
     return tuple(found)
+
+
+def linked(shell: Shell) -> list[Longs]:
+    """The parts of a surface that has come apart."""
+    return _connected(shell.corners, shell.normals, np.full(len(shell.area), shell.stuff, np.int32))
 
 
 def _connected(corners: Floats, normals: Floats, stuffs: NDArray[np.int32]) -> list[Longs]:
@@ -98,15 +124,9 @@ def _connected(corners: Floats, normals: Floats, stuffs: NDArray[np.int32]) -> l
 
 def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
     """The cylinder that triangles (n, 3, 3) lie on, if they do; caps that close it smoothly are left off."""
-    kept = np.ones(len(area), bool)
-    for _ in range(4):
-        _, turn = np.linalg.eigh(np.einsum("n,ni,nj->ij", area[kept], normals[kept], normals[kept]))
-        axis = turn[:, 0]
-        level = abs(normals @ axis) < _LEVEL
-        if (level == kept).all() or not level.any():
-            break
-        kept = level
-    if area[kept].sum() < _MOST * area.sum() or not (level == kept).all():
+    kept, turn, settled = _leveled(normals, area)
+    axis = turn[:, 0]
+    if area[kept].sum() < _MOST * area.sum() or not settled:
         return None
     axes = np.stack([turn[:, 2], np.cross(axis, turn[:, 2]), axis])
     points = corners[kept] @ axes.T
@@ -127,6 +147,27 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
     return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
                  float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff,
                  strips=_strips(points, centre, area[kept]))  # fmt: skip
+
+
+def _leveled(normals: Floats, area: Floats) -> tuple[NDArray[np.bool_], Floats, bool]:
+    """Which facets (n) lie along an axis; columns (3, 3), the axis first; whether the search for it has settled."""
+    kept = np.ones(len(area), bool)
+    for search in range(4):
+        _, turn = np.linalg.eigh(np.einsum("n,ni,nj->ij", area[kept], normals[kept], normals[kept]))
+        if search == 0:  # of a vessel with flat heads the axis is not what fewest facets look along
+            walls = area @ (abs(normals @ turn) < _LEVEL)
+            turn = np.roll(turn, -int(walls.argmax()), axis=1)
+        level = abs(normals @ turn[:, 0]) < _LEVEL
+        if (level == kept).all() or not level.any():
+            break
+        kept = level
+    return kept, turn, bool((level == kept).all())
+
+
+def leveled(normals: Floats, area: Floats) -> NDArray[np.bool_]:
+    """Which facets (n) of a surface are a cylinder's, if it has one: those along the axis."""
+    kept, _, settled = _leveled(normals, area)
+    return kept if settled else np.zeros(len(area), bool)
 
 
 def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ullage.kernels import rims as kernel
+
 Floats = NDArray[np.float64]
 
 WELD_M = 1e-6
 """Corners nearer than this are one [m]."""
-_ONE = np.ones(1)
 _CLEAR_M = 1e-3  # a radar this far outside a body's box is outside the body
 
 
@@ -26,15 +27,9 @@ class Backs:
 
     def hidden(self, origins: Floats, opaque: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which faces (n) turn their backs to all of the places (k, 3) outside their bodies, where opaque (n)."""
-        out = opaque.copy()
-        for origin in origins[:1] if (origins == origins[0]).all() else origins:
-            out &= self.outward @ np.concatenate([origin, _ONE]) < 0
-            some = np.flatnonzero(out)
-            (ax, ay, az), (bx, by, bz) = self.boxes[some].transpose(1, 2, 0).copy()  # long rows are quick
-            x, y, z = origin
-            inside = (ax - _CLEAR_M <= x) & (x <= bx + _CLEAR_M) & (ay - _CLEAR_M <= y) & (y <= by + _CLEAR_M)
-            inside &= (az - _CLEAR_M <= z) & (z <= bz + _CLEAR_M)
-            out[some[inside]] = False
+        out = np.empty(len(opaque), np.bool_)
+        some = origins[:1] if (origins == origins[0]).all() else origins
+        kernel.hidden(self.outward, self.boxes, some, opaque, _CLEAR_M, out)
         return out
 
     def take(self, index: NDArray[np.integer]) -> Backs:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.kernels import rays as kernel
 from ullage.radar.facets import Surfaces, Veil
 from ullage.radar.penetration import Curtains
 
@@ -55,28 +56,26 @@ def _through(
     for veil in veils:
         bare &= veil.rays.visible(origin, points[todo], slack_m=SLACK_M)
     todo = todo[~bare]
+    if not len(todo):
+        return
     ray = points[todo] - origin
     length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
     ray /= np.maximum(length, 1e-9)[:, None]
     passed = np.zeros(len(todo))
     for step in range(SHEETS + 1):
-        distance, stuff, cosine = _first(veils, origin + ray * passed[:, None], ray)
-        passed = passed + distance
-        met = passed < length - SLACK_M
-        todo, passed, stuff, cosine = todo[met], passed[met] + 2 * SLACK_M, stuff[met], cosine[met]
-        ray, length = ray[met], length[met]
-        if not len(todo):
+        met = _first(veils, origin + ray * passed[:, None], ray)
+        count = kernel.pass_sheets(todo, length, passed, ray, *met, SLACK_M, step == SHEETS, sheets.factor,
+                                   sheets.delay_s, factor, late)  # fmt: skip
+        if not count:
             return
-        if step < SHEETS:
-            place = np.minimum(cosine * (sheets.factor.shape[1] - 1), sheets.factor.shape[1] - 1.001)
-            low, u = place.astype(int), place % 1
-            factor[todo] *= sheets.factor[stuff, low] * (1 - u) + sheets.factor[stuff, low + 1] * u
-            late[todo] += sheets.delay_s[stuff, low] * (1 - u) + sheets.delay_s[stuff, low + 1] * u
-    factor[todo] = 0
+        todo, length, passed, ray = todo[:count], length[:count], passed[:count], ray[:count]
 
 
 def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
     """Distance [m], object and cos(incidence) of the first sheet each ray meets; inf where there is none."""
+    if len(veils) == 1:
+        face, distance, slope = veils[0].rays.trace(origins, rays)
+        return distance, veils[0].stuffs[face], slope
     least = np.full(len(rays), np.inf)
     stuff, cosine = np.zeros(len(rays), np.int32), np.ones(len(rays))
     for veil in veils:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from ullage.geometry import C0
 from ullage.kernels import chains as kernel
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
-from ullage.radar.mirrors import dot, unit
 from ullage.radar.multipath import most_looked
 from ullage.radar.physical import Bench, View
 from ullage.radar.real_paths import Real, free, turned
@@ -110,21 +110,24 @@ def lines_over(wall: Round, body: Round, ends: Floats, walls: tuple[bool, ...]) 
     gaps = wall.radius - np.hypot(x, y) - [0.0, 0.0, body.radius]
     close = _CLOSE * max(float(gaps.min()), 0.1) ** 0.75  # so is a cubic between them right to a fraction of a wave
     count = int(np.clip(2 * np.pi * wall.radius / close, _FEWEST, _MOST))
+    out, feet = _feet(wall, count)
+    kinds, at = np.array(walls), walls.index(True)
+    corners, normals = np.empty((many + 2, count, 3)), np.empty((many, count, 3))
+    length, spread, slope, bends = *np.empty((3, count)), np.empty((many, count))
+    rows, least = np.empty((16, 3)), np.empty(2)
+    kernel.over_lines(ends, kinds, feet, wall.axes[2], body.centre, body.axes, body.radius, body.ball, _STEPS,
+                      corners, normals, length, spread, bends, rows, np.empty((5, 9)))  # fmt: skip
+    kernel.beside(corners, at, out, wall.axes[2], spread, slope, least, rows)
+    normals[at] = -out
+    return Lines(kinds, corners, normals, length, slope, spread, bends, float(1 / (1 / least).sum()))
+
+
+@lru_cache(maxsize=32)
+def _feet(wall: Round, count: int) -> tuple[Floats, Floats]:
+    """Unit vectors (n, 3) out from the axis all round a wall, and lines there, where they are level with its centre."""
     angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
     out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
-    feet, kinds = wall.centre + wall.radius * out, np.array(walls)
-    corners, normals = np.empty((many + 2, count, 3)), np.empty((many, count, 3))
-    length, spread, bends = *np.empty((2, count)), np.empty((many, count))
-    kernel.over_lines(ends, kinds, feet, wall.axes[2], body.centre, body.axes, body.radius, body.ball, _STEPS,
-                      corners, normals, length, spread, bends, np.empty((16, 3)), np.empty((5, 9)))  # fmt: skip
-    at = walls.index(True)
-    normals[at] = -out
-    there, back = unit(corners[at + 1] - corners[at]), unit(corners[at + 2] - corners[at + 1])
-    inward, outward = dot(there, out), -dot(back, out)
-    spread = spread * (inward + outward) / 2 * ((inward > 0) & (outward > 0))
-    legs = [np.linalg.norm(corners[at + k + 1] - corners[at + k], axis=1).min() for k in (0, 1)]
-    slope = dot(there - back, np.cross(wall.axes[2], out))
-    return Lines(kinds, corners, normals, length, slope, spread, bends, float(1 / (1 / legs[0] + 1 / legs[1])))
+    return out, wall.centre + wall.radius * out
 
 
 def _over(
@@ -149,7 +152,9 @@ def _over(
     loud = np.abs(value[first]) * weights
     if loud.sum() * float(ready.table.max()) ** 2 < least:
         return None
-    asked = np.unique(np.concatenate([first, (first + 1) % len(value)]))
+    wanted = np.zeros(len(value), np.bool_)
+    wanted[first] = wanted[(first + 1) % len(value)] = True
+    asked = np.flatnonzero(wanted)
     path = _real(lines, wall, body, view.origins, turn, asked)
     seen = np.zeros(len(value), complex)
     seen[asked] = value[asked] * free(parts, path) * turned(ready, view, path)
@@ -163,29 +168,11 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
     All about points of stationary phase, as far as the phase runs ahead by half of `ZONES` at the least.
     """
     count = len(lines.length)
-    step, cut = 2 * np.pi * radius / count, min(np.sqrt(ZONES / (wave * lines.near)), 2.0)
-    after = np.roll(np.arange(count), -1)
-    least = np.minimum(abs(lines.slope), abs(lines.slope[after])) * (lines.slope * lines.slope[after] > 0)
-    which = np.flatnonzero(there & there[after] & (least < cut))
-    if not len(which):
-        return None
+    step, cut = 2 * np.pi * radius / count, min(float(np.sqrt(ZONES / (wave * lines.near))), 2.0)
     many = int(step * wave * cut / _TURN) + 2
-    share = np.tile((np.arange(many) + 0.5) / many, len(which))
-    first = np.repeat(which, many)
-    gone = abs(_between(lines, radius, first, share)[1]) / cut
-    weights = np.sin(np.pi * np.clip(1 - gone, 0, 0.5)) ** 2 * (step / many)
-    kept = np.flatnonzero(weights)
-    return (first[kept], share[kept], weights[kept]) if len(kept) else None
-
-
-def _between(lines: Lines, radius: float, first: Longs, share: Floats) -> tuple[Floats, Floats]:
-    """Path (m) [m] between lines and the next ones, and how fast it grows, by cubics through both."""
-    step, then = 2 * np.pi * radius / len(lines.length), (first + 1) % len(lines.length)
-    a, b, u = lines.length[first], lines.length[then], share
-    p, q = step * lines.slope[first], step * lines.slope[then]
-    path = a + u * (p + u * (3 * (b - a) - 2 * p - q + u * (2 * (a - b) + p + q)))
-    slope = p + u * (2 * (3 * (b - a) - 2 * p - q) + 3 * u * (2 * (a - b) + p + q))
-    return path, slope / step
+    first, (share, weights) = np.empty(count * many, np.int64), np.empty((2, count * many))
+    made = kernel.sampled(lines.length, lines.slope, there, step, cut, many, first, share, weights)
+    return (first[:made], share[:made], weights[:made]) if made else None
 
 
 def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, asked: Longs) -> Real:
@@ -258,16 +245,15 @@ def _deposited(
 ) -> Laid:  # fmt: skip
     """Lays the sum over places along the wall; told as one echo for each point of stationary phase."""
     first, share, weights = places
-    then = (first + 1) % len(seen)
-    value = (seen[first] * (1 - share) + seen[then] * share) * weights
-    length, slope = _between(lines, wall.radius, first, share)
+    value, (length, slope) = np.empty(len(first), complex), np.empty((2, len(first)))
+    step = 2 * np.pi * wall.radius / len(seen)
+    kernel.summed(lines.length, lines.slope, step, seen, first, share, weights, value, length, slope)
     echo = deposit(ready, length / C0, value, grids, (0.5, 0.5))
     leads = np.flatnonzero((slope[:-1] * slope[1:] <= 0) & ((first[1:] - first[:-1]) % len(seen) <= 1))
     leads = leads if len(leads) else np.array([abs(slope).argmin()])
-    place = first + share
-    gap = abs((place[:, None] - place[leads] + len(seen) / 2) % len(seen) - len(seen) / 2)
-    led, count = gap.argmin(1), len(leads)
-    total = np.bincount(led, echo.real, count) + 1j * np.bincount(led, echo.imag, count)
+    count = len(leads)
+    led, total = np.empty(len(first), np.int64), np.empty(count, complex)
+    kernel.gathered(first, share, leads, len(seen), echo, led, total)
     at = np.searchsorted(asked, first[leads])
     names = path.stuffs[:, at]
     via = np.full((count, 2), -1, np.int64)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.geometry import C0
+from ullage.kernels import impulses as kernel
 from ullage.radar.antenna import gain
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
@@ -352,21 +353,7 @@ def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, sha
     They fall by their `shares` as 1 and as 1 / f: a mirror's as 1 / f, points whose sum along a line makes a mirror's
     as its root, which is half of each.
     """
-    t0, dt, fold = ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s
-    landed, last = delay - np.floor((delay - t0) / fold) * fold, t0 + grids.shape[1] * dt
-    total = value * np.exp(-1j * ready.pulse.omega * landed)  # what lands a pulse later is the same echo
-    while (here := np.flatnonzero(landed < last)).size:
-        echo = value[here] * np.exp(-1j * ready.pulse.omega * landed[here])
-        place = (landed[here] - t0) / dt
-        first = np.floor(place).astype(np.int64)
-        up = place - first
-        down = 1 - up
-        spline = np.stack([down**3 / 6, 2 / 3 - up**2 * (2 - up) / 2, 2 / 3 - down**2 * (2 - down) / 2, up**3 / 6])
-        at = first + np.arange(-1, 3)[:, None]
-        held = (at >= 0) & (at < grids.shape[1])
-        line = np.zeros(grids.shape[1], complex)
-        np.add.at(line, at[held], (spline * echo)[held])
-        for kind, share in enumerate(shares):
-            grids[kind] += share * line
-        landed = landed + fold
-    return np.asarray(total)
+    echo = np.empty(len(value), complex)
+    kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), ready.pulse.omega, ready.first_m * 2 / C0,
+                    ready.pulse.step_s, ready.fold_s, shares, grids, echo)  # fmt: skip
+    return echo

@@ -38,7 +38,8 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
     "ways": ("ways", "lit"),
-    "pairs": ("pairs",),
+    "rounds": ("impulses",),
+    "pairs": ("pairs", "flat_pairs"),
     "chains": ("chains",),
     "conductors": ("lines", "fringe", "double_fringe"),
 }
@@ -61,8 +62,8 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "pairs": many,
-             "chains": many}  # fmt: skip
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "rounds": True,
+             "pairs": many, "chains": many}  # fmt: skip
     if scene is not None:
         from ullage.radar.prepared import prepare
 
@@ -73,6 +74,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         led = flats.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
         there["ways"] &= bool(led and (~flats.smooth).any())
         there["pairs"] = many and len(made.rounds) > 1
+        there["rounds"] = there["pairs"] or any(len(wall.strips) for wall in made.rounds)
         there["chains"] = many and any(wall.holds(body) for wall in made.rounds for body in made.rounds)
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
@@ -339,7 +341,7 @@ def _paths() -> None:
 
 def _ways() -> None:
     """The kernels of ways over flat faces, to no points, wires and facets at all."""
-    from ullage.kernels import ways
+    from ullage.kernels import lit, ways
     from ullage.radar import curves
     from ullage.radar.flats import Rim
     from ullage.radar.multipath import looks
@@ -357,7 +359,7 @@ def _ways() -> None:
                     np.zeros((5, 4, 3)), np.zeros((2, 3), complex))  # fmt: skip
     curves.met(ready, flats, still.flat_backs, led, long, 1.0)
     curves.rims_heard(ready, Rim.none(0), np.zeros(0), 1.0)
-    curves.lit_by(ready, still, led)
+    lit.pair_up(curves.lit_by(ready, still, led), np.zeros(0, np.int32), long, long)
 
 
 def _shapes() -> None:
@@ -383,9 +385,10 @@ JOBS: tuple[Job, ...] = (
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 2.6, _paths),
-    Job("ways over faces", "ways", 3.3, _ways),
-    Job("paths over round bodies", "pairs", 1.3, warmup_rounds.pairs),
-    Job("paths over a tank's wall", "chains", 2, warmup_rounds.chains),
+    Job("ways over faces", "ways", 5, _ways),
+    Job("echoes of round things", "rounds", 1, warmup_rounds.rounds),
+    Job("paths over round bodies", "pairs", 4, warmup_rounds.pairs),
+    Job("paths over a tank's wall", "chains", 3.3, warmup_rounds.chains),
     Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
     Job("bounces", "bounces", 0.9, partial(_walls, max_bounces=2),

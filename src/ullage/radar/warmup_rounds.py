@@ -5,19 +5,44 @@ from __future__ import annotations
 import numpy as np
 
 
+def rounds() -> None:
+    """What all round things share, on no path at all."""
+    from ullage.kernels import impulses as kernel
+
+    none, long = np.zeros(0, complex), np.zeros((1, 0), np.int64)
+    kernel.impulses(none.real.copy(), none, 1.0, 0.0, 1.0, 1.0, (0.5, 0.5), np.zeros((3, 0), complex), none)
+    kernel.polarised(np.zeros((3, 0, 3)), np.zeros((1, 0, 3)), long, np.zeros((1, 1, 2, 2), complex),
+                     np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)), np.zeros((6, 2, 2)), False, np.zeros((2, 3)),
+                     none, none)  # fmt: skip
+
+
 def pairs() -> None:
-    """The kernel of `round_pairs`, on no bodies at all."""
+    """The kernels of `round_pairs` and `flat_pairs`, on no bodies at all."""
+    from ullage.kernels import flat_pairs as flat
     from ullage.radar.round_pairs import Bodies, paths_over
 
-    none, rows = np.zeros(0), np.zeros((0, 3))
-    bodies = Bodies(rows, np.zeros((0, 3, 3)), none, np.zeros((0, 2)), none > 0, none, none.astype(np.int32))
+    none, points = np.zeros(0), np.zeros((0, 3))
+    bodies = Bodies(points, np.zeros((0, 3, 3)), none, np.zeros((0, 2)), none > 0, none, none.astype(np.int32))
     paths_over(np.zeros(3), np.zeros(3), bodies, bodies)
+    rows, spots, turns = np.zeros((0, 4), np.int64), np.zeros((2, 0, 3)), np.zeros((2, 0, 3, 3))
+    twos, long, things = np.zeros((2, 0)), np.zeros(0, np.int64), (bodies.ends, bodies.balls)
+    flat.unfold(rows, none, np.zeros((2, 3)), points, none, points, bodies.axes, none, *things, 1.0, 1.0, long, spots,
+                spots, turns, twos, twos > 0)  # fmt: skip
+    flat.fold(long, rows, none, np.zeros((4, 0, 3)), spots, none, none, twos.T.copy(), spots, turns, *things, points,
+              none, bodies.ends, 1.0, 1.0, 1.0, 1.0, long, none, twos, np.zeros((5, 0, 3)), np.zeros((3, 0, 3)),
+              np.zeros((5, 3)))  # fmt: skip
+    flat.gaps(np.zeros((2, 3)), points, bodies.axes, *things, twos)
 
 
 def chains() -> None:
-    """The kernel of `wall_bodies`, on one drum in a wall."""
+    """The kernels of `wall_bodies`, on one drum in a wall."""
+    from ullage.kernels import chains as kernel
     from ullage.radar.rounds import Round
     from ullage.radar.wall_bodies import WALL_FIRST, lines_over
 
     wall, drum = (Round(np.zeros(3), np.eye(3), radius, -1.0, 1.0, 0.0, 0.1, 0) for radius in (2.0, 0.3))
     lines_over(wall, drum, np.ones((2, 3)), WALL_FIRST)
+    none, long, wave = np.zeros(0), np.zeros(0, np.int64), np.zeros(0, complex)
+    kernel.sampled(none, none, none > 0, 1.0, 1.0, 1, long, none, none)
+    kernel.summed(none, none, 1.0, wave, long, none, none, wave, none, none)
+    kernel.gathered(long, none, long, 1, wave, long, wave)

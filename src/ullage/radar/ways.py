@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,11 @@ class Ways:
         there = self.faces[:, 0] >= 0
         return replace(laid, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
 
-    def view(self, way: int, view: View) -> View:
-        """The radar as one way's end sees it: its antennas' last images, mirrored."""
-        ends = np.ascontiguousarray(self.images[way, :, 2])
-        return View(ends, self.frames[way], view.fields, view.factor * self.weights[way])
+    def end(self, view: View, told: tuple[Any, ...], of: Longs | None = None) -> tuple[Any, ...]:
+        """What kernels are told, as `common` gives it, with the radar as the ends of all or some (m) ways see it."""
+        some = slice(None) if of is None else of
+        fields = np.repeat(view.fields[None], len(self.weights[some]), 0)
+        return (self.ends[some], self.frames[some], fields, *told[3:5], told[5] * self.weights[some], *told[6:])
 
 
 def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> Ways:
@@ -72,7 +74,7 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
     """
     look = look * ~flats.smooth
-    first = np.sort(np.argpartition(look, -FACES - 1)[-FACES - 1 :]) if len(look) > FACES else np.arange(len(look))
+    first = largest(look, FACES)
     taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
     one = bool((view.origins[0] == view.origins[1]).all())
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
@@ -87,6 +89,11 @@ def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> 
     held = reach <= ready.gate[1]
     all_ = faces, via, legs, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
     return Ways(*(all_ if held.all() else (row[held] for row in all_)))
+
+
+def largest(look: Floats, count: int) -> Longs:
+    """So many of all (p) that look largest, and the next one, in order."""
+    return np.sort(np.argpartition(look, -count - 1)[-count - 1 :]) if len(look) > count else np.arange(len(look))
 
 
 @lru_cache(maxsize=64)

@@ -1,0 +1,195 @@
+"""Loops over paths over two round bodies and a flat face: mirrored into such over two bodies, and back."""
+
+from __future__ import annotations
+
+import math
+
+from ullage.kernels.edges import mirror
+from ullage.kernels.loops import core, lean
+from ullage.kernels.vectors import dot, mirrored, unit_to
+
+BEFORE, BETWEEN, AFTER = 0, 1, 2  # where a path meets the face
+
+
+@lean(nogil=True, error_model="numpy")
+def gaps(origins, centres, axes, ends, balls, out):  # type: ignore[no-untyped-def]
+    """How far points (s, 3) lie from the centres of balls or the axes of drums: (s, m) [m]; bodies as in `unfold`."""
+    for s in range(len(origins)):
+        for i in range(len(centres)):
+            out[s, i] = _gap(centres[i], axes[i, 2], ends[i], balls[i], origins[s])
+
+
+@core(nogil=True, error_model="numpy")
+def _gap(centre, axis, ends, ball, point):  # type: ignore[no-untyped-def]
+    along, square = 0.0, 0.0
+    for k in range(3):
+        along += (point[k] - centre[k]) * axis[k]
+        square += (point[k] - centre[k]) ** 2
+    if ball:
+        return math.sqrt(square)
+    beyond = along - min(max(along, ends[0]), ends[1])
+    return math.sqrt(max(square - along * along, 0.0) + beyond * beyond)
+
+
+@core(nogil=True, error_model="numpy")
+def _height(n, offset, point):  # type: ignore[no-untyped-def]
+    """How far a point lies before a face [m]."""
+    return n[0] * point[0] + n[1] * point[1] + n[2] * point[2] - offset
+
+
+@lean(nogil=True, error_model="numpy")
+def unfold(rows, counts, origins, normals, offsets, centres, axes, radii, ends, balls, gate, least, loud, points,  # type: ignore[no-untyped-def]
+           middles, turns, sizes, kinds):  # fmt: skip
+    """The chains that may be loud, as paths over two bodies: what lies beyond their faces is mirrored.
+
+    Args:
+        rows: (m, 4) where each chain meets its face; the face; both bodies.
+        counts: (m) of each, and how often.
+        origins: (2, 3) where paths begin and end [m].
+        normals, offsets: (p, 3) and (p) of the faces [m].
+        centres, axes, radii, ends, balls: of the bodies, as `radar.round_pairs.Bodies` has them.
+        gate: greatest length of a path [m].
+        least: chains whose spread is less at the most are left out [1/m].
+        loud: (m) gets which rows are left.
+        points: (2, m, 3) get both ends [m].
+        middles, turns, sizes, kinds: (2, m, 3), (2, m, 3, 3), (2, m), (2, m) get centres, axes, radii, balls.
+
+    Returns:
+        How many chains are left.
+    """
+    count = 0
+    for i in range(len(rows)):
+        at, face, a, b = rows[i]
+        n, d = normals[face], offsets[face]
+        if _height(n, d, origins[0]) * _height(n, d, origins[1]) <= 0:
+            continue
+        start, stop = points[0, count], points[1, count]
+        for k in range(3):
+            start[k], stop[k] = origins[0, k], origins[1, k]
+            middles[0, count, k], middles[1, count, k] = centres[a, k], centres[b, k]
+            for j in range(3):
+                turns[0, count, j, k], turns[1, count, j, k] = axes[a, j, k], axes[b, j, k]
+        if at == BEFORE:
+            mirror(origins[0], n, d, start)
+        else:
+            mirror(origins[1], n, d, stop)
+        if at == BETWEEN:
+            mirror(centres[b], n, d, middles[1, count])
+            for j in range(3):
+                mirrored(n, turns[1, count, j])
+        axis, last = turns[1, count, 2], middles[1, count]
+        aslant = 0.0 if balls[b] else math.sqrt(max(1 - dot(axis, axes[a, 2]) ** 2, 0.0)) * ends[b, 1]
+        one = max(_gap(centres[a], axes[a, 2], ends[a], balls[a], start) - radii[a], 1e-3)
+        two = max(_gap(centres[a], axes[a, 2], ends[a], balls[a], last) - aslant - radii[a] - radii[b], 1e-3)
+        three = max(_gap(last, axis, ends[b], balls[b], stop) - radii[b], 1e-3)
+        most = math.sqrt(radii[a] * radii[b] / (4 * one * two * three * (one + two + three)))
+        if one + two + three < gate and most * counts[i] > least:
+            sizes[0, count], sizes[1, count], kinds[0, count], kinds[1, count] = radii[a], radii[b], balls[a], balls[b]
+            loud[count] = i
+            count += 1
+    return count
+
+
+@core(nogil=True, error_model="numpy")
+def _drawn(point, centre, axis, ends, ball, bend, wavelength, pull, out):  # type: ignore[no-untyped-def]
+    """Draws a point beyond the ends of a drum onto it, `pull` from its end; how far along the axis it was [m].
+
+    And what the drum's ends leave of a wave there, at the most: beyond an end a tail of Fresnel's integral.
+    """
+    along, most = 0.0, 1.2
+    for k in range(3):
+        along += (point[k] - centre[k]) * axis[k]
+    inner = along if ball else min(max(along, ends[0] + pull), ends[1] - pull)
+    for k in range(3):
+        out[k] = point[k] + (inner - along) * axis[k]
+    if not ball:
+        beyond = max(ends[0] - along, along - ends[1]) * math.sqrt(max(2 * bend / wavelength, 0.0))
+        if beyond > 0:
+            most = min(most, math.sqrt(2) / (math.pi * beyond))
+    return along, most
+
+
+@lean(nogil=True, error_model="numpy")
+def fold(loud, rows, counts, corners, bent, lengths, spreads, bends, middles, turns, ends, balls, normals, offsets,  # type: ignore[no-untyped-def]
+         widths, wavelength, gate, least, pull, some, values, alongs, real, faces, scratch):  # fmt: skip
+    """The chains that are loud and run as they should, and their paths with what lies beyond faces brought back.
+
+    Args:
+        loud, middles, turns: as `unfold` gives them, and so the first of: rows, counts, ends, balls, normals, offsets.
+        corners: (4, m, 3), bent: (2, m, 3), lengths, spreads, bends: as `pairs.shortest` gives them for those.
+        widths: (p, 2) of the faces [m].
+        gate: greatest length of a path [m]; least: spreads that are less are left out [1/m].
+        pull: bodies are touched no nearer to their ends [m].
+        some: (m) gets which of the loud are left.
+        values: (m) gets their spreads, times what their faces pass on, and how often they count [1/m].
+        alongs: (2, m) get how far from the middles of the bodies they touch these along the axes [m].
+        real: (5, m, 3) get the corners [m]; faces: (3, m, 3) get the unit normals there, as the wave meets them.
+        scratch: (5, 3).
+
+    Returns:
+        How many are left.
+    """
+    count, one, other, start, stop, foot = 0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    for i in range(len(loud)):
+        at, face, a, b = rows[loud[i]]
+        n, d, value = normals[face], offsets[face], spreads[i] * counts[loud[i]]
+        if value <= least or lengths[i] >= gate:
+            continue
+        along, most = _drawn(corners[1, i], middles[0, i], turns[0, i, 2], ends[a], balls[a], bends[i, 0], wavelength,
+                             pull, one)  # fmt: skip
+        further, more = _drawn(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], balls[b], bends[i, 1],
+                               wavelength, pull, other)  # fmt: skip
+        if value * most * more <= least:
+            continue
+        for k in range(3):
+            start[k], stop[k] = corners[0, i, k], corners[3, i, k]
+        here, there = (start, one) if at == BEFORE else (one, other) if at == BETWEEN else (other, stop)
+        gap, beyond = _height(n, d, here), _height(n, d, there)
+        if gap * beyond >= 0:
+            continue
+        for k in range(3):
+            foot[k] = here[k] + gap / (gap - beyond) * (there[k] - here[k])
+        value *= _passed(here, foot, there, widths[face], wavelength, faces[0, count])
+        if value * most * more <= least:
+            continue
+        _back(at, n, d, start, other, stop)
+        side = 1.0 if _height(n, d, start) > 0 else -1.0
+        if side * _height(n, d, one) <= 0 or side * _height(n, d, other) <= 0:
+            continue
+        some[count], values[count], alongs[0, count], alongs[1, count] = i, value, along, further
+        before, after = (0, 2) if at == BETWEEN else (1, 2) if at == BEFORE else (0, 1)
+        for k in range(3):
+            real[0, count, k], real[4, count, k], real[1 + at, count, k] = start[k], stop[k], foot[k]
+            real[1 + before, count, k], real[1 + after, count, k] = one[k], other[k]
+            faces[at, count, k] = side * n[k]
+            faces[before, count, k], faces[after, count, k] = bent[0, i, k], bent[1, i, k]
+        if at == BETWEEN:
+            mirrored(n, faces[after, count])
+        count += 1
+    return count
+
+
+@core(nogil=True, error_model="numpy")
+def _back(at, n, offset, start, other, stop):  # type: ignore[no-untyped-def]
+    """Brings back what lies beyond a face: the path's start, or its end and the body that it meets after the face."""
+    if at == BEFORE:
+        _over(n, offset, start)
+    else:
+        _over(n, offset, stop)
+    if at == BETWEEN:
+        _over(n, offset, other)
+
+
+@core(nogil=True, error_model="numpy")
+def _over(n, offset, point):  # type: ignore[no-untyped-def]
+    twice = 2 * _height(n, offset, point)
+    for k in range(3):
+        point[k] -= twice * n[k]
+
+
+@core(nogil=True, error_model="numpy")
+def _passed(before, foot, then, widths, wavelength, way):  # type: ignore[no-untyped-def]
+    """What a face that does not cover its Fresnel zone passes on."""
+    there, back = unit_to(before, foot, way), unit_to(foot, then, way)
+    zone = math.sqrt(wavelength * there * back / (there + back))
+    return min(widths[0] / zone, 1.0) * min(widths[1] / zone, 1.0)

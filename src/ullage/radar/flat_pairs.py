@@ -1,0 +1,142 @@
+"""Echoes over two round bodies, or one twice, and a large flat face: drums beside a wall, a ball and a drum on a floor.
+
+A flat face mirrors bodies and antennas as they are, and a mirrored ball is a ball: so each path is one over two bodies,
+as from one body to another, with all that lies beyond the face mirrored [AllenBerkley1979].
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.geometry import C0
+from ullage.kernels import flat_pairs as kernel
+from ullage.radar.facets import Flats, Surfaces
+from ullage.radar.laid import Laid
+from ullage.radar.multipath import most_looked
+from ullage.radar.physical import Bench, View
+from ullage.radar.real_paths import Real, free, turned
+from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies, shortest
+from ullage.radar.rounds import Round
+from ullage.radar.wall_bounces import PULL_M, deposit
+from ullage.radar.ways import FACES, largest
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Longs = NDArray[np.int64]
+
+FAINT = 2e-3
+"""Chains that do not make this share of a frame's strongest echo are left out."""
+MOST = 4
+"""Between so many bodies, those that look largest, waves go over flat faces; each fades in."""
+BEFORE, BETWEEN, AFTER = 0, 1, 2
+"""Where a path meets the face: before both bodies, between them, or after both."""
+
+
+def lay_flat_pairs(
+    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, look: Floats,
+    grids: Complexes,
+) -> list[Laid]:  # fmt: skip
+    """Adds the echoes over two round bodies and one of the flat faces that look largest (p) to the delay grids.
+
+    Those too faint beside what the grids hold are left out.
+    """
+    bodies = bodies_of(rounds, np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2))
+    if not len(bodies.radii):
+        return []
+    which, weights, _ = seen_bodies(ready, bodies, view, MOST)
+    some = largest(look * ~flats.smooth, FACES)
+    held, shares = most_looked(look[some], FACES)
+    faces = some[held]
+    rows, twice = _rows(len(faces), len(which), bool((view.origins[0] == view.origins[1]).all()))
+    if not len(rows):
+        return []
+    nth = rows[:, 1]
+    rows = np.stack([rows[:, 0], faces[nth], which[rows[:, 2]], which[rows[:, 3]]], 1)
+    counts = twice * shares[held][nth] * weights[rows[:, 2]] * weights[rows[:, 3]]
+    return _laid(ready, parts, flats, view, bodies, rows, counts, FAINT * float(abs(grids).max()), grids)
+
+
+@lru_cache(maxsize=64)
+def _rows(faces: int, bodies: int, one: bool) -> tuple[Longs, Floats]:
+    """Where each chain of so many meets its face, which face, both bodies (m, 4), and how often it counts (m).
+
+    With antennas in one place no chain and its reverse.
+    """
+    rows = [(at, face, a, b)
+            for at in (BEFORE, BETWEEN, AFTER) for face in range(faces) for a in range(bodies) for b in range(bodies)
+            if (a != b or at == BETWEEN) and not (one and (at == AFTER or (at == BETWEEN and a > b)))]  # fmt: skip
+    twice = [2.0 if one and not (at == BETWEEN and a == b) else 1.0 for at, _, a, b in rows]
+    return np.array(rows, np.int64).reshape(-1, 4), np.array(twice)
+
+
+def _laid(
+    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, bodies: Bodies, rows: Longs, counts: Floats,
+    least: float, grids: Complexes,
+) -> list[Laid]:  # fmt: skip
+    """The echoes over chains (m, 4) that count so (m), but for those less than a path gain amplitude."""
+    wavelength, top = ready.spec.wavelength_m, float(ready.table.max()) ** 2
+    full, gate = wavelength / (4 * np.pi) * view.factor, 2 * ready.gate[1]
+    faint = least / (abs(full) * top)  # as a spread
+    many = len(rows)
+    loud, points, middles, turns = np.empty(many, np.int64), *np.empty((2, 2, many, 3)), np.empty((2, many, 3, 3))
+    sizes, kinds = np.empty((2, many)), np.empty((2, many), np.bool_)
+    mirrors, things = (flats.normals, flats.offsets), (bodies.ends, bodies.balls)
+    count = kernel.unfold(rows, counts, view.origins, *mirrors, bodies.centres, bodies.axes, bodies.radii, *things,
+                          gate, faint, loud, points, middles, turns, sizes, kinds)  # fmt: skip
+    if not count:
+        return []
+    loud, middles, turns = loud[:count], middles[:, :count].copy(), turns[:, :count].copy()
+    paths = shortest(points[0, :count], points[1, :count], middles, turns, sizes[:, :count].copy(),
+                     kinds[:, :count].copy())  # fmt: skip
+    some, values, alongs = np.empty(count, np.int64), np.empty(count), np.empty((2, count))
+    corners, normals = np.empty((5, count, 3)), np.empty((3, count, 3))
+    left = kernel.fold(loud, rows, counts, paths.corners, paths.normals, paths.length, paths.spread, paths.bends,
+                       middles, turns, *things, *mirrors, flats.widths, wavelength, gate, faint, PULL_M, some, values,
+                       alongs, corners, normals, np.empty((5, 3)))  # fmt: skip
+    if not left:
+        return []
+    some = some[:left]
+    chains, lengths, value = rows[loud[some]], paths.length[some], full * values[:left]
+    for k in range(2):
+        body = chains[:, 2 + k]
+        value = value * ends_leave(bodies.ends[body], bodies.balls[body], alongs[k, :left], paths.bends[some, k],
+                                   wavelength)  # fmt: skip
+    path = _real(flats, bodies, chains, corners[:, :left], normals[:, :left])
+    value = value * turned(ready, view, path)
+    value = value * (abs(value) > least) * free(parts, path)
+    return [_told(ready, path, chains[:, 0] == AFTER, lengths, value, grids)]
+
+
+def _real(flats: Flats, bodies: Bodies, chains: Longs, corners: Floats, normals: Floats) -> Real:
+    """The paths of chains (n, 4) with what they meet, in the wave's order."""
+    at, face, first, last = chains.T
+    many = len(at)
+    depths = _met(at, np.zeros(many), bodies.depths[first], bodies.depths[last])
+    stuffs = _met(at, flats.stuffs[face], bodies.stuffs[first], bodies.stuffs[last])
+    return Real(corners, normals, depths, stuffs, np.ones(many, np.bool_))
+
+
+def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any]) -> NDArray[Any]:
+    """What belongs to a face (m) and both bodies, as waves meet them (3, m)."""
+    return np.stack([np.where(at == BEFORE, face, first), np.choose(at, (first, face, last)),
+                     np.where(at == AFTER, face, last)])  # fmt: skip
+
+
+def _told(
+    ready: Bench, path: Real, after: NDArray[np.bool_], lengths: Floats, value: Complexes, grids: Complexes
+) -> Laid:
+    """Lays the echoes of paths (n), some of which meet their face after both bodies."""
+    echo = deposit(ready, lengths / C0, value, grids, (0.0, 1.0))
+    stuffs = path.stuffs
+    via = np.stack([stuffs[0], np.where(after, stuffs[2], stuffs[1])], 1).astype(np.int64)
+
+    def again(factors: Complexes, others: Complexes) -> None:
+        deposit(ready, lengths / C0, value * factors, others, (0.0, 1.0))
+
+    points = np.where(after[:, None], path.corners[2], path.corners[3])
+    last = np.where(after, stuffs[1], stuffs[2]).astype(np.int32)
+    return Laid(last, points, echo, lengths / C0, again, via, np.where(after, 1, 2))

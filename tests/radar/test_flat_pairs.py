@@ -1,0 +1,110 @@
+"""Over two round bodies and a flat face: what a mirrored world gives, reciprocity, edges of the face, names."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.experiments.validate import radar
+from ullage.geometry import quat_matrix
+from ullage.radar import flat_pairs
+from ullage.radar.flat_pairs import lay_flat_pairs
+from ullage.radar.multipath import looks
+from ullage.radar.physical import bench, view_of
+from ullage.radar.round_pairs import lay_pairs
+from ullage.world import scenes
+from ullage.world.scene import Scene
+
+
+def at(*position, roll_deg=0.0):
+    half = np.deg2rad(roll_deg) / 2
+    return replace(ul.Trajectory.stationary(position), quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
+
+
+def body(kind, centre, name):
+    made = {"ball": scenes.sphere(0.3, 0.0, edge_m=0.06), "drum": scenes.cylinder(0.3, 1.6, 0.0, edge_m=0.06)}[kind]
+    made = replace(made, vertices=made.vertices + np.array(centre))
+    return replace(made, objects=tuple(replace(o, name=name) for o in made.objects))
+
+
+def side_wall(length=8.0, middle=0.0):
+    """A wall along x at y = -1.2."""
+    corners = [[-length / 2, -1.2, -2], [length / 2, -1.2, -2], [length / 2, -1.2, 2], [-length / 2, -1.2, 2]]
+    return Scene.of_mesh(np.array(corners) + np.array([middle, 0, 0]), np.array([[0, 1, 2], [0, 2, 3]]), name="wall",
+                         made_of="pec")  # fmt: skip
+
+
+FIRST, LAST = (2.0, 0.6, 0.1), (2.5, -0.3, -0.1)
+
+
+def world(kinds, *walls):
+    return Scene.union([body(kind, place, name) for kind, place, name in zip(kinds, (FIRST, LAST), "ab", strict=False)]
+                       + list(walls))  # fmt: skip
+
+
+def heard(scene, pose, spec, which=lay_flat_pairs, view=None):
+    """What `lay_flat_pairs` alone lays on the grids, or `lay_pairs`; each echo that is not 0."""
+    ready = bench(scene, spec)
+    view = view or view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    made, grids = ready.world, np.zeros((3, ready.places), complex)
+    flats = made.still.flats
+    more = () if which is lay_pairs else (flats,)
+    look = () if which is lay_pairs else (looks(ready, flats, view) * (flats.widths.min(1) > 1),)
+    laid = which(ready, made.parts(), made.rounds, *more, view, *look, grids)
+    return {(*(int(k) for k in part.via[i]), int(part.stuffs[i]), int(before)): part.echo[i]
+            for part in laid for i, before in enumerate(part.before if part.before is not None else part.via[:, 0] * 0)
+            if part.echo[i]}  # fmt: skip
+
+
+@pytest.mark.parametrize("kinds", [("ball", "ball"), ("drum", "ball"), ("drum", "drum")])
+def test_a_wall_is_the_world_mirrored_in_it(kinds):
+    """Between: the second body is where its image is, heard at the radar's image. Fields upright keep their sign."""
+    spec, pose = radar(), at(0, 0, 0)
+    over = heard(world(kinds, side_wall()), pose, spec)
+    image = body(kinds[1], np.array([2.5, -2.1, -0.1]), "b")
+    view = view_of(spec, np.zeros(3), np.eye(3))
+    turned = replace(view, origins=np.array([[0, 0, 0], [0, -2.4, 0.0]]))
+    free = heard(Scene.union([body(kinds[0], FIRST, "a"), image]), pose, spec, lay_pairs, turned)
+    assert abs(free[0, -1, 1, 0]) > 1e-6
+    assert over[0, 2, 1, 2] == pytest.approx(-2 * free[0, -1, 1, 0], rel=0.03)  # twice: both ways round
+
+
+@pytest.mark.parametrize("kinds", [("ball",), ("drum",)])
+def test_a_body_before_a_wall_has_its_own_image_for_the_other(kinds):
+    """There over the body, the wall and back to it: once, and mirrored about the wall."""
+    over = heard(world(kinds, side_wall()), at(0, 0, 0.1), radar())
+    image = body(kinds[0], (2.0, -3.0, 0.1), "b")
+    apart = np.array([[0, 0, 0.1], [0, -2.4, 0.1]])
+    turned = replace(view_of(radar(), apart[0], np.eye(3)), origins=apart)
+    free = heard(Scene.union([body(kinds[0], FIRST, "a"), image]), at(0, 0, 0.1), radar(), lay_pairs, turned)
+    assert over[0, 1, 0, 2] == pytest.approx(-free[0, -1, 1, 0], rel=0.03)
+
+
+@pytest.mark.parametrize("kinds", [("ball", "ball"), ("drum", "ball")])
+def test_sending_and_receiving_may_be_exchanged(kinds):
+    spec, scene = radar().but(antenna_offset_m=0.4), world(kinds, side_wall())
+    one, other = (sum(heard(scene, at(0, 0, 0, roll_deg=r), spec).values()) for r in (35, 215))
+    assert abs(one) > 1e-5
+    assert one == pytest.approx(other, rel=1e-6)
+    together, hardly = (sum(heard(scene, at(0, 0, 0), radar().but(antenna_offset_m=d)).values()) for d in (0.0, 1e-6))
+    assert together == pytest.approx(hardly, rel=1e-4)
+
+
+def test_where_the_face_ends_there_is_no_mirror_and_what_stands_between_hides(monkeypatch):
+    monkeypatch.setattr(flat_pairs, "FAINT", 0.0)
+    whole = heard(world(("drum", "drum"), side_wall()), at(0, 0, 0), radar())
+    assert {key[3] for key in whole} == {2}
+    assert heard(world(("drum", "drum"), side_wall(3.0, -4.0)), at(0, 0, 0), radar()) == {}
+    fence = Scene.of_mesh(np.array([[-1, -0.9, -2], [4, -0.9, -2], [4, -0.9, 2], [-1, -0.9, 2.0]]),
+                          np.array([[0, 1, 2], [0, 2, 3]]), name="fence", made_of="pec")  # fmt: skip
+    behind = heard(world(("drum", "drum"), side_wall(), fence), at(0, 0, 0), radar())
+    assert all(2 not in key[:2] for key in behind)
+
+
+def test_explain_names_all_three():
+    told = ul.explain(world(("drum", "ball"), side_wall()), at(0, 0, 0), radar(), 0, max_bounces=3, count=None)
+    assert any(set(c.path) == {"a", "b", "wall"} for c in told)
+    apart = ul.explain(world(("drum", "ball"), side_wall()), at(0, 0, 0), radar().but(antenna_offset_m=0.4), 0,
+                       max_bounces=3, count=None)  # fmt: skip
+    assert {c.path[0] for c in apart if set(c.path) == {"a", "b", "wall"}} >= {"a", "wall"}
