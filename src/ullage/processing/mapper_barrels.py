@@ -1,8 +1,8 @@
 """Round walls that are flown along: pieces of them that were told as flat ones touch one cylinder.
 
 Along its axis a lying tank or a round tunnel bows no ranges, so each leg hears walls as flat as any. But a piece that
-legs beside it hear elsewhere is another piece: all normals n meet on the axis, and each foot f = c + R n. The feet of a flat
-wall have one normal and lie apart; those of several, as of a room, meet no common axis unless the drone flies in
+legs beside it hear elsewhere is another piece: all normals n meet on the axis, and each foot f = c + R n. The feet of a
+flat wall have one normal and lie apart; those of several, as of a room, meet no common axis unless the drone flies in
 it, which tells nothing.
 """
 
@@ -16,7 +16,7 @@ from ullage.processing.mapper_bows import Hollow
 
 Floats = NDArray[np.float64]
 
-ALONG = 0.2  # of the track in normals: more is no wall that is flown along
+ALONG, FLOWN_ALONG = 0.2, 0.95  # of the track in normals, at most; of the axis, at least
 LEAST_TURN, LEAST_SPREAD = float(np.cos(np.radians(10.0))), 0.2
 FITS_M, FITS_NORMAL = 0.06, 0.15  # of a foot in its normal's way; of the normal, which legs far apart tell in the mean
 SQUARE = 0.8  # of what lies along two ways at right angles, as a room's walls do
@@ -36,6 +36,8 @@ def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, NDArray[np.bool_]] | 
     if abs(me[NORMAL : NORMAL + 3] @ me[TRACK : TRACK + 3]) > ALONG or len(np.unique(others[asked, LEG])) < LEAST_LEGS:
         return None
     axis = np.linalg.svd(normal[asked])[2][2]
+    if abs(axis @ me[TRACK : TRACK + 3]) < FLOWN_ALONG:
+        return None
     across = np.linalg.svd(axis[None])[2][1:]
     n, foot, reach = normal @ across.T, (at + others[:, RANGE, None] * normal) @ across.T, others[:, RANGE]
     n /= np.maximum(np.linalg.norm(n, axis=1), 1e-9)[:, None]
@@ -57,7 +59,7 @@ def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, NDArray[np.bool_]] | 
     square = abs(np.mean((n[apart] @ [1.0, 1.0j]) ** 4)) if apart.any() else 1.0
     if not enough or spread < LEAST_SPREAD**2 or square > SQUARE or radius <= 0:
         return None
-    return Hollow(me[PLACE : PLACE + 3] + centre @ across, axis, float(radius)), on
+    return Hollow(me[PLACE : PLACE + 3] + centre @ across, axis, float(radius), int(on.sum())), on
 
 
 def _touched(foot: Floats, n: Floats) -> tuple[Floats, float]:

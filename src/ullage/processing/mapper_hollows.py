@@ -75,10 +75,17 @@ class Hollows:
         return hollow, way
 
     def go_on(self, hollow: Hollow, normal: Floats, place: Floats) -> None:
-        """Know a hollow wall in a way (3) from a place (3), unless it is known there."""
+        """Know a wall that is flown along in a way (3) from a place (3), unless it is known as well there."""
         way = hollow.ways(place[None], normal)[0]
         foot = place + float(hollow.ranges(place[None], way[None])[0]) * way
-        if not any(way @ w > FURTHER and abs((foot - f) @ hollow.axis) < PLACE_M for _, w, f in self.told):
+        here = [
+            k
+            for k, (_, there, at) in enumerate(self.told)
+            if way @ there > ON_ROUND and abs((foot - at) @ hollow.axis) < ON_ALONG_M
+        ]
+        if all(0 < self.told[k][0].pieces < hollow.pieces for k in here):
+            for k in reversed(here):
+                del self.told[k]
             self._keep(hollow, way, foot)
 
     def _keep(self, hollow: Hollow, way: Floats, foot: Floats) -> None:
