@@ -1,8 +1,9 @@
 """Ordinary inspection missions for maps of a volume: legs and rounds, straight, level or climbing evenly.
 
 Each is flown by the simulated multirotor, heading along its way, with the thesis' four radars. The rooms and tanks of
-the table are "room", "hall", "den", "keg", "kettle", "tank", "basin" and "silo"; thresholds were chosen in "cabin",
-"vat" and "drum". `OTHERS` are missions of their own in other rooms.
+the table are "room", "hall", "den", "keg", "kettle", "tank", "basin" and "silo", and the lying tank "boiler", of which
+lanes are flown along the axis; thresholds were chosen in "cabin", "vat" and "drum". `OTHERS` are missions of their
+own in other rooms.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from ullage.data import Frames
 from ullage.world.scene import Scene
 
 MISSIONS = ("climbing legs", "even climb", "rounds at 3 heights", "lawn-mower", "wall, leg over leg", "level round")
-TANKS = ("tank", "vat", "drum", "silo", "keg", "kettle", "basin")
+TANKS = ("tank", "vat", "drum", "silo", "keg", "kettle", "basin", "boiler")
+LANES = ((-0.7, -0.5), (0.05, -0.8), (0.7, -0.45), (0.6, 0.4), (-0.05, 0.75), (-0.65, 0.5), (0.15, 0.0))  # x, z [m]
 
 
 def rounds(x: float, y: float, heights: tuple[float, ...]) -> np.ndarray:
@@ -63,16 +65,16 @@ def world(name: str) -> Scene:
     """A room or an upright cylindrical tank, centred on the origin."""
     if name == "room":
         return ul.scenes.room((8.0, 6.0, 3.0), plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
-    if name == "cabin":
-        return ul.scenes.room((6.0, 4.5, 3.4), material="concrete")
-    if name == "den":
-        return ul.scenes.room((5.0, 4.2, 2.7), material="concrete")
+    if name in ("cabin", "den"):
+        return ul.scenes.room({"cabin": (6.0, 4.5, 3.4), "den": (5.0, 4.2, 2.7)}[name], material="concrete")
     if name == "hall":
         plate = {"width_m": 1.4, "height_m": 2.0, "distance_m": 3.2, "yaw_deg": 30}
         return ul.scenes.room((9.5, 7.0, 3.8), material="concrete", plate=plate)
     if name in OTHERS:
         size, plate, *_ = OTHERS[name]
         return ul.scenes.room(size, material="concrete", plate=plate)
+    if name == "boiler":
+        return ul.scenes.cylinder(1.8, 8.0, 0.0, 90.0, material="steel", edge_m=0.1)
     radius, height = {
         "tank": (4.0, 4.0),
         "vat": (3.2, 3.4),
@@ -88,6 +90,10 @@ def world(name: str) -> Scene:
 def points(mission: str, name: str, seed: int) -> np.ndarray:
     """Waypoints (n, 3) of a mission in a world [m]."""
     rng = np.random.default_rng([seed, len(mission)])
+    if name == "boiler":
+        ends = [(2.6, -2.6) if k % 2 else (-2.6, 2.6) for k in range(len(LANES))]
+        lanes = np.array([(x, y, z) for (x, z), there in zip(LANES, ends, strict=True) for y in there])
+        return lanes + rng.uniform(-0.1, 0.1, lanes.shape)
     x, y, z = {
         "room": (2.3, 1.5, 0.8),
         "cabin": (1.6, 1.0, 0.9),

@@ -26,7 +26,8 @@ SAID = ("f1", "precision", "recall", "surface_declared_free", "known_behind")
 
 def missions(names: list[str], word: str) -> list[tuple[str, str]]:
     """Worlds and missions, of those worlds and with that word in their name."""
-    out = [(name, m) for name in names if name != "others" for m in MISSIONS if word in m]
+    out = [(name, m) for name in names if name not in ("others", "boiler") for m in MISSIONS if word in m]
+    out += [(name, "lanes") for name in names if name == "boiler"]
     return out + [(name, "") for name in OTHERS if "others" in names and word in name]
 
 

@@ -9,9 +9,8 @@ import ullage as ul
 from ullage.experiments.reproduce import flights
 from ullage.grids import Grid
 from ullage.processing.blocks import Blocks
-from ullage.processing.mapper import LOOK_SHARE, look_share
 from ullage.processing.mapper_bows import own_share
-from ullage.processing.mapper_looks import STEP_M, Listener, dense_looks
+from ullage.processing.mapper_looks import LOOK_SHARE, STEP_M, Listener, dense_looks, look_share
 from ullage.processing.mapper_tracks import Traced
 
 SIZE = (6.0, 5.0, 3.0)

@@ -20,12 +20,13 @@ from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
+from ullage.processing.mapper_beyond import cell_of, without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import Fold, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
-from ullage.processing.mapper_looks import STEP_M, Listener, Look, lit_ways, ways_apart
+from ullage.processing.mapper_looks import Listener, Look, lit_ways, look_share, ways_apart
 from ullage.processing.mapper_rims import LEAST_RIM, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_show import without_cut_off
@@ -45,7 +46,7 @@ SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
 FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
-LOOK_SHARE, FLAT_SHARE = 0.4, 0.9
+FLAT_SHARE = 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
@@ -90,6 +91,7 @@ class UllageMapper:
         self._open: deque[Iterator[int]] = deque()
         self._due = HEAR
         self._flown: dict[tuple[int, ...], None] = {}
+        self._ends: dict[tuple[int, ...], None] = {}  # of silence straight ahead
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -235,7 +237,7 @@ class UllageMapper:
         if self.grid.dims == 2:
             arcs[[ways_apart(heard.axes, arc, hit[0]) > APART_M for arc in arcs], 8] = TORN
         self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
-        self._flown[tuple(np.rint(heard.position / self.grid.step_m).astype(int).tolist())] = None
+        self._flown[cell_of(heard.position, self.grid)] = None
         quiet = np.concatenate([[0], np.cumsum(heard.quiet)])
         beam = Beam(
             heard.position,
@@ -256,7 +258,10 @@ class UllageMapper:
         walls = self._tracks.walls
         screens = np.concatenate([walls, self._tracks.screens(walls)])
         yield from self.blocks.insert_in_steps(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
-        if self.grid.dims == 2:
+        if self.grid.dims == 3:
+            ahead = min(self._hush[SECTORS[3][0] // 2, SECTORS[3][1] // 2], arcs[:, 0].min(initial=far))
+            self._ends[cell_of(heard.position + ahead * heard.axes[:, 0], self.grid)] = None
+        else:
             yield CAST
             self._lay_strips(beam, arcs, rims, hit[0], look_share(heard.step_m))
 
@@ -375,6 +380,9 @@ class UllageMapper:
             thin_lines(self.blocks.pools, self.blocks.edge, np.array(corner[::-1]), SOLID, solid, percent)
             without_ends(percent, corner, self.blocks, SOLID)
         flown = np.array(list(self._flown), float).reshape(-1, 3) * self.grid.step_m
+        if self.grid.dims == 3:
+            without_behind(percent, corner, self.grid, self._tracks.hollow_pieces)
+            without_beyond(percent, corner, self.grid, list(self._ends), flown, max(FLOWN_M, self.grid.step_m))
         without_cut_off(percent, corner, self.grid, flown)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
 
@@ -384,11 +392,6 @@ class UllageMapper:
         out = now.changes(self._published)
         self._published = now
         return out
-
-
-def look_share(step_m: float) -> float:
-    """Share of a look's log-odds that are its own, and not those of the look before, so far from it."""
-    return min(LOOK_SHARE * max(step_m, STEP_M) / STEP_M, 1.0)
 
 
 def cos_sin(angle_deg: float) -> tuple[float, float]:

@@ -72,11 +72,13 @@ class Hollow:
         centre: a place on the line on which its normals meet (3) [m].
         axis: unit vector along it (3).
         radius_m: of the surface about that line; less than nothing for one that bulges towards who hears it.
+        pieces: how many flat ones told it, where no bow did.
     """
 
     centre: Floats
     axis: Floats
     radius_m: float
+    pieces: int = 0
 
     def ways(self, places: Floats, toward: Floats) -> Floats:
         """Unit vectors (n, 3) from places (n, 3) to the surface, on the side of a way (3)."""

@@ -32,7 +32,7 @@ class Hollows:
     """The bent walls that were told so far."""
 
     def __init__(self) -> None:
-        self._told: list[tuple[Hollow, Floats, Floats]] = []
+        self.told: list[tuple[Hollow, Floats, Floats]] = []
         self._planes: list[Floats] = []
 
     def tell(
@@ -74,11 +74,25 @@ class Hollows:
         self._keep(hollow, way, bow.place + bow.range_m * way)
         return hollow, way
 
+    def go_on(self, hollow: Hollow, normal: Floats, place: Floats) -> None:
+        """Know a wall that is flown along in a way (3) from a place (3), unless it is known as well there."""
+        way = hollow.ways(place[None], normal)[0]
+        foot = place + float(hollow.ranges(place[None], way[None])[0]) * way
+        here = [
+            k
+            for k, (_, there, at) in enumerate(self.told)
+            if way @ there > ON_ROUND and abs((foot - at) @ hollow.axis) < ON_ALONG_M
+        ]
+        if all(0 < self.told[k][0].pieces < hollow.pieces for k in here):
+            for k in reversed(here):
+                del self.told[k]
+            self._keep(hollow, way, foot)
+
     def _keep(self, hollow: Hollow, way: Floats, foot: Floats) -> None:
-        self._told.append((hollow, way, foot))
+        self.told.append((hollow, way, foot))
         beside = hollow.tangents(way, foot)
         self._planes.append(np.column_stack([beside, np.full(len(beside), BEYOND_M)]))
-        del self._told[:-MOST_HOLLOWS], self._planes[:-MOST_HOLLOWS]
+        del self.told[:-MOST_HOLLOWS], self._planes[:-MOST_HOLLOWS]
 
     @property
     def planes(self) -> Floats:
@@ -89,7 +103,7 @@ class Hollows:
         """A wall known from other stretches that ranges and cosines of a stretch (22) fit, and the way (3) to it."""
         places, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
         reach, cosine = np.array([(e.range_m, e.cosine) for e in echoes]).T
-        for hollow, way, foot in reversed(self._told):
+        for hollow, way, foot in reversed(self.told):
             ways = hollow.ways(places, way)
             middle = ways[len(ways) // 2]
             lit = middle @ me[AHEAD : AHEAD + 3] > me[WIDE]
@@ -99,8 +113,8 @@ class Hollows:
             fits = lit and not beside and miss < FITS_M and turn < FITS_COSINE
             if fits and not too_faint(echoes, middle, hollow.radius_m) and not behind(middle):
                 if middle @ way < FURTHER:
-                    self._told.append((hollow, middle, places[len(ways) // 2] + reach[len(ways) // 2] * middle))
-                    del self._told[:-MOST_HOLLOWS]
+                    self.told.append((hollow, middle, places[len(ways) // 2] + reach[len(ways) // 2] * middle))
+                    del self.told[:-MOST_HOLLOWS]
                 return hollow, middle
         return None
 

@@ -32,6 +32,7 @@ from ullage.kernels.rolls import (
     TRACK,
     WIDE,
 )  # fmt: skip
+from ullage.processing.mapper_barrels import barrel_of
 from ullage.processing.mapper_bows import Bow, Hollow, bow_of
 from ullage.processing.mapper_hollows import Hollows
 from ullage.processing.mapper_loudness import too_faint
@@ -72,6 +73,7 @@ class Legs:
         self._added = 0
         self._waiting: dict[int, None] = {}
         self._hollows = Hollows()
+        self.hollow_pieces = self._hollows.told
         self._leg, self._line = 0, None
 
     @property
@@ -114,6 +116,8 @@ class Legs:
         self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         if not told:
             self._waiting[at] = None
+        elif row[NORMAL : NORMAL + 3].any():
+            self._barrel(at)
 
     def tell(self, most: int) -> Iterator[Told]:
         """Judge at most so many of those that wait.
@@ -132,6 +136,7 @@ class Legs:
                 normal, radius = hollow.ways(me[None, PLACE : PLACE + 3], toward)[0], abs(hollow.radius_m)
             if normal is not None:
                 me[NORMAL : NORMAL + 3] = normal
+                radius = radius if np.isfinite(radius) else self._barrel(at)
                 self._kept[at], self._bows[at] = ([], 0.0), None
                 yield echoes, ways, rim, radius
 
@@ -213,6 +218,17 @@ class Legs:
             open_[at] = False
             self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         return told
+
+    def _barrel(self, at: int) -> float:
+        """Radius of the round wall that a told stretch's piece is one of, infinite while it is of none [m]."""
+        around = self._held[self._around(at, AROUND_M, own=True)]
+        found = barrel_of(self._rows[at], around)
+        if found is None:
+            return float(np.inf)
+        hollow, on = found
+        for row in around[on]:
+            self._hollows.go_on(hollow, row[NORMAL : NORMAL + 3], row[PLACE : PLACE + 3])
+        return hollow.radius_m
 
     def _behind(self, at: int, way: Floats) -> bool:
         """Whether the sensor heard a wall nearer in that way (3), there: no wave passes one, but bounces are later."""

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 
 MOST_PEAKS = 16
 STEP_M, TURN_RAD = 0.05, np.radians(4.0)
+LOOK_SHARE = 0.4
 WINDOW_M = 0.2
 LEAST_ASIDE, SPARSE_M = 2, 0.35
 BEND_M = 0.02
@@ -285,3 +286,8 @@ def _heard(frames: Frames) -> list[Heard]:
         )
         for i in range(n)
     ]
+
+
+def look_share(step_m: float) -> float:
+    """Share of a look's log-odds that are its own, and not those of the look before, so far from it."""
+    return min(LOOK_SHARE * max(step_m, STEP_M) / STEP_M, 1.0)

@@ -138,6 +138,7 @@ class EchoTracks:
         self._levels = self._sheets = np.zeros((0, 8))
         self._gone: deque[Followed] = deque(maxlen=MOST_GONE)
         self._legs = Legs()
+        self.hollow_pieces = self._legs.hollow_pieces
 
     @property
     def walls(self) -> Floats:
