@@ -21,6 +21,7 @@ LEAST_TURN, LEAST_SPREAD = float(np.cos(np.radians(10.0))), 0.2
 FITS_M, FITS_NORMAL = 0.06, 0.15  # of a foot in its normal's way; of the normal, which legs far apart tell in the mean
 SQUARE = 0.8  # of what lies along two ways at right angles, as a room's walls do
 LEAST_OFF_M, LEAST_LEGS, LEAST_PIECES, LEAST_SHARE, LEAST_APART = 0.25, 3, 6, 0.7, 0.5
+MOST_TRIED = 12  # pieces that a circle is laid through with one
 BESIDE = float(np.cos(np.radians(15.0)))
 
 
@@ -35,7 +36,7 @@ def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, NDArray[np.bool_]] | 
     asked = normal.any(axis=1) & (abs(normal @ me[TRACK : TRACK + 3]) < ALONG)
     if abs(me[NORMAL : NORMAL + 3] @ me[TRACK : TRACK + 3]) > ALONG or len(np.unique(others[asked, LEG])) < LEAST_LEGS:
         return None
-    axis = np.linalg.svd(normal[asked])[2][2]
+    axis = np.linalg.eigh(normal[asked].T @ normal[asked])[1][:, 0]
     if abs(axis @ me[TRACK : TRACK + 3]) < FLOWN_ALONG:
         return None
     across = np.linalg.svd(axis[None])[2][1:]
@@ -44,7 +45,8 @@ def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, NDArray[np.bool_]] | 
     mine = me[NORMAL : NORMAL + 3] @ across.T
     mine /= np.linalg.norm(mine)
     best = np.zeros(len(others), bool)
-    for k in np.flatnonzero(asked & (abs(n @ mine) < LEAST_TURN)):
+    turned = np.flatnonzero(asked & (abs(n @ mine) < LEAST_TURN))
+    for k in turned[:: 1 + len(turned) // MOST_TRIED]:
         on = asked & _touches(*_touched(np.array([me[RANGE] * mine, foot[k]]), np.array([mine, n[k]])), foot, n, reach)
         best = on if on.sum() > best.sum() else best
     if best.sum() < LEAST_LEGS:
