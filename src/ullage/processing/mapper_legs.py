@@ -116,7 +116,7 @@ class Legs:
         self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         if not told:
             self._waiting[at] = None
-        elif row[NORMAL : NORMAL + 3].any():
+        else:
             self._barrel(at)
 
     def tell(self, most: int) -> Iterator[Told]:
