@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,9 @@ import ullage as ul
 from ullage.grids import UNKNOWN
 from ullage.kernels.rolls import COLUMNS, LEG, NORMAL, PLACE, RANGE, TRACK
 from ullage.processing.mapper_barrels import barrel_of
-from ullage.processing.mapper_beyond import without_behind, without_beyond
+from ullage.processing.mapper_beyond import Zones, without_behind, without_beyond
 from ullage.processing.mapper_bows import Hollow
+from ullage.processing.mapper_hollows import Hollows
 
 LANES = np.array([(-0.8, -0.6), (0.0, -0.9), (0.8, -0.5), (0.7, 0.5), (0.0, 0.8), (-0.8, 0.6)])
 GRID = ul.Grid((-3.0, -3.0, -3.0), 0.1, (60, 60, 60))
@@ -66,17 +69,41 @@ def test_nothing_is_free_behind_a_hollow_wall_that_is_told():
     assert percent[55, 30, 50] == 0, "farther along it than it was heard"
 
 
+def test_a_long_wall_is_remembered_all_along():
+    hollows, wall = Hollows(), Hollow(np.zeros(3), np.array([1.0, 0.0, 0.0]), 2.0, 6)
+    for x in np.arange(0.0, 150.0, 1.5):
+        hollows.go_on(wall, np.array([0.0, 0.0, 1.0]), np.array([x, 0.0, 0.5]))
+    assert len(hollows.told) < len(hollows.pieces) == 100
+    better = Hollow(np.zeros(3), np.array([1.0, 0.0, 0.0]), 2.05, 9)
+    hollows.go_on(better, np.array([0.0, 0.0, 1.0]), np.array([148.5, 0.0, 0.5]))
+    assert len(hollows.pieces) == 100, "in the place of what more pieces tell better"
+    assert hollows.pieces[-1][0] is better
+
+
+def test_a_surface_is_told_where_it_was_heard_if_the_map_holds_it():
+    percent, zones = np.full(GRID.shape, UNKNOWN), Zones()
+    percent[30, 50, 30] = 80
+    zones.add(np.array([0.05, 2.05, 0.05]), np.array([0.0, 1.0, 0.0]), 0.3, GRID)
+    zones.add(np.array([0.05, -2.05, 0.05]), np.array([0.0, -1.0, 0.0]), 0.3, GRID)
+    rims = zones.rims(percent, (0, 0, 0), GRID)
+    assert np.linalg.norm(rims - [0.05, 2.05, 0.05], axis=1) == pytest.approx(0.3)
+    assert rims[:, 1] == pytest.approx(2.05)
+    part = zones.rims(percent[20:, 40:, 10:], (20, 40, 10), GRID)
+    assert part == pytest.approx(rims), "though less of the map is known"
+
+
 def test_what_is_free_lies_in_the_hull_of_what_is_told():
     percent = np.zeros(GRID.shape, np.int8)
     percent[:, 10, 20:40] = 80
-    percent[25:35, 10, 20:40] = 80
+    told = np.array([(x, y, z) for x, z in product((-1.0, 1.0), (-0.5, 0.5)) for y in (-2.0, 2.0)])
     flown = np.array([[0.0, 0.0, 0.0]])
-    without_beyond(percent, (0, 0, 0), GRID, [(0, 20, 0)], flown, 0.25)
+    without_beyond(percent, (0, 0, 0), GRID, told, flown, 0.25)
     assert percent[30, 20, 30] == 0, "between the flight and a wall"
-    assert percent[30, 45, 30] == 0, "on the way ahead"
+    assert percent[30, 45, 30] == 0, "before the other"
     assert percent[31, 31, 31] == 0, "where it was"
-    assert percent[30, 54, 30] == UNKNOWN, "beyond the silent way"
-    assert percent[30, 8, 30] == UNKNOWN, "behind the wall"
+    assert percent[30, 54, 30] == UNKNOWN, "behind that"
+    assert percent[30, 8, 30] == UNKNOWN, "behind the first, which is drawn farther up and down than it was heard"
+    assert percent[38, 11, 30] == UNKNOWN, "before the first, but beside where it was heard"
     assert percent[30, 35, 50] == UNKNOWN, "aside of all"
 
 

@@ -20,7 +20,7 @@ from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
-from ullage.processing.mapper_beyond import cell_of, without_behind, without_beyond
+from ullage.processing.mapper_beyond import Zones, cell_of, without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import Fold, is_hidden
@@ -91,7 +91,7 @@ class UllageMapper:
         self._open: deque[Iterator[int]] = deque()
         self._due = HEAR
         self._flown: dict[tuple[int, ...], None] = {}
-        self._ends: dict[tuple[int, ...], None] = {}  # of silence straight ahead
+        self._zones = Zones()
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -258,10 +258,7 @@ class UllageMapper:
         walls = self._tracks.walls
         screens = np.concatenate([walls, self._tracks.screens(walls)])
         yield from self.blocks.insert_in_steps(beam, np.array(ways).reshape(-1, 5), screens, sure=len(walls))
-        if self.grid.dims == 3:
-            ahead = min(self._hush[SECTORS[3][0] // 2, SECTORS[3][1] // 2], arcs[:, 0].min(initial=far))
-            self._ends[cell_of(heard.position + ahead * heard.axes[:, 0], self.grid)] = None
-        else:
+        if self.grid.dims == 2:
             yield CAST
             self._lay_strips(beam, arcs, rims, hit[0], look_share(heard.step_m))
 
@@ -315,6 +312,7 @@ class UllageMapper:
             half = min(half, math.sqrt(foot.radius_m * self.grid.step_m))  # there a hollow wall is half a cell nearer
             gain = min(DISC_SHARE * echo.looks, 1.0) * np.log((1 - false) / false)
             self.blocks.lay(foot.at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
+            self._zones.add(foot.at, foot.way, min(half, math.sqrt(self._wavelength_m * echo.range_m / 2)), self.grid)
 
     def _weigh(self, look: Look) -> Weighed | None:
         return self._judge.weigh(look) if look.track.any() else None
@@ -382,7 +380,8 @@ class UllageMapper:
         flown = np.array(list(self._flown), float).reshape(-1, 3) * self.grid.step_m
         if self.grid.dims == 3:
             without_behind(percent, corner, self.grid, self._tracks.hollow_pieces)
-            without_beyond(percent, corner, self.grid, list(self._ends), flown, max(FLOWN_M, self.grid.step_m))
+            told = self._zones.rims(percent, corner, self.grid)
+            without_beyond(percent, corner, self.grid, told, flown, max(FLOWN_M, self.grid.step_m))
         without_cut_off(percent, corner, self.grid, flown)
         return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
 

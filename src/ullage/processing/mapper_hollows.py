@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
 
 Floats = NDArray[np.float64]
+Piece = tuple[Hollow, Floats, Floats]  # of a wall, the way (3) to where it was heard, and the place (3) there [m]
 
 PLACE_M = 0.6
 ONE_SIDE = float(np.cos(np.radians(17.0)))
 LEAST_PLACES, HEARD_SHARE = 2.5, 0.4  # that bear a wall out; of those that look at it
 MOST_HOLLOWS, FAR_M = 64, 1e4
+SAME_PIECE_M = 0.5  # of one wall
 FITS_M, FITS_COSINE = 0.03, 0.08  # of a wall known from elsewhere, so far on round it and along its line
 BEYOND_M = 1.0
 ON_ROUND, ON_ALONG_M = float(np.cos(np.radians(40.0))), 1.0
@@ -29,10 +31,11 @@ FURTHER = float(np.cos(np.radians(15.0)))  # on round from where a wall was hear
 
 
 class Hollows:
-    """The bent walls that were told so far."""
+    """The bent walls that were told so far: the last ones, which others go on from, and all for what is behind them."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[Hollow, Floats, Floats]] = []
+        self.told: list[Piece] = []
+        self._everywhere: dict[tuple[int, ...], Piece] = {}
         self._planes: list[Floats] = []
 
     def tell(
@@ -85,14 +88,25 @@ class Hollows:
         ]
         if all(0 < self.told[k][0].pieces < hollow.pieces for k in here):
             for k in reversed(here):
+                self._everywhere.pop(_cell(self.told[k][2]), None)
                 del self.told[k]
             self._keep(hollow, way, foot)
 
     def _keep(self, hollow: Hollow, way: Floats, foot: Floats) -> None:
-        self.told.append((hollow, way, foot))
+        self._remember(hollow, way, foot)
         beside = hollow.tangents(way, foot)
         self._planes.append(np.column_stack([beside, np.full(len(beside), BEYOND_M)]))
-        del self.told[:-MOST_HOLLOWS], self._planes[:-MOST_HOLLOWS]
+        del self._planes[:-MOST_HOLLOWS]
+
+    def _remember(self, hollow: Hollow, way: Floats, foot: Floats) -> None:
+        self.told.append((hollow, way, foot))
+        self._everywhere[_cell(foot)] = self.told[-1]
+        del self.told[:-MOST_HOLLOWS]
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """Every wall, once wherever it was heard."""
+        return list(self._everywhere.values())
 
     @property
     def planes(self) -> Floats:
@@ -113,10 +127,13 @@ class Hollows:
             fits = lit and not beside and miss < FITS_M and turn < FITS_COSINE
             if fits and not too_faint(echoes, middle, hollow.radius_m) and not behind(middle):
                 if middle @ way < FURTHER:
-                    self.told.append((hollow, middle, places[len(ways) // 2] + reach[len(ways) // 2] * middle))
-                    del self.told[:-MOST_HOLLOWS]
+                    self._remember(hollow, middle, places[len(ways) // 2] + reach[len(ways) // 2] * middle)
                 return hollow, middle
         return None
+
+
+def _cell(foot: Floats) -> tuple[int, ...]:
+    return tuple(np.floor(foot / SAME_PIECE_M).astype(int).tolist())
 
 
 def _is_flat(bow: Bow, me: Floats, others: Floats, hollow: float) -> bool:

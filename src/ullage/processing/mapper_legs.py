@@ -34,7 +34,7 @@ from ullage.kernels.rolls import (
 )  # fmt: skip
 from ullage.processing.mapper_barrels import barrel_of
 from ullage.processing.mapper_bows import Bow, Hollow, bow_of
-from ullage.processing.mapper_hollows import Hollows
+from ullage.processing.mapper_hollows import Hollows, Piece
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
 
@@ -73,12 +73,16 @@ class Legs:
         self._added = 0
         self._waiting: dict[int, None] = {}
         self._hollows = Hollows()
-        self.hollow_pieces = self._hollows.told
         self._leg, self._line = 0, None
 
     @property
     def _held(self) -> Floats:
         return self._rows[: min(self._added, MOST_STRETCHES)]
+
+    @property
+    def hollow_pieces(self) -> list[Piece]:
+        """Bent walls told so far, with the ways and places where they were heard."""
+        return self._hollows.pieces
 
     @property
     def planes(self) -> Floats:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_bows import own_share
+from ullage.processing.mapper_hollows import Piece
 from ullage.processing.mapper_legs import LEAST_ECHOES, STRETCH_M, Legs
 from ullage.processing.mapper_looks import Look, dense_looks
 from ullage.processing.mapper_loudness import fallen, level_db, too_faint
@@ -138,7 +139,11 @@ class EchoTracks:
         self._levels = self._sheets = np.zeros((0, 8))
         self._gone: deque[Followed] = deque(maxlen=MOST_GONE)
         self._legs = Legs()
-        self.hollow_pieces = self._legs.hollow_pieces
+
+    @property
+    def hollow_pieces(self) -> list[Piece]:
+        """Bent walls told so far, with the ways and places where they were heard."""
+        return self._legs.hollow_pieces
 
     @property
     def walls(self) -> Floats:
