@@ -34,11 +34,11 @@ def smooth() -> np.ndarray:
     return frames(ul.scenes.cylinder(3.0, 3.0, 0.0, material="pec", edge_m=0.02))
 
 
-@pytest.mark.parametrize(("edge_m", "most_db"), [(0.05, -38), (0.1, -38), (0.2, -27)])
-def test_a_tank_of_strips_has_no_ghosts_between_its_near_wall_and_its_far_one(smooth, edge_m, most_db):
+@pytest.mark.parametrize(("edge_m", "between_db", "most_db"), [(0.05, -44, -41), (0.1, -48, -40), (0.2, -50, -29)])
+def test_a_tank_of_strips_has_no_ghosts_between_its_near_wall_and_its_far_one(smooth, edge_m, between_db, most_db):
     found = frames(ul.scenes.cylinder(3.0, 3.0, 0.0, material="pec", edge_m=edge_m))
     between = (SPEC.range_m > 2.4) & (SPEC.range_m < 3.9)
-    assert apart(found, smooth, between) < -44  # -25 of bare strips, whatever their width
+    assert apart(found, smooth, between) < between_db  # -25 of bare strips, whatever their width
     assert apart(found, smooth, SPEC.range_m > 1.0) < most_db  # -24, -17 and -8 of bare strips
 
 
@@ -60,8 +60,8 @@ def test_an_arc_is_what_the_integral_over_it_says(height):
         )
         view = physical.View(np.array([eye, eye]), np.array([np.eye(3)] * 2), np.zeros((2, 3)))
         lines = arcs._lines(wall)
-        spots = arcs._spots(view, lines, np.array([True]), np.inf)
-        mine = arcs._along(spots, wave) * arcs._bulge(spots, wave) * spots.outward.mean(0)
+        spots = arcs._spots(view, lines, arcs._places(view, lines, np.array([True]), np.inf))
+        mine = arcs._along(spots, wave) * arcs._across_chord(spots, wave) * spots.outward.mean(0)
         mine = (mine / spots.ranges.prod(0) * np.exp(-1j * wave * spots.ranges.sum(0))).sum()
         true = _integral(angle, half, radius, eye, wave, bent=True) - _integral(
             angle, half, radius, eye, wave, bent=False
@@ -103,9 +103,10 @@ def test_a_cap_ends_on_the_circle_that_its_wall_ends_on():
     for sign in (1, -1):
         wall = Round(np.zeros(3), np.eye(3), radius, 0.0, 3.0, 0.0, 0.15, 0, strips=strips,
                      caps=np.tile([sign, 0.0], (count, 1)))  # fmt: skip
-        spots = arcs._spots(view, arcs._lines(wall), np.array([True]), np.inf)
-        spots = spots.some(np.flatnonzero(spots.flat))
-        each = arcs._sliver(spots, wave) * eye[2] / spots.ranges[0] ** 3 * np.exp(-2j * wave * spots.ranges[0])
+        lines = arcs._lines(wall)
+        places = arcs._places(view, lines, np.array([True]), np.inf)
+        spots = arcs._spots(view, lines, places.some(np.flatnonzero(places.flat)))
+        each = arcs._across_chord(spots, wave) * eye[2] / spots.ranges[0] ** 3 * np.exp(-2j * wave * spots.ranges[0])
         mine = np.bincount(spots.lines.strips, each.real) + 1j * np.bincount(spots.lines.strips, each.imag)
         assert abs(sign * mine - true).max() < 0.02 * abs(true).max()
 

@@ -1,4 +1,4 @@
-"""What a round wall echoes beyond the flat strips that it is made of.
+"""What a round wall echoes beyond the flat strips that it is made of, and its flat caps beyond their polygons.
 
 A mesh has strips where a tank or a drum is round. From a smooth wall it differs by a depth that is the same in every
 strip, and so it echoes as a grating does: where the echoes of neighbouring strips differ by whole waves, it throws back
@@ -7,7 +7,9 @@ strips do not help down to half a wave: a parabola's harmonics fall as their ord
 
 So each strip adds what Kirchhoff's integral over its arc has beyond that over its chord [Balanis2012, ch. 7]: across
 the strip a sum at Gauss's points, along the axis, where nothing bends, Fresnel's integral from end to end. The arc goes
-through the strip's corners: there a mesh lies on the surface that it stands for.
+through the strip's corners: there a mesh lies on the surface that it stands for. Each end of a strip has a phase,
+a strength and a delay of its own. A flat cap ends on the chords; the slivers between these and the arcs are added, or
+the wall's end and the cap's rim would not be in one place.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ _PULL_M = 4e-3  # points of walls are looked at so far off their strips and ends
 _LEAST_M = 0.05  # nearer to a wall the wave is no ray
 _AT_FOOT = 1e-2  # of Fresnel's argument: an end so near to the shortest path is at it
 _WHOLE_RAD = 1e-3  # half of a gap that is none
+_THIN = 1e-4  # [rad]: what turns the phase by less is next to flat
 _SIDES = np.array([0, -1, 1])
 _PAIRS = ("ends", "caps")  # rows of lines that are (2, n)
 
@@ -50,6 +53,7 @@ class Lines:
     at: Floats  # (n, 3) where they pass the middle of their wall [m]
     axes: Floats  # (n, 3) unit vectors along them
     inward: Floats  # (n, 3) unit vectors to the axis, square to the strip
+    left: Floats  # (n, 3) unit vectors across both
     ends: Floats  # (2, n) where the strip begins and ends along them, from there [m]
     caps: Floats  # (2, n) whether a flat cap ends there: 1, around a hole -1, else 0
     aside: Floats  # (n) from the middle of the chord, over half of it
@@ -69,35 +73,30 @@ class Lines:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spots:
+class Places:
     """Where waves over lines come from: the places of the shortest ways, and the ends of strips; caps' after these."""
 
-    lines: Lines  # (m) the line of each
+    rows: Longs  # (m) the line of each
     side: Longs  # (m) -1 and 1: the lower and the upper end, 0: the shortest way
     flat: Bools  # (m) whether it is what a flat cap has there, not the wall
     heights: Floats  # (m) along the line [m]
+
+    def some(self, which: NDArray[np.generic]) -> Places:
+        """Some of them."""
+        return Places(self.rows[which], self.side[which], self.flat[which], self.heights[which])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spots:
+    """Places as both antennas see them."""
+
+    lines: Lines  # (m) the line of each
+    places: Places  # (m)
+    points: Floats  # (m, 3) [m]
     ways: Floats  # (2, m, 3) unit vectors from both antennas to them
     ranges: Floats  # (2, m) [m]
-
-    def some(self, which: NDArray[np.generic] | slice) -> Spots:
-        """Some of them."""
-        return Spots(self.lines.some(which), self.side[which], self.flat[which], self.heights[which],
-                     self.ways[:, which], self.ranges[:, which])  # fmt: skip
-
-    @property
-    def points(self) -> Floats:
-        """Where they are (m, 3) [m]."""
-        return np.asarray(self.lines.at + self.heights[:, None] * self.lines.axes)
-
-    @property
-    def upward(self) -> Floats:
-        """Cosines (2, m) of both ways to the axis."""
-        return np.asarray((self.ways * self.lines.axes).sum(2))
-
-    @property
-    def outward(self) -> Floats:
-        """Cosines (2, m) of both ways to the way from the axis."""
-        return np.asarray(-(self.ways * self.lines.inward).sum(2))
+    upward: Floats  # (2, m) cosines of both ways to the axis
+    outward: Floats  # (2, m) and to the way from the axis
 
 
 def lay_arcs(
@@ -116,11 +115,11 @@ def lay_arcs(
     lines = lines_of(rounds, wavelength / 2, float(np.sqrt(wavelength * ready.gate[1] / 2)))
     if lines is None:
         return []
-    spots = _spots(view, lines, ~ready.sheets.thin, 2 * ready.gate[1])
-    if not len(spots.side):
+    places = _places(view, lines, ~ready.sheets.thin, 2 * ready.gate[1])
+    if not len(places.rows):
         return []
-    spots, between = _free(ready, parts, view, spots)
-    return [_laid(ready, view, spots, between, grids)] if len(spots.side) else []
+    places, between = _free(ready, parts, view, lines, places)
+    return [_laid(ready, view, _spots(view, lines, places), between, grids)] if len(places.rows) else []
 
 
 @lru_cache(maxsize=8)  # walls that stand still are the same from frame to frame
@@ -148,7 +147,8 @@ def _lines(wall: Round) -> Lines:
     outward = np.stack([np.cos(angle), np.sin(angle)], 1)[strips]
     at = (wall.radius * np.cos(half))[strips, None] * outward + (aside * chord[strips])[:, None] * _left(outward)
     each = np.ones(len(strips))
-    return Lines(wall.centre + at @ wall.axes[:2], each[:, None] * wall.axes[2], -outward @ wall.axes[:2],
+    axes, inward = each[:, None] * wall.axes[2], -outward @ wall.axes[:2]
+    return Lines(wall.centre + at @ wall.axes[:2], axes, inward, np.cross(inward, axes),
                  np.stack([low, high])[:, strips], caps.T[:, strips], aside, (chord / panels)[strips], chord[strips],
                  (wall.radius * (1 - np.cos(half)))[strips], (wall.depth + _PULL_M) * each, strips,
                  np.zeros(len(strips), np.int64), np.full(len(strips), _sealed(wall)),
@@ -165,11 +165,11 @@ def _left(ways: Floats) -> Floats:
     return np.asarray(ways[:, ::-1] * [-1, 1])
 
 
-def _spots(view: View, lines: Lines, opaque: Bools, most: float) -> Spots:
+def _places(view: View, lines: Lines, opaque: Bools, most: float) -> Places:
     """Where waves over lines come from that go no farther than `most` [m], walls of some objects (o) being opaque."""
     gaps = view.origins[:, None] - lines.at
-    climb, inside = (gaps * lines.axes).sum(2), (gaps * lines.inward).sum(2) > 0
-    apart = np.sqrt(np.maximum((gaps**2).sum(2) - climb**2, _LEAST_M**2))
+    climb, inside = _dots(gaps, lines.axes), _dots(gaps, lines.inward) > 0
+    apart = np.sqrt(np.maximum(_dots(gaps, gaps) - climb**2, _LEAST_M**2))
     feet = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
     heights = np.stack([feet, *lines.ends])
     ahead = heights[:, None] - climb
@@ -181,10 +181,16 @@ def _spots(view: View, lines: Lines, opaque: Bools, most: float) -> Spots:
     wall, row = np.nonzero(heard & (inside[0] == inside[1]) & ~(out & inside[0]))
     cap, rim = np.nonzero(heard[1:] & level & ~(out & ~beyond))
     group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, rim])
-    lines, heights = lines.some(row), heights[group, row]
-    ways = heights[:, None] * lines.axes - gaps[:, row]
-    ranges = np.maximum(np.sqrt((ways**2).sum(2)), _LEAST_M)
-    return Spots(lines, _SIDES[group], np.arange(len(row)) >= len(wall), heights, ways / ranges[..., None], ranges)
+    return Places(row, _SIDES[group], np.arange(len(row)) >= len(wall), heights[group, row])
+
+
+def _spots(view: View, lines: Lines, places: Places) -> Spots:
+    some = lines.some(places.rows)
+    points = some.at + places.heights[:, None] * some.axes
+    ways = points - view.origins[:, None]
+    ranges = np.maximum(np.sqrt(_dots(ways, ways)), _LEAST_M)
+    ways /= ranges[..., None]
+    return Spots(some, places, points, ways, ranges, _dots(ways, some.axes), -_dots(ways, some.inward))
 
 
 def _any(some: Bools, walls: Longs) -> Bools:
@@ -193,34 +199,37 @@ def _any(some: Bools, walls: Longs) -> Bools:
     return np.asarray(np.repeat(np.logical_or.reduceat(some, first), np.diff(first, append=len(walls))))
 
 
-def _free(ready: Bench, parts: list[Surfaces], view: View, spots: Spots) -> tuple[Spots, tuple[Complexes, Floats]]:
-    """The spots (m) that are seen, and factor and delay [s] of what stands before them.
+def _free(
+    ready: Bench, parts: list[Surfaces], view: View, lines: Lines, places: Places
+) -> tuple[Places, tuple[Complexes, Floats]]:
+    """The places (m) that are seen, and factor and delay [s] of what stands before them.
 
     Looked at is one of each strip: before the wall and off its ends, and before the cap and off the wall.
     """
-    lines, flat = spots.lines, spots.flat
-    first = np.flatnonzero((np.diff(2 * lines.strips + flat, prepend=-1) != 0) | (np.diff(spots.side, prepend=-9) != 0))
-    one = spots.some(first)
-    inward = np.where(one.flat, one.lines.pull, np.copysign(one.lines.pull, one.outward[0]))
-    along = -_PULL_M * np.where(one.flat, np.sign(one.upward[0]), one.side)
-    points = one.points + inward[:, None] * one.lines.inward + along[:, None] * one.lines.axes
-    shade, late = shading(ready, parts, view, points)
+    flat, strips = places.flat, lines.strips[places.rows]
+    first = np.flatnonzero((np.diff(2 * strips + flat, prepend=-1) != 0) | (np.diff(places.side, prepend=-9) != 0))
+    one, at = places.some(first), places.rows[first]
+    axes, inward, pull = lines.axes[at], lines.inward[at], lines.pull[at]
+    points = lines.at[at] + one.heights[:, None] * axes
+    ways = points - view.origins[0]
+    off = np.where(one.flat, pull, np.copysign(pull, -_dots(ways, inward)))
+    along = -_PULL_M * np.where(one.flat, np.sign(_dots(ways, axes)), one.side)
+    shade, late = shading(ready, parts, view, points + off[:, None] * inward + along[:, None] * axes)
     back = np.repeat(np.arange(len(first)), np.diff(first, append=len(flat)))
     free = np.flatnonzero(shade[back])
-    return spots.some(free), (shade[back[free]], late[back[free]])
+    return places.some(free), (shade[back[free]], late[back[free]])
 
 
 def _laid(ready: Bench, view: View, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes) -> Laid:
     """Lays what comes from spots (m), with factor and delay [s] of what stands before each."""
     (shade, late), wave, lines = between, 2 * np.pi / ready.spec.wavelength_m, spots.lines
-    behind, caps = _behind(spots), int(np.searchsorted(spots.flat, True))
-    walls, slivers = spots.some(slice(caps)), spots.some(slice(caps, None))
-    value = np.concatenate([_along(walls, wave) * _bulge(walls, wave), _sliver(slivers, wave)])
+    behind, flat, caps = _behind(spots), spots.places.flat, int(np.searchsorted(spots.places.flat, True))
+    value = _across_chord(spots, wave)
+    value[:caps] *= _along(spots, wave)
     value *= 1j / (4 * np.pi) * view.factor * shade * np.exp(1j * wave * behind)
-    for way, frame, far in zip(spots.ways, view.frames, spots.ranges, strict=True):
-        value *= gain(ready.spec.antenna, way @ frame.T) / far
-    cosine = np.where(spots.flat, spots.upward, spots.outward)
-    normals = np.where(spots.flat[:, None], lines.axes, lines.inward)
+    value *= _gains(ready, view, spots.ways) / spots.ranges.prod(0)
+    cosine = np.where(flat, spots.upward, spots.outward)
+    normals = np.where(flat[:, None], lines.axes, lines.inward)
     cosine = abs(cosine).mean(0)
     value *= cosine * reflection(ready, view, lines.stuffs, cosine, spots.ways, normals)
     delay = (spots.ranges.sum(0) + behind) / C0 + late
@@ -235,6 +244,12 @@ def _laid(ready: Bench, view: View, spots: Spots, between: tuple[Complexes, Floa
     return Laid(lines.stuffs.astype(np.int32), spots.points, put(value, grids), delay, again)
 
 
+def _gains(ready: Bench, view: View, ways: Floats) -> Floats:
+    """What both antennas' patterns make of waves (2, m, 3)."""
+    one = gain(ready.spec.antenna, ways[0] @ view.frames[0].T)
+    return one * (one if _one_place(view) else gain(ready.spec.antenna, ways[1] @ view.frames[1].T))
+
+
 def _behind(spots: Spots) -> Floats:
     """By so much longer is the way over what lies between panels (m) and their arcs, in the mean [m]."""
     lines = spots.lines
@@ -243,58 +258,61 @@ def _behind(spots: Spots) -> Floats:
 
 
 def _along(spots: Spots, wave: float) -> Complexes:
-    """What the integral along the axis makes of waves (m) over the spots [m]: of all of the line, or of an end of it.
+    """What the integral along the axis makes of waves over spots (m) of walls [m]: of all of the line, or of an end.
 
     Fresnel's. Each end has the phase and the slope of the phase that it has there.
     """
-    slope = spots.upward
-    apart = spots.ranges * np.sqrt(np.maximum(1 - slope**2, 1e-12))
-    climb = spots.heights - spots.ranges * slope
-    shortest = np.hypot(apart.sum(0), climb[1] - climb[0])
-    feet = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
-    root = np.sqrt(np.pi * shortest**3 / (wave * apart.sum(0) ** 3 * (1 / apart).sum(0)))  # by the second derivative
+    places, many = spots.places, int(np.searchsorted(spots.places.flat, True))
+    slope, ranges, heights = spots.upward[:, :many], spots.ranges[:, :many], places.heights[:many]
+    apart = ranges * np.sqrt(np.maximum(1 - slope**2, 1e-12))
+    climb, level = heights - ranges * slope, apart.sum(0)
+    shortest = np.hypot(level, climb[1] - climb[0])
+    feet = climb[0] + (climb[1] - climb[0]) * apart[0] / level
+    root = np.sqrt(np.pi * (shortest / level) ** 3 / (wave * (1 / apart).sum(0)))  # by the second derivative
     total = (1 - 1j) * root
-    ends = np.flatnonzero(spots.side)
-    sign = np.where(spots.heights > feet, 1, -1)[ends]
-    more = np.maximum(spots.ranges.sum(0) - shortest, 1e-12)[ends]
+    ends = np.flatnonzero(places.side[:many])
+    sign = np.where(heights > feet, 1, -1)[ends]
+    more = np.maximum(ranges.sum(0) - shortest, 1e-12)[ends]
     detour = sign * np.sqrt(2 / np.pi * wave * more)
     close = abs(detour) < _AT_FOOT
     steep = np.where(close, root[ends], np.pi * detour / np.where(close, 1.0, wave * slope.sum(0)[ends]))
     sine, cosine = fresnel(detour)
     rest = cosine - 1j * sine - sign * (0.5 - 0.5j)
-    total[ends] = spots.side[ends] * steep * rest * np.exp(1j * wave * more)
+    total[ends] = places.side[ends] * steep * rest * np.exp(1j * wave * more)
     return np.asarray(total)
 
 
-def _bulge(spots: Spots, wave: float) -> Complexes:
-    """What the integral across panels (m) is over their arcs, less what it is over their chords [m]."""
-    lines = spots.lines
-    plain, across, aside = _across_chord(spots, wave)
-    rise = wave * lines.depth * spots.outward.sum(0)  # of the phase, from the ends of an arc to its middle
-    steep = 1 + across * (
-        4 * lines.depth / lines.chord * aside.mean(0) / spots.outward.sum(0)
-    )  # what its slope does to cos
-    return np.asarray(lines.half * (plain * (steep * np.exp(-1j * rise * (1 - across**2)) - 1)).sum(0))
+def _across_chord(spots: Spots, wave: float) -> Complexes:
+    """What the integral across panels (m) is over their arcs, less what it is over their chords [m].
 
-
-def _sliver(spots: Spots, wave: float) -> Complexes:
-    """What the integral is over the plane across the axis between panels (m) and their arcs [m2]."""
-    lines = spots.lines
-    hole = np.where(spots.side > 0, lines.caps[1], lines.caps[0])
-    plain, across, _ = _across_chord(spots, wave)
-    deep = lines.depth * (1 - across**2)
-    rise = wave * spots.outward.sum(0) * deep / 2
-    return np.asarray(hole * lines.half * (plain * deep * np.sinc(rise / np.pi) * np.exp(-1j * rise)).sum(0))
-
-
-def _across_chord(spots: Spots, wave: float) -> tuple[Complexes, Floats, Floats]:
-    """Waves at Gauss's points (4, m) of panels times their shares; where along half the chord they are; ways (2, m)."""
-    lines, u = spots.lines, NODES[:, None]
-    aside = (spots.ways * np.cross(lines.inward, lines.axes)).sum(2)
+    Of caps, what it is over the plane between both [m2].
+    """
+    lines, flat, u = spots.lines, spots.places.flat, NODES[:, None]
+    aside = _dots(spots.ways, lines.left)
     turn = wave * lines.half * aside.sum(0)
     curve = wave * lines.half**2 / 2 * ((1 - aside**2) / spots.ranges).sum(0)
     across = lines.aside + u * lines.half / lines.chord
-    return SHARES[:, None] * np.exp(-1j * (turn * u + curve * u * u)), across, aside
+    deep = lines.depth * (1 - across**2)
+    outward = spots.outward.sum(0)
+    arc = np.exp(-1j * (wave * outward) * deep)
+    lean = 2 * lines.depth / lines.chord * aside.sum(0) / np.where(flat, 1.0, outward)
+    bulge = (1 + across * lean) * arc - 1  # with what an arc's slope does to the cosine
+    if flat.any():
+        hole = np.where(spots.places.side > 0, lines.caps[1], lines.caps[0])
+        rise = 1j * wave * outward * deep
+        thin = abs(rise) < _THIN
+        bulge = np.where(flat, hole * deep * np.where(thin, 1 - rise / 2, (1 - arc) / np.where(thin, 1, rise)), bulge)
+    return np.asarray(lines.half * (SHARES @ (np.exp(-1j * (turn * u + curve * u * u)) * bulge)))
+
+
+def _dots(a: Floats, b: Floats) -> Floats:
+    """Products (..., n) of vectors (..., n, 3)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _one_place(view: View) -> bool:
+    """Whether one antenna is the other."""
+    return bool((view.origins[0] == view.origins[1]).all() and (view.frames[0] == view.frames[1]).all())
 
 
 def reflection(ready: Bench, view: View, stuffs: Longs, cosine: Floats, ways: Floats, inward: Floats) -> Complexes:
@@ -313,13 +331,15 @@ def reflection(ready: Bench, view: View, stuffs: Longs, cosine: Floats, ways: Fl
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))
     te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
-    one, other = (_across(*told, inward) for told in zip(view.fields, ways, strict=True))
-    share = (one + other) / 2
+    share = _across(view.fields[0], ways[0], inward)
+    if not _one_place(view):
+        share = (share + _across(view.fields[1], ways[1], inward)) / 2
     return np.asarray(share * te + (1 - share) * tm)
 
 
 def _across(field: Floats, ways: Floats, normals: Floats) -> Floats:
     """Share (n) of a field's power that is TE, for waves (n, 3) at faces with some normals (n, 3)."""
-    side = np.cross(ways, normals)
-    square = (side**2).sum(1) * (1 - (ways @ field) ** 2)
-    return np.where(square < 1e-12, 0.5, np.minimum((side @ field) ** 2 / np.maximum(square, 1e-12), 1.0))
+    x, y, z = field
+    side = normals @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # times the ways: the field across both
+    square = (1 - _dots(ways, normals) ** 2) * (1 - (ways @ field) ** 2)
+    return np.where(square < 1e-12, 0.5, np.minimum(_dots(ways, side) ** 2 / np.maximum(square, 1e-12), 1.0))
