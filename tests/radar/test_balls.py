@@ -96,6 +96,14 @@ def test_which_surfaces_are_balls():
     assert of(ball[0], torn) == []
 
 
+def test_where_a_head_goes_over_into_its_wall_there_is_no_edge():
+    """Seen from the head the rims of the dome and of the wall cancel: what is left is that the wall bends less."""
+    tank = Scene.of_mesh(*shapes.capsule(1.5, 3.0, segment_m=0.15), name="tank", made_of="pec")
+    found = abs(physical.echoes(tank, ul.Trajectory.stationary((0.1, 0.15, 2.1), n=1), EVEN)[0])
+    rim = (SPEC.range_m > 1.35) & (SPEC.range_m < 1.9)
+    assert found[rim].max() < 3e-3 * found.max()
+
+
 def vessel(radius: float, crown: float, knuckle: float, around: int = 64) -> tuple[np.ndarray, np.ndarray]:
     """A cylinder 2 m long, closed at both ends by part of a large ball that goes over into it by part of a torus."""
     lean = np.arcsin((radius - knuckle) / (crown - knuckle))

@@ -1,4 +1,4 @@
-"""What a round wall echoes beyond the flat strips that it is made of.
+"""What a round wall echoes beyond the flat strips that it is made of, and its flat caps beyond their polygons.
 
 A mesh has strips where a tank or a drum is round. From a smooth wall it differs by a depth that is the same in every
 strip, and so it echoes as a grating does: where the echoes of neighbouring strips differ by whole waves, it throws back
@@ -7,7 +7,9 @@ strips do not help down to half a wave: a parabola's harmonics fall as their ord
 
 So each strip adds what Kirchhoff's integral over its arc has beyond that over its chord [Balanis2012, ch. 7]: across
 the strip a sum at Gauss's points, along the axis, where nothing bends, Fresnel's integral from end to end. The arc goes
-through the strip's corners: there a mesh lies on the surface that it stands for.
+through the strip's corners: there a mesh lies on the surface that it stands for. Each end of a strip has a phase,
+a strength and a delay of its own. A flat cap ends on the chords; the slivers between these and the arcs are added, or
+the wall's end and the cap's rim would not be in one place.
 """
 
 from __future__ import annotations
@@ -30,12 +32,18 @@ from ullage.radar.wall_bounces import deposit
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
 PANEL_M = 0.025
 """Strips are added panel by panel, none wider than this: their delays must not spread over a pulse."""
 _PULL_M = 4e-3  # points of walls are looked at so far off their strips and ends
 _LEAST_M = 0.05  # nearer to a wall the wave is no ray
+_AT_FOOT = 1e-2  # of Fresnel's argument: an end so near to the shortest path is at it
+_WHOLE_RAD = 1e-3  # half of a gap that is none
+_THIN = 1e-4  # [rad]: what turns the phase by less is next to flat
+_SIDES = np.array([0, -1, 1])
+_PAIRS = ("ends", "caps")  # rows of lines that are (2, n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,37 +53,50 @@ class Lines:
     at: Floats  # (n, 3) where they pass the middle of their wall [m]
     axes: Floats  # (n, 3) unit vectors along them
     inward: Floats  # (n, 3) unit vectors to the axis, square to the strip
+    left: Floats  # (n, 3) unit vectors across both
     ends: Floats  # (2, n) where the strip begins and ends along them, from there [m]
+    caps: Floats  # (2, n) whether a flat cap ends there: 1, around a hole -1, else 0
     aside: Floats  # (n) from the middle of the chord, over half of it
     half: Floats  # (n) half of a panel's width [m]
     chord: Floats  # (n) half of the strip's [m]
     depth: Floats  # (n) of the arc over its chord [m]
     pull: Floats  # (n) so far before it nothing of the wall itself is in the way [m]
     strips: Longs  # (n) which strip, of all walls
+    walls: Longs  # (n) which wall
+    sealed: Bools  # (n) whether flat caps close that all round at both ends
     stuffs: Longs  # (n) object
 
-    def some(self, which: NDArray[np.generic]) -> Lines:
+    def some(self, which: NDArray[np.generic] | slice) -> Lines:
         """Some of them."""
-        return Lines(*(getattr(self, row.name)[..., which] if row.name == "ends" else getattr(self, row.name)[which]
+        return Lines(*(getattr(self, row.name)[..., which] if row.name in _PAIRS else getattr(self, row.name)[which]
                        for row in fields(self)))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spots:
-    """Where the way from transmitter to receiver over each line is shortest, or the end of the line next to that."""
+class Places:
+    """Where waves over lines come from: the places of the shortest ways, and the ends of strips; caps' after these."""
 
-    feet: Floats  # (n) along the line, were it endless [m]
-    shortest: Floats  # (n) path over it [m]
-    level: Floats  # (n) share of that across the axis
-    points: Floats  # (n, 3) [m]
-    ways: Floats  # (2, n, 3) unit vectors from both antennas to them
-    ranges: Floats  # (2, n) [m]
-    cosine: Floats  # (n) of incidence, in the mean, less than 0 from outside, 0 between inside and outside
+    rows: Longs  # (m) the line of each
+    side: Longs  # (m) -1 and 1: the lower and the upper end, 0: the shortest way
+    flat: Bools  # (m) whether it is what a flat cap has there, not the wall
+    heights: Floats  # (m) along the line [m]
 
-    def some(self, which: NDArray[np.generic]) -> Spots:
+    def some(self, which: NDArray[np.generic]) -> Places:
         """Some of them."""
-        return Spots(self.feet[which], self.shortest[which], self.level[which], self.points[which],
-                     self.ways[:, which], self.ranges[:, which], self.cosine[which])  # fmt: skip
+        return Places(self.rows[which], self.side[which], self.flat[which], self.heights[which])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spots:
+    """Places as both antennas see them."""
+
+    lines: Lines  # (m) the line of each
+    places: Places  # (m)
+    points: Floats  # (m, 3) [m]
+    ways: Floats  # (2, m, 3) unit vectors from both antennas to them
+    ranges: Floats  # (2, m) [m]
+    upward: Floats  # (2, m) cosines of both ways to the axis
+    outward: Floats  # (2, m) and to the way from the axis
 
 
 def lay_arcs(
@@ -94,16 +115,11 @@ def lay_arcs(
     lines = lines_of(rounds, wavelength / 2, float(np.sqrt(wavelength * ready.gate[1] / 2)))
     if lines is None:
         return []
-    spots = _spots(view, lines)
-    heard = (spots.shortest < 2 * ready.gate[1]) & (spots.cosine != 0)
-    lines, spots = lines.some(heard), spots.some(heard)
-    if not heard.any():
+    places = _places(view, lines, ~ready.sheets.thin, 2 * ready.gate[1])
+    if not len(places.rows):
         return []
-    shade, late = _shade(ready, parts, view, lines, spots)
-    lit = np.flatnonzero(shade)
-    if not len(lit):
-        return []
-    return [_laid(ready, view, lines.some(lit), spots.some(lit), (shade[lit], late[lit]), grids)]
+    places, between = _free(ready, parts, view, lines, places)
+    return [_laid(ready, view, _spots(view, lines, places), between, grids)] if len(places.rows) else []
 
 
 @lru_cache(maxsize=8)  # walls that stand still are the same from frame to frame
@@ -112,9 +128,10 @@ def lines_of(rounds: tuple[Round, ...], narrowest: float, widest: float) -> Line
     made = [_lines(wall) for wall in rounds if len(wall.strips) and narrowest < wall.widest < widest]
     if not made:
         return None
-    first = np.cumsum([0, *(len(one.strips) for one in made)])
-    rows = {row.name: np.concatenate([getattr(one, row.name) for one in made], axis=-1 if row.name == "ends" else 0)
+    first = np.cumsum([0, *(one.strips.max() + 1 for one in made)])
+    rows = {row.name: np.concatenate([getattr(one, row.name) for one in made], axis=-1 if row.name in _PAIRS else 0)
             for row in fields(Lines)}  # fmt: skip
+    rows["walls"] = np.repeat(np.arange(len(made)), [len(one.strips) for one in made])
     rows["strips"] = np.concatenate([one.strips + k for one, k in zip(made, first[:-1], strict=True)])
     return Lines(**rows)
 
@@ -126,13 +143,21 @@ def _lines(wall: Round) -> Lines:
     strips = np.repeat(np.arange(len(panels)), panels)
     number = np.arange(len(strips)) - np.repeat(panels.cumsum() - panels, panels)
     aside = (2 * number + 1) / panels[strips] - 1
+    caps = wall.caps if len(wall.caps) else np.zeros((len(panels), 2))
     outward = np.stack([np.cos(angle), np.sin(angle)], 1)[strips]
     at = (wall.radius * np.cos(half))[strips, None] * outward + (aside * chord[strips])[:, None] * _left(outward)
     each = np.ones(len(strips))
-    return Lines(wall.centre + at @ wall.axes[:2], each[:, None] * wall.axes[2], -outward @ wall.axes[:2],
-                 np.stack([low, high])[:, strips], aside, (chord / panels)[strips], chord[strips],
+    axes, inward = each[:, None] * wall.axes[2], -outward @ wall.axes[:2]
+    return Lines(wall.centre + at @ wall.axes[:2], axes, inward, np.cross(inward, axes),
+                 np.stack([low, high])[:, strips], caps.T[:, strips], aside, (chord / panels)[strips], chord[strips],
                  (wall.radius * (1 - np.cos(half)))[strips], (wall.depth + _PULL_M) * each, strips,
+                 np.zeros(len(strips), np.int64), np.full(len(strips), _sealed(wall)),
                  np.full(len(strips), wall.stuff))  # fmt: skip
+
+
+def _sealed(wall: Round) -> bool:
+    """Whether strips go all round, and flat caps end on all of them."""
+    return bool(len(wall.caps) and (wall.caps == 1).all() and wall.strips[:, 1].sum() > np.pi - _WHOLE_RAD)
 
 
 def _left(ways: Floats) -> Floats:
@@ -140,71 +165,154 @@ def _left(ways: Floats) -> Floats:
     return np.asarray(ways[:, ::-1] * [-1, 1])
 
 
-def _laid(
-    ready: Bench, view: View, lines: Lines, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes
-) -> Laid:
-    """Lays what lines (n) add, with factor and delay [s] of what stands before each."""
-    (shade, late), wave = between, 2 * np.pi / ready.spec.wavelength_m
-    value = 1j / (4 * np.pi) * view.factor * shade * _along(lines, spots, wave) * _bulge(lines, spots, wave)
-    for way, frame, far in zip(spots.ways, view.frames, spots.ranges, strict=True):
-        value *= gain(ready.spec.antenna, way @ frame.T) / far
-    cosine = abs(spots.cosine)
-    value *= cosine * reflection(ready, view, lines.stuffs, cosine, spots.ways, lines.inward)
-    delay = spots.ranges.sum(0) / C0 + late
-    echo = deposit(ready, delay, value, grids, (0.5, 0.5))
+def _places(view: View, lines: Lines, opaque: Bools, most: float) -> Places:
+    """Where waves over lines come from that go no farther than `most` [m], walls of some objects (o) being opaque."""
+    gaps = view.origins[:, None] - lines.at
+    climb, inside = _dots(gaps, lines.axes), _dots(gaps, lines.inward) > 0
+    apart = np.sqrt(np.maximum(_dots(gaps, gaps) - climb**2, _LEAST_M**2))
+    feet = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
+    heights = np.stack([feet, *lines.ends])
+    ahead = heights[:, None] - climb
+    heard = np.hypot(apart, ahead).sum(1) < most
+    heard[0] &= (lines.ends[0] <= feet) & (feet < lines.ends[1])
+    level = (ahead[1:, 0] * ahead[1:, 1] > 0) & (lines.caps != 0)
+    beyond = ahead[1:, 0] * _SIDES[1:, None] < 0
+    out = lines.sealed & opaque[lines.stuffs] & _any(~inside.any(0) | beyond.any(0), lines.walls)
+    wall, row = np.nonzero(heard & (inside[0] == inside[1]) & ~(out & inside[0]))
+    cap, rim = np.nonzero(heard[1:] & level & ~(out & ~beyond))
+    group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, rim])
+    return Places(row, _SIDES[group], np.arange(len(row)) >= len(wall), heights[group, row])
+
+
+def _spots(view: View, lines: Lines, places: Places) -> Spots:
+    some = lines.some(places.rows)
+    points = some.at + places.heights[:, None] * some.axes
+    ways = points - view.origins[:, None]
+    ranges = np.maximum(np.sqrt(_dots(ways, ways)), _LEAST_M)
+    ways /= ranges[..., None]
+    return Spots(some, places, points, ways, ranges, _dots(ways, some.axes), -_dots(ways, some.inward))
+
+
+def _any(some: Bools, walls: Longs) -> Bools:
+    """Of lines (n) in the order of their walls, whether anything is true of some line of the same wall."""
+    first = np.flatnonzero(np.diff(walls, prepend=-1))
+    return np.asarray(np.repeat(np.logical_or.reduceat(some, first), np.diff(first, append=len(walls))))
+
+
+def _free(
+    ready: Bench, parts: list[Surfaces], view: View, lines: Lines, places: Places
+) -> tuple[Places, tuple[Complexes, Floats]]:
+    """The places (m) that are seen, and factor and delay [s] of what stands before them.
+
+    Looked at is one of each strip: before the wall and off its ends, and before the cap and off the wall.
+    """
+    flat, strips = places.flat, lines.strips[places.rows]
+    first = np.flatnonzero((np.diff(2 * strips + flat, prepend=-1) != 0) | (np.diff(places.side, prepend=-9) != 0))
+    one, at = places.some(first), places.rows[first]
+    axes, inward, pull = lines.axes[at], lines.inward[at], lines.pull[at]
+    points = lines.at[at] + one.heights[:, None] * axes
+    ways = points - view.origins[0]
+    off = np.where(one.flat, pull, np.copysign(pull, -_dots(ways, inward)))
+    along = -_PULL_M * np.where(one.flat, np.sign(_dots(ways, axes)), one.side)
+    shade, late = shading(ready, parts, view, points + off[:, None] * inward + along[:, None] * axes)
+    back = np.repeat(np.arange(len(first)), np.diff(first, append=len(flat)))
+    free = np.flatnonzero(shade[back])
+    return places.some(free), (shade[back[free]], late[back[free]])
+
+
+def _laid(ready: Bench, view: View, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes) -> Laid:
+    """Lays what comes from spots (m), with factor and delay [s] of what stands before each."""
+    (shade, late), wave, lines = between, 2 * np.pi / ready.spec.wavelength_m, spots.lines
+    behind, flat, caps = _behind(spots), spots.places.flat, int(np.searchsorted(spots.places.flat, True))
+    value = _across_chord(spots, wave)
+    value[:caps] *= _along(spots, wave)
+    value *= 1j / (4 * np.pi) * view.factor * shade * np.exp(1j * wave * behind)
+    value *= _gains(ready, view, spots.ways) / spots.ranges.prod(0)
+    cosine = np.where(flat, spots.upward, spots.outward)
+    normals = np.where(flat[:, None], lines.axes, lines.inward)
+    cosine = abs(cosine).mean(0)
+    value *= cosine * reflection(ready, view, lines.stuffs, cosine, spots.ways, normals)
+    delay = (spots.ranges.sum(0) + behind) / C0 + late
+
+    def put(value: Complexes, grids: Complexes) -> Complexes:
+        kinds = ((slice(caps), (1.5, -0.5)), (slice(caps, None), (1.0, 0.0)))  # as the root of f, and as it is
+        return np.concatenate([deposit(ready, delay[some], value[some], grids, shares) for some, shares in kinds])
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, delay, value * factors, others, (0.5, 0.5))
+        put(value * factors, others)
 
-    return Laid(lines.stuffs.astype(np.int32), spots.points, echo, delay, again)
-
-
-def _spots(view: View, lines: Lines) -> Spots:
-    gaps = view.origins[:, None] - lines.at
-    climb = (gaps * lines.axes).sum(2)
-    apart = np.sqrt(np.maximum((gaps**2).sum(2) - climb**2, _LEAST_M**2))
-    level, rise = apart.sum(0), climb[1] - climb[0]
-    shortest = np.sqrt(level**2 + rise**2)
-    feet = climb[0] + rise * apart[0] / level
-    heights = np.minimum(np.maximum(feet, lines.ends[0]), lines.ends[1])
-    ways = heights[:, None] * lines.axes - gaps
-    ranges = np.maximum(np.sqrt((ways**2).sum(2)), _LEAST_M)
-    ways /= ranges[..., None]
-    one, other = -(ways * lines.inward).sum(2)
-    cosine = np.where(one * other > 0, (one + other) / 2, 0.0)
-    return Spots(feet, shortest, level / shortest, lines.at + heights[:, None] * lines.axes, ways, ranges, cosine)
+    return Laid(lines.stuffs.astype(np.int32), spots.points, put(value, grids), delay, again)
 
 
-def _shade(ready: Bench, parts: list[Surfaces], view: View, lines: Lines, spots: Spots) -> tuple[Complexes, Floats]:
-    """What stands before the lines (n), seen at one of each strip: a little before the wall and off its ends."""
-    first = np.flatnonzero(np.diff(lines.strips, prepend=-1))
-    feet, (low, high) = spots.feet[first], lines.ends[:, first]
-    inner = np.clip(feet, low + _PULL_M, high - _PULL_M) - np.clip(feet, low, high)
-    before = (np.sign(spots.cosine) * lines.pull)[first, None] * lines.inward[first]
-    shade, late = shading(ready, parts, view, spots.points[first] + inner[:, None] * lines.axes[first] + before)
-    back = np.repeat(np.arange(len(first)), np.diff(first, append=len(lines.strips)))
-    return shade[back], late[back]
+def _gains(ready: Bench, view: View, ways: Floats) -> Floats:
+    """What both antennas' patterns make of waves (2, m, 3)."""
+    one = gain(ready.spec.antenna, ways[0] @ view.frames[0].T)
+    return one * (one if _one_place(view) else gain(ready.spec.antenna, ways[1] @ view.frames[1].T))
 
 
-def _along(lines: Lines, spots: Spots, wave: float) -> Complexes:
-    """What the integral along the axis, from end to end of the wall, makes of waves (n) over the spots [m]."""
-    bend = wave * spots.level**2 * (1 / spots.ranges).sum(0)
-    sine, cosine = fresnel((lines.ends - spots.feet) * np.sqrt(bend / np.pi))
-    part = (cosine[1] - cosine[0]) - 1j * (sine[1] - sine[0])
-    return np.asarray(part * np.sqrt(np.pi / bend) * np.exp(1j * wave * (spots.ranges.sum(0) - spots.shortest)))
+def _behind(spots: Spots) -> Floats:
+    """By so much longer is the way over what lies between panels (m) and their arcs, in the mean [m]."""
+    lines = spots.lines
+    rise = lines.depth * (1 - lines.aside**2 - (lines.half / lines.chord) ** 2 / 3)
+    return np.asarray(spots.outward.sum(0) * rise / 2)
 
 
-def _bulge(lines: Lines, spots: Spots, wave: float) -> Complexes:
-    """What the integral across panels (n) is over their arcs, less what it is over their chords [m]."""
-    u = NODES[:, None]
-    aside = (spots.ways * np.cross(lines.inward, lines.axes)).sum(2)
+def _along(spots: Spots, wave: float) -> Complexes:
+    """What the integral along the axis makes of waves over spots (m) of walls [m]: of all of the line, or of an end.
+
+    Fresnel's. Each end has the phase and the slope of the phase that it has there.
+    """
+    places, many = spots.places, int(np.searchsorted(spots.places.flat, True))
+    slope, ranges, heights = spots.upward[:, :many], spots.ranges[:, :many], places.heights[:many]
+    apart = ranges * np.sqrt(np.maximum(1 - slope**2, 1e-12))
+    climb, level = heights - ranges * slope, apart.sum(0)
+    shortest = np.hypot(level, climb[1] - climb[0])
+    feet = climb[0] + (climb[1] - climb[0]) * apart[0] / level
+    root = np.sqrt(np.pi * (shortest / level) ** 3 / (wave * (1 / apart).sum(0)))  # by the second derivative
+    total = (1 - 1j) * root
+    ends = np.flatnonzero(places.side[:many])
+    sign = np.where(heights > feet, 1, -1)[ends]
+    more = np.maximum(ranges.sum(0) - shortest, 1e-12)[ends]
+    detour = sign * np.sqrt(2 / np.pi * wave * more)
+    close = abs(detour) < _AT_FOOT
+    steep = np.where(close, root[ends], np.pi * detour / np.where(close, 1.0, wave * slope.sum(0)[ends]))
+    sine, cosine = fresnel(detour)
+    rest = cosine - 1j * sine - sign * (0.5 - 0.5j)
+    total[ends] = places.side[ends] * steep * rest * np.exp(1j * wave * more)
+    return np.asarray(total)
+
+
+def _across_chord(spots: Spots, wave: float) -> Complexes:
+    """What the integral across panels (m) is over their arcs, less what it is over their chords [m].
+
+    Of caps, what it is over the plane between both [m2].
+    """
+    lines, flat, u = spots.lines, spots.places.flat, NODES[:, None]
+    aside = _dots(spots.ways, lines.left)
     turn = wave * lines.half * aside.sum(0)
     curve = wave * lines.half**2 / 2 * ((1 - aside**2) / spots.ranges).sum(0)
-    rise = 2 * wave * lines.depth * spots.cosine  # of the phase, from the ends of an arc to its middle
     across = lines.aside + u * lines.half / lines.chord
-    steep = 1 + across * (2 * lines.depth / lines.chord * aside.mean(0) / spots.cosine)  # what its slope does to cos
-    arc = steep * np.exp(-1j * rise * (1 - across**2)) - 1
-    return np.asarray(lines.half * (SHARES[:, None] * np.exp(-1j * (turn * u + curve * u * u)) * arc).sum(0))
+    deep = lines.depth * (1 - across**2)
+    outward = spots.outward.sum(0)
+    arc = np.exp(-1j * (wave * outward) * deep)
+    lean = 2 * lines.depth / lines.chord * aside.sum(0) / np.where(flat, 1.0, outward)
+    bulge = (1 + across * lean) * arc - 1  # with what an arc's slope does to the cosine
+    if flat.any():
+        hole = np.where(spots.places.side > 0, lines.caps[1], lines.caps[0])
+        rise = 1j * wave * outward * deep
+        thin = abs(rise) < _THIN
+        bulge = np.where(flat, hole * deep * np.where(thin, 1 - rise / 2, (1 - arc) / np.where(thin, 1, rise)), bulge)
+    return np.asarray(lines.half * (SHARES @ (np.exp(-1j * (turn * u + curve * u * u)) * bulge)))
+
+
+def _dots(a: Floats, b: Floats) -> Floats:
+    """Products (..., n) of vectors (..., n, 3)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _one_place(view: View) -> bool:
+    """Whether one antenna is the other."""
+    return bool((view.origins[0] == view.origins[1]).all() and (view.frames[0] == view.frames[1]).all())
 
 
 def reflection(ready: Bench, view: View, stuffs: Longs, cosine: Floats, ways: Floats, inward: Floats) -> Complexes:
@@ -223,13 +331,15 @@ def reflection(ready: Bench, view: View, stuffs: Longs, cosine: Floats, ways: Fl
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))
     te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
-    one, other = (_across(*told, inward) for told in zip(view.fields, ways, strict=True))
-    share = (one + other) / 2
+    share = _across(view.fields[0], ways[0], inward)
+    if not _one_place(view):
+        share = (share + _across(view.fields[1], ways[1], inward)) / 2
     return np.asarray(share * te + (1 - share) * tm)
 
 
 def _across(field: Floats, ways: Floats, normals: Floats) -> Floats:
     """Share (n) of a field's power that is TE, for waves (n, 3) at faces with some normals (n, 3)."""
-    side = np.cross(ways, normals)
-    square = (side**2).sum(1) * (1 - (ways @ field) ** 2)
-    return np.where(square < 1e-12, 0.5, np.minimum((side @ field) ** 2 / np.maximum(square, 1e-12), 1.0))
+    x, y, z = field
+    side = normals @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # times the ways: the field across both
+    square = (1 - _dots(ways, normals) ** 2) * (1 - (ways @ field) ** 2)
+    return np.where(square < 1e-12, 0.5, np.minimum(_dots(ways, side) ** 2 / np.maximum(square, 1e-12), 1.0))

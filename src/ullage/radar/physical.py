@@ -181,11 +181,12 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         if len(part.corners):
             out.append(_lay_small(ready, parts, part, view, grids, small))
         out += lay_flats(ready, parts, part, view, grids, large)
-    rounds = ready.world.rounds_at(poses)
+    rounds, arcs = ready.world.rounds_at(poses), []
     if rounds:
         from ullage.radar.arcs import lay_arcs
 
-        out += lay_arcs(ready, parts, rounds, view, grids)
+        arcs = lay_arcs(ready, parts, rounds, view, grids)
+        out += arcs
     if len(ready.lines):
         out += _lay_wires(ready, parts, view, poses, grids)
     if len(ready.rims.edges):
@@ -202,7 +203,8 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         flats = joined([part.flats for part in parts])
         look = looks(ready, flats, view)
         out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
-        out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, grids)
+        loud = grids.sum(0) if arcs else grids  # what arcs add rises with f, which no kind of echo does alone
+        out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, float(abs(loud).max()), grids)
         if rounds:
             out += _lay_round(ready, parts, rounds, flats, view, max_bounces, look, grids)
     return out
@@ -229,9 +231,9 @@ def _off(parts: list[Surfaces], view: View) -> View:
 
 def _lay_over(
     ready: Bench, parts: list[Surfaces], flats: Flats, view: View, poses: Floats | None, most: int, look: Floats,
-    grids: Complexes,
+    peak: float, grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
-    """Adds the echoes of what is no mirror by way of the flat faces that look largest; the grids hold all others."""
+    """Adds the echoes of what is no mirror by way of the flat faces that look largest, all others being that loud."""
     curved = flats.smooth.any() or any(len(part.corners) for part in parts)
     if not (curved or len(ready.lines)) or flats.smooth.all():
         return []
@@ -240,7 +242,6 @@ def _lay_over(
     from ullage.radar.wire_bounces import lay_wire_bounces
 
     ways = ways_of(ready, flats, view, most, look)
-    peak = float(abs(grids).max())
     out = lay_curves(ready, parts, flats, view, ways, peak, grids) if curved else []
     return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])
 

@@ -15,7 +15,7 @@ from ullage.radar.balls import Ball, balls_of
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
 from ullage.radar.movers import Movers
-from ullage.radar.rounds import Round, Shell, rounds_of, shells_of
+from ullage.radar.rounds import Round, Shell, capped, rounds_of, shells_of
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ class Prepared:
     @cached_property
     def rounds(self) -> tuple[Round, ...]:
         """Round walls and bodies, as they stand at the start."""
-        return rounds_of(self._shells)
+        return tuple(capped(wall, self.scene) for wall in rounds_of(self._shells))
 
     @cached_property
     def balls(self) -> tuple[Ball, ...]:

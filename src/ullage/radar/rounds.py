@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ullage.radar.facets import SMOOTH_DEG, twins
 from ullage.world.scene import Scene
@@ -47,6 +48,7 @@ class Round:
     stuff: int  # object
     ball: bool = False
     strips: Floats = field(default_factory=lambda: np.zeros((0, 4)))  # (s, 4) angle, half width [rad], low, high [m]
+    caps: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (s, 2) flat face at either end: 1, at holes -1
 
     def local(self, points: Floats) -> Floats:
         """Points (..., 3) as seen from the centre along the axes [m]."""
@@ -100,6 +102,28 @@ def rounds_of(shells: Sequence[Shell]) -> tuple[Round, ...]:
         elif wall is not None:
             found.append(wall)
     return tuple(found)
+
+
+def capped(wall: Round, scene: Scene) -> Round:
+    """The wall, knowing at which ends of its strips flat faces of its object end, square to the axis."""
+    if not len(wall.strips):
+        return wall
+    angle, half, *ends = wall.strips.T
+    corners = wall.local(scene.corners()[scene.face_object == wall.stuff])
+    level = corners[np.ptp(corners[..., 2], axis=1) < OFF_M]
+    middles, sides = (level + np.roll(level, -1, 1)) / 2, np.roll(level, -1, 1) - level
+    across = wall.radius * np.cos(half)
+    chords = np.stack([across * np.cos(angle), across * np.sin(angle)], 1)
+    wanted = np.concatenate([np.column_stack([chords, end]) for end in ends])
+    told, near = cKDTree(wanted).query(middles.reshape(-1, 3), distance_upper_bound=OFF_M)
+    apart, at = np.asarray(told), np.asarray(near, np.int64)
+    size = np.append(np.tile(2 * wall.radius * np.sin(half), 2), -1.0)
+    on = np.isfinite(apart) & (abs(np.linalg.norm(sides, axis=2).ravel() - size[at]) < OFF_M)
+    at = at[on]
+    inside = (np.repeat(level.mean(1), 3, 0)[on, :2] * wanted[at, :2]).sum(1) < (wanted[at, :2] ** 2).sum(1)
+    caps = np.zeros(len(wanted))
+    np.add.at(caps, at, np.where(inside, 1.0, -1.0))
+    return replace(wall, caps=caps.reshape(2, -1).T)
 
 
 def linked(shell: Shell) -> list[Longs]:
