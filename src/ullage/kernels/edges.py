@@ -295,6 +295,65 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
     return winding
 
 
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
+    """Sign of the side on which the axis leaves face p, and whether it comes so near that the rim may go round it."""
+    facing, lead, square = 0.0, 0.0, 0.0
+    for k in range(3):
+        facing += line[2, k] * normals[p, k]
+        lead += (spheres[p, k] - line[0, k]) * line[2, k]
+        square += (spheres[p, k] - line[0, k]) ** 2
+    sign = 1.0 if facing > 0 else -1.0
+    return sign, square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-def]
+    """Sets the spots START and STOP to the ends of edge e and line[3] along it; gives its size [m].
+
+    Most edges start where the one before stops, so that its last spot is known. One shorter than 1e-9 m is none.
+    """
+    size, follows = 0.0, True
+    for k in range(3):
+        line[3, k] = ends[e, k] - starts[e, k]
+        size += line[3, k] * line[3, k]
+        follows = follows and spots[1, k] == starts[e, k]
+    size = math.sqrt(size)
+    if size < 1e-9:
+        spots[1, 0] = 1e300
+        return size
+    for k in range(3):
+        line[3, k] /= size
+    for k in range(8):
+        spots[0, k] = spots[1, k] if follows else (starts[e, k] if k < 3 else 0.0)
+    if not follows:
+        _spot(spots, START, line, length)
+    for k in range(3):
+        spots[1, k] = ends[e, k]
+    _spot(spots, STOP, line, length)
+    return size
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
+         ties, line, spots, marks, at):  # fmt: skip
+    """Parts all edges of face p, as `cut` does; gives the turns of the rim around the axis."""
+    sign, round_axis = _about(spheres, normals, p, line)
+    winding, at[2] = 0.0, at[1]
+    spots[1, 0] = 1e300
+    for e in range(first[p], first[p + 1]):
+        size = _step_on(starts, ends, e, line, length, spots)
+        if size < 1e-9:
+            continue
+        # the path over an edge is at least this: ends less half its length there and back
+        if 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + most):
+            winding += _turn(spots, START, STOP, line) if round_axis else 0.0
+            continue
+        winding += _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces, owner,
+                         tips, holders, ties, at)  # fmt: skip
+    return sign * winding / (2 * math.pi)
+
+
 @lean(fastmath=True, nogil=True, error_model="numpy")
 def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
         tips, holders, ties, windings, line, spots, marks, at):  # fmt: skip
@@ -331,41 +390,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
         limit = limits[p] if len(limits) > 1 else limits[0]
         windings[i] = 0.0
         length = _before(normals, offsets, spheres, p, origins, p if len(origins) > 1 else 0, limit, line)
-        if length < 0:
-            continue
-        facing, lead, square = 0.0, 0.0, 0.0
-        for k in range(3):
-            facing += line[2, k] * normals[p, k]
-            lead += (spheres[p, k] - line[0, k]) * line[2, k]
-            square += (spheres[p, k] - line[0, k]) ** 2
-        sign = 1.0 if facing > 0 else -1.0
-        round_axis = square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
-        winding, at[2] = 0.0, at[1]
-        spots[1, 0] = 1e300
-        for e in range(first[p], first[p + 1]):
-            size, follows = 0.0, True
-            for k in range(3):
-                line[3, k] = ends[e, k] - starts[e, k]
-                size += line[3, k] * line[3, k]
-                follows = follows and spots[1, k] == starts[e, k]
-            size = math.sqrt(size)
-            if size < 1e-9:
-                spots[1, 0] = 1e300
-                continue
-            for k in range(3):
-                line[3, k] /= size
-            for k in range(8):
-                spots[0, k] = spots[1, k] if follows else (starts[e, k] if k < 3 else 0.0)
-            if not follows:
-                _spot(spots, START, line, length)
-            for k in range(3):
-                spots[1, k] = ends[e, k]
-            _spot(spots, STOP, line, length)
-            # the path over an edge is at least this: ends less half its length there and back
-            if 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + most):
-                winding += _turn(spots, START, STOP, line) if round_axis else 0.0
-                continue
-            winding += _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces,
-                             owner, tips, holders, ties, at)  # fmt: skip
-        windings[i] = sign * winding / (2 * math.pi)
+        if length >= 0:
+            windings[i] = _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces,
+                               owner, tips, holders, ties, line, spots, marks, at)  # fmt: skip
     return at[0], at[1]
