@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from ullage.kernels.facets import FROM, ONE, TO, VERTEX, _lay, same, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, VERTEX, same, toward
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
-from ullage.kernels.rims import lay_line
+from ullage.kernels.rims import lay_pulses
 
 C0 = 299_792_458.0
 
@@ -220,7 +220,7 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
         rows: (4, 3), scratch.
     """
-    last, many, wave = t0 + grids.shape[1] * dt, len(pieces), omega / C0
+    many, wave = len(pieces), omega / C0
     known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
@@ -254,14 +254,5 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
         delay[k] = mean
-        shift = late - math.floor((mean - t0) / fold) * fold
-        while mean - late + shift < last:
-            a, b = path0 / C0 + shift, path1 / C0 + shift
-            if k < many:
-                value = lay_line(grids, scale * w0, scale * w1, omega * a, omega * b, 1.5 * omega * early / C0,
-                                 (a - t0) / dt, (b - t0) / dt)  # fmt: skip
-            else:
-                value = scale * w0 * turned(omega * a)
-                _lay(grids, VERTEX, (a - t0) / dt, value)
-            echo[k] += value if mean - late + shift < t0 + fold else 0j  # what lands a pulse later is the same echo
-            shift += fold
+        echo[k] = lay_pulses(grids, k < many, VERTEX, scale * w0, scale * w1, path0 / C0, path1 / C0,
+                             1.5 * omega * early / C0, late, mean, omega, t0, dt, fold)  # fmt: skip
