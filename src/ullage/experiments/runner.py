@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -94,11 +94,7 @@ def execute(
     try:
         outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
     except UllageError as error:
-        if job.looks.received:
-            write_json(job.folder / "metrics.json", metric_tree({"frames": Metric("frames", job.looks.received)}))
-            write_json(job.folder / "provenance.json", origin | {"refused": str(error)})
-        else:  # nothing is lost
-            shutil.rmtree(job.folder, ignore_errors=True)
+        _keep_what_came(job, origin | {"refused": str(error)})
         raise
     finally:
         if under_way is not None:
@@ -118,6 +114,15 @@ def execute(
 
     write_report(job.folder)
     return report
+
+
+def _keep_what_came(job: Run, origin: Mapping[str, object]) -> None:
+    """Say in the folder of a run that was refused how many frames came and why it ended; without any it goes."""
+    if not job.looks.received:  # nothing is lost
+        shutil.rmtree(job.folder, ignore_errors=True)
+        return
+    write_json(job.folder / "metrics.json", metric_tree({"frames": Metric("frames", job.looks.received)}))
+    write_json(job.folder / "provenance.json", origin)
 
 
 @dataclass(slots=True)

@@ -295,7 +295,7 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
     return winding
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
 def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
     """Sign of the side on which the axis leaves face p, and whether it comes so near that the rim may go round it."""
     facing, lead, square = 0.0, 0.0, 0.0
@@ -307,7 +307,7 @@ def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
     return sign, square - lead * lead <= 1.0001 * spheres[p, 3] * spheres[p, 3]
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
 def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-def]
     """Sets the spots START and STOP to the ends of edge e and line[3] along it; gives its size [m].
 
@@ -334,7 +334,7 @@ def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-d
     return size
 
 
-@core(fastmath=True, nogil=True, error_model="numpy")
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
 def _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
          ties, line, spots, marks, at):  # fmt: skip
     """Parts all edges of face p, as `cut` does; gives the turns of the rim around the axis."""

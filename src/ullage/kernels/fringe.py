@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from ullage.kernels.facets import FROM, ONE, TO, VERTEX, _lay, same, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, VERTEX, same, toward
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
-from ullage.kernels.rims import lay_line
+from ullage.kernels.rims import lay_pulses
 
 C0 = 299_792_458.0
 
@@ -142,6 +142,23 @@ def strength(places, k, end, w, angles, inward, normals, sheets, wave, origins, 
     return g * total, path, bend
 
 
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+def _best_seen(starts, w, near, size, t, across, origins, frames, fields, table, flat):  # type: ignore[no-untyped-def]
+    """Most of the antenna's gain, and of the field across an edge, at both ends of it and `near` along it [m]."""
+    ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
+    gain, most = 0.0, 0.0
+    for step in range(3):
+        along = near if step == 0 else (0.0 if step == 1 else size)
+        x, y, z = (starts[w, 0] + along * t[0] - origins[0, 0, 0], starts[w, 1] + along * t[1] - origins[0, 0, 1],
+                   starts[w, 2] + along * t[2] - origins[0, 0, 2])  # fmt: skip
+        r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
+        if across:
+            hard = (y * ez - z * ey) * t[0] + (z * ex - x * ez) * t[1] + (x * ey - y * ex) * t[2]
+            most = max(most, abs(hard) / r)
+        gain = max(gain, toward(table, flat, frames, ONE, ONE, x / r, y / r, z / r))
+    return gain, most
+
+
 @lean(fastmath=True, nogil=True, error_model="numpy")
 def audible(starts, ends, lit, factors, across, origins, frames, fields, table, flat, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
     """Whether each edge (w, 3)-(w, 3) can return more than `least`, by the most its strength and length allow.
@@ -179,16 +196,8 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
             square += (starts[w, k] + near * t[k] - origins[0, 0, k]) ** 2
         if square > gate[1] * gate[1]:
             continue
-        best, gain, most = max(math.sqrt(square), 1e-2), 0.0, 0.0
-        for step in range(3):
-            along = near if step == 0 else (0.0 if step == 1 else size)
-            x, y, z = (starts[w, 0] + along * t[0] - origins[0, 0, 0], starts[w, 1] + along * t[1] - origins[0, 0, 1],
-                       starts[w, 2] + along * t[2] - origins[0, 0, 2])  # fmt: skip
-            r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
-            if across:
-                hard = (y * ez - z * ey) * t[0] + (z * ex - x * ez) * t[1] + (x * ey - y * ex) * t[2]
-                most = max(most, abs(hard) / r)
-            gain = max(gain, toward(table, flat, frames, ONE, ONE, x / r, y / r, z / r))
+        best = max(math.sqrt(square), 1e-2)
+        gain, most = _best_seen(starts, w, near, size, t, across, origins, frames, fields, table, flat)
         reach = math.sqrt(math.pi * best / wave)  # of the stationary part
         beside = abs(foot - near)
         if beside > 0:
@@ -220,7 +229,7 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
         rows: (4, 3), scratch.
     """
-    last, many, wave = t0 + grids.shape[1] * dt, len(pieces), omega / C0
+    many, wave = len(pieces), omega / C0
     known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
@@ -254,14 +263,5 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
         delay[k] = mean
-        shift = late - math.floor((mean - t0) / fold) * fold
-        while mean - late + shift < last:
-            a, b = path0 / C0 + shift, path1 / C0 + shift
-            if k < many:
-                value = lay_line(grids, scale * w0, scale * w1, omega * a, omega * b, 1.5 * omega * early / C0,
-                                 (a - t0) / dt, (b - t0) / dt)  # fmt: skip
-            else:
-                value = scale * w0 * turned(omega * a)
-                _lay(grids, VERTEX, (a - t0) / dt, value)
-            echo[k] += value if mean - late + shift < t0 + fold else 0j  # what lands a pulse later is the same echo
-            shift += fold
+        echo[k] = lay_pulses(grids, k < many, VERTEX, scale * w0, scale * w1, path0 / C0, path1 / C0,
+                             1.5 * omega * early / C0, late, mean, omega, t0, dt, fold)  # fmt: skip

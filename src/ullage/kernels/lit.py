@@ -50,15 +50,9 @@ def _strength(point, ends, turned, table, flat, axes, slopes):  # type: ignore[n
     return strong
 
 
-@core(nogil=True, error_model="numpy")
-def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, axes, places, slopes):  # type: ignore[no-untyped-def]
-    """What a face can return at the most, about, to a radar at two images, per path gain amplitude.
-
-    Along each of two axes counts the face's width or, if that is less, what a phase that turns leaves of it: two ends,
-    2 / (k slope) [BornWolf1999], or where its path is shortest the Fresnel zone. Asked for at three places along
-    the middle of the face, `places` (3, 3): where the path is shortest, and next to each image.
-    And the width [m], and the largest product of both gains at those places.
-    """
+@core(nogil=True, error_model="numpy", forceinline=True)
+def _turn_to_edge(p, normals, first, starts, axes):  # type: ignore[no-untyped-def]
+    """Sets axes[0] along the longest edge of a face, axes[1] across it in the face."""
     longest = 0.0
     for e in range(first[p], first[p + 1]):
         f = e + 1 if e + 1 < first[p + 1] else first[p]
@@ -72,6 +66,18 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
         axes[1, k] = normals[p, a] * axes[0, b] - normals[p, b] * axes[0, a]
+
+
+@core(nogil=True, error_model="numpy")
+def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, axes, places, slopes):  # type: ignore[no-untyped-def]
+    """What a face can return at the most, about, to a radar at two images, per path gain amplitude.
+
+    Along each of two axes counts the face's width or, if that is less, what a phase that turns leaves of it: two ends,
+    2 / (k slope) [BornWolf1999], or where its path is shortest the Fresnel zone. Asked for at three places along
+    the middle of the face, `places` (3, 3): where the path is shortest, and next to each image.
+    And the width [m], and the largest product of both gains at those places.
+    """
+    _turn_to_edge(p, normals, first, starts, axes)
     low, high, under, over = math.inf, -math.inf, math.inf, -math.inf
     for e in range(first[p], first[p + 1]):
         u, v = 0.0, 0.0
@@ -129,6 +135,16 @@ def _kept(point, images, faces, normals, stuffs, most, stuff, slopes):  # type: 
     return out
 
 
+@core(nogil=True, error_model="numpy", forceinline=True)
+def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-untyped-def]
+    """Whether two images see the same side of a face, of a closed body the outer one unless they are inside its box."""
+    ahead, behind, out = -offset, -offset, outward[3]
+    for k in range(3):
+        ahead, behind = ahead + normal[k] * one[k], behind + normal[k] * other[k]
+        out += outward[k] * one[k]
+    return not (ahead * behind <= 1e-9 or (out < 0 and not inside))
+
+
 @lean(nogil=True, error_model="numpy")
 def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, stuffs,  # type: ignore[no-untyped-def]
                outward, boxes, first, starts, table, flat, most, wave, of, on, gains, louds, paths,
@@ -169,11 +185,7 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
             one, other = images[i, 0, 2], images[i, 1, 2]
             if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
                 continue
-            ahead, behind, out = -offsets[p], -offsets[p], outward[p, 3]
-            for k in range(3):
-                ahead, behind = ahead + normals[p, k] * one[k], behind + normals[p, k] * other[k]
-                out += outward[p, k] * one[k]
-            if ahead * behind <= 1e-9 or (out < 0 and not inside):
+            if not _faced(one, other, normals[p], offsets[p], outward[p], inside):
                 continue
             if not _cornered(planes[i], counts[i], starts, first[p], first[p + 1]):
                 continue

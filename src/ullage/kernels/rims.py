@@ -109,6 +109,59 @@ def lay_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-unt
     return at0 + at1
 
 
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+def lay_pulses(grids, lines, kind, w0, w1, path0, path1, bow, late, mean, omega, t0, dt, fold):  # type: ignore[no-untyped-def]
+    """Lays an echo wherever a pulse's comes on the delay grids, one each `fold` [s]; gives that of one pulse.
+
+    Args:
+        grids: as in `facets.deposit`.
+        lines: whether it is a line's, as in `lay_line`, or a point's of a `kind`, as in `facets._lay`, of strength w0.
+        w0, w1, bow: as in `lay_line`.
+        path0, path1: delays of the paths to both ends [s].
+        late: what is added to them [s]; mean: what comes of both, for all of the echo [s].
+        omega: carrier [rad/s]; t0: first delay on the grids [s]; dt: their step [s].
+    """
+    echo, shift = 0j, late - math.floor((mean - t0) / fold) * fold
+    while mean - late + shift < t0 + grids.shape[1] * dt:
+        a, b = path0 + shift, path1 + shift
+        if lines:
+            value = lay_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
+        else:
+            value = w0 * turned(omega * a)
+            _lay(grids, kind, (a - t0) / dt, value)
+        echo += value if mean - late + shift < t0 + fold else 0j  # a pulse later it is the same echo
+        shift += fold
+    return echo
+
+
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+def _piece(pieces, k, follows, scale, extra, tap, normals, stuffs, face, origins, frames, fields, o, table, flat,  # type: ignore[no-untyped-def]
+           gamma, lag, wave, omega, weights, cosines):  # fmt: skip
+    """Strengths of both ends of a piece of rim, their delays, the bow of its phase, and how late it comes [s].
+
+    Where it `follows` the piece before, the weight of its start is kept in `weights` and `cosines`, as its stop's is.
+    """
+    w0, c0 = weights[tap], cosines[tap]
+    if not follows:
+        w0, c0 = _weight(pieces, k, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
+    w1, c1 = _weight(pieces, k, STOP, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
+    weights[tap], cosines[tap] = w1, c1
+    late = extra + _late(lag, stuffs[face], tap, 0.5 * (c0 + c1))
+    late += pieces[k, 11] / C0
+    w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
+    w1 *= pieces[k, 9] * eased(wave, pieces[k, 7]) * pieces[k, 10] * scale
+    return w0, w1, pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0, late
+
+
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+def _tip(ends, i, scale, extra, tap, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, lag,  # type: ignore[no-untyped-def]
+         wave):  # fmt: skip
+    """Strength of an end of a rim or of a mirror point, its delay, and how late it comes [s]."""
+    weight, cosine = _weight(ends, i, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
+    weight *= eased(wave, ends[i, 3]) * scale * complex(ends[i, 4], ends[i, 5])
+    return weight, ends[i, 3] / C0, extra + _late(lag, stuffs[face], tap, cosine)
+
+
 @lean(fastmath=True, nogil=True, error_model="numpy")
 def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
              gamma, lag, omega, t0, dt, fold, grids, echo, delay, weights, cosines):  # fmt: skip
@@ -125,7 +178,6 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
         weights, cosines: (taps), (taps), scratch.
     """
     unit, wave = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi), omega / C0
-    last = t0 + grids.shape[1] * dt
     known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
@@ -143,39 +195,18 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
             if lag[stuffs[face], tap, 0] < 0:
                 break
             if i < 0:
-                w0, c0 = weights[tap], cosines[tap]
-                if not follows:
-                    w0, c0 = _weight(pieces, k, START, normals, stuffs, face, origins, frames, fields, o, table, flat,
-                                     gamma, tap)  # fmt: skip
-                w1, c1 = _weight(pieces, k, STOP, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma,
-                                 tap)  # fmt: skip
-                weights[tap], cosines[tap] = w1, c1
-                late = extra[k] + _late(lag, stuffs[face], tap, 0.5 * (c0 + c1))
-                late += pieces[k, 11] / C0
-                path0, path1, bow = pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0
-                w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
-                w1 *= pieces[k, 9] * eased(wave, pieces[k, 7]) * pieces[k, 10] * scale
+                w0, w1, path0, path1, bow, late = _piece(
+                    pieces, k, follows, scale, extra[k], tap, normals, stuffs, face, origins, frames, fields, o, table,
+                    flat, gamma, lag, wave, omega, weights, cosines)  # fmt: skip
             else:
-                w0, c0 = _weight(
-                    ends, i, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap
-                )
-                late = extra[k] + _late(lag, stuffs[face], tap, c0)
-                path0 = path1 = ends[i, 3] / C0
-                bow, w1 = 0.0, 0j
-                w0 *= eased(wave, ends[i, 3]) * scale * complex(ends[i, 4], ends[i, 5])
+                w0, path0, late = _tip(ends, i, scale, extra[k], tap, normals, stuffs, face, origins, frames, fields, o,
+                                       table, flat, gamma, lag, wave)  # fmt: skip
+                w1, path1, bow = 0j, path0, 0.0
             mean = 0.5 * (path0 + path1) + late
             if tap == 0:
                 delay[k] = mean
-            shift = late - math.floor((mean - t0) / fold) * fold
-            while mean - late + shift < last:
-                a, b = path0 + shift, path1 + shift
-                if i < 0:
-                    value = lay_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
-                else:
-                    value = w0 * turned(omega * a)
-                    _lay(grids, VERTEX if i < many else EDGE, (a - t0) / dt, value)
-                echo[k] += value if mean - late + shift < t0 + fold else 0j  # a pulse later it is the same echo
-                shift += fold
+            echo[k] += lay_pulses(grids, i < 0, VERTEX if i < many else EDGE, w0, w1, path0, path1, bow, late, mean,
+                                  omega, t0, dt, fold)  # fmt: skip
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")

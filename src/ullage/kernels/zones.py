@@ -8,6 +8,34 @@ from ullage.kernels.facets import toward
 from ullage.kernels.loops import core, lean
 
 
+@core(nogil=True, error_model="numpy", forceinline=True)
+def _lengths(place, image, receiver, normal, offset):  # type: ignore[no-untyped-def]
+    """Both legs of a path from its last image over a place (3) to the receiver, and the path over a mirror [m]."""
+    there, back, twice, straight = 0.0, 0.0, -2 * offset, 0.0
+    for k in range(3):
+        there += (place[k] - image[k]) ** 2
+        back += (receiver[k] - place[k]) ** 2
+        twice += 2 * normal[k] * image[k]
+    for k in range(3):
+        straight += (image[k] - twice * normal[k] - receiver[k]) ** 2
+    return math.sqrt(there), math.sqrt(back), math.sqrt(straight)
+
+
+@core(nogil=True, error_model="numpy", forceinline=True)
+def _sent(path, out):  # type: ignore[no-untyped-def]
+    """Unit vector in which a path (5, 3) leaves the transmitter. Over one mirror its first two corners are the same."""
+    first, gone = 1, 0.0
+    for k in range(3):
+        gone += (path[1, k] - path[0, k]) ** 2
+    if gone == 0:
+        first = 2
+        for k in range(3):
+            gone += (path[2, k] - path[0, k]) ** 2
+    gone = max(math.sqrt(gone), 1e-12)
+    for k in range(3):
+        out[k] = (path[first, k] - path[0, k]) / gone
+
+
 @lean(nogil=True, error_model="numpy")
 def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor, frames, table, flat, wave, axes,  # type: ignore[no-untyped-def]
               units, level, excess):  # fmt: skip
@@ -32,26 +60,11 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
         if factor[i] == 0:
             continue
         p = ends_on[i]
-        there, back, twice, straight = 0.0, 0.0, -2 * offsets[p], 0.0
-        for k in range(3):
-            there += (paths[i, 3, k] - images[i, k]) ** 2
-            back += (receiver[k] - paths[i, 3, k]) ** 2
-            twice += 2 * normals[p, k] * images[i, k]
-        for k in range(3):
-            straight += (images[i, k] - twice * normals[p, k] - receiver[k]) ** 2
-        there, back = math.sqrt(there), math.sqrt(back)
-        excess[i] = there + back - math.sqrt(straight)
-        first, gone = 1, 0.0
-        for k in range(3):
-            gone += (paths[i, 1, k] - paths[i, 0, k]) ** 2
-        if gone == 0:  # over one mirror
-            first = 2
-            for k in range(3):
-                gone += (paths[i, 2, k] - paths[i, 0, k]) ** 2
-        gone = max(math.sqrt(gone), 1e-12)
+        there, back, straight = _lengths(paths[i, 3], images[i], receiver, normals[p], offsets[p])
+        excess[i] = there + back - straight
+        _sent(paths[i], sent)
         along, aside = 0.0, 0.0
         for k in range(3):
-            sent[k] = (paths[i, first, k] - paths[i, 0, k]) / gone
             taken[k] = (paths[i, 3, k] - paths[i, 4, k]) / max(back, 1e-12)
             along -= across[p, 0, k] * taken[k]
             aside -= across[p, 1, k] * taken[k]

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from ullage.errors import MissingExtra, UllageError
@@ -49,9 +50,14 @@ def package_files(package: str) -> dict[str, str]:
     """The files of an ament package that holds ullage's share of these messages, by their paths in it."""
     names = PARTS[package]
     out = {f"msg/{name.rpartition('/')[2]}.msg": ros.DEFINITIONS[name] for name in names}
+    return out | {"CMakeLists.txt": _build_file(package, out), "package.xml": _manifest(package)}
+
+
+def _build_file(package: str, messages: Iterable[str]) -> str:
+    """How CMake builds an ament package of these messages."""
     finds = "\n".join(f"find_package({name} REQUIRED)" for name in BUILT_ON[package])
-    listed = "\n".join(f"  {path!r}" for path in sorted(out)).replace("'", '"')
-    out["CMakeLists.txt"] = f"""\
+    listed = "\n".join(f"  {path!r}" for path in sorted(messages)).replace("'", '"')
+    return f"""\
 cmake_minimum_required(VERSION 3.16)
 project({package})
 
@@ -67,8 +73,12 @@ rosidl_generate_interfaces(${{PROJECT_NAME}}
 ament_export_dependencies(rosidl_default_runtime)
 ament_package()
 """
+
+
+def _manifest(package: str) -> str:
+    """What an ament package is called, and needs."""
     needs = "\n".join(f"  <depend>{name}</depend>" for name in BUILT_ON[package])
-    out["package.xml"] = f"""\
+    return f"""\
 <?xml version="1.0"?>
 <package format="3">
   <name>{package}</name>
@@ -88,7 +98,6 @@ ament_package()
   </export>
 </package>
 """
-    return out
 
 
 def write_package(package: str, folder: Path) -> Path:
