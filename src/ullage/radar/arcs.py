@@ -302,7 +302,8 @@ def _across_chord(spots: Spots, wave: float) -> Complexes:
         rise = 1j * wave * outward * deep
         thin = abs(rise) < _THIN
         bulge = np.where(flat, hole * deep * np.where(thin, 1 - rise / 2, (1 - arc) / np.where(thin, 1, rise)), bulge)
-    return np.asarray(lines.half * (SHARES @ (np.exp(-1j * (turn * u + curve * u * u)) * bulge)))
+    waves = np.exp(-1j * (turn * u + curve * u * u)) * bulge
+    return np.asarray(lines.half * np.einsum("k,km->m", SHARES, waves))  # matrix products would keep all cores busy
 
 
 def _dots(a: Floats, b: Floats) -> Floats:

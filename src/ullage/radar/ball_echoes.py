@@ -64,13 +64,18 @@ def taken(ready: Bench, view: View) -> list[Part]:
     apart = apart_rad(ready, view)
     for ball in ready.world.balls:
         coarse = wavelength / 2 < ball.widest < most  # others are no grating, or mirrors of their own
-        if coarse and (ready.lag[ball.stuff, 1:, 0] < 0).all() and not ready.sheets.thin[ball.stuff]:
+        if coarse and smoothed(ready, ball.stuff):
             parts = _parts(ball, middle)
             near = min(part.low for part in parts)
             clear = parts[0].inner or parts[0].away > ball.radius or not ball.holds(parts[0].axes[0] * ball.radius)
             if clear and near > max(LEAST_M, apart):
                 out += [part for part in parts if part.low < ready.gate[1]]
     return out
+
+
+def smoothed(ready: Bench, stuff: int) -> bool:
+    """Whether an object's smooth surfaces echo instead of its facets: without echoes from within."""
+    return bool((ready.lag[stuff, 1:, 0] < 0).all() and not ready.sheets.thin[stuff])
 
 
 def apart_rad(ready: Bench, view: View) -> float:

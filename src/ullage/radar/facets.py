@@ -123,6 +123,15 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
                     sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part)  # fmt: skip
 
 
+def strewn(corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: Surfaces) -> Surfaces:
+    """Triangles (f, 3, 3) with normals, objects and outer sides, among what else there is."""
+    size = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    order, first = _clusters(corners.mean(1), np.sqrt(size))
+    mine = np.ascontiguousarray(corners[order])
+    return replace(home, corners=mine, normals=np.ascontiguousarray(normals[order]), stuffs=stuffs[order],
+                   spheres=_spheres(mine, first), first=first, backs=sides.take(order))  # fmt: skip
+
+
 def twins(corners: Floats) -> tuple[Longs, Longs]:
     """Pairs of triangles (f, 3, 3) that share an edge."""
     _, ids = np.unique(np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)

@@ -170,12 +170,12 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 
 def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
-    from ullage.radar.ball_echoes import lay_balls
     from ullage.radar.flats import lay_flats
+    from ullage.radar.knuckles import lay_heads
 
     parts = ready.world.parts(poses)
     view = _off(parts, view)
-    out, done = lay_balls(ready, parts, view, grids)
+    out, done = lay_heads(ready, parts, view, grids)
     for part in parts:
         small, large = done if part is parts[0] else (None, None)
         if len(part.corners):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from ullage.radar.facets import Surfaces, gather
 from ullage.radar.movers import Movers
 from ullage.radar.rounds import Round, Shell, capped, rounds_of, shells_of
 from ullage.world.scene import Scene
+
+if TYPE_CHECKING:
+    from ullage.radar.knuckles import Knuckle
 
 Floats = NDArray[np.float64]
 
@@ -46,6 +49,15 @@ class Prepared:
         """Balls and domes that stand still."""
         moves = [o.motion is not None for o in self.scene.objects]
         return balls_of([shell for shell in self._shells if not moves[shell.stuff]], self.still)
+
+    @cached_property
+    def knuckles(self) -> tuple[Knuckle, ...]:
+        """Knuckles of dished heads that stand still."""
+        from ullage.radar.knuckles import knuckles_of
+
+        moves = [o.motion is not None for o in self.scene.objects]
+        walls = [wall for wall in self.rounds if not moves[wall.stuff]]
+        return knuckles_of(self._shells, walls, self.still) if walls else ()
 
     @cached_property
     def _shells(self) -> list[Shell]:

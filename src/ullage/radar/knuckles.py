@@ -1,0 +1,211 @@
+"""Knuckles of dished heads: facets on the torus by which a round wall goes over into a crown.
+
+A knuckle bends both ways, and of its coarse facets each echoes as a mirror of its own. Where facets lie on one torus
+about the axis of a round wall, as smooth to it as a knuckle is, triangles through that torus echo in their place,
+small enough to be the torus themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ullage.radar.ball_echoes import lay_balls, smoothed
+from ullage.radar.facets import SMOOTH_DEG, Flats, Surfaces, strewn
+from ullage.radar.laid import Laid, centroids
+from ullage.radar.physical import Bench, View, common, lay_triangles, shading, triangles
+from ullage.radar.rounds import OFF_M, Round, Shell
+from ullage.radar.solids import Backs
+from ullage.radar.wall_bounces import PULL_M
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+
+EDGE_M = 0.03
+"""Triangles that stand for a torus are no longer than this [m]."""
+_TRUE_M = 5e-4  # so far corners of a knuckle lie off its torus at the most [m]
+_LEAST_M = 0.03  # tubes of less are edges
+_WHOLE = 0.95  # of the wall's radius: a tube as wide as this is a ball
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knuckle:
+    """A torus that a round wall goes over into, and the facets that it stands in for."""
+
+    fine: Surfaces  # the torus, in small triangles
+    depth: float  # facets lie so far off it [m]
+    widest: float  # smallest side of the widest facet [m]
+    stuff: int  # object
+    flats: Bools  # (p) which flat faces of what stands still are its
+    small: Bools  # (f) and which small triangles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tube:
+    """A torus about the axis of a wall, beyond one of its ends."""
+
+    wall: Round
+    end: float  # where it begins along the axis, from the wall's centre [m]
+    side: int  # 1 where the wall ends above, -1 below
+    radius: float  # of the tube [m]
+
+    def about(self, points: Floats) -> tuple[Floats, Floats]:
+        """Points (..., 3) in the plane that they share with the axis: from the tube's middle out, and along [m]."""
+        x, y, z = np.moveaxis(self.wall.local(points), -1, 0)
+        return np.hypot(x, y) - self.wall.radius + self.radius, self.side * (z - self.end)
+
+    def holds(self, points: Floats) -> Bools:
+        """Which points (..., 3) lie on the outer quarter of the tube."""
+        out, along = self.about(points)
+        near = abs(np.hypot(out, along) - self.radius) < _TRUE_M
+        return np.asarray(near & (out > -_TRUE_M) & (along > -OFF_M))
+
+    def angles(self, points: Floats) -> tuple[Floats, Floats]:
+        """Angles around the tube, and around the axis from the first of every three points (n, 3, 3) [rad]."""
+        out, along = self.about(points)
+        x, y, _ = np.moveaxis(self.wall.local(points), -1, 0)
+        turn = np.arctan2(y, x)
+        return np.arctan2(along, out), turn[:, :1] + (turn - turn[:, :1] + np.pi) % (2 * np.pi) - np.pi
+
+    def points(self, around: Floats, turn: Floats) -> Floats:
+        """The points (..., 3) at these angles [m]."""
+        away = self.wall.radius - self.radius + self.radius * np.cos(around)
+        along = self.end + self.side * self.radius * np.sin(around)
+        local = np.stack([away * np.cos(turn), away * np.sin(turn), along], -1)
+        return np.asarray(self.wall.centre + local @ self.wall.axes)
+
+
+def knuckles_of(shells: Sequence[Shell], walls: Sequence[Round], still: Surfaces) -> tuple[Knuckle, ...]:
+    """The knuckles among smooth surfaces that stand still, beside round walls."""
+    found = []
+    for wall in walls:
+        mine = [shell for shell in shells if shell.stuff == wall.stuff and not wall.ball]
+        if not mine:
+            continue
+        corners, normals, area = (np.concatenate([getattr(shell, row) for shell in mine])
+                                  for row in ("corners", "normals", "area"))  # fmt: skip
+        whole = Shell(corners, normals, area, wall.stuff)  # knuckles of few facets bend enough to come apart
+        tubes = (_tube(whole, wall, end, side) for end, side in ((wall.low, -1), (wall.high, 1)))
+        found += [_knuckle(whole, tube, still) for tube in tubes if tube is not None]
+    return tuple(found)
+
+
+def _tube(shell: Shell, wall: Round, end: float, side: int) -> Tube | None:
+    """The tube by which a surface goes on from the end of a wall, as smooth as a tangent, if it does."""
+    x, y, z = np.moveaxis(wall.local(shell.corners), 2, 0)
+    inward, along = wall.radius - np.hypot(x, y), side * (z - end)
+    rim = (abs(inward) < OFF_M) & (abs(along) < OFF_M)
+    next_ = rim.any(1) & (along > -OFF_M).all(1) & ~rim.all(1)
+    off = ~rim[next_] & (inward[next_] > _TRUE_M)
+    if not off.any():
+        return None
+    h, d = along[next_][off], inward[next_][off]
+    radius = float(np.median((h * h + d * d) / (2 * d)))
+    if not _LEAST_M < radius < _WHOLE * wall.radius:
+        return None
+    tube = Tube(wall, end, side, radius)
+    return tube if _on(shell, tube).any() else None
+
+
+def _on(shell: Shell, tube: Tube) -> Bools:
+    """Which triangles (n) of a surface lie on a tube."""
+    out, along = tube.about(shell.corners.mean(1))
+    size = np.maximum(np.hypot(out, along), 1e-9)
+    x, y, z = tube.wall.local(shell.normals + tube.wall.centre).T
+    px, py, _ = tube.wall.local(shell.corners.mean(1)).T
+    across = (x * px + y * py) / np.maximum(np.hypot(px, py), 1e-9)
+    level = abs(across * out + tube.side * z * along) / size > np.cos(np.deg2rad(SMOOTH_DEG))
+    return np.asarray(tube.holds(shell.corners).all(1) & level)
+
+
+def _knuckle(shell: Shell, tube: Tube, still: Surfaces) -> Knuckle:
+    mine = np.flatnonzero(_on(shell, tube))
+    corners, parent = _refined(shell.corners[mine], tube)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    kept = area > 1e-12
+    corners, parent, normals = corners[kept], parent[kept], cross[kept] / area[kept, None]
+    told = shell.corners[mine], shell.normals[mine]
+    depth = abs(np.einsum("nki,ni->nk", corners - told[0][parent, :1], told[1][parent])).max()
+    stuffs = np.full(len(corners), shell.stuff, np.int32)
+    sides = np.linalg.norm(told[0] - np.roll(told[0], 1, 1), axis=2)
+    flats, small = _taken(still, tube, shell.stuff)
+    fine = strewn(corners, normals, stuffs, _backs(told[0].mean(1), still, parent, corners, normals), still)
+    return Knuckle(fine, float(depth), float(sides.min(1).max()), shell.stuff, flats, small)
+
+
+def _refined(corners: Floats, tube: Tube) -> tuple[Floats, NDArray[np.int64]]:
+    """Triangles (m, 3, 3) on the tube in place of some (n, 3, 3), cut evenly in its angles; which each is of."""
+    angles = np.stack(tube.angles(corners), -1)
+    count = np.ceil(np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2).max(1) / EDGE_M).astype(np.int64)
+    cut, of = [], []
+    for many in np.unique(count):
+        mine = np.flatnonzero(count == many)
+        pieces = _pieces(int(many))
+        told = np.einsum("pcb,nba->npca", pieces, angles[mine]).reshape(-1, 3, 2)
+        points, halves = tube.points(told[..., 0], told[..., 1]), (told + np.roll(told, 1, 1)) / 2
+        rise = tube.points(halves[..., 0], halves[..., 1]) - (points + np.roll(points, 1, 1)) / 2
+        cut.append(points + rise.mean(1, keepdims=True))  # on the torus in the mean, as a parabola has it
+        of.append(np.repeat(mine, len(pieces)))
+    return np.concatenate(cut), np.concatenate(of)
+
+
+def _pieces(many: int) -> Floats:
+    """Triangles (p, 3, 3) that a triangle is cut into, with so many along each side, by shares of its corners."""
+    i, j = (row.ravel() for row in np.meshgrid(np.arange(many), np.arange(many), indexing="ij"))
+    up, down = i + j < many, i + j < many - 1
+    one = np.stack([np.stack([i, j], 1), np.stack([i + 1, j], 1), np.stack([i, j + 1], 1)], 1)[up]
+    other = np.stack([np.stack([i + 1, j], 1), np.stack([i + 1, j + 1], 1), np.stack([i, j + 1], 1)], 1)[down]
+    share = np.concatenate([one, other]) / many
+    return np.concatenate([1 - share.sum(2, keepdims=True), share], 2)
+
+
+def _taken(still: Surfaces, tube: Tube, stuff: int) -> tuple[Bools, Bools]:
+    """Which flat faces (p) and small triangles (f) of what stands still lie on a tube."""
+    flats: Flats = still.flats
+    small = tube.holds(still.corners).all(1) & (still.stuffs == stuff)
+    large = np.zeros(len(flats), bool)
+    if len(flats):
+        large = np.logical_and.reduceat(tube.holds(flats.starts), flats.first[:-1]) & (flats.stuffs == stuff)
+    return large, small
+
+
+def _backs(middles: Floats, still: Surfaces, parent: NDArray[np.int64], corners: Floats, normals: Floats) -> Backs:
+    """Outer sides of triangles (m, 3, 3), each turned as the face whose middle (n, 3) lies nearest to its parent's."""
+    flats = still.flats
+    centres = np.concatenate([still.corners.mean(1), flats.spheres[:, :3]])
+    sides = np.concatenate([still.backs.outward, still.flat_backs.outward])
+    boxes = np.concatenate([still.backs.boxes, still.flat_backs.boxes])
+    nearest = np.asarray(cKDTree(centres).query(middles)[1], np.int64)[parent]
+    sign = np.sign(np.einsum("ni,ni->n", sides[nearest, :3], normals))
+    outward = sign[:, None] * normals
+    return Backs(np.column_stack([outward, -np.einsum("ni,ni->n", outward, corners[:, 0])]), boxes[nearest])
+
+
+def lay_heads(
+    ready: Bench, parts: list[Surfaces], view: View, grids: Complexes
+) -> tuple[list[Laid], tuple[Bools | None, Bools | None]]:
+    """Adds to the delay grids what balls, domes and knuckles that stand still echo; as `ball_echoes.lay_balls`."""
+    out, (small, large) = lay_balls(ready, parts, view, grids)
+    for knuckle in ready.world.knuckles:
+        if knuckle.widest < ready.spec.wavelength_m / 2 or not smoothed(ready, knuckle.stuff):
+            continue
+        out.append(_laid(ready, parts, knuckle, view, grids))
+        small = knuckle.small if small is None else small | knuckle.small
+        large = knuckle.flats if large is None else large | knuckle.flats
+    return out, (small, large)
+
+
+def _laid(ready: Bench, parts: list[Surfaces], knuckle: Knuckle, view: View, grids: Complexes) -> Laid:
+    fine = knuckle.fine
+    leaves, owner = triangles(ready, fine, view)
+    middles, normals = centroids(leaves), fine.normals[owner]
+    side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
+    between = shading(ready, parts, view, middles + (side * (knuckle.depth + PULL_M))[:, None] * normals)
+    pieces = leaves, owner, np.zeros(len(owner), np.int64)
+    return lay_triangles(fine.normals, fine.stuffs, pieces, between, common(ready, view, grids))

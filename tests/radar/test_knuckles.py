@@ -1,0 +1,92 @@
+"""Coarse knuckles of dished heads echo as the tori through their corners do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.geometry import rpy_quat
+from ullage.radar import physical
+from ullage.radar.prepared import prepare
+from ullage.world import shapes
+from ullage.world.scene import Scene
+
+SPEC = ul.RadarSpec.preset("x4m05")
+RADIUS, CROWN, KNUCKLE, HALF = 0.6, 1.2, 0.15, 0.4
+LEAN = np.arcsin((RADIUS - KNUCKLE) / (CROWN - KNUCKLE))
+
+
+def vessel(edge_m: float) -> Scene:
+    """A cylinder, closed at both ends by part of a large ball that goes over into it by part of a torus."""
+    crown = np.linspace(0, LEAN, int(CROWN * LEAN / edge_m) + 2)
+    tube = np.linspace(LEAN, np.pi / 2, int(KNUCKLE * (np.pi / 2 - LEAN) / edge_m) + 3)[1:]
+    sunk = np.sqrt((CROWN - KNUCKLE) ** 2 - (RADIUS - KNUCKLE) ** 2)
+    middle = np.stack([CROWN * np.sin(crown), CROWN * np.cos(crown) - sunk + HALF], 1)
+    bend = np.stack([RADIUS - KNUCKLE + KNUCKLE * np.sin(tube), KNUCKLE * np.cos(tube) + HALF], 1)
+    head = np.concatenate([middle, bend])
+    profile = np.concatenate([head, head[::-1] * [1, -1]])
+    around = int(2 * np.pi * RADIUS / edge_m)
+    turn = np.arange(around) * 2 * np.pi / around
+    rings = profile[:, None, :1] * np.stack([np.cos(turn), np.sin(turn)], -1)
+    points = np.concatenate([rings, np.broadcast_to(profile[:, None, 1:], (len(profile), around, 1))], 2)
+    k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(around), indexing="ij")
+    a, b = k * around + j, k * around + (j + 1) % around
+    faces = np.concatenate([np.stack([a, a + around, b], -1), np.stack([b, a + around, b + around], -1)])
+    return Scene.of_mesh(points.reshape(-1, 3), faces.reshape(-1, 3), name="vessel", made_of="pec")
+
+
+def frames(edge_m: float) -> np.ndarray:
+    """Echoes (4, b) within, before both heads too, and of one from outside."""
+    places = np.array([[0.15, 0.1, 0.0], [0.1, 0.05, 0.3], [-0.2, 0.2, -0.25], [0.3, 0.1, 1.7]])
+    turns = np.array([rpy_quat(0, p, y) for p, y in ((-0.9, 0.3), (-1.3, 0), (0.8, 1.0), (1.2, np.pi))])
+    path = ul.Trajectory(np.arange(4) * 10**9, places, turns)
+    return physical.echoes(vessel(edge_m), path, SPEC)[:, SPEC.range_m > 0.15]
+
+
+@pytest.fixture(scope="module")
+def fine() -> np.ndarray:
+    """A vessel of facets narrower than half a wave."""
+    return frames(0.015)
+
+
+@pytest.mark.parametrize("edge_m", [0.1, 0.15])
+def test_a_coarse_vessel_echoes_as_a_fine_one(fine, edge_m):
+    off = abs(frames(edge_m) - fine).max(1) / abs(fine).max(1)
+    assert 20 * np.log10(off.max()) < -30  # knuckles of facets: -11 and -10
+
+
+def test_a_knuckle_is_all_of_its_torus_and_nothing_else():
+    scene = vessel(0.15)
+    world = prepare(scene)
+    assert len(world.balls) == 2
+    one, other = world.knuckles
+    middles = np.concatenate([world.still.flats.spheres[:, :3], world.still.corners.mean(1)])
+    out, up = np.hypot(*middles.T[:2]), abs(middles[:, 2])
+    bent = (up > HALF + 1e-3) & (out > CROWN * np.sin(LEAN) - 1e-3)
+    mine = np.concatenate([one.flats | other.flats, one.small | other.small])
+    assert np.array_equal(mine, bent)
+    assert not (one.flats & other.flats).any()
+    turn = np.pi / 2 - LEAN
+    area = 2 * np.pi * KNUCKLE * ((RADIUS - KNUCKLE) * turn + KNUCKLE * np.sin(turn))
+    for knuckle in (one, other):
+        a, b, c = knuckle.fine.corners.transpose(1, 0, 2)
+        assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(area, rel=2e-3)
+        middles = knuckle.fine.corners.mean(1)
+        tube = np.hypot(np.hypot(*middles.T[:2]) - RADIUS + KNUCKLE, abs(middles[:, 2]) - HALF)
+        assert abs(tube.mean() - KNUCKLE) < 1e-4
+        assert abs(tube - KNUCKLE).max() < 5e-4
+        outward = knuckle.fine.backs.outward[:, :3]
+        assert np.allclose(abs(outward), abs(knuckle.fine.normals))
+        assert ((outward * middles).sum(1) > 0).all()
+
+
+@pytest.mark.parametrize("shape", ["capsule", "cylinder", "cone", "ellipsoid"])
+def test_other_ends_are_no_knuckles(shape):
+    mesh = {
+        "capsule": lambda: shapes.capsule(0.7, 1.5, segment_m=0.1),
+        "cylinder": lambda: shapes.cylinder(0.7, 1.5, segment_m=0.1),
+        "cone": lambda: shapes.cone(0.7, 1.0, segment_m=0.1),
+        "ellipsoid": lambda: shapes.ellipsoid((1.0, 1.0, 0.7), edge_m=0.1),
+    }[shape]()
+    assert prepare(Scene.of_mesh(*mesh, name="thing", made_of="pec")).knuckles == ()
