@@ -24,6 +24,10 @@ MIRROR_CORNERS = 12
 """Convex outlines with more corners than this mirror in slices."""
 SMOOTH_DEG = 25.0
 """Faces of one object that meet at less than this are facets of a curved surface [deg]."""
+ROUNDED = (1e-5, 1e-7, 1e-9)
+"""So far off one plane may corners be, as a share of their triangles' size; the next where a patch so bends."""
+BENT_M = 5e-4
+"""Off its plane by which a patch is none: an eightieth of a wave [m]."""
 _CLUSTER = 16  # triangles, about
 
 
@@ -145,15 +149,29 @@ def twins(corners: Floats) -> tuple[Longs, Longs]:
 
 
 def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:
-    """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object."""
+    """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object.
+
+    Neighbours may be off by what files round; but where that adds up to a bend, as round a wall of long, narrow strips,
+    less is allowed.
+    """
     if not len(corners):
         return np.zeros(0, np.int64)
     a, b = twins(corners)
-    gap = np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])
+    gap = abs(np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])).max(1)
     size = np.linalg.norm(corners[b, 1] - corners[b, 0], axis=1) + np.linalg.norm(corners[b, 2] - corners[b, 0], axis=1)
-    same = (abs(gap).max(1) < 1e-5 * np.maximum(size, 1e-2)) & (stuffs[a] == stuffs[b])
-    links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(corners), len(corners)))
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    off, mine = gap / np.maximum(size, 1e-2), stuffs[a] == stuffs[b]
+    same, patch = np.zeros(len(a), bool), np.arange(len(corners))
+    asked = np.ones(len(corners), bool)
+    for most in ROUNDED:
+        same = np.where(asked[a], (off < most) & mine, same)
+        links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(corners), len(corners)))
+        patch = np.asarray(connected_components(links, directed=False)[1], np.int64)
+        lead = np.unique(patch, return_index=True)[1][patch]
+        away = abs(np.einsum("ni,nki->nk", normals[lead], corners - corners[lead, :1])).max(1)
+        asked = np.bincount(patch, away > BENT_M)[patch] > 0
+        if not asked.any():
+            break
+    return patch
 
 
 def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDArray[np.bool_]:
