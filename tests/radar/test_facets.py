@@ -31,3 +31,14 @@ def test_corners_that_a_file_rounded_leave_a_plane_whole():
     faces = np.concatenate([cell + np.array(way) for way in ((0, 1, 9), (1, 10, 9))]).astype(np.int32)
     flats = prepare(Scene.of_mesh(vertices, faces, name="floor", made_of="pec")).still.flats
     assert len(flats.normals) == 1
+
+
+def test_a_sliver_that_a_file_rounded_leaves_a_plane_whole():
+    """Its own normal is off by so little that its neighbour is joined to it, but 100 m away by more than is a plane."""
+    x = np.arange(6) * 20.0
+    row = [np.column_stack([x, np.full(6, y), np.zeros(6)]) for y in (0.0, 20.0)]
+    vertices = np.concatenate([*row, [[-1e-3, 10.0, 1.5e-8]]])
+    cell = np.arange(5)[:, None]
+    faces = np.concatenate([[[0, 6, 12]], cell + np.array((0, 1, 6)), cell + np.array((1, 7, 6))]).astype(np.int32)
+    flats = prepare(Scene.of_mesh(vertices, faces, name="floor", made_of="pec")).still.flats
+    assert len(flats.normals) == 1

@@ -88,7 +88,8 @@ class Hollows:
         ]
         if all(0 < self.told[k][0].pieces < hollow.pieces for k in here):
             for k in reversed(here):
-                self._everywhere.pop(_cell(self.told[k][2]), None)
+                if self._everywhere.get(_cell(self.told[k][2])) is self.told[k]:  # not another wall's next to it
+                    del self._everywhere[_cell(self.told[k][2])]
                 del self.told[k]
             self._keep(hollow, way, foot)
 

@@ -166,12 +166,21 @@ def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64
         same = np.where(asked[a], (off < most) & mine, same)
         links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(corners), len(corners)))
         patch = np.asarray(connected_components(links, directed=False)[1], np.int64)
-        lead = np.unique(patch, return_index=True)[1][patch]
-        away = abs(np.einsum("ni,nki->nk", normals[lead], corners - corners[lead, :1])).max(1)
-        asked = np.bincount(patch, away > BENT_M)[patch] > 0
+        asked = np.bincount(patch, _off_plane(corners, normals, patch) > BENT_M)[patch] > 0
         if not asked.any():
             break
     return patch
+
+
+def _off_plane(corners: Floats, normals: Floats, patch: Longs) -> Floats:
+    """How far triangles (f, 3, 3) lie off the plane of their patch in the mean, where slivers count for little [m]."""
+    lead = np.unique(patch, return_index=True)[1][patch]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) + 1e-30
+    alike = area * np.where(np.einsum("ni,ni->n", normals, normals[lead]) < 0, -1.0, 1.0)
+    total: Floats = np.stack([np.bincount(patch, alike * n) for n in normals.T], 1)
+    normal = total / np.maximum(np.linalg.norm(total, axis=1), 1e-30)[:, None]
+    middle = np.stack([np.bincount(patch, area * m) for m in corners.mean(1).T], 1) / np.bincount(patch, area)[:, None]
+    return np.asarray(abs(np.einsum("ni,nki->nk", normal[patch], corners - middle[patch, None])).max(1))
 
 
 def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDArray[np.bool_]:
