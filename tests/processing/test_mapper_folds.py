@@ -19,9 +19,9 @@ def blocks_with(*strips, north_m=15.0, dims=2):
     return blocks
 
 
-def folds(blocks, *, height=1.0):
+def folds(blocks, *, height=1.0, loudest_m=np.inf):
     """Whether an echo straight to the north of an eastward flight may be folded."""
-    fold = Fold(least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M)
+    fold = Fold(least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M, loudest_m=loudest_m)
     usual = REACH_M + FOLD_M  # an echo of height 1 is as loud as the usual at the farther range
     if blocks.grid.dims == 3:
         return fold.may_be(np.zeros(3), NORTH, NORTH, (REACH_M, height), blocks, usual=usual)
@@ -37,6 +37,23 @@ def test_an_echo_may_come_from_one_fold_farther_off_while_nothing_tells(dims):
     assert folds(blocks_with(dims=dims))
     assert not folds(blocks_with(north_m=12.0, dims=dims)), "no room"
     assert not folds(blocks_with(dims=dims), height=2.1), "too loud for so far"
+
+
+@pytest.mark.parametrize("dims", [2, 3])
+def test_in_a_volume_no_wall_is_too_loud_for_being_louder_than_what_was_heard_faintly(dims):
+    loudest = 3 * (REACH_M + FOLD_M)  # three times as loud as the usual
+    assert folds(blocks_with(dims=dims), height=2.5, loudest_m=loudest) == (dims == 3)
+    assert not folds(blocks_with(dims=dims), height=3.1, loudest_m=loudest)
+
+
+def test_in_a_volume_a_way_that_is_in_doubt_may_lead_to_a_wall_on_the_grid():
+    fold = Fold(least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M, loudest_m=np.inf)
+    far, top = REACH_M + FOLD_M, 1.0
+    for off_rad, folded in ((0.09, True), (0.25, False)):
+        rise = np.arctan2(top, far) + off_rad
+        way = np.array([0.0, np.cos(rise), np.sin(rise)])
+        assert far * way[2] > top, "off the grid"
+        assert fold.may_be(np.zeros(3), NORTH, way, (REACH_M, 1.0), blocks_with(dims=3), usual=far) == folded
 
 
 @pytest.mark.parametrize("dims", [2, 3])

@@ -79,6 +79,14 @@ def rim_mirror_m(frames: Frames) -> float:
     return mirror_m(frames) * 10 ** (RIM_DBI / 10)
 
 
+def loudest_wall_m(frames: Frames) -> float:
+    """Amplitude times range that no flat wall's echo exceeds [m]; infinite where that is not known.
+
+    A perfect mirror straight ahead, with 3 dB for what else is heard at its range.
+    """
+    return mirror_m(frames) * float(10 ** (OFF_DBI[0] / 10 + SPARE_DB / 20))
+
+
 def least_cosine(strength: float, isotropic_m: float) -> float:
     """Cosine to boresight below which no flat surface could be so loud; -1 where any could, or none.
 

@@ -19,7 +19,7 @@ from ullage.kernels.occupancy_show import render_cells, thin_lines
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
-from ullage.processing.inverse_sensor import heard_deg, mirror_m, rim_mirror_m
+from ullage.processing.inverse_sensor import heard_deg, loudest_wall_m, mirror_m, rim_mirror_m
 from ullage.processing.mapper_beyond import Zones, cell_of, without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_ends import without_ends
@@ -115,9 +115,8 @@ class UllageMapper:
             hit_deg, free_deg = heard_deg(part.spec.antenna)
             self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
             least = self._lobe[name][0][0]
-            self._folds[name] = Fold(
-                least, HALF_POWER * math.acos(least), self._wavelength_m, part.spec.unambiguous_range_m
-            )
+            half, fold_m = HALF_POWER * math.acos(least), part.spec.unambiguous_range_m
+            self._folds[name] = Fold(least, half, self._wavelength_m, fold_m, loudest_wall_m(part))
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
         frames_here = sum(len(part) for part in parts)

@@ -19,9 +19,10 @@ from ullage.processing.mapper_rims import lobe_loss
 
 Floats = NDArray[np.float64]
 
-TOO_LOUD = 2.0  # times the usual: no wall mirrors so well
+TOO_LOUD = 2.0  # times the usual: no wall mirrors so well, unless those heard lately were all heard faintly
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
 OWN_CELLS = 3.0  # beyond its own range that an echo's own cells may lie
+DOUBT_RAD = 0.12  # of a way in a volume: no vaguer one is told
 ACROSS = (0.0, -0.5, 0.5, -1.0, 1.0)  # rays to parts of the first Fresnel zone, in its half widths
 
 
@@ -32,6 +33,7 @@ class Fold(NamedTuple):
     half_rad: float  # angle from boresight at which the antenna has fallen by 3 dB one way [rad]
     wave_m: float  # wavelength of the carrier [m]
     fold_m: float  # range at which echoes fold [m]
+    loudest_m: float  # amplitude times range that no flat wall's echo exceeds, infinite where it is not known [m]
 
     def among(self, look: Look, cosine: Floats, blocks: Blocks, *, usual: float) -> NDArray[np.bool_]:
         """Which echoes (k) of a look on a plane may as well be those of a wall farther off by `fold_m`.
@@ -54,15 +56,17 @@ class Fold(NamedTuple):
     ) -> bool:
         """Whether one echo, of a range and height in some way (3), may as well be that of a wall farther off.
 
-        It is not where that would lie off the grid, nor where its echo, which falls as one over its range, is too loud
-        for it. Nor where the map holds something before it, but that must cover its first Fresnel zone: a mirror echo
-        passes beside what is thinner. What the map holds at the echo's own range is no witness: it may be there by
-        such echoes. Past something nearer than both, an echo tells neither from the other in a volume.
+        It is not where that would lie off the grid, the doubt of the way allowed for, nor where its echo, which falls
+        as one over its range, is too loud for it. Nor where the map holds something before it, but that must cover its
+        first Fresnel zone: a mirror echo passes beside what is thinner. What the map holds at the echo's own range is
+        no witness: it may be there by such echoes. Past something nearer than both, an echo tells neither from the
+        other in a volume.
         """
         reach, height = echo
         far = reach + self.fold_m
-        _, inside = blocks.grid.index(eye + far * way)
-        if not inside[0] or height * float(lobe_loss(float(way @ ahead), self.half_rad)) * far >= TOO_LOUD * usual:
+        _, inside = blocks.grid.index(eye + far * _about(way, blocks.grid.dims))
+        facing = height * float(lobe_loss(float(way @ ahead), self.half_rad))
+        if not inside.any() or facing * far >= self._loudest(usual, blocks.grid.dims):
             return False
         step, slope = blocks.grid.step_m, math.sqrt(self.wave_m / (2 * far))  # half the zone's width over its range
         beyond, hidden = reach + OWN_CELLS * step, blocks.grid.dims == 3
@@ -72,6 +76,15 @@ class Fold(NamedTuple):
                 if blocks.clear_to(eye + beyond * ray, ray, far - BESIDE_M - beyond):
                     return True
         return hidden
+
+    def _loudest(self, usual: float, dims: int) -> float:
+        """Strength, range times height, that a wall's echo may have.
+
+        In a volume as much as any flat wall's: where those around are heard at the beam's rim alone, as on a line over
+        a tank's axis, the one ahead is much louder than the usual.
+        """
+        known = dims == 3 and math.isfinite(self.loudest_m)
+        return max(TOO_LOUD * usual, self.loudest_m) if known else TOO_LOUD * usual
 
 
 def is_hidden(blocks: Blocks, eye: Floats, way: Floats, range_m: float, wave_m: float) -> bool:
@@ -94,6 +107,12 @@ def _zone(way: Floats, slope: float, dims: int) -> Iterator[Floats]:
     for side in _across(way, dims):
         for part in ACROSS:
             yield (way + part * slope * side) / math.hypot(1.0, part * slope)
+
+
+def _about(way: Floats, dims: int) -> Floats:
+    """Unit vectors (n, 3) in which a wall may stand that was told to be in a way (3): in a volume, that is in doubt."""
+    aside = [sign * DOUBT_RAD * side for side in _across(way, dims) for sign in (-1, 1)] if dims == 3 else []
+    return np.array([way, *(way + off for off in aside)])
 
 
 def _across(way: Floats, dims: int) -> list[Floats]:
