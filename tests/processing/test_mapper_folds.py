@@ -3,7 +3,7 @@ import pytest
 
 import ullage as ul
 from ullage.processing.blocks import Blocks
-from ullage.processing.mapper_folds import Fold, is_hidden
+from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_looks import Heard, Look
 
 FOLD_M, REACH_M, WAVE_M = 9.87, 3.0, 0.041
@@ -87,3 +87,12 @@ def test_a_wall_is_hidden_by_what_covers_its_fresnel_zone_and_not_by_less(dims):
     assert is_hidden(blocks_with((5.5, 0.1), dims=dims), np.zeros(3), NORTH, 6.0, WAVE_M), (
         "the wall itself, told in part"
     )
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_way_near_the_track_is_not_told_from_it(sign):
+    near = np.array([np.sin(0.15), sign * np.cos(0.15), 0.0])
+    ways = list(alike(near, NORTH))
+    assert len(ways) == 2
+    assert ways[1] == pytest.approx(sign * NORTH)
+    assert len(list(alike(np.array([np.sin(0.4), np.cos(0.4), 0.0]), NORTH))) == 1

@@ -23,7 +23,7 @@ from ullage.processing.inverse_sensor import heard_deg, loudest_wall_m, mirror_m
 from ullage.processing.mapper_beyond import Zones, cell_of, without_behind, without_beyond
 from ullage.processing.mapper_door import in_order, plane_of
 from ullage.processing.mapper_ends import without_ends
-from ullage.processing.mapper_folds import Fold, is_hidden
+from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, look_share, ways_apart
@@ -273,8 +273,9 @@ class UllageMapper:
 
     def _may_be_folded(self, name: str, echo: Traced, way: Floats) -> bool:
         """The same in a volume, of an echo whose direction is known."""
-        heard = echo.range_m, echo.height
-        return self._folds[name].may_be(echo.position, echo.ahead, way, heard, self.blocks, usual=self._judge.usual)
+        fold, told, usual = self._folds[name], (echo.range_m, echo.height), self._judge.usual
+        ways = alike(way, echo.track)
+        return any(fold.may_be(echo.position, echo.ahead, one, told, self.blocks, usual=usual) for one in ways)
 
     def _lay_strips(self, beam: Beam, arcs: Floats, rims: Floats, least: float, share: float) -> None:
         """Echoes of smooth surfaces stand for what is about the foot of the perpendicular, as far as their level tells.

@@ -23,6 +23,7 @@ TOO_LOUD = 2.0  # times the usual: no wall mirrors so well, unless those heard l
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
 OWN_CELLS = 3.0  # beyond its own range that an echo's own cells may lie
 DOUBT_RAD = 0.12  # of a way in a volume: no vaguer one is told
+TRACK_COSINE = 0.97  # a fall of ranges in doubt by 0.01 to 0.03 tells no way that is nearer to the track
 ACROSS = (0.0, -0.5, 0.5, -1.0, 1.0)  # rays to parts of the first Fresnel zone, in its half widths
 
 
@@ -85,6 +86,14 @@ class Fold(NamedTuple):
         """
         known = dims == 3 and math.isfinite(self.loudest_m)
         return max(TOO_LOUD * usual, self.loudest_m) if known else TOO_LOUD * usual
+
+
+def alike(way: Floats, track: Floats) -> Iterator[Floats]:
+    """A way (3) and, where the fall of ranges cannot tell it from one along the track (3), that one as well."""
+    yield way
+    along = float(way @ track)
+    if abs(along) > TRACK_COSINE:
+        yield math.copysign(1.0, along) * track
 
 
 def is_hidden(blocks: Blocks, eye: Floats, way: Floats, range_m: float, wave_m: float) -> bool:

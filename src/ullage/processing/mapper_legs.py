@@ -37,6 +37,7 @@ from ullage.processing.mapper_bows import Bow, Hollow, bow_of
 from ullage.processing.mapper_hollows import Hollows, Piece
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
+from ullage.processing.mapper_shells import LEAST_LEGS, shell_of
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
@@ -57,6 +58,7 @@ LEAST_SHARE = 0.1  # of the legs around bear a surface out
 MOST_STRETCHES = 2048
 EDGE_BEND = 0.5  # bend of ranges, as a share of that of an edge or pole
 LEAST_BOW_M = 0.008  # root of the sum of squares of what an edge would bow: less is not heard
+MORE_LEGS, UP = 1.5, np.array([0.0, 0.0, 1.0])
 Told = tuple[list["Traced"], Floats, float, float]
 
 
@@ -72,6 +74,7 @@ class Legs:
         self._bows: list[Bow | None] = [None] * MOST_STRETCHES
         self._added = 0
         self._waiting: dict[int, None] = {}
+        self._legs_asked = np.zeros(MOST_STRETCHES)  # around a stretch, when a round wall was last looked for there
         self._hollows = Hollows()
         self._leg, self._line = 0, None
 
@@ -114,6 +117,7 @@ class Legs:
         self._rows[at], self._kept[at], self._bends[at] = row, (echoes, rim), bends_of(lately, cone(row), row)
         self._bows[at] = bow = bow_of(lately)
         self._bowed[at] = row if bow is None else bowed_row(row, bow)
+        self._legs_asked[at] = 0
         self._added += 1
         held = self._held
         open_ = self._around(at, AROUND_M, bent=True) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
@@ -215,6 +219,8 @@ class Legs:
             if bow is None or not mask.any()
             else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask], self._kept[at][0], behind)
         )
+        if told is None and self._shell(at):
+            told = self._hollows.known(self._rows[at], self._kept[at][0], behind)
         if told is not None:  # what waits around may have heard it too
             held, here = self._held, self._rows[at, PLACE : PLACE + 3]
             open_ = np.linalg.norm(held[:, PLACE : PLACE + 3] - here, axis=1) < AROUND_M
@@ -222,6 +228,27 @@ class Legs:
             open_[at] = False
             self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         return told
+
+    def _shell(self, at: int) -> bool:
+        """Whether ranges alone tell a round wall about a stretch, along its track or upright; it is known then.
+
+        Asked again only once there are half as many legs again.
+        """
+        around = np.flatnonzero(self._around(at, AROUND_M, own=True, bent=True))
+        legs = len(np.unique(self._held[around, LEG]))
+        if legs < LEAST_LEGS or legs < MORE_LEGS * self._legs_asked[at]:
+            return False
+        self._legs_asked[at] = legs
+        others, me = self._bowed[around], self._bowed[at]
+        others[:, NORMAL : NORMAL + 3] = self._held[around, NORMAL : NORMAL + 3]
+        for axis in (me[TRACK : TRACK + 3], UP):
+            if (found := shell_of(me, others, axis)) is not None:
+                hollow, ways = found
+                for row, way in zip(others, ways, strict=True):
+                    if way.any():
+                        self._hollows.go_on(hollow, way, row[PLACE : PLACE + 3])
+                return True
+        return False
 
     def _barrel(self, at: int) -> float:
         """Radius of the round wall that a told stretch's piece is one of, infinite while it is of none [m]."""
