@@ -114,11 +114,15 @@ class Hollows:
         """Planes (p, 8) that touch them on all sides of where they were heard: normal, distance, foot and reach [m]."""
         return np.concatenate([np.zeros((0, 8)), *self._planes])
 
-    def known(self, me: Floats, echoes: list[Traced], behind: Callable[[Floats], bool]) -> tuple[Hollow, Floats] | None:
+    def known(
+        self, me: Floats, echoes: list[Traced], behind: Callable[[Floats], bool], *, whole: bool = False
+    ) -> tuple[Hollow, Floats] | None:
         """A wall known from other stretches that ranges and cosines of a stretch (22) fit, and the way (3) to it."""
         places, track = np.array([e.position for e in echoes]), np.array([e.track for e in echoes])
         reach, cosine = np.array([(e.range_m, e.cosine) for e in echoes]).T
         for hollow, way, foot in reversed(self.told):
+            if whole and not hollow.pieces:
+                continue
             ways = hollow.ways(places, way)
             middle = ways[len(ways) // 2]
             lit = middle @ me[AHEAD : AHEAD + 3] > me[WIDE]

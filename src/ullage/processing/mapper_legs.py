@@ -136,9 +136,12 @@ class Legs:
             at = next(iter(self._waiting))
             del self._waiting[at]
             me, (echoes, rim) = self._rows[at], self._kept[at]
-            normal, radius = self._normal(at), np.inf
+            found = self._round(at)
+            normal, radius = None if found else self._normal(at), np.inf
             ways = np.tile(np.zeros(3) if normal is None else normal, (len(echoes), 1))
-            if normal is None and (found := self._hollow(at)) is not None:
+            if normal is None:
+                found = found or self._hollow(at)
+            if found is not None:
                 hollow, toward = found
                 ways = hollow.ways(np.array([e.position for e in echoes]), toward)
                 normal, radius = hollow.ways(me[None, PLACE : PLACE + 3], toward)[0], abs(hollow.radius_m)
@@ -202,6 +205,13 @@ class Legs:
             surface = max(surface, weigh(me, others, near, level, np.full(len(near), me[RANGE] / bend))[0].max())
         edge = is_edge(me, others, near, surface) or too_faint(self._kept[at][0], mean)
         return None if edge else np.asarray(mean)
+
+    def _round(self, at: int) -> tuple[Hollow, Floats] | None:
+        """The round wall, told by ranges alone or by its pieces, that a stretch's echoes are of, and the way (3) to it.
+
+        It is asked for before a flat one: flown along, each piece of it is flat as well as ranges tell.
+        """
+        return self._hollows.known(self._rows[at], self._kept[at][0], lambda way: self._behind(at, way), whole=True)
 
     def _hollow(self, at: int) -> tuple[Hollow, Floats] | None:
         """The bent wall of a stretch's echoes, known or told now, and the way (3) to it."""
