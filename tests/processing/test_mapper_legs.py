@@ -115,7 +115,8 @@ def fly_in_tank(legs: Legs, path: np.ndarray, side: float, rng) -> list:
 def told_in_tank(told: list) -> np.ndarray:
     """Cosines between the ways that are told and the true ones."""
     out = []
-    for echoes, ways, _, radius in told:
+    for echoes, ways, _, radius, post in told:
+        assert post is None
         places = np.array([e.position for e in echoes]) * [1, 1, 0]
         out += (np.sum(ways * places, axis=1) / np.linalg.norm(places, axis=1)).tolist()
         assert radius == pytest.approx(3.2, abs=0.25)

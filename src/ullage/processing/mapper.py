@@ -27,6 +27,7 @@ from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, look_share, ways_apart
+from ullage.processing.mapper_posts import along_post
 from ullage.processing.mapper_rims import LEAST_RIM, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
 from ullage.processing.mapper_show import without_cut_off
@@ -217,8 +218,8 @@ class UllageMapper:
         weighed[2][self._levels.feet_and_heads(look, around)] = 0
         yield FOLLOW
         rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
-        open_ = self._folds[name].among(look, weighed[0], self.blocks, usual=self._judge.usual)
-        yield from self._insert(name, look, *self._arcs(look, weighed, rims, open_))
+        folded = self._folds[name].among(look, weighed[0], self.blocks, usual=self._judge.usual)
+        yield from self._insert(name, look, *self._arcs(look, weighed, rims, folded))
 
     def _insert_turned(self, name: str, look: Look, stretch: Stretch) -> Iterator[int]:
         """A look of a turn on the spot: what has no bearing by its loudness names no place."""
@@ -311,8 +312,10 @@ class UllageMapper:
             half = 0.5 * foot.rim * np.sqrt(self._wavelength_m * echo.range_m) if foot.flat else 0.75 * self.grid.step_m
             half = min(half, math.sqrt(foot.radius_m * self.grid.step_m))  # there a hollow wall is half a cell nearer
             gain = min(DISC_SHARE * echo.looks, 1.0) * np.log((1 - false) / false)
-            self.blocks.lay(foot.at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
-            self._zones.add(foot.at, foot.way, min(half, math.sqrt(self._wavelength_m * echo.range_m / 2)), self.grid)
+            zone = math.sqrt(self._wavelength_m * echo.range_m / 2)
+            for at in along_post(foot, zone, self.grid.step_m):
+                self.blocks.lay(at, foot.way, (DISC_SIGMA * self.grid.step_m, float(half), float(gain)))
+                self._zones.add(at, foot.way, min(half, zone), self.grid)
 
     def _weigh(self, look: Look) -> Weighed | None:
         return self._judge.weigh(look) if look.track.any() else None
@@ -338,13 +341,11 @@ class UllageMapper:
         arcs[:, 5] = np.clip(cosine, -1, 1)
         arcs[:, 6] = np.sqrt(sigma**2 + blur**2 + LEAST_TURN**2)
         arcs[:, 7], arcs[:, 8], arcs[:, 9] = DETECTION, 1, np.clip(1 - trust, LEAST_FALSE, 0.95)
-        heard = trust >= LEAST_TRUST
-        flat = look.sharp[:, 3] >= FLAT_SHARE * look.sharp[:, 4]
+        heard, flat = trust >= LEAST_TRUST, look.sharp[:, 3] >= FLAT_SHARE * look.sharp[:, 4]
         if self.grid.dims == 3:
             arcs[:, 8] = RING
         arcs[:, 8] = np.where(folded, 0.0, arcs[:, 8])  # it names no place, and hides nothing
-        flat &= ~np.asarray(folded)
-        return arcs[heard], np.where(flat, rims, 0.0)[heard]
+        return arcs[heard], np.where(flat & ~np.asarray(folded), rims, 0.0)[heard]
 
     def _ways(self, axes: Floats, arc: Floats, least: float) -> list[Floats]:
         """The direction on the plane that an arc's bearing leaves open, where only one is in the beam.

@@ -73,12 +73,14 @@ class Hollow:
         axis: unit vector along it (3).
         radius_m: of the surface about that line; less than nothing for one that bulges towards who hears it.
         pieces: how many flat ones told it, where no bow did.
+        post: whether it is a thin thing or an edge, told whole.
     """
 
     centre: Floats
     axis: Floats
     radius_m: float
     pieces: int = 0
+    post: bool = False
 
     def ways(self, places: Floats, toward: Floats) -> Floats:
         """Unit vectors (n, 3) from places (n, 3) to the surface, on the side of a way (3)."""

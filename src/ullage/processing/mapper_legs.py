@@ -36,8 +36,10 @@ from ullage.processing.mapper_barrels import barrel_of
 from ullage.processing.mapper_bows import Bow, Hollow, bow_of
 from ullage.processing.mapper_hollows import Hollows, Piece
 from ullage.processing.mapper_loudness import too_faint
+from ullage.processing.mapper_posts import LEAST_LEGS as FEWEST_LEGS
+from ullage.processing.mapper_posts import post_of
 from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
-from ullage.processing.mapper_shells import LEAST_LEGS, shell_of
+from ullage.processing.mapper_shells import shell_of
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
@@ -59,7 +61,7 @@ MOST_STRETCHES = 2048
 EDGE_BEND = 0.5  # bend of ranges, as a share of that of an edge or pole
 LEAST_BOW_M = 0.008  # root of the sum of squares of what an edge would bow: less is not heard
 MORE_LEGS, UP = 1.5, np.array([0.0, 0.0, 1.0])
-Told = tuple[list["Traced"], Floats, float, float]
+Told = tuple[list["Traced"], Floats, float, float, "Floats | None"]
 
 
 class Legs:
@@ -74,6 +76,7 @@ class Legs:
         self._bows: list[Bow | None] = [None] * MOST_STRETCHES
         self._added = 0
         self._waiting: dict[int, None] = {}
+        self._posted = np.zeros(MOST_STRETCHES, bool)  # stretches that were told to hear a post
         self._legs_asked = np.zeros(MOST_STRETCHES)  # around a stretch, when a round wall was last looked for there
         self._hollows = Hollows()
         self._leg, self._line = 0, None
@@ -81,6 +84,11 @@ class Legs:
     @property
     def _held(self) -> Floats:
         return self._rows[: min(self._added, MOST_STRETCHES)]
+
+    def _open(self) -> NDArray[np.bool_]:
+        """Which stretches have no direction yet."""
+        held = self._held
+        return ~held[:, NORMAL : NORMAL + 3].any(axis=1) & ~self._posted[: len(held)]
 
     @property
     def hollow_pieces(self) -> list[Piece]:
@@ -117,10 +125,9 @@ class Legs:
         self._rows[at], self._kept[at], self._bends[at] = row, (echoes, rim), bends_of(lately, cone(row), row)
         self._bows[at] = bow = bow_of(lately)
         self._bowed[at] = row if bow is None else bowed_row(row, bow)
-        self._legs_asked[at] = 0
+        self._legs_asked[at], self._posted[at] = 0, False
         self._added += 1
-        held = self._held
-        open_ = self._around(at, AROUND_M, bent=True) & ~held[:, NORMAL : NORMAL + 3].any(axis=1)
+        open_ = self._around(at, AROUND_M, bent=True) & self._open()
         self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         if not told:
             self._waiting[at] = None
@@ -130,7 +137,8 @@ class Legs:
     def tell(self, most: int) -> Iterator[Told]:
         """Judge at most so many of those that wait.
 
-        Gives the echoes whose direction is now known, unit vectors (n, 3), the rim, the radius of a hollow wall [m].
+        Gives the echoes whose direction is now known, unit vectors (n, 3), the rim, the radius of a hollow wall [m],
+        and the direction (3) of a post.
         """
         for _ in range(min(most, len(self._waiting))):
             at = next(iter(self._waiting))
@@ -145,11 +153,14 @@ class Legs:
                 hollow, toward = found
                 ways = hollow.ways(np.array([e.position for e in echoes]), toward)
                 normal, radius = hollow.ways(me[None, PLACE : PLACE + 3], toward)[0], abs(hollow.radius_m)
-            if normal is not None:
+            if found is not None and found[0].post:
+                self._posted[at], self._kept[at], self._bows[at] = True, ([], 0.0), None
+                yield echoes, ways, rim, np.inf, found[0].axis
+            elif normal is not None:
                 me[NORMAL : NORMAL + 3] = normal
                 radius = radius if np.isfinite(radius) else self._barrel(at)
                 self._kept[at], self._bows[at] = ([], 0.0), None
-                yield echoes, ways, rim, radius
+                yield echoes, ways, rim, radius, None
 
     def tell_all(self) -> Iterator[Told]:
         """Judge all that wait."""
@@ -229,27 +240,26 @@ class Legs:
             if bow is None or not mask.any()
             else self._hollows.tell(bow, self._bowed[at], self._bowed[: len(mask)][mask], self._kept[at][0], behind)
         )
-        if told is None and self._shell(at):
-            told = self._hollows.known(self._rows[at], self._kept[at][0], behind)
+        if told is None and (by_range := self._by_ranges(at)) is not None:
+            told = by_range if by_range[0].post else self._hollows.known(self._rows[at], self._kept[at][0], behind)
         if told is not None:  # what waits around may have heard it too
             held, here = self._held, self._rows[at, PLACE : PLACE + 3]
-            open_ = np.linalg.norm(held[:, PLACE : PLACE + 3] - here, axis=1) < AROUND_M
-            open_ &= ~held[:, NORMAL : NORMAL + 3].any(axis=1)
+            open_ = (np.linalg.norm(held[:, PLACE : PLACE + 3] - here, axis=1) < AROUND_M) & self._open()
             open_[at] = False
             self._waiting.update(dict.fromkeys(np.flatnonzero(open_).tolist()))
         return told
 
-    def _shell(self, at: int) -> bool:
-        """Whether ranges alone tell a round wall about a stretch, along its track or upright; it is known then.
+    def _by_ranges(self, at: int) -> tuple[Hollow, Floats] | None:
+        """What ranges alone tell about a stretch and the way (3) to it: a round wall, known then, or a post.
 
         Asked again only once there are half as many legs again.
         """
         around = np.flatnonzero(self._around(at, AROUND_M, own=True, bent=True))
         legs = len(np.unique(self._held[around, LEG]))
-        if legs < LEAST_LEGS or legs < MORE_LEGS * self._legs_asked[at]:
-            return False
+        if legs < FEWEST_LEGS or legs < MORE_LEGS * self._legs_asked[at]:
+            return None
         self._legs_asked[at] = legs
-        others, me = self._bowed[around], self._bowed[at]
+        others, me, mine = self._bowed[around], self._bowed[at], int(np.searchsorted(around, at))
         others[:, NORMAL : NORMAL + 3] = self._held[around, NORMAL : NORMAL + 3]
         for axis in (me[TRACK : TRACK + 3], UP):
             if (found := shell_of(me, others, axis)) is not None:
@@ -257,8 +267,9 @@ class Legs:
                 for row, way in zip(others, ways, strict=True):
                     if way.any():
                         self._hollows.go_on(hollow, way, row[PLACE : PLACE + 3])
-                return True
-        return False
+                return hollow, ways[mine]
+        post = post_of(me, others)
+        return (post[0], post[1][mine]) if post is not None and post[1][mine].any() else None
 
     def _barrel(self, at: int) -> float:
         """Radius of the round wall that a told stretch's piece is one of, infinite while it is of none [m]."""

@@ -25,6 +25,7 @@ Flags = NDArray[np.bool_]
 
 SAME_M, SAME_RANGE_M = 0.1, 0.05  # places and ranges that tell the same
 LEAST_ASKED, MOST_ASKED, MOST_PAIRS = 6, 64, 400
+POST_M = 0.1  # radius of what is heard from outside alone, at most
 LEAST_AREA_M2 = 0.06  # spanned by three places
 RADIUS_M, ASIDE_M = (0.8, 6.0), 0.2  # of walls that are looked for; how far from them the drone flies at least
 NEAR_M, FITS_M, CLOSE_M, FITS_COSINE = 0.05, 0.025, 0.01, 0.1
@@ -84,23 +85,25 @@ class Heard:
         return replace(self, place=self.place - self.along[:, None] * tilt)
 
     def sides(self, circles: Floats) -> tuple[Floats, Floats, Floats]:
-        """How they hear circles (k, 3) from inside: by how much ranges miss (k, m), the side, the way out (k, m, 2).
+        """How they hear circles (k, 3): by how much ranges miss (k, m), the side, and the way out (k, m, 2).
 
-        The side is 1 for the near one, -1 for the far one. A side that is out of the beam, or to which ranges fall
-        otherwise, is missed by infinity.
+        The side is 1 for the near one, -1 for the far one, heard from inside. Of a post, whose radius is less than
+        nothing, only the way towards it counts. A side that is out of the beam, or to which ranges fall otherwise, is
+        missed by infinity.
         """
         gap = self.place - circles[:, None, :2]
         off = np.hypot(gap[..., 0], gap[..., 1])
         out = gap / np.maximum(off, 1e-6)[..., None]
         falls, faces = (out[..., 0] * part[:, 0] + out[..., 1] * part[:, 1] for part in (self.track, self.ahead))
-        radius, inside = circles[:, 2, None], off < circles[:, 2, None] - ASIDE_M
+        radius, post = circles[:, 2, None], circles[:, 2, None] <= POST_M
+        inside = post | (off < radius - ASIDE_M)
         near, far = (
             np.where(
-                inside & (abs(side * falls - self.cosine) < FITS_COSINE) & (side * faces > self.wide),
+                heard & (abs(side * falls - self.cosine) < FITS_COSINE) & (side * faces > self.wide),
                 abs(self.reach - radius + side * off),
                 np.inf,
             )
-            for side in (1.0, -1.0)
+            for side, heard in ((1.0, inside & ~post), (-1.0, inside))
         )
         return np.minimum(near, far), np.where(near <= far, 1.0, -1.0), out
 
@@ -139,7 +142,7 @@ def _found(mine: Heard, asked: Heard) -> tuple[Floats, Floats] | None:
     some = asked.only(asked.differing())
     if len(some.reach) < LEAST_ASKED or len(np.unique(some.leg)) < LEAST_LEGS:
         return None
-    circles = _circles(some, float(mine.reach[0]))
+    circles = circles_through(some, float(mine.reach[0]), RADIUS_M)
     circles = circles[mine.sides(circles)[0][:, 0] < NEAR_M]
     if not len(circles):
         return None
@@ -148,11 +151,11 @@ def _found(mine: Heard, asked: Heard) -> tuple[Floats, Floats] | None:
     rivals = np.linalg.norm(circles[:, :2] - circles[best, :2], axis=1) > RIVAL_M
     if fits[rivals].sum(axis=1).max(initial=0) > RIVAL * fits[best].sum():
         return None
-    circle, tilt = _refined(circles[best], some)
+    circle, tilt = refined(circles[best], some)
     return (circle, tilt) if _stands(circle, some.upright(tilt), len(circles)) else None
 
 
-def _refined(circle: Floats, some: Heard) -> tuple[Floats, Floats]:
+def refined(circle: Floats, some: Heard) -> tuple[Floats, Floats]:
     """The circle (3) that ranges near to one fit best, and by how much its axis leans (2)."""
     tilt, prior = np.zeros(2), np.column_stack([np.zeros((2, 3)), RANGE_DOUBT_M / TILT_RAD * np.eye(2)])
     for _ in range(REFINED):
@@ -185,14 +188,18 @@ def _stands(circle: Floats, some: Heard, tried: int) -> bool:
     faced, looks = abs(np.sum(out * some.ahead, axis=1)) > some.wide, some.looks()
     share = len(np.unique(looks[on])) / max(len(np.unique(looks[faced])), 1)
     square = abs(np.mean((out[off] @ [1.0, 1.0j]) ** 4))
-    chance = min(2 * FITS_M / max(float(np.ptp(some.reach)), 2 * FITS_M), 1.0)
-    by_chance = tried * bdtrc(on.sum() - THROUGH - 1, len(on) - THROUGH, chance)
     told = on.sum() >= LEAST_FACED * faced.sum() and share >= LEAST_SHARE
-    return bool(close and told and square <= SQUARE and by_chance < MOST_CHANCE)
+    return bool(close and told and square <= SQUARE and by_chance(on, some, tried) < MOST_CHANCE)
 
 
-def _circles(some: Heard, reach: float) -> Floats:
-    """Circles (k, 3), centre and radius, through a range heard at the origin and each two of others."""
+def by_chance(on: Flags, some: Heard, tried: int) -> float:
+    """How many of so many circles chance would lay as many ranges on as lie on one (m), its own three aside."""
+    chance = min(2 * FITS_M / max(float(np.ptp(some.reach)), 2 * FITS_M), 1.0)
+    return float(tried * bdtrc(on.sum() - THROUGH - 1, len(on) - THROUGH, chance))
+
+
+def circles_through(some: Heard, reach: float, radius_m: tuple[float, float]) -> Floats:
+    """Circles (k, 3), centre and radius between two, through a range heard at the origin and each two of others."""
     first, second = np.triu_indices(len(some.reach), 1)
     p, q = some.place[first], some.place[second]
     area = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
@@ -216,4 +223,4 @@ def _circles(some: Heard, reach: float) -> Floats:
         radius = (sign * np.sqrt(root[good]) - half[good]) / square[good]
         out.append(np.column_stack([a[good] * radius[:, None] + b[good], radius]))
     found = np.concatenate(out)
-    return found[(found[:, 2] > RADIUS_M[0]) & (found[:, 2] < RADIUS_M[1])]
+    return found[(found[:, 2] > radius_m[0]) & (found[:, 2] < radius_m[1])]

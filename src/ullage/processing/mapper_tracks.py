@@ -259,14 +259,15 @@ class EchoTracks:
 
     def join(self, most: int | None = None) -> Iterator[Foot]:
         """The feet of echoes of straight legs that other legs have told by now; of at most so many stretches."""
-        for echoes, ways, rim, radius in self._legs.tell_all() if most is None else self._legs.tell(most):
+        for echoes, ways, rim, radius, post in self._legs.tell_all() if most is None else self._legs.tell(most):
             some = {0, len(echoes) // 2, len(echoes) - 1}
             if any(self._may_be_folded(echoes[k].sensor, echoes[k], ways[k]) for k in some):
                 continue
             for echo, way in zip(echoes, ways, strict=True):
                 if not echo.laid:
                     echo.laid, echo.way = True, way
-                    yield from self._remember(Foot(echo, way, True, rim, radius), hold=False)
+                    foot = Foot(echo, way, post is None, rim, radius, post)
+                    yield from [foot] if post is not None else self._remember(foot, hold=False)
 
     def _told(self, one: Followed, echo: Traced) -> list[Foot]:
         """The feet that one reflector's latest echo makes known."""
@@ -322,6 +323,7 @@ class Foot:
     flat: bool  # a wall, not an edge or a pole
     rim: float = LEAST_RIM  # Fresnel parameter out to which the surface goes on
     radius_m: float = np.inf  # of a hollow wall [m]
+    post: Floats | None = None  # (3) unit vector along a post or edge that is told whole
 
     @property
     def at(self) -> Floats:
