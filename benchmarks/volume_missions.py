@@ -1,9 +1,9 @@
 """Ordinary inspection missions for maps of a volume: legs and rounds, straight, level or climbing evenly.
 
 Each is flown by the simulated multirotor, heading along its way, with the thesis' four radars. The rooms and tanks of
-the table are "room", "hall", "den", "keg", "kettle", "tank", "basin" and "silo", and the lying tanks "boiler" and
-"cigar", which are flown in lanes along the axis; thresholds were chosen in "cabin", "vat" and "drum". `OTHERS` are
-missions of their own in other rooms.
+the table are "room", "hall", "den", "keg", "kettle", "tank", "basin" and "silo", and the lying tank "boiler", of which
+lanes are flown along the axis; thresholds were chosen in "cabin", "vat" and "drum". `OTHERS` are missions of their
+own in other rooms.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from ullage.data import Frames
 from ullage.world.scene import Scene
 
 MISSIONS = ("climbing legs", "even climb", "rounds at 3 heights", "lawn-mower", "wall, leg over leg", "level round")
-TANKS = ("tank", "vat", "drum", "silo", "keg", "kettle", "basin", "boiler", "cigar")
-LYING = {"boiler": (1.8, 8.0), "cigar": (1.6, 22.0)}  # radius and length [m]
+TANKS = ("tank", "vat", "drum", "silo", "keg", "kettle", "basin", "boiler")
 LANES = ((-0.7, -0.5), (0.05, -0.8), (0.7, -0.45), (0.6, 0.4), (-0.05, 0.75), (-0.65, 0.5), (0.15, 0.0))  # x, z [m]
 
 
@@ -74,8 +73,8 @@ def world(name: str) -> Scene:
     if name in OTHERS:
         size, plate, *_ = OTHERS[name]
         return ul.scenes.room(size, material="concrete", plate=plate)
-    if name in LYING:
-        return ul.scenes.cylinder(*LYING[name], 0.0, 90.0, material="steel", edge_m=0.1)
+    if name == "boiler":
+        return ul.scenes.cylinder(1.8, 8.0, 0.0, 90.0, material="steel", edge_m=0.1)
     radius, height = {
         "tank": (4.0, 4.0),
         "vat": (3.2, 3.4),
@@ -91,9 +90,8 @@ def world(name: str) -> Scene:
 def points(mission: str, name: str, seed: int) -> np.ndarray:
     """Waypoints (n, 3) of a mission in a world [m]."""
     rng = np.random.default_rng([seed, len(mission)])
-    if name in LYING:
-        end = 0.5 * LYING[name][1] - 1.4
-        ends = [(end, -end) if k % 2 else (-end, end) for k in range(len(LANES))]
+    if name == "boiler":
+        ends = [(2.6, -2.6) if k % 2 else (-2.6, 2.6) for k in range(len(LANES))]
         lanes = np.array([(x, y, z) for (x, z), there in zip(LANES, ends, strict=True) for y in there])
         return lanes + rng.uniform(-0.1, 0.1, lanes.shape)
     x, y, z = {

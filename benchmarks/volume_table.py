@@ -1,8 +1,8 @@
 """Ordinary inspection missions through volumes, cells of 0.1 m: mean and 95 % interval over the flights of each.
 
 Worlds and missions are those of `volume_missions`; "others" are rooms with a mission each. In tanks each tenth frame
-counts for what could be seen, in "cigar", which is long, each sixtieth. `ullage reproduce --only volumes` judges
-flights that rise and sink, and level ones, over five seeds.
+counts for what could be seen. `ullage reproduce --only volumes` judges flights that rise and sink, and level ones, over
+five seeds.
 
 python benchmarks/volume_table.py [--missions room,cabin,others] [--flights 0,1,2] [--only WORD] [--bounces 3]
     [--plane] [--keep FOLDER]
@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from volume_missions import LYING, MISSIONS, OTHERS, TANKS, frames_of, world
+from volume_missions import MISSIONS, OTHERS, TANKS, frames_of, world
 
 import ullage as ul
 from ullage.experiments.reproduce import flights
@@ -26,8 +26,8 @@ SAID = ("f1", "precision", "recall", "surface_declared_free", "known_behind")
 
 def missions(names: list[str], word: str) -> list[tuple[str, str]]:
     """Worlds and missions, of those worlds and with that word in their name."""
-    out = [(name, m) for name in names if name != "others" and name not in LYING for m in MISSIONS if word in m]
-    out += [(name, "lanes") for name in names if name in LYING]
+    out = [(name, m) for name in names if name not in ("others", "boiler") for m in MISSIONS if word in m]
+    out += [(name, "lanes") for name in names if name == "boiler"]
     return out + [(name, "") for name in OTHERS if "others" in names and word in name]
 
 
@@ -49,8 +49,7 @@ def main() -> None:
             grid = ul.Grid.covering(scene.bounds, 0.1, dims=2 if options.plane else 3, margin_m=0.5)
             for seed in map(int, options.flights.split(",")):
                 frames = frames_of(name, mission, seed, folder, options.bounces)
-                each = 60 if name == "cigar" else 10 if name in TANKS else 1
-                heard = {key: f[::each] for key, f in frames.items()}
+                heard = {key: f[::10] for key, f in frames.items()} if name in TANKS else frames
                 got = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, heard)
                 row = flights.values_of(got, tuple(COLUMNS))
                 scores.setdefault(f"{name}, {mission}".rstrip(", "), []).append(row)

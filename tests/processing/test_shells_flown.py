@@ -44,5 +44,5 @@ def test_lanes_tell_a_long_tank_far_from_its_ends():
     cells = told_cells(scene, [(x, y, z) for (x, z), there in zip(LANES, ends, strict=True) for y in there])
     middle = cells[abs(cells[:, 1]) < 2]
     on, sectors = round_share(middle, middle[:, [0, 2]], 1.6)
-    assert on > 0.98
+    assert on > 0.95
     assert sectors > 0.5, "what lies right above and below is out of the beam"
