@@ -46,3 +46,18 @@ def test_lanes_tell_a_long_tank_far_from_its_ends():
     on, sectors = round_share(middle, middle[:, [0, 2]], 1.6)
     assert on > 0.95
     assert sectors > 0.5, "what lies right above and below is out of the beam"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius_m", [0.15, 0.025])
+def test_a_pillar_and_a_pole_are_told_that_straight_legs_pass(radius_m):
+    post = ul.scenes.cylinder(radius_m, 2.78, 0.3, material="steel", name="post")
+    place = post.bounds.mean(axis=0)[:2]
+    scene = ul.Scene.union([ul.scenes.room((6.0, 5.0, 2.8), material="concrete"), post])
+    loop, heights = [(-1.7, -1.4), (1.7, -1.4), (1.7, 1.5), (-1.7, 1.5)], (-0.6, -0.2, 0.3, 0.6, 0.2, -0.3, -0.6)
+    cells = told_cells(scene, [(*loop[k % 4], z) for k, z in enumerate(heights)])
+    off = np.linalg.norm(cells[:, :2] - place, axis=1)
+    near = cells[off < 0.6]
+    assert len(near) > 8
+    assert (abs(np.linalg.norm(near[:, :2] - place, axis=1) - radius_m) < 0.15).mean() > 0.95
+    assert len(np.unique(np.round(near[:, 2], 1))) >= 7, "most of the heights that are flown"
