@@ -40,13 +40,9 @@ def post_of(me: Floats, others: Floats) -> tuple[Hollow, Floats] | None:
     if not mine.askable()[0] or len(asked.reach) < LEAST_ASKED:
         return None
     some = asked.only(asked.differing())
-    circles = (
-        circles_through(some, float(mine.reach[0]), RADIUS_M) if len(some.reach) >= LEAST_ASKED else np.zeros((0, 3))
-    )
+    circles = circles_through(some, float(mine.reach[0]), RADIUS_M)
     circles = circles[mine.sides(circles)[0][:, 0] < NEAR_M]
-    if not len(circles):
-        return None
-    circle = _best(circles, some)
+    circle = _best(circles, some) if len(circles) else None
     if circle is None:
         return None
     miss, _, out = heard.sides(circle[None])
