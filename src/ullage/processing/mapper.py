@@ -54,7 +54,7 @@ SEEN_TRUST, APART_M = 0.9, 0.4
 HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
 DISCS_A_STEP, JOINED_A_LOOK, DONE = 4, 2, object()  # discs in one go; stretches of legs judged anew
-UNITS, MOST_OPEN = 9, 16  # of work that a frame without a look does, and looks that may wait for it
+UNITS, MOST_OPEN, CATCH_UP = 9, 16, 4  # of work in a frame without a look; looks that may wait, frames for each more
 HEAR, WEIGH, FOLLOW, CAST = 4, 5, 3, 2  # units of work that steps take, one about as long as silence in some blocks
 
 
@@ -135,7 +135,7 @@ class UllageMapper:
     def _insert_all(self, looks: list[tuple[int, str, Look]], *, units: int) -> None:
         """Take looks in, but spread the work over the frames that follow: most of them complete no look."""
         self._open.extend(self._take_in(name, look) for _, name, look in sorted(looks, key=lambda item: item[:2]))
-        units = max(units, 0) + UNITS * max(len(self._open) - MOST_OPEN, 0)
+        units = max(units, 0) + UNITS * max(len(self._open) - MOST_OPEN, 0) // CATCH_UP
         while self._open and self._due <= units:
             units -= self._due
             self._due = next(self._open[0], 0)
