@@ -27,6 +27,7 @@ from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
 from ullage.processing.mapper_lobes import LobeComparison
 from ullage.processing.mapper_looks import Listener, Look, lit_ways, look_share, ways_apart
+from ullage.processing.mapper_order import InOrder
 from ullage.processing.mapper_posts import along_post
 from ullage.processing.mapper_rims import LEAST_RIM, rim_along
 from ullage.processing.mapper_runs import EchoRuns, Run, edges_among, near
@@ -73,6 +74,7 @@ class UllageMapper:
         self.grid = grid
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
+        self._order = InOrder()
         self._axis: dict[str, tuple[float, float, float]] = {}
         self._lobe: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
         self._folds: dict[str, Fold] = {}
@@ -120,21 +122,20 @@ class UllageMapper:
             self._folds[name] = Fold(least, half, self._wavelength_m, fold_m, loudest_wall_m(part))
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
-        frames_here = sum(len(part) for part in parts)
-        self._insert_all(looks, units=UNITS * (frames_here - len(looks)))
+        looks = self._order.passed(looks, self._listeners)
+        self._insert_all(looks, units=UNITS * (sum(len(part) for part in parts) - len(looks)))
 
     def finish(self) -> None:
         """Use the looks that waited for frames to come."""
-        self._insert_all(
-            [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()], units=0
-        )
+        last = [(look.heard.t_ns, name, look) for name, one in self._listeners.items() for look in one.flush()]
+        self._insert_all(self._order.passed(last), units=0)
         self._open.append(self._insert_last())
         self._catch_up()
         self.blocks.collapse()
 
     def _insert_all(self, looks: list[tuple[int, str, Look]], *, units: int) -> None:
         """Take looks in, but spread the work over the frames that follow: most of them complete no look."""
-        self._open.extend(self._take_in(name, look) for _, name, look in sorted(looks, key=lambda item: item[:2]))
+        self._open.extend(self._take_in(name, look) for _, name, look in looks)
         units = max(units, 0) + UNITS * max(len(self._open) - MOST_OPEN, 0) // CATCH_UP
         while self._open and self._due <= units:
             units -= self._due
@@ -388,10 +389,8 @@ class UllageMapper:
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""
-        now = self.map()
-        out = now.changes(self._published)
-        self._published = now
-        return out
+        before, self._published = self._published, self.map()
+        return self._published.changes(before)
 
 
 def cos_sin(angle_deg: float) -> tuple[float, float]:

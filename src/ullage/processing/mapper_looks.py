@@ -83,11 +83,18 @@ class Listener:
         self._rest = np.zeros(3)
         self._last: tuple[Floats, Floats] | None = None
         self._spots: dict[tuple[int, ...], None] = {}
+        self.heard_ns = 0
+
+    @property
+    def pending_ns(self) -> int:
+        """Time before which no look will be completed any more [ns]."""
+        return next((one.t_ns for one in self._held[self._next :] if one.look), self.heard_ns + 1)
 
     def hear(self, frames: Frames) -> list[Look]:
         """The looks that these frames complete."""
         out: list[Look] = []
         for heard in _heard(frames):
+            self.heard_ns = heard.t_ns
             if self._held and _apart(heard.position, self._held[-1].position) > JUMP_M:
                 out += self.flush()
             before = heard.position if self._smooth is None else self._smooth
