@@ -37,7 +37,7 @@ from ullage.processing.mapper_bows import Bow, Hollow, bow_of
 from ullage.processing.mapper_hollows import Hollows, Piece
 from ullage.processing.mapper_loudness import too_faint
 from ullage.processing.mapper_posts import LEAST_LEGS as FEWEST_LEGS
-from ullage.processing.mapper_posts import post_of
+from ullage.processing.mapper_posts import UP, post_of
 from ullage.processing.mapper_rings import ROLLS, about, beam_odds, cone, is_edge, one_side, weigh
 from ullage.processing.mapper_shells import shell_of
 
@@ -60,7 +60,7 @@ LEAST_SHARE = 0.1  # of the legs around bear a surface out
 MOST_STRETCHES = 2048
 EDGE_BEND = 0.5  # bend of ranges, as a share of that of an edge or pole
 LEAST_BOW_M = 0.008  # root of the sum of squares of what an edge would bow: less is not heard
-MORE_LEGS, UP = 1.5, np.array([0.0, 0.0, 1.0])
+MORE_LEGS = 1.5  # than when ranges alone were last asked
 Told = tuple[list["Traced"], Floats, float, float, "Floats | None"]
 
 

@@ -14,7 +14,19 @@ from numpy.typing import NDArray
 
 from ullage.kernels.rolls import NORMAL, PLACE
 from ullage.processing.mapper_bows import Hollow
-from ullage.processing.mapper_shells import CLOSE_M, FITS_M, NEAR_M, POST_M, Heard, by_chance, circles_through, refined
+from ullage.processing.mapper_shells import (
+    CLOSE_M,
+    FITS_M,
+    MOST_CHANCE,
+    NEAR_M,
+    POST_M,
+    RIVAL,
+    RIVAL_M,
+    Heard,
+    by_chance,
+    circles_through,
+    refined,
+)
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Foot
@@ -24,7 +36,6 @@ Floats = NDArray[np.float64]
 UP, ACROSS = np.array([0.0, 0.0, 1.0]), np.eye(2, 3)
 RADIUS_M = (-0.5, 0.05)
 LEAST_ASKED, LEAST_ON, LEAST_LEGS, LEAST_SPREAD = 6, 6, 3, 0.2
-MOST_CHANCE, RIVAL_M, RIVAL = 1e-3, 0.4, 0.75
 
 
 def post_of(me: Floats, others: Floats) -> tuple[Hollow, Floats] | None:
