@@ -29,9 +29,8 @@ test: $(VENV)/.dev
 slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow
 
-# kernels with checks lie in a cache of their own: one that is warm without them would be taken as it is
 bounds: $(VENV)/.dev
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/bounds $(BIN)/python -m pytest -m "not slow" -n 2 \
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow" -n 2 \
 	  --dist loadfile --no-loadscope-reorder tests/physics tests/processing tests/radar
 
 lint: $(VENV)/.dev
@@ -104,4 +103,4 @@ lock:
 
 clean:
 	rm -rf $(VENV) $(ROS2) site runs .pytest_cache .mypy_cache .ruff_cache
-	find src -name '*.nbi' -delete -o -name '*.nbc' -delete
+	find src -path '*/__pycache__/kernels-*' -delete

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import shutil
+import subprocess
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -11,6 +15,8 @@ import pytest
 from numba.core.errors import NumbaError
 from numba.core.types.functions import BaseFunction
 
+import ullage
+from ullage.kernels import loops
 from ullage.kernels.loops import lean, loop
 from ullage.kernels.resolution import remembered
 
@@ -106,3 +112,44 @@ def test_what_numba_cannot_type_it_still_refuses_and_is_itself_again_afterwards(
     with pytest.raises(numba.TypingError, match="No implementation of function"):
         compile_wrong()
     assert BaseFunction.get_call_type is real
+
+
+def test_a_change_of_one_kernel_file_recompiles_the_kernels_of_the_others_that_call_it(tmp_path: Path) -> None:
+    kernels = tmp_path / "ullage" / "kernels"
+    shutil.copytree(Path(ullage.__file__).parent, tmp_path / "ullage", ignore=shutil.ignore_patterns("__pycache__"))
+    (kernels / "caller.py").write_text(
+        "from ullage.kernels.called import scaled\nfrom ullage.kernels.loops import loop\n\n\n"
+        "@loop()\ndef doubled(x):\n    return 2.0 * scaled(x)\n"
+    )
+    code = "import ullage.kernels.caller as c; print(c.doubled(1.0), sum(c.doubled.stats.cache_hits.values()))"
+
+    def run(factor: float) -> list[str]:
+        (kernels / "called.py").write_text(
+            f"from ullage.kernels.loops import inner\n\n\n@inner()\ndef scaled(x):\n    return {factor} * x\n"
+        )
+        environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {"PYTHONPATH": str(tmp_path)}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.split()
+
+    assert run(3.0) == ["6.0", "0"]
+    assert run(3.0) == ["6.0", "1"]  # taken from disk
+    assert run(5.0) == ["10.0", "0"]
+    assert run(3.0) == ["6.0", "1"]  # the copies of the version before are kept
+
+
+def test_compiled_copies_of_old_versions_are_deleted_and_numba_s_own_setting_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    for age in range(8):
+        folder = tmp_path / f"kernels-{age}"
+        folder.mkdir()
+        os.utime(folder, (1e9 - age, 1e9 - age))
+    loops.cache_folder.cache_clear()
+    try:
+        mine = loops.cache_folder()
+    finally:
+        loops.cache_folder.cache_clear()
+    assert mine is not None
+    assert {place.name for place in tmp_path.iterdir()} == {mine.name, "kernels-0", "kernels-1", "kernels-2"}
+    assert str(tmp_path) == numba.config.CACHE_DIR
