@@ -61,7 +61,8 @@ def test_a_box_stands_where_it_should_with_its_material(write):
         (b"hello", r"w\.sdf:1: not XML"),
         (b"<sdf version='1.9'><world name='a'></model></world></sdf>", r"w\.sdf:1: not XML"),
         (b"<robot name='r'/>", r"root element is <robot> \(allowed: <sdf>\)"),
-        (b"<sdf version='1.3'/>", r"SDF version 1\.3 \(allowed: 1\.4 to 1\.12\)"),
+        (b"<sdf version='0.9'/>", r"SDF version 0\.9 \(allowed: 1\.0 to 1\.12\)"),
+        (b"<gazebo version='1.2'/>", r"root element is <gazebo> \(allowed: <sdf>\)"),
         (b"<sdf version='one'/>", "version 'one'"),
         (b"<sdf version='1.9'/>", "holds no world"),
     ],
@@ -70,6 +71,48 @@ def test_files_that_are_no_sdf_are_refused_in_one_line(write, content, words):
     with pytest.raises(InputError, match=words) as caught:
         ul.load_scene(write(content))
     assert "\n" not in str(caught.value)
+
+
+BOX = "<geometry><box><size>1 2 3</size></box></geometry>"
+MODEL = f"<model name='m'><link name='l'>\n<collision name='c'>{BOX}</collision></link></model>"
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.2", "1.3", "1.4", "1.9", "1.12"])
+def test_every_version_of_sdf_loads(write, version):
+    assert len(ul.load_scene(write(f"<sdf version='{version}'>{MODEL}</sdf>")).faces) == 12
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<sdf version='1.9'><!-- gz topic -t /x --once ---->{}</sdf>",
+        "<!--- a -- b\n-- c --><sdf version='1.9'>{}</sdf>",
+        "\n \n<?xml version='1.0'?>\n<sdf version='1.9'>{}</sdf>",
+        "<!-- licence -->\n<?xml version='1.0'?>\n<sdf version='1.9'>{}</sdf>",
+        "<sdf version='1.9'><plugin name='a&b' filename='x'>a & b &foo; <![CDATA[&&]]></plugin>{}</sdf>",
+        "<sdf version='1.9'><plugin name='a<b' filename='x'/>{}</sdf>",
+    ],
+)
+def test_xml_that_gazebo_reads_loads_with_its_line_numbers(write, text):
+    assert len(ul.load_scene(write(text.format(MODEL))).faces) == 12
+    line = text.count("\n") + 2
+    with pytest.raises(InputError, match=rf"w\.sdf:{line}: <size> is 'x'"):
+        ul.load_scene(write(text.format(MODEL.replace("1 2 3", "x"))))
+
+
+def test_bytes_that_are_not_utf8_do_not_stop_a_file(write):
+    text = f"<sdf version='1.9'><!-- Caf\xe9 -->{MODEL}</sdf>".encode("latin-1")
+    assert len(ul.load_scene(write(text)).faces) == 12
+
+
+def test_ampersands_reach_names_as_they_are_written(write):
+    text = f"<sdf version='1.9'>{MODEL}</sdf>".replace("name='m'", "name='a&b &lt;c&#62; &foo;'")
+    assert ul.load_scene(write(text)).objects[0].name == "a&b <c> &foo;"
+
+
+@pytest.mark.parametrize("inside", ["<light name='sun' type='directional'/>", "<world name='w'/>"])
+def test_a_file_that_holds_nothing_to_be_met_is_an_empty_scene(write, inside):
+    assert len(ul.load_scene(write(f"<sdf version='1.9'>{inside}</sdf>")).faces) == 0
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path):

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import io
 import logging
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
+from ullage.world.notices import notify
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -77,7 +77,7 @@ def cleaned(vertices: Floats, faces: Ints, *, where: str) -> Mesh:
         raise InputError("no triangle of the mesh has an area", where=where)
     if flat.any():
         some = f"{int(flat.sum())} degenerate triangle{'s' if flat.sum() > 1 else ''} of {len(faces)}"
-        warnings.warn(f"{where}: {some} left out", UllageWarning, stacklevel=2)
+        notify(f"{where}: {some} left out", kind="degenerate triangles")
         faces = faces[~flat]
     return vertices, np.ascontiguousarray(faces, np.int32)
 

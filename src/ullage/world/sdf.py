@@ -19,6 +19,7 @@ from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.world.materials import Material
 from ullage.world.meshes import Mesh
+from ullage.world.notices import one_notice_per_kind
 from ullage.world.scene import Scene, SceneObject
 from ullage.world.sdf_actor import read_motion
 from ullage.world.sdf_build import SceneBuilder
@@ -26,7 +27,7 @@ from ullage.world.sdf_frames import ScopeFrames
 from ullage.world.sdf_geometry import GeometryReader, Rod
 from ullage.world.sdf_material import nearest_tag, read_material
 from ullage.world.sdf_parse import Node, read_pose
-from ullage.world.sdf_resolve import Resolver
+from ullage.world.sdf_resolve import Missing, Resolver
 from ullage.world.sdf_sensors import rigs_of
 from ullage.world.sdf_tree import Link, Scope, TreeReader
 
@@ -34,14 +35,27 @@ Floats = NDArray[np.float64]
 Geometry = Literal["collision", "visual"]
 
 
-def load_sdf(path: Path, *, geometry: Geometry = "collision", search_path: Sequence[str | Path] = ()) -> Scene:
-    """The scene of an SDF file.
+def load_sdf(
+    path: Path,
+    *,
+    geometry: Geometry = "collision",
+    search_path: Sequence[str | Path] = (),
+    missing: Missing = "refuse",
+) -> Scene:
+    """Read the scene of an SDF file.
+
+    Args:
+        path: the file.
+        geometry: which shapes to take.
+        search_path: folders for model:// and relative names.
+        missing: refuse the file if one that it names is missing, or skip the model or shape with a warning.
 
     Raises:
         InputError: something in it, or in what it includes, cannot be used.
     """
-    resolver = Resolver(path, search_path)
-    return scene_of(TreeReader(resolver).read(path), resolver, geometry=geometry)
+    resolver = Resolver(path, search_path, missing=missing)
+    with one_notice_per_kind():
+        return scene_of(TreeReader(resolver).read(path), resolver, geometry=geometry)
 
 
 def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
@@ -103,7 +117,8 @@ class SceneWalk:
 
     def _add_actor(self, around_frames: ScopeFrames, actor: Scope, tag: Node | None) -> None:
         if actor.node.child("skin") is not None:
-            actor.node.place.warn(f"the skin of actor {actor.name!r} is passed by; only shapes in its links are read")
+            what = f"the skin of actor {actor.name!r} is passed by; only shapes in its links are read"
+            actor.node.place.warn(what, kind="skin")
         motion = read_motion(actor.node)
         frames = ScopeFrames(actor)
         here = np.eye(4)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ullage.errors import InputError
 from ullage.geometry import apply
 from ullage.world import shapes
-from ullage.world.meshes import MOST_FACES, Mesh, joined
+from ullage.world.meshes import MOST_FACES, Mesh
 from ullage.world.scene import Scene, SceneObject, Wires
 from ullage.world.sdf_geometry import SAGITTA_M, Rod
 
@@ -22,7 +22,7 @@ class SceneBuilder:
     """What was read so far."""
 
     objects: list[SceneObject] = field(default_factory=list)
-    meshes: list[Mesh] = field(default_factory=list)
+    meshes: list[tuple[Mesh, Floats]] = field(default_factory=list)  # with frame_from_shape; equal ones share arrays
     owners: list[int] = field(default_factory=list)
     rods: list[tuple[Floats, Floats, float, int]] = field(default_factory=list)
     faces: int = 0
@@ -48,15 +48,26 @@ class SceneBuilder:
         self.faces += len(shape[1])
         if self.faces > MOST_FACES:
             raise InputError(f"more than {MOST_FACES} triangles in all", allowed="simpler meshes, or fewer of them")
-        self.meshes.append((apply(frame_from_shape, shape[0]), shape[1]))
+        self.meshes.append((shape, frame_from_shape))
         self.owners.append(owner)
 
     def scene(self, name: str) -> Scene:
         """All that was gathered."""
-        vertices, faces = joined(self.meshes)
-        owner = np.repeat(np.array(self.owners, np.int32), [len(f) for _, f in self.meshes])
+        vertices, faces = self._placed()
+        owner = np.repeat(np.array(self.owners, np.int32), [len(mesh[1]) for mesh, _ in self.meshes])
         wires = Wires()
         if self.rods:
             start, end, radius, whose = zip(*self.rods, strict=True)
             wires = Wires(np.stack(start), np.stack(end), np.array(radius), np.array(whose, np.int32))
         return Scene(vertices, faces, owner, tuple(self.objects), wires, name)
+
+    def _placed(self) -> Mesh:
+        """All meshes as one, each written straight to its place: a large world holds no second copy meanwhile."""
+        vertices = np.empty((sum(len(mesh[0]) for mesh, _ in self.meshes), 3))
+        faces = np.empty((self.faces, 3), np.int32)
+        v = f = 0
+        for (points, corners), pose in self.meshes:
+            vertices[v : v + len(points)] = apply(pose, points)
+            faces[f : f + len(corners)] = corners + v
+            v, f = v + len(points), f + len(corners)
+        return vertices, faces

@@ -40,7 +40,7 @@ class ScopeFrames:
 
     def _add(self, thing: Named) -> None:
         if thing.name in self.names:
-            thing.node.place.warn(f"the name {thing.name!r} is used twice in {self.scope.name!r}")
+            thing.node.place.warn(f"the name {thing.name!r} is used twice in {self.scope.name!r}", kind="name twice")
             number = 1
             while f"{thing.name}_{number}" in self.names:
                 number += 1

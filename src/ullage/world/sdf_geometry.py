@@ -13,12 +13,22 @@ from ullage.errors import InputError
 from ullage.world import shapes
 from ullage.world.meshes import Mesh, load_mesh
 from ullage.world.sdf_parse import Node
-from ullage.world.sdf_resolve import Resolver
+from ullage.world.sdf_resolve import MissingFileError, Resolver
 
 Floats = NDArray[np.float64]
 
 SAGITTA_M = 2.5e-4
-"""Facets of round shapes stay this close to the true surface, 1/160 of a wavelength at 7.3 GHz [m]."""
+"""Facets of cylinders stay this close to the true surface, 1/160 of a wavelength at 7.3 GHz [m]."""
+
+BALL_SAGITTA_M = 6.4e-4
+"""Facets of surfaces that curve both ways do so within 1/64 of a wavelength [m].
+
+A facet then spans a quarter of the first Fresnel zone, whatever the radius: half of it is sqrt(2 r s), and the zone's
+radius is sqrt(r wavelength / 2). Cylinders are finer since their facets, as many as 1 / sqrt(s) and not 1 / s, are few.
+"""
+
+BALL_EDGE = 0.2
+"""Facets of small balls are shorter than this share of the radius, so that their bends stay smooth."""
 
 PLANE_M = 100.0
 """Side of the square that stands for a plane without a <size> [m]."""
@@ -37,18 +47,13 @@ class Rod:
 
 
 class GeometryReader:
-    """Reads geometries; each mesh file once."""
+    """Reads geometries; each mesh file and each primitive of the same sizes once, so that equal shapes share arrays."""
 
     def __init__(self, resolver: Resolver) -> None:
         self.resolver = resolver
         self._meshes: dict[tuple[Path, str, bool], Mesh] = {}
-        self._kinds: dict[str, Callable[[Node], Mesh | Rod]] = {
-            "box": lambda node: shapes.box(node.sizes("size", 3)),
-            "cylinder": _cylinder,
-            "sphere": _sphere,
-            "capsule": _capsule,
-            "ellipsoid": _ellipsoid,
-            "cone": _cone,
+        self._primitives: dict[tuple[str | float, ...], Mesh | Rod] = {}
+        self._others: dict[str, Callable[[Node], Mesh | Rod]] = {
             "plane": _plane,
             "mesh": self._mesh,
             "heightmap": self._heightmap,
@@ -60,15 +65,23 @@ class GeometryReader:
         Raises:
             InputError: a size, a file or a value cannot be used.
         """
-        node = owner.need("geometry")
+        node = owner.child("geometry")
+        if node is None:
+            owner.place.warn(f"<{owner.tag}> has no <geometry>; it is passed by", kind="no geometry")
+            return None
         try:
             lines = list(node.children("polyline"))
             if lines:
                 return _polyline(lines)
-            for kind, make in self._kinds.items():
-                found = node.child(kind)
-                if found is not None:
-                    return make(found)
+            for child in node.children():
+                if child.tag in _PRIMITIVES:
+                    return self._primitive(child)
+                if child.tag in self._others:
+                    return self._others[child.tag](child)
+        except MissingFileError as error:
+            if not self.resolver.skips(error, what="shape"):
+                raise
+            return None
         except InputError as error:
             if error.line is None:  # a mesh, or a size that only the shape knows to be wrong: say who asked for it
                 place = f"{error.where}: " if error.where is not None else ""
@@ -77,8 +90,17 @@ class GeometryReader:
         other = [child.tag for child in node.children()]
         if other != ["empty"]:
             said = ", ".join(f"<{tag}>" for tag in other) or "nothing"
-            node.place.warn(f"geometry of {owner.attribute('name')!r} holds {said}; it is passed by")
+            what = f"geometry of {owner.attribute('name')!r} holds {said}; it is passed by"
+            node.place.warn(what, kind=f"geometry of {said}")
         return None
+
+    def _primitive(self, node: Node) -> Mesh | Rod:
+        fields, make = _PRIMITIVES[node.tag]
+        sizes = [float(size) for tag, default in fields.items() for size in node.sizes(tag, default)]
+        key: tuple[str | float, ...] = (node.tag, *sizes)
+        if key not in self._primitives:
+            self._primitives[key] = make(*sizes)
+        return self._primitives[key]
 
     def _mesh(self, node: Node) -> Mesh:
         uri = node.need("uri")
@@ -98,7 +120,7 @@ class GeometryReader:
 
     def _heightmap(self, node: Node) -> Mesh:
         uri = node.need("uri")
-        size = node.sizes("size", 3) if node.child("size") else np.ones(3)
+        size = node.sizes("size", (1.0, 1.0, 1.0))
         pos = node.child("pos")
         grey = _grey(self.resolver.find(uri.text, at=uri.place))
         heights = grey * (size[2] / max(grey.max(), 1e-12))
@@ -106,47 +128,58 @@ class GeometryReader:
         return (vertices if pos is None else vertices + pos.numbers(3)), faces
 
 
-def _cylinder(node: Node) -> Mesh | Rod:
-    radius, length = float(node.sizes("radius", 1)[0]), float(node.sizes("length", 1)[0])
+def _box(x: float, y: float, z: float) -> Mesh:
+    return shapes.box((x, y, z))
+
+
+def _cylinder(radius: float, length: float) -> Mesh | Rod:
     if radius <= WIRE_RADIUS_M and length >= WIRE_SLENDERNESS * radius:
         return Rod(radius, length)
     return shapes.cylinder(radius, length, segment_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
 
 
-def _sphere(node: Node) -> Mesh:
-    radius = float(node.sizes("radius", 1)[0])
+def _sphere(radius: float) -> Mesh:
     return shapes.sphere(radius, edge_m=_edge_m(radius))
 
 
 def _edge_m(radius_m: float) -> float:
     """A triangle's middle bows out 4/3 as far as the middle of its edges."""
-    return shapes.sagitta_segment_m(radius_m, 0.75 * SAGITTA_M)
+    return min(shapes.sagitta_segment_m(radius_m, 0.75 * BALL_SAGITTA_M), BALL_EDGE * radius_m)
 
 
-def _capsule(node: Node) -> Mesh:
-    radius, length = float(node.sizes("radius", 1)[0]), float(node.sizes("length", 1)[0])
+def _capsule(radius: float, length: float) -> Mesh:
     return shapes.capsule(radius, length, segment_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
 
 
-def _ellipsoid(node: Node) -> Mesh:
-    radii = node.sizes("radii", 3)
-    return shapes.ellipsoid(radii, edge_m=_edge_m(float(radii.max())))
+def _ellipsoid(x: float, y: float, z: float) -> Mesh:
+    return shapes.ellipsoid((x, y, z), edge_m=_edge_m(max(x, y, z)))
 
 
-def _cone(node: Node) -> Mesh:
-    radius, length = float(node.sizes("radius", 1)[0]), float(node.sizes("length", 1)[0])
+def _cone(radius: float, length: float) -> Mesh:
     return shapes.cone(radius, length, segment_m=shapes.sagitta_segment_m(radius, SAGITTA_M))
 
 
 def _plane(node: Node) -> Mesh:
     normal = node.child("normal")
-    size = node.sizes("size", 2) if node.child("size") else np.full(2, PLANE_M)
-    return shapes.plane(size, normal=(0, 0, 1) if normal is None else normal.numbers(3))
+    return shapes.plane(
+        node.sizes("size", (PLANE_M, PLANE_M)), normal=(0, 0, 1) if normal is None else normal.numbers(3)
+    )
 
 
 def _polyline(lines: list[Node]) -> Mesh:
     rings = [[point.numbers(2) for point in line.children("point")] for line in lines]
-    return shapes.extrude(rings, float(lines[0].sizes("height", 1)[0]))
+    return shapes.extrude(rings, float(lines[0].sizes("height", (1.0,))[0]))
+
+
+_PRIMITIVES: dict[str, tuple[dict[str, tuple[float, ...]], Callable[..., Mesh | Rod]]] = {
+    "box": ({"size": (1.0, 1.0, 1.0)}, _box),
+    "cylinder": ({"radius": (1.0,), "length": (1.0,)}, _cylinder),
+    "sphere": ({"radius": (1.0,)}, _sphere),
+    "capsule": ({"radius": (0.5,), "length": (1.0,)}, _capsule),
+    "ellipsoid": ({"radii": (1.0, 1.0, 1.0)}, _ellipsoid),
+    "cone": ({"radius": (1.0,), "length": (1.0,)}, _cone),
+}
+"""What makes each primitive: its sizes with the defaults of the specification [SDFormat], and the maker [m]."""
 
 
 def _grey(path: Path) -> Floats:

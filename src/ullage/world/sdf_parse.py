@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +12,9 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.geometry import quat_matrix, transform
+from ullage.world.notices import notify
 from ullage.world.sdf_schema import ELEMENTS
 
 Floats = NDArray[np.float64]
@@ -31,6 +31,20 @@ NAMESPACE = "urn:ullage:sdf"
 
 _UTF16 = (b"\xff\xfe", b"\xfe\xff", b"<\x00", b"\x00<")
 
+_TOLERATED = frozenset(
+    (
+        etree.ErrorTypes.ERR_HYPHEN_IN_COMMENT,
+        etree.ErrorTypes.ERR_RESERVED_XML_NAME,  # an XML declaration that does not come first
+        etree.ErrorTypes.ERR_LT_IN_ATTRIBUTE,
+        etree.ErrorTypes.ERR_INVALID_ENCODING,  # a byte that is not UTF-8, most often a name in a comment
+    )
+)
+"""Faults that Gazebo's XML reader accepts [SDFormat] and after which libxml2 gives the right tree all the same."""
+
+_BARE_AMPERSAND = re.compile(
+    rb"(?s)(<!--.*?-->|<!\[CDATA\[.*?\]\]>)|&(?!(?:lt|gt|amp|quot|apos|#[0-9]+|#x[0-9a-fA-F]+);)"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -43,9 +57,9 @@ class Place:
         """Raise InputError that names this place."""
         raise InputError(what, where=self.file, line=self.line, allowed=allowed)
 
-    def warn(self, what: str) -> None:
-        """Warn with this place in front."""
-        warnings.warn(f"{self.file}:{self.line}: {what}", UllageWarning, stacklevel=2)
+    def warn(self, what: str, *, kind: str = "") -> None:
+        """Warn with this place in front; of one kind only the first is shown (see `notices`)."""
+        notify(f"{self.file}:{self.line}: {what}", kind=kind)
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}"
@@ -94,12 +108,13 @@ def parse_xml(raw: bytes, path: Path, *, root: tuple[str, ...] = ()) -> Element:
         remove_comments=True, remove_pis=True, recover=True,
     )  # fmt: skip
     try:
-        found: Any = etree.fromstring(raw, parser)
+        found: Any = etree.fromstring(_escaped(raw), parser)
     except etree.XMLSyntaxError as error:
         raise InputError(f"not XML: {_said(error.msg)}", where=path, line=error.lineno) from None
     for note in parser.error_log:
         # an undeclared prefix such as <gz:pose> is common in the wild and harmless
-        if note.domain != etree.ErrorDomains.NAMESPACE and note.level >= etree.ErrorLevels.ERROR:
+        harmless = note.domain == etree.ErrorDomains.NAMESPACE or note.type in _TOLERATED
+        if not harmless and note.level >= etree.ErrorLevels.ERROR:
             raise InputError(f"not XML: {_said(note.message)}", where=path, line=note.line)
     if found is None:
         raise InputError("not XML", where=path, line=1)
@@ -110,6 +125,13 @@ def parse_xml(raw: bytes, path: Path, *, root: tuple[str, ...] = ()) -> Element:
         place = Place(path, found.sourceline or 1)
         place.refuse(f"the root element is <{found.tag}>", allowed=" or ".join(f"<{name}>" for name in root))
     return found
+
+
+def _escaped(raw: bytes) -> bytes:
+    """The text with every `&` that begins no entity of XML itself written as `&amp;`, as Gazebo's reader takes it."""
+    if b"&" not in raw:
+        return raw
+    return _BARE_AMPERSAND.sub(lambda found: found[1] or b"&amp;", raw)
 
 
 def _said(message: str | None) -> str:
@@ -222,13 +244,16 @@ class Node:
             return default
         return float(self.need(tag).numbers(1)[0])
 
-    def sizes(self, tag: str, count: int) -> Floats:
-        """A child that holds numbers above zero.
+    def sizes(self, tag: str, default: tuple[float, ...]) -> Floats:
+        """A child that holds as many numbers above zero as the default, which stands for a missing one.
 
         Raises:
-            InputError: it does not, or it is missing.
+            InputError: it holds something else.
         """
-        found = self.need(tag)
+        found = self.child(tag)
+        if found is None:
+            return np.array(default)
+        count = len(default)
         values = found.numbers(count)
         if not (values > 0).all():
             found.place.refuse(f"<{tag}> of <{self.tag}> is {found.text!r}", allowed="above zero")

@@ -1,8 +1,8 @@
-"""Where the files are that a world names: model://, package://, file:// and relative URIs, on a search path.
+"""Where the files are that a world names: model://, package://, file://, Fuel and relative URIs, on a search path.
 
 A file is opened only when it lies, links followed, under the folder of the file that was asked for, under the model or
 package that this folder belongs to (the nearest of three folders up that holds model.config or package.xml), or under
-a folder of the search path. Nothing is fetched from the network.
+a folder of the search path, or in the local cache of Gazebo Fuel. Nothing is fetched from the network.
 """
 
 from __future__ import annotations
@@ -10,8 +10,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 from urllib.parse import unquote, urlsplit
 
+from ullage.errors import InputError
+from ullage.world.notices import notify
+from ullage.world.sdf_fuel import FuelName, fuel_caches
 from ullage.world.sdf_parse import Node, Place, read_xml
 from ullage.world.sdf_schema import NEWEST
 
@@ -34,39 +38,72 @@ def search_folders(asked: Iterable[str | os.PathLike[str]]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(folder.expanduser().resolve() for folder in named if folder.expanduser().is_dir()))
 
 
+Missing = Literal["refuse", "skip"]
+
+
+class MissingFileError(InputError):
+    """A file that a world names is not there."""
+
+
 class Resolver:
     """Finds files for one world.
 
     Args:
         main: the file that was asked for.
         search_path: folders, with those of the environment after them.
+        missing: refuse a world of which a file is missing, or skip the model or shape with a warning.
     """
 
-    def __init__(self, main: Path, search_path: Iterable[str | os.PathLike[str]] = ()) -> None:
+    def __init__(
+        self, main: Path, search_path: Iterable[str | os.PathLike[str]] = (), *, missing: Missing = "refuse"
+    ) -> None:
         home = main.absolute().parent
         homes = [_package(home), _package(home.resolve()), _package(main.resolve().parent)]
         self.homes: tuple[Path, ...] = tuple(dict.fromkeys(folder.resolve() for folder in homes))
         self.folders = search_folders(search_path)
+        self.caches = fuel_caches()
+        self.missing = missing
 
     def find(self, uri: str, *, at: Place) -> Path:
         """The file or folder that a URI written at `at` means.
 
         Raises:
-            InputError: it is of an unknown kind, missing, or out of reach.
+            InputError: it is of an unknown kind or out of reach.
+            MissingFileError: it is not there.
         """
         if not uri or uri == "__default__":
             at.refuse("an empty URI")
         scheme, rest = _split(uri)
         if scheme in ("http", "https", "fuel"):
-            at.refuse(f"{uri!r} is on the network", allowed="files; fetch it and add its folder to the search path")
+            return self._cached(uri, rest, at)
         if scheme not in ("", "file", "model", "package"):
             at.refuse(f"{uri!r} is of an unknown kind", allowed="model://, package://, file:// or a relative path")
         there = [path.resolve() for path in self._candidates(scheme, rest, at.file.parent) if path.exists()]
-        near = [path for path in there if any(path.is_relative_to(root) for root in (*self.homes, *self.folders))]
-        if not near:
-            fault = "reaches out of the search path" if there else "is not found"
-            at.refuse(f"{uri!r} {fault}", allowed=f"a file under one of: {self._shown()}")
-        return near[0]
+        roots = (*self.homes, *self.folders, *self.caches)
+        near = [path for path in there if any(path.is_relative_to(root) for root in roots)]
+        if near:
+            return near[0]
+        allowed = f"a file under one of: {self._shown()}"
+        if there:
+            at.refuse(f"{uri!r} reaches out of the search path", allowed=allowed)
+        raise MissingFileError(f"{uri!r} is not found", where=at.file, line=at.line, allowed=allowed)
+
+    def skips(self, error: MissingFileError, *, what: str) -> bool:
+        """Whether to go on without something, after a warning that names the missing file."""
+        if self.missing == "skip":
+            notify(f"{error}; the {what} is left out", kind=f"missing {what}")
+        return self.missing == "skip"
+
+    def _cached(self, uri: str, rest: str, at: Place) -> Path:
+        name = FuelName.parse(rest)
+        found = [] if name is None else [path.resolve() for path in name.paths(self.caches) if path.exists()]
+        for path in found:
+            if any(path.is_relative_to(cache) for cache in self.caches):
+                return path
+        advice = "a file; fetch it and add its folder to the search path"
+        if name is not None:
+            advice = f"a model in the local Fuel cache; fetch it with: {name.command}"
+        raise MissingFileError(f"{uri!r} is on the network", where=at.file, line=at.line, allowed=advice)
 
     def _candidates(self, scheme: str, rest: str, here: Path) -> list[Path]:
         if scheme in ("model", "package"):
@@ -117,7 +154,7 @@ def version(node: Node) -> tuple[int, int]:
     """
     words = node.attribute("version", "0.0").split(".")
     if len(words) < 2 or not all(word.isdecimal() for word in words[:2]):
-        node.place.refuse(f"version {node.attribute('version')!r}", allowed="1.4 to 1.12")
+        node.place.refuse(f"version {node.attribute('version')!r}", allowed="1.0 to 1.12")
     return int(words[0]), int(words[1])
 
 

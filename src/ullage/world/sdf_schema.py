@@ -1,4 +1,4 @@
-"""Names of all elements that some version of SDF from 1.4 to 1.12 defines [SDFormat]."""
+"""Names of all elements that some version of SDF from 1.0 to 1.12 defines [SDFormat]."""
 
 _NAMES = """
 accel acceleration accuracy actor air_pressure air_speed albedo_map allow_auto_disable altimeter always_on
@@ -11,7 +11,7 @@ collide_without_contact_bitmask collision collision_detector collision_engine co
 color_end color_range_image color_start cols cone constant constraints contact contact_max_correcting_vel
 contact_surface_layer convex_decomposition cubemap_uri custom_function custom_rpy cutoff_angle cx cy
 cylinder damping dart delay_start deletions density depth_camera detach_steps device diffuse direction
-dissipation distortion distribution double_sided duration dynamic_bias_correlation_time dynamic_bias_stddev
+dissipation distortion distribution double_sided dt duration dynamic_bias_correlation_time dynamic_bias_stddev
 dynamic_friction dynamics effort elastic_modulus elevation ellipsoid emissive emissive_map emitting empty
 enable_metrics enable_orientation enable_wind end env_texture_size environment_map erp essid f fade_dist
 falloff far far_clip fdir1 filename flesh_mass_fraction fluid_added_mass fog force force_torque format fov
@@ -22,12 +22,12 @@ implicit_spring_damper imu include inertia inertial inherit_yaw initial_position
 intensity interpolate_x intrinsics island_threads iterations iters ixx ixy ixz iyy iyz izz joint joint_state
 k1 k2 k3 kd kinematic kp laser_retro latitude_deg layer length lens lidar lifetime light light_map light_on
 light_state lighting limit linear linear_acceleration linear_velocity link link_state localization
-logical_camera longitude_deg loop lower magnetic_field magnetometer mass material max max_angle max_contacts
+logical_camera longitude_deg loop lower mag magnetic_field magnetometer mass material max max_angle max_contacts
 max_convex_hulls max_dist max_force max_frequency max_step_size max_transient_velocity max_vel max_velocity
 mean mean_size measure_direction mesh meta metal metalness metalness_map mimic min min_angle
 min_contact_count min_depth min_dist min_frequency min_height min_step_size min_velocity model model_count
 model_state mu mu2 multiplier must_be_base_link must_be_loop_joint name namespace navsat near near_clip
-noise normal normal_map ode offset optical_frame_id orientation_reference_frame origin_visual outer_angle
+noise normal normal_map ode offset optical_frame_id orientation_reference_frame origin origin_visual outer_angle
 output override_impact_capture_velocity override_stiction_transition_velocity p1 p2 p_cx p_cy p_fx p_fy
 palm_link parent particle_emitter particle_scatter_ratio particle_size patch_radius path pbr physics pitch
 placement_frame plane plastic_coef_restitution plastic_impact_velocity plugin point poissons_ratio polyline
@@ -53,4 +53,4 @@ zz
 ELEMENTS = frozenset(_NAMES.split())
 
 NEWEST = (1, 12)
-OLDEST = (1, 4)
+OLDEST = (1, 0)

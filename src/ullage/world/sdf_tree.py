@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ullage.world.sdf_parse import Node, Pose, read_pose, read_xml, warn_unknown
-from ullage.world.sdf_resolve import Resolver, model_file, version
+from ullage.world.sdf_resolve import MissingFileError, Resolver, model_file, version
 from ullage.world.sdf_schema import NEWEST, OLDEST
 
 MOST_FILES = 10_000
@@ -91,8 +91,8 @@ class TreeReader:
         scope = Scope(top.attribute("name") or path.stem, top, own_frame="world")
         self._fill(scope, top)
         _apply_state(scope, top)
-        if not worlds and not scope.models and not scope.actors:
-            root.place.refuse("holds no world, model or actor", allowed="<world>, <model> or <actor> in <sdf>")
+        if next(root.children("world", "model", "actor", "light", "include"), None) is None:
+            root.place.refuse("holds no world, model, actor or light", allowed="<world> or <model> in <sdf>")
         return scope
 
     def _root(self, path: Path) -> Node:
@@ -102,9 +102,9 @@ class TreeReader:
             found = version(root)
             if found < OLDEST:
                 said = root.attribute("version")
-                root.place.refuse(f"SDF version {said}" if said else "no SDF version", allowed="1.4 to 1.12")
+                root.place.refuse(f"SDF version {said}" if said else "no SDF version", allowed="1.0 to 1.12")
             if found > NEWEST:
-                root.place.warn(f"SDF version {root.attribute('version')} is read as 1.12")
+                root.place.warn(f"SDF version {root.attribute('version')} is read as 1.12", kind="newer version")
             warn_unknown(root, self._told)
             self._parsed[key] = root
         return self._parsed[key]
@@ -129,7 +129,12 @@ class TreeReader:
 
     def _include(self, scope: Scope, node: Node) -> None:
         uri = node.need("uri")
-        path = model_file(self.resolver.find(uri.text, at=uri.place), at=uri.place)
+        try:
+            path = model_file(self.resolver.find(uri.text, at=uri.place), at=uri.place)
+        except MissingFileError as error:
+            if not self.resolver.skips(error, what="model"):
+                raise
+            return
         self._count += 1
         if path in self._open:
             ring = [*self._open[self._open.index(path) :], path]
@@ -166,7 +171,7 @@ def _contents(root: Node, include: Node) -> Iterator[Node]:
     if not found:
         include.place.refuse(f"{root.file} holds no model, actor or light")
     if len(found) > 1:
-        found[1].place.warn("an included file should hold one model; only the first is read")
+        found[1].place.warn("an included file should hold one model; only the first is read", kind="several models")
     if found[0].tag != "light":
         yield found[0]
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, transform
+from ullage.world.notices import one_notice_per_kind
 from ullage.world.scene import Scene
 from ullage.world.sdf import Geometry, scene_of
 from ullage.world.sdf_parse import Node, Place, Pose, parse_xml, read_xml
@@ -35,6 +36,7 @@ mechanicalReduction mesh mimic origin parent rightActuator robot role ros2_contr
 self_collision_checking simulated_actuated_joint sphere texture transmission type verbose visual
 """
 KNOWN = frozenset(_NAMES.split())
+_NEEDED = {"box": ("size",), "capsule": ("radius", "length"), "cylinder": ("radius", "length"), "sphere": ("radius",)}
 
 
 def load_urdf(
@@ -62,7 +64,8 @@ def load_urdf(
         made.element.extend(copy.deepcopy(sensor) for sensor in _sensors(root, link.name))
         robot.links.append(Link(link.name, Pose(poses[link.name]), made))
     world = Scope(robot.name, root, own_frame="world", models=[robot])
-    return scene_of(world, resolver, geometry=geometry)
+    with one_notice_per_kind():
+        return scene_of(world, resolver, geometry=geometry)
 
 
 def _check(root: Node) -> None:
@@ -148,6 +151,9 @@ def _ours(tag: Any) -> bool:
 def _geometry(node: Node) -> Any:
     out = _like("geometry", node)
     for shape in node.children():
+        for key in _NEEDED.get(shape.tag, ()):
+            if key not in shape.element.attrib:  # SDF has defaults for these, URDF has none
+                shape.place.refuse(f"<{shape.tag}> has no <{key}>")
         made = _like(shape.tag, shape)
         if shape.tag == "mesh":
             _text(made, shape, "uri", shape.attribute("filename"))
