@@ -30,7 +30,7 @@ class WorldSpec(Spec):
     file: str = Field("", description="or a world file: .sdf .world .urdf .xacro .glb .obj .stl .ply .dae")
     geometry: Literal["collision", "visual"] = "collision"
     search_path: tuple[str, ...] = Field((), description="folders for model:// and relative URIs")
-    missing: Literal["refuse", "skip"] = Field("refuse", description="a model or mesh that is not there")
+    missing: Literal["refuse", "skip"] = Field("refuse", description="refuse or skip a model or mesh that is not there")
 
 
 class FlightSpec(Spec):

@@ -1,5 +1,6 @@
 """SDF shapes, materials and names: volumes and places against formulas, refusals with file and line."""
 
+import tracemalloc
 from math import pi
 
 import numpy as np
@@ -274,3 +275,20 @@ def test_what_is_unknown_is_warned_about_once_with_its_line(load):
 def test_a_shape_that_cannot_be_read_is_warned_about(load, other):
     with pytest.warns(UllageWarning, match=r"w\.sdf:1: geometry of 'c' holds .*; it is passed by"):
         assert len(load(collision(other)).faces) == 0
+
+
+def test_a_world_of_many_shapes_takes_little_more_memory_than_its_arrays(load):
+    """Triangles of equal shapes are written once, straight to their place."""
+    many = "".join(
+        f'<model name="m{i}"><pose>{3 * i} 0 0 0 0 0</pose><link name="l">{collision(f"<sphere>{R}</sphere>")}'
+        "</link></model>"
+        for i in range(100)
+    )
+    load(many, world=True)  # imports, caches
+    tracemalloc.start()
+    scene = load(many, world=True)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    arrays = scene.vertices.nbytes + scene.faces.nbytes + scene.face_object.nbytes
+    assert arrays < 20e6
+    assert peak < 1.35 * arrays
