@@ -1,4 +1,4 @@
-"""Models of Gazebo Fuel in the local cache: which folder a URI of app.gazebosim.org or its servers means.
+"""Models of Gazebo Fuel in the local cache: which folder a URI of a Fuel server means.
 
 Gazebo keeps what it fetched under CACHE/SERVER/OWNER/KIND/NAME/VERSION, all in lower case [GazeboFuel]. Only files that
 are there are read; nothing is fetched.
