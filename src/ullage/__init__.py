@@ -36,6 +36,7 @@ _HOMES = {
     "navigate": "flight.navigation",
     "simulate": "radar.simulate",
     "LiveRadars": "radar.live",
+    "Receiver": "radar.receiver_fit",
     "explain": "radar.explain",
     "detect": "processing.detect",
     "focus": "processing.sar",

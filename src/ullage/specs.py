@@ -102,6 +102,24 @@ class AntennaSpec(Spec):
     )
 
 
+class DirectPathSpec(Spec):
+    """The instrument's own response over range: direct path and ring-down, as `ul.Receiver.fit` measures it.
+
+    The complex envelope of the samples as they are recorded, in the sensor's normalised units.
+    """
+
+    range_start_m: float = Field(0.0, ge=-5, le=1000, description="range of the first value")
+    step_m: float = Field(gt=0, le=1, description="range between values")
+    in_phase: tuple[float, ...] = Field(min_length=4, max_length=4096)
+    quadrature: tuple[float, ...] = Field(min_length=4, max_length=4096)
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Self:
+        if len(self.in_phase) != len(self.quadrature):
+            raise ValueError(f"{len(self.in_phase)} in_phase and {len(self.quadrature)} quadrature values")
+        return self
+
+
 class NoiseSpec(Spec):
     """What the receiver adds to the echoes; the values are those measured on the X4 recordings [X4Recordings]."""
 
@@ -120,6 +138,10 @@ class NoiseSpec(Spec):
         0.0314, ge=0, description="the same at one count: the part that falls with the root of the counts"
     )
     amplitude: float = Field(0.001, ge=0, description="sigma of the relative amplitude common to a whole frame")
+    direct_path: DirectPathSpec | None = Field(
+        None,
+        description="of Receiver.fit: {range_start_m, step_m, in_phase: [..], quadrature: [..]}; none: the X4's",
+    )
     clip: bool = Field(True, description="the DAC window limits strong echoes")
     lattice: bool = Field(True, description="values lie on the lattice of the counts")
 
@@ -232,6 +254,10 @@ class RadarSpec(Spec):
             "decimation": 1, "output": "rf", "bins": 1152, "prf_div": 24,
             "antenna": {"kind": "cosine", "gain_dbi": 2.0, "azimuth_deg": 100, "elevation_deg": 100},
             "range_zero_m": 0.45, "range_zero_sigma_m": 0.02,  # from surveyed reflectors of one rail: docs/imaging.md
+            "iterations": 1, "pulses_per_step": 2048,  # pulse integration index 11
+            # from the same rail's frames at rest, by Receiver.fit; unit_gain from a link budget: docs/receiver.md
+            "noise": {"thermal": 7.86e3, "unit_gain": 1e8, "phase_rad": 0.0, "phase_thermal_rad": 0.0,
+                      "amplitude": 6.4e-4, "clip": False, "lattice": False},
         },
     }  # fmt: skip
 

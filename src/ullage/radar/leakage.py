@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ullage.geometry import C0
-from ullage.specs import RadarSpec
+from ullage.specs import NoiseSpec, RadarSpec
 
 _BIN_M = C0 / 2 * 8 / 23.328e9
 _START = -2
@@ -39,16 +39,31 @@ def unlimited(amplitude: NDArray[np.float64], limit: float) -> NDArray[np.float6
 
 
 @lru_cache(maxsize=64)
-def _profile(gain: float, range_start_m: float, bin_m: float, bins: int) -> NDArray[np.complex128]:
-    size = unlimited(np.array(_AMPLITUDE) / gain, _WINDOW)
-    place = _START + np.arange(len(size))
-    want = (range_start_m + bin_m * np.arange(bins)) / _BIN_M
+def _profile(noise: NoiseSpec, limit: float, range_start_m: float, bin_m: float, bins: int) -> NDArray[np.complex128]:
+    place, values = _measured(noise, limit)
+    want = range_start_m + bin_m * np.arange(bins)
     inside = (want >= place[0]) & (want <= place[-1])
-    spline = CubicSpline(place, size * np.exp(1j * np.array(_PHASE)), bc_type="clamped")
+    spline = CubicSpline(place, values, bc_type="clamped")
     return np.asarray(np.where(inside, spline(np.clip(want, place[0], place[-1])), 0))
+
+
+def _measured(noise: NoiseSpec, limit: float) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Ranges [m] and complex envelope at RF of the direct path, before the DAC window, in normalised units."""
+    if noise.direct_path is None:
+        usual = unlimited(np.array(_AMPLITUDE) / noise.baseband_gain, _WINDOW)
+        values = np.asarray(usual * np.exp(1j * np.array(_PHASE)), np.complex128)
+        return _BIN_M * np.arange(_START, _START + len(usual), dtype=np.float64), values
+    known = noise.direct_path
+    values = np.asarray(np.array(known.in_phase) + 1j * np.array(known.quadrature), np.complex128)
+    place = known.range_start_m + known.step_m * np.arange(len(values))
+    if noise.clip:
+        size = np.abs(values)
+        values *= unlimited(np.minimum(size, 0.999 * 4 / np.pi * limit), limit) / np.maximum(size, 1e-300)
+    return np.asarray(place), values
 
 
 def leakage(spec: RadarSpec) -> NDArray[np.complex128]:
     """Complex envelope of the direct path at each bin (b), at RF, before the DAC window, in normalised units."""
-    gain = 1.0 if spec.noise is None else spec.noise.baseband_gain
-    return _profile(gain, spec.range_start_m + spec.frame_area_offset_m, spec.bin_m, spec.bins)
+    limit = (spec.dac_max - spec.dac_min + 1) / 2048
+    start_m = spec.range_start_m + spec.frame_area_offset_m
+    return _profile(spec.noise or NoiseSpec(), limit, start_m, spec.bin_m, spec.bins)

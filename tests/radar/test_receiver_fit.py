@@ -1,0 +1,128 @@
+"""The receiver model fitted to recordings: settings come out as they went in, also on real devices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.errors import InputError
+from ullage.radar.receiver_fit import lattice_counts
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+needs_data = pytest.mark.skipif(not (DATA / "x4").exists(), reason="the recordings are not in ../shared/data")
+
+
+def at_rest(n: int) -> ul.Trajectory:
+    """A track that stands still for n frames."""
+    return ul.Trajectory.stationary((0.3, 0.2, 0.0), n=n)
+
+
+def recorded(spec: ul.RadarSpec, path: ul.Trajectory, seed: int = 1) -> ul.Frames:
+    """What a radar receives in a concrete room along a track."""
+    return ul.simulate(ul.scenes.room(material="concrete"), path, spec, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def known() -> ul.RadarSpec:
+    """A receiver unlike any preset."""
+    noise = ul.NoiseSpec(thermal=2e-3, phase_rad=0.006, phase_thermal_rad=0.0, amplitude=0.003)
+    return ul.RadarSpec.preset("x4m05", noise=noise, iterations=16, pulses_per_step=8)
+
+
+@pytest.fixture(scope="module")
+def still(known: ul.RadarSpec) -> ul.Frames:
+    """800 frames of it at rest."""
+    return recorded(known, at_rest(800))
+
+
+@pytest.mark.parametrize("output", ["baseband", "rf"])
+def test_what_a_receiver_adds_is_found_again(known: ul.RadarSpec, output: str) -> None:
+    bins = 188 if output == "baseband" else 1504
+    window = {} if output == "baseband" else {"dac_min": 0, "dac_max": 2047}  # none of it is clipped
+    spec = known.but(output=output, bins=bins, **window)
+    found = ul.Receiver.fit(recorded(spec, at_rest(800)), counts=(16, 8))
+    noise = found.radar.noise
+    assert noise.thermal == pytest.approx(2e-3, rel=0.03)
+    assert noise.phase_rad == pytest.approx(0.006, rel=0.08)  # 800 frames give a sigma of 4 %
+    assert noise.amplitude == pytest.approx(0.003, rel=0.12)
+    assert found.still.all()
+    assert abs(found.misfit["noise"].value) < 0.15
+    assert found.misfit["direct_path"].value < -25
+    assert abs(found.misfit["phase_jitter"].value) < 0.7
+    assert abs(found.misfit["phase_drift"].value) < 3
+
+
+def test_moving_the_radar_parts_its_own_response_from_the_echoes_of_the_room(known: ul.RadarSpec) -> None:
+    rest = at_rest(200)
+    away = ul.Trajectory.line((0.3, 0.2, 0), (1.3, 1.0, 0.4), speed_m_s=0.1, rate_hz=25)
+    t_ns = np.arange(len(rest) + len(away), dtype=np.int64) * 40_000_000
+    path = ul.Trajectory(t_ns, *(np.concatenate([getattr(rest, name), getattr(away, name)])
+                                 for name in ("position", "quat_xyzw", "velocity", "angular_velocity")))  # fmt: skip
+    quiet = known.but(iterations=64, pulses_per_step=87)
+    found = ul.Receiver.fit(recorded(quiet, path))
+    assert 150 < found.still.sum() < 240
+    assert found.moving.sum() > 200
+    own = found.radar.noise.direct_path
+    assert own.range_start_m + own.step_m * len(own.in_phase) == pytest.approx(0.5, abs=0.15)  # 8 bins, then a null
+    alone = ul.simulate(
+        ul.Scene.union([]), at_rest(1), known.but(noise=known.noise.but(thermal=0, amplitude=0, phase_rad=0))
+    )
+    again = ul.simulate(ul.Scene.union([]), at_rest(1), found.radar.but(
+        noise=found.radar.noise.but(thermal=0, amplitude=0, phase_rad=0)))  # fmt: skip
+    error = np.linalg.norm(again.samples - alone.samples) / np.linalg.norm(alone.samples)
+    assert error < 0.02
+
+
+@pytest.mark.parametrize("counts", [3, 4, 16])
+def test_the_counts_are_read_from_the_lattice(counts: int) -> None:
+    spec = ul.RadarSpec.preset("x4m05", iterations=counts, pulses_per_step=1)
+    frames = recorded(spec, at_rest(200))
+    from ullage.radar.receiver import unit
+
+    values = replace(frames, samples=frames.samples.astype(complex) * unit(spec), unit="normalised")
+    assert lattice_counts(values) == counts
+
+
+@needs_data
+def test_three_devices_give_what_was_measured_by_hand() -> None:
+    first = ul.Receiver.fit(ul.open(DATA / "x4/xethru_datafloat_20190614_141837.dat", fps=17, range_start_m=0).frames())
+    other = ul.Receiver.fit(ul.open(DATA / "x4/xethru_baseband_iq_20170913_150437.dat", fps=17).frames())
+    pulson = ul.Receiver.fit(ul.open(DATA / "pulson440/rail_a").frames())
+    assert first.radar.counts == 4
+    assert first.radar.noise.thermal == pytest.approx(1.16e-3, rel=0.03)
+    assert first.radar.noise.phase_rad == pytest.approx(0.0178, rel=0.05)
+    assert other.radar.noise.phase_rad == pytest.approx(1.2e-3, rel=0.1)
+    for found in (first, other, pulson):
+        assert abs(found.misfit["noise"].value) < 0.2
+        assert abs(found.misfit["phase_jitter"].value) < 0.6
+        assert max(abs(found.misfit[f"correlation_lag_{k}"].value) for k in (1, 2, 3)) < 0.06
+    assert 0.8 < first.radar.noise.direct_path.step_m * len(first.radar.noise.direct_path.in_phase) < 1.3
+    assert "does not move" in other.notes[0]
+    assert -7 < pulson.misfit["phase_drift"].value < -4.5  # its clock wanders by 5.8 mrad a frame; not simulated
+
+
+def bad(still: ul.Frames) -> dict[str, tuple[object, str]]:
+    """Recordings that cannot be fitted, and what is said of each."""
+    spec = still.spec
+    away = ul.Trajectory.line((-2, 0.2, 0), (2, 0.2, 0), speed_m_s=2.0, rate_hz=25)
+    rf = spec.but(output="rf", bins=1504)
+    cut = np.clip(recorded(rf, at_rest(64)).samples, -1e-4, 1e-4)
+    return {
+        "short": (still[:20], "20 frames"),
+        "two": ({"a": still, "b": still}, "2 radars"),
+        "amplitudes": (ul.simulate(ul.scenes.room(), at_rest(64), spec, fidelity="thesis"), "without phase"),
+        "moved": (recorded(spec.but(noise=spec.noise.but(thermal=1e-7)), away), "move|at rest|drift"),
+        "saturated": (replace(recorded(rf, at_rest(64)), samples=cut), "saturated"),
+    }
+
+
+@pytest.mark.parametrize("kind", ["short", "two", "amplitudes", "moved", "saturated"])
+def test_what_cannot_be_fitted_is_refused_in_one_line(still: ul.Frames, kind: str) -> None:
+    frames, words = bad(still)[kind]
+    with pytest.raises(InputError, match=words) as refused:
+        ul.Receiver.fit(frames)
+    assert "\n" not in str(refused.value)
