@@ -1,10 +1,11 @@
-"""Where the clutter of the X4 recordings comes from: what stays with the radar when it is carried, and what breathes.
+"""Where the clutter of recordings comes from: what stays with the radar when it moves, and what breathes.
 
     python benchmarks/recorded_clutter.py FOLDER
 
-FOLDER holds the two recordings of [X4Recordings]. In the long one the radar is carried from frame 5000 to 7500: what
-belongs to the receiver (its direct path, a tail of its antennas) stays as it is then, and what belongs to the room
-turns. In the other one the radar stands, somebody sits before it and later moves.
+FOLDER holds `x4/` with the two recordings of [X4Recordings] and `pulson440/rail_a`.
+In the long one the radar is carried from frame 5000 to 7500: what belongs to the receiver (its direct path, a tail of
+its antennas) stays as it is then, and what belongs to the room turns. In the other one the radar stands, somebody sits
+before it and later moves.
 """
 
 import sys
@@ -41,6 +42,25 @@ def carried(frames):
               f" {alike:.2f}")  # fmt: skip
 
 
+BANDS = ((0.5, 1), (1, 1.5), (1.5, 2), (2, 3), (3, 4.5), (4.5, 6), (6, 8))
+
+
+def parted(name, frames, zero_m=0.0):
+    """Rms over the noise of one frame, by range: all at rest, the instrument's own response, and what moves."""
+    found = ul.Receiver.fit(frames)
+    samples = np.asarray(frames.samples, np.float64 if np.isrealobj(frames.samples) else complex)
+    noise = np.diff(samples[found.still], axis=0)[:, -samples.shape[1] // 4 :].std() / np.sqrt(2)
+    moving = samples[found.moving]
+    pieces = np.array([piece.mean(0) for piece in np.array_split(moving, max(2, len(moving) // 16))])
+    chance = pieces.var(0) / len(pieces)  # of the mean over the moving part
+    print(f"{name}: dB over the noise of one frame: at rest, own response, chance of that, what moves")
+    for low, high in BANDS:
+        part = (frames.range_m - zero_m >= low) & (frames.range_m - zero_m < high)
+        own = np.maximum((np.abs(moving.mean(0)) ** 2 - chance)[part].mean(), 0) ** 0.5
+        levels = rms(samples[found.still].mean(0)[part]), own, chance[part].mean() ** 0.5, moving[:, part].std(0).mean()
+        print(f"  {low:3.1f} to {high:3.1f} m: " + " ".join(f"{db(level / noise):6.1f}" for level in levels))
+
+
 def breathing(frames, range_m, rate_hz=17.0):
     """Per bin of the still second recording: how much of its change is slower than 0.6 Hz, and its rhythm."""
     still = frames[:150]
@@ -56,10 +76,13 @@ def breathing(frames, range_m, rate_hz=17.0):
 
 
 def main(folder):
-    long, short = (ul.open(str(Path(folder) / name)).frames() for name in (LONG, SHORT))
+    long, short = (ul.open(str(Path(folder) / "x4" / name)).frames() for name in (LONG, SHORT))
+    rail = ul.open(str(Path(folder) / "pulson440" / "rail_a")).frames()
     carried(np.asarray(long.samples, complex))
     breathing(np.asarray(short.samples, complex), short.range_m)
+    parted("X4 of 2019", long)
+    parted("PulsON 440 on a rail", rail, zero_m=0.45)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[2] / "shared" / "data" / "x4")
+    main(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[2] / "shared" / "data")
