@@ -98,3 +98,21 @@ def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     assert len(sides) == 2
     assert np.isin(beams.chains, sides).any()
     assert not np.isin(beams.chains, sides).all(1).any()
+
+
+@pytest.mark.parametrize(("polarization", "within"), [("vertical", 0.015), ("horizontal", 0.06)])
+@pytest.mark.parametrize("name", ["concrete", "wet-ground", "water"])  # thick: their slabs have one face
+def test_a_corner_of_dielectric_returns_the_square_of_fresnel_s_coefficient(name, polarization, within):
+    """Two bounces at 45 deg; the field lies along both faces' edge (TE) or in the plane of incidence (TM)."""
+    spec = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic", "polarization": polarization})
+
+    def peak(material):
+        corner = ul.scenes.dihedral(edge_m=0.3, distance_m=4.0, material=material)
+        return abs(ul.simulate(corner, ul.Trajectory.stationary(), spec, max_bounces=2).samples[0]).max()
+
+    corner = ul.scenes.dihedral(edge_m=0.3, distance_m=4.0, material=name)
+    eps = corner.objects[0].material.permittivity(spec.center_hz)
+    cosine, slant = np.cos(np.pi / 4), np.sqrt(eps - 0.5)
+    te, tm = (cosine - slant) / (cosine + slant), (eps * cosine - slant) / (eps * cosine + slant)
+    expected = abs(te if polarization == "vertical" else tm) ** 2
+    assert peak(name) / peak("pec") == pytest.approx(expected, rel=within)
