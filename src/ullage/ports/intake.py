@@ -1,0 +1,473 @@
+"""One policy for what arrives from outside: bad messages are counted, clocks are checked, frames wait for poses.
+
+Every live port and every reader of recordings uses these four objects. None of them knows a middleware.
+
+- `Counters` counts the messages that were used and dropped, by topic and reason, and reports them.
+- `Clock` gives times that rise, although the source's clock may step or a single stamp may be wrong.
+- `checked_pose` accepts finite positions and unit quaternions only.
+- `PoseQueue` holds frames until their poses are known, for a bounded time and in a bounded number.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ullage.data import Floats
+
+Report = Callable[[str], None]
+"""Takes one line for a person."""
+Reason = Literal["bad", "late", "lost", "duplicate", "no pose"]
+"""Why a message is dropped.
+
+bad: it cannot be read, or holds values that cannot be. late: older than one that was used. lost: no room was left, or
+it never arrived. duplicate: the same stamp came twice. no pose: nothing gave the pose of a frame in time.
+"""
+REASONS: tuple[Reason, ...] = get_args(Reason)
+
+GAP_NS = 2_000_000_000
+"""Two stamps of one stream farther apart than this belong to two tracks."""
+LATE_NS = 100_000_000
+"""A stamp that lies behind by less than this came late; by more, the clock may have stepped back."""
+PAUSE_NS = 100_000_000
+"""Between two tracks, where the second one's own stamps would not lie behind the first one's."""
+LATEST_NS = 2**62
+"""Stamps beyond the year 2116 are bad: their sums would not fit 64 bits."""
+MOST_TOPICS = 64
+"""Topics that are counted by name; further ones are counted together."""
+OTHERS = "other topics"
+UNIT_TOLERANCE = 0.01
+"""How far the squared norm of a quaternion may be from 1, as in tf2."""
+REPORT_S = 5.0
+"""Least time between two reports on the same topic and reason [s]; it doubles with each one up to `RARELY_S`."""
+RARELY_S = 60.0
+
+
+class _Entry(NamedTuple):
+    topic: str
+    reason: Reason
+
+
+@dataclass(slots=True)
+class _Reported:
+    """What was last reported of one topic and reason."""
+
+    count: int = 0
+    next_s: float = 0.0
+    wait_s: float = REPORT_S
+
+
+class Counters:
+    """Counts used and dropped messages by topic and reason; memory does not grow with the number of topics.
+
+    Safe to use from several threads; only `report` calls the reporter.
+
+    Args:
+        report: takes one line for a person; None: nothing is reported while the run goes on.
+        now: gives the time that limits the rate of reports [s].
+    """
+
+    def __init__(self, report: Report | None = None, *, now: Callable[[], float] = time.monotonic) -> None:
+        self._report, self._now = report or (lambda text: None), now
+        self._lock = threading.Lock()
+        self._received: Counter[str] = Counter()
+        self._dropped: Counter[_Entry] = Counter()
+        self._causes: dict[_Entry, str] = {}
+        self._reported: dict[_Entry, _Reported] = {}
+        self._steps: Counter[str] = Counter()
+
+    def receive(self, topic: str, count: int = 1) -> None:
+        """Count messages that arrived, whatever becomes of them."""
+        with self._lock:
+            self._received[self._name(topic)] += count
+
+    def drop(self, topic: str, reason: Reason, cause: str = "", *, count: int = 1) -> None:
+        """Count messages that are not used.
+
+        Args:
+            topic: or sensor that they came from.
+            reason: why.
+            cause: what exactly is wrong; the last one is reported.
+            count: how many.
+        """
+        if count <= 0:
+            return
+        with self._lock:
+            entry = _Entry(self._name(topic), reason)
+            self._dropped[entry] += count
+            if cause:
+                self._causes[entry] = cause[:200]
+
+    def step(self, text: str) -> None:
+        """Count a step of a clock, and report it unless the clock steps all the time."""
+        with self._lock:
+            self._steps["clock"] += 1
+            frequent = self._too_soon(_Entry("clock", "late"), self._steps["clock"])
+        if not frequent:
+            self._report(text)
+
+    @property
+    def steps(self) -> int:
+        """How often a clock stepped."""
+        return self._steps["clock"]
+
+    def dropped(self, reason: Reason | None = None, *, topic: str | None = None) -> int:
+        """Number of dropped messages, of all reasons and topics or of one."""
+        with self._lock:
+            return sum(
+                count for entry, count in self._dropped.items()
+                if reason in (None, entry.reason) and topic in (None, entry.topic)
+            )  # fmt: skip
+
+    def received(self, topic: str | None = None) -> int:
+        """Number of messages that arrived, on all topics or on one."""
+        with self._lock:
+            return self._received[topic] if topic is not None else sum(self._received.values())
+
+    def report(self) -> None:
+        """Report what was dropped since the last report: the first time at once, later ones ever more rarely."""
+        with self._lock:
+            due = [entry for entry, count in self._dropped.items() if not self._too_soon(entry, count)]
+            lines = [self._line(entry) for entry in due]
+        for line in lines:
+            self._report(line)
+
+    def lines(self) -> list[str]:
+        """One line for each topic that lost messages, for the end of a run; empty where none did."""
+        with self._lock:
+            topics = sorted({entry.topic for entry in self._dropped})
+            lines = [f"{topic}: {self._of(topic)}{self._share(topic)}" for topic in topics]
+            if self._steps["clock"]:
+                lines.append(f"the clock stepped {_times(self._steps['clock'])}")
+        return lines
+
+    def values(self) -> list[tuple[str, str]]:
+        """The same as pairs of key and value, for `/diagnostics`."""
+        with self._lock:
+            topics = sorted({entry.topic for entry in self._dropped} | self._received.keys())
+            pairs = []
+            for topic in topics:
+                pairs.append((f"{topic}: received", str(self._received[topic])))
+                pairs += [
+                    (f"{topic}: {reason}", str(self._dropped[_Entry(topic, reason)]))
+                    for reason in REASONS if self._dropped[_Entry(topic, reason)]
+                ]  # fmt: skip
+            return [*pairs, ("clock steps", str(self._steps["clock"]))]
+
+    def _name(self, topic: str) -> str:
+        known = self._received.keys() | {entry.topic for entry in self._dropped}
+        return topic if topic in known or len(known) < MOST_TOPICS else OTHERS
+
+    def _too_soon(self, entry: _Entry, count: int) -> bool:
+        """Whether a report must wait; takes note of it where not."""
+        state, now = self._reported.setdefault(entry, _Reported()), self._now()
+        if count == state.count or (state.count and now < state.next_s):
+            return True
+        state.wait_s = min(2 * state.wait_s, RARELY_S) if state.count else REPORT_S
+        state.count, state.next_s = count, now + state.wait_s
+        return False
+
+    def _line(self, entry: _Entry) -> str:
+        count, cause = self._dropped[entry], self._causes.get(entry, "")
+        return f"{entry.topic}: dropped {count:,} {entry.reason}" + (f" ({cause})" if cause else "")
+
+    def _of(self, topic: str) -> str:
+        parts = []
+        for reason in REASONS:
+            entry = _Entry(topic, reason)
+            if count := self._dropped[entry]:
+                cause = self._causes.get(entry, "")
+                parts.append(f"{count:,} {reason}" + (f" ({cause})" if cause else ""))
+        return "dropped " + ", ".join(parts)
+
+    def _share(self, topic: str) -> str:
+        received = self._received[topic]
+        return f", of {received:,} received" if received else ""
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count:,} times")
+
+
+Held = TypeVar("Held")
+
+
+class Stamped(NamedTuple, Generic[Held]):
+    """A message with its time on a clock that rises."""
+
+    item: Held
+    t_ns: int
+    """Time given on [ns]; later than that of every message before it in this stream."""
+    stamp_ns: int
+    """The source's own time [ns]."""
+    track: int
+    """Number of its track, from 0."""
+    starts: bool
+    """Whether it is the first of its track; what was known before it, such as a speed, does not hold."""
+
+
+@dataclass(slots=True, eq=False)
+class _Epoch:
+    """A span of the source's clock without steps."""
+
+    offset_ns: int  # from a stamp to the time given on
+    newest_ns: int  # newest stamp of all streams
+
+
+class Clock:
+    """The clock of one source, which several streams share.
+
+    A step of the clock is reported once, by the first stream that meets it; the other streams follow it. Times given
+    on are the source's own, unless those have come before; then an offset is added until the clock is ahead again.
+
+    Args:
+        counters: count what is dropped, and report steps.
+        gap_ns: two stamps of one stream farther apart belong to two tracks [ns].
+        late_ns: a stamp that lies behind by less is late [ns].
+        pause_ns: between the tracks, where the second one's own stamps have come before [ns].
+    """
+
+    def __init__(
+        self, counters: Counters, *, gap_ns: int = GAP_NS, late_ns: int = LATE_NS, pause_ns: int = PAUSE_NS
+    ) -> None:
+        self.counters = counters
+        self.gap_ns, self.late_ns, self._pause_ns = gap_ns, late_ns, pause_ns
+        self._epoch: _Epoch | None = None
+        self._given_ns: int | None = None  # newest time given on, of all streams
+
+    def stream(self, topic: str) -> Stream[Any]:
+        """A stream of messages with stamps of this clock."""
+        return Stream(self, topic)
+
+    @property
+    def offset_ns(self) -> int:
+        """What is added to the newest stamps [ns]."""
+        return self._epoch.offset_ns if self._epoch is not None else 0
+
+    @property
+    def newest_ns(self) -> int:
+        """Newest stamp of all streams since the clock last stepped; 0 before the first."""
+        return self._epoch.newest_ns if self._epoch is not None else 0
+
+    def near(self, stamp_ns: int) -> bool:
+        """Whether a stream may begin with this stamp: no other has begun, or the others' stamps are near."""
+        return self._epoch is None or abs(stamp_ns - self._epoch.newest_ns) <= self.gap_ns
+
+    def _enter(self, stream: Stream[Any], stamp_ns: int) -> _Epoch:
+        """The epoch of a stamp that begins a track of a stream."""
+        epoch, before_ns = self._epoch, stream.last_ns
+        falls = epoch is stream.epoch and before_ns is not None and stamp_ns < before_ns
+        if epoch is not None and self.near(stamp_ns) and not falls:
+            return epoch  # only this stream paused, or another one has met the step before
+        offset_ns = 0
+        if self._given_ns is not None and stamp_ns <= self._given_ns:
+            offset_ns = self._given_ns + self._pause_ns - stamp_ns
+        if epoch is not None:
+            step_s = (stamp_ns - (epoch.newest_ns if before_ns is None else before_ns)) * 1e-9
+            step = f"back {-step_s:.3g} s" if step_s < 0 else f"ahead {step_s:.3g} s"
+            self.counters.step(f"time jumped {step} ({stream.topic}): a new track begins, the map goes on")
+        self._epoch = _Epoch(offset_ns, stamp_ns)
+        return self._epoch
+
+    def _advance(self, epoch: _Epoch, stamp_ns: int) -> int:
+        epoch.newest_ns = max(epoch.newest_ns, stamp_ns)
+        t_ns = stamp_ns + epoch.offset_ns
+        self._given_ns = t_ns if self._given_ns is None else max(self._given_ns, t_ns)
+        return t_ns
+
+
+class Stream(Generic[Held]):
+    """Messages of one topic, whose stamps should rise.
+
+    A stamp that does not follow on the one before waits for the next message. If that one follows on it, the clock has
+    stepped or messages are missing: a new track begins. If not, the single stamp was wrong and its message is dropped.
+
+    Args:
+        clock: of the source.
+        topic: name for counts and reports.
+    """
+
+    def __init__(self, clock: Clock, topic: str) -> None:
+        self.topic = topic
+        self._clock, self._counters = clock, clock.counters
+        self.epoch: _Epoch | None = None
+        self.last_ns: int | None = None  # the last stamp used
+        self._given_ns: int | None = None  # the last time given on
+        self._waiting: tuple[int, Held] | None = None
+        self.track = -1
+        self.elapsed_ns = 0
+        """Time covered by the tracks so far, without what lies between them [ns]."""
+
+    def take(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+        """Take one message and give those that can be used now: none, itself, or one that waited and itself.
+
+        Args:
+            stamp_ns: its time by the source's clock [ns].
+            item: whatever it holds.
+        """
+        if not 0 <= stamp_ns <= LATEST_NS:
+            self._counters.drop(self.topic, "bad", f"stamp {stamp_ns * 1e-9:.6g} s")
+            return []
+        if self._waiting is not None:
+            return self._resolve(stamp_ns, item)
+        if self.last_ns is None:
+            if self._clock.near(stamp_ns):
+                return self._begin(stamp_ns, item)
+            self._waiting = stamp_ns, item
+            return []
+        ahead_ns = stamp_ns - self.last_ns
+        if ahead_ns == 0:
+            self._counters.drop(self.topic, "duplicate")
+        elif -self._clock.late_ns < ahead_ns < 0:
+            self._counters.drop(self.topic, "late")
+        elif 0 < ahead_ns <= self._clock.gap_ns:
+            return self._go_on(stamp_ns, item)
+        else:
+            self._waiting = stamp_ns, item
+        return []
+
+    def finish(self) -> None:
+        """Drop what still waits, since no message will confirm it."""
+        self._discard()
+
+    def _resolve(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+        """Decide on the message that waits, by the one after it."""
+        assert self._waiting is not None
+        held_ns, held = self._waiting
+        if stamp_ns == held_ns:
+            self._counters.drop(self.topic, "duplicate")
+            return []
+        before_ns = self._before_ns()
+        goes_on = 0 < stamp_ns - before_ns <= self._clock.gap_ns
+        nearer = 0 < stamp_ns - held_ns < max(self._clock.gap_ns + 1, abs(stamp_ns - before_ns))
+        if nearer and not goes_on:
+            self._waiting = None
+            return self._begin(held_ns, held) + self.take(stamp_ns, item)
+        self._discard()
+        return self.take(stamp_ns, item)
+
+    def _before_ns(self) -> int:
+        """What the next stamp should follow on: this stream's last one, or the clock's where the stream begins."""
+        return self.last_ns if self.last_ns is not None else self._clock.newest_ns
+
+    def _discard(self) -> None:
+        if self._waiting is None:
+            return
+        away_ns = self._waiting[0] - self._before_ns()
+        reason: Reason = "late" if -self._clock.gap_ns < away_ns < 0 else "bad"
+        self._counters.drop(self.topic, reason, f"a single stamp {away_ns * 1e-9:+.6g} s away")
+        self._waiting = None
+
+    def _begin(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+        self.epoch = self._clock._enter(self, stamp_ns)
+        return self._give(stamp_ns, item, starts=True)
+
+    def _go_on(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+        assert self.last_ns is not None
+        self.elapsed_ns += stamp_ns - self.last_ns
+        return self._give(stamp_ns, item, starts=False)
+
+    def _give(self, stamp_ns: int, item: Held, *, starts: bool) -> list[Stamped[Held]]:
+        assert self.epoch is not None
+        self.last_ns = stamp_ns
+        if self._given_ns is not None and stamp_ns + self.epoch.offset_ns <= self._given_ns:
+            # another stream began this span of the clock; this one had already gone on beyond that
+            self.epoch = _Epoch(self._given_ns + self._clock._pause_ns - stamp_ns, stamp_ns)
+        self.track += starts
+        self._given_ns = self._clock._advance(self.epoch, stamp_ns)
+        return [Stamped(item, self._given_ns, stamp_ns, self.track, starts)]
+
+
+def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Floats] | str:
+    """The pose with a quaternion of unit length, or what is wrong with it.
+
+    Args:
+        position: (3) [m].
+        quat_xyzw: (4).
+
+    Returns:
+        Position (3) and unit quaternion (4); a short text where the pose cannot be used.
+    """
+    at, turn = np.asarray(position, np.float64), np.asarray(quat_xyzw, np.float64)
+    if not np.isfinite(at).all():
+        return "position is not finite"
+    if not np.isfinite(turn).all():
+        return "quaternion is not finite"
+    square = float(turn @ turn)
+    if abs(square - 1) > UNIT_TOLERANCE:
+        return "quaternion is not of unit length"
+    return at, turn / np.sqrt(square)
+
+
+Placed = TypeVar("Placed")
+
+
+class Place(NamedTuple, Generic[Placed]):
+    """What is known of the pose of a frame."""
+
+    status: Literal["known", "wait", "never"]
+    pose: Placed | None = None
+    missing: str = ""
+    """What it waits for, or why it never comes."""
+
+
+@dataclass(slots=True)
+class PoseQueue(Generic[Held]):
+    """Frames of one sensor that wait for their poses, oldest first.
+
+    Args:
+        counters: count what is dropped.
+        topic: or sensor, for the counts.
+        patience_s: a frame waits no longer than this [s].
+        most: no more frames than this wait; the oldest is dropped.
+    """
+
+    counters: Counters
+    topic: str
+    patience_s: float = 2.0
+    most: int = 4096
+    waits_for: str = ""
+    """What the oldest frame waits for; empty: nothing waits."""
+    _frames: deque[tuple[float, Held]] = field(default_factory=deque)  # when it came [s]
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def put(self, frame: Held, now_s: float) -> None:
+        """Add a frame that came at `now_s`."""
+        self._frames.append((now_s, frame))
+        if len(self._frames) > self.most:
+            self._frames.popleft()
+            self.counters.drop(self.topic, "no pose", f"more than {self.most} frames wait")
+
+    def ready(self, place: Callable[[Held], Place[Any]], now_s: float) -> Iterator[tuple[Held, Any]]:
+        """Frames whose pose is known, in order, each with its pose; those whose pose will not come are dropped.
+
+        Args:
+            place: gives what is known of a frame's pose.
+            now_s: the time on the clock of `put` [s].
+        """
+        self.waits_for = ""
+        while self._frames:
+            came_s, frame = self._frames[0]
+            answer = place(frame)
+            if answer.status == "wait" and now_s - came_s <= self.patience_s:
+                self.waits_for = answer.missing or "a pose"
+                return
+            self._frames.popleft()
+            if answer.status == "known":
+                yield frame, answer.pose
+            else:
+                self.counters.drop(self.topic, "no pose", answer.missing)
+
+    def clear(self) -> None:
+        """Drop whatever waits, as when the poses have begun a new track."""
+        self.counters.drop(self.topic, "no pose", "the track ended", count=len(self._frames))
+        self._frames.clear()
