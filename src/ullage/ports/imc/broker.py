@@ -68,6 +68,8 @@ def _fields_out(kind: Kind, values: Mapping[str, Any], table: Table) -> dict[str
 def _held_out(part: Field, one: Message | None, table: Table) -> dict[str, Any]:
     if one is None:
         return {"id": 65535, "data": b""}
+    if not one.name:
+        return {"id": one["id"], "data": one["payload"]}
     if part.of == one.name:
         return _fields_out(table.named(one.name), one.values, table)
     return {"id": table.named(one.name).id, "data": encode(Packet(one), table=table)[20:-2]}

@@ -21,15 +21,30 @@ HEAD, TAIL = 20, 2
 MOST = 65535  # bytes of a payload
 NOBODY = 65535  # number of a message that is not there; address of everybody
 DEEPEST = 12  # messages within messages
+MOST_TRIED, MOST_READ = 1024, 1_000_000
+"""Lengths tried for a message of unknown kind within another, and bytes read for that."""
+PADDING = 4096
 
 
 class Malformed(ValueError):
     """Bytes that are no message of their kind."""
 
 
+class _Unknown(Malformed):
+    """A message within another is of a kind that the table has not, so its length is not known."""
+
+    def __init__(self, at: int) -> None:
+        super().__init__("a message of unknown kind within it")
+        self.at = at  # of its first field
+
+
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message: its name, and the value of every field."""
+    """One message: its name, and the value of every field.
+
+    A message that the table has not, or whose bytes do not fit its kind, has the name "" and the values `id`,
+    `payload` (bytes) and `big` (their byte order).
+    """
 
     name: str
     values: Mapping[str, Any]
@@ -40,10 +55,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A message with its header.
-
-    A message that the table has not, or whose bytes do not fit its kind, has the name "" and the value `payload`.
-    """
+    """A message with its header."""
 
     message: Message
     t_s: float = 0.0  # Unix time [s]
@@ -138,18 +150,33 @@ def _inner(message: Message | None, big: bool, table: Table) -> Iterator[bytes]:
     if message is None:
         yield WORD[big].pack(NOBODY)
         return
+    if not message.name:
+        if message["big"] != big:
+            raise InputError("its bytes are of the other byte order", where=f"message {message['id']}")
+        yield WORD[big].pack(message["id"])
+        yield message["payload"]
+        return
     kind = table.named(message.name)
     yield WORD[big].pack(kind.id)
     yield from _fields(kind, message.values, big, table)
 
 
 class _Reader:
-    """Takes a payload apart."""
+    """Takes a payload apart.
 
-    __slots__ = ("at", "big", "data", "table")
+    Args:
+        data: the payload, with padding behind it or not.
+        big: whether it is big endian.
+        table: the messages.
+        end: where the payload ends.
+        rest: number of bytes of the payload that follow a message of unknown kind within it; None: not known.
+    """
 
-    def __init__(self, data: bytes, big: bool, table: Table) -> None:
+    __slots__ = ("at", "big", "data", "end", "rest", "seen", "table")
+
+    def __init__(self, data: bytes, big: bool, table: Table, end: int, rest: int | None = None) -> None:
         self.data, self.big, self.table, self.at = data, big, table, 0
+        self.end, self.rest, self.seen = end, rest, False
 
     def message(self, kind: Kind, depth: int = 0) -> Message:
         """The fields of one message, in order."""
@@ -193,8 +220,17 @@ class _Reader:
         if number == NOBODY:
             return None
         if number not in self.table.by_id:
-            raise Malformed(f"message {number} within it is not known")
+            return self._unknown(number)
         return self.message(self.table.by_id[number], depth + 1)
+
+    def _unknown(self, number: int) -> Message | None:
+        """The bytes of a message of unknown kind, as far as the bytes that follow it leave room."""
+        if self.at > self.end:
+            return None  # this is padding
+        if self.rest is None or self.seen:
+            raise _Unknown(self.at)
+        start, self.at, self.seen = self.at, self.end - self.rest, True
+        return Message("", {"id": number, "payload": self.data[start : self.at], "big": self.big})
 
 
 def decode(data: bytes, *, table: Table | None = None) -> Packet:
@@ -218,15 +254,48 @@ def body(number: int, payload: bytes, big: bool, table: Table) -> Message:
     """The message of this number that a payload holds; one without a name where it holds none."""
     kind = table.by_id.get(number)
     if kind is not None:
-        reader = _Reader(payload, big, table)
+        reader = _Reader(payload, big, table, len(payload))
         try:
             found = reader.message(kind)
+        except _Unknown as unknown:
+            around = _around(kind, payload, big, table, unknown.at)
+            if around is not None:
+                return around
         except Malformed:
             pass
         else:
             if reader.at == len(payload):
                 return found
-    return Message("", {"payload": payload, "big": big})
+    return Message("", {"id": number, "payload": payload, "big": big})
+
+
+def _around(kind: Kind, payload: bytes, big: bool, table: Table, at: int) -> Message | None:
+    """A message that holds one of unknown kind, which is kept as bytes; None where the fields before it do not fit.
+
+    IMC does not tell the length of a message within another. So the fields behind the unknown one decide: they must
+    fill what is left of the payload exactly. Where no length fits, as with two unknown messages, the first takes all
+    that is left, and the fields behind it are empty.
+
+    Args:
+        kind: of the outer message.
+        payload: its fields.
+        big: whether they are big endian.
+        table: the messages.
+        at: where the unknown message begins.
+    """
+    end = len(payload)
+    for rest in range(min(end - at + 1, MOST_TRIED, MOST_READ // max(end, 1) + 1)):
+        reader = _Reader(payload, big, table, end, rest)
+        try:
+            found = reader.message(kind)
+        except Malformed:
+            continue
+        if reader.at == end:
+            return found
+    try:
+        return _Reader(payload + bytes(PADDING), big, table, end, 0).message(kind)
+    except Malformed:
+        return None
 
 
 @lru_cache(maxsize=1)
