@@ -69,7 +69,7 @@ def test_bunches_change_no_bit():
 def test_time_that_jumps_back_begins_anew_and_still_rises():
     said = []
     pieces, script = followed([*line(), *line()], said=said)
-    assert said == ["time jumped back 2 s: the radars begin anew"]
+    assert said == ["time jumped back 2 s (x): a new track begins, the map goes on"]
     times = np.concatenate([f.t_ns for f in whole(pieces, "front")])
     assert np.all(np.diff(times) > 0)
     samples = np.concatenate([f.samples for f in whole(pieces, "front")])
@@ -84,10 +84,70 @@ def test_a_pose_that_comes_late_or_twice_is_passed_by():
     said = []
     muddled = [e for k, s in enumerate(events) for e in ([s, s, events[k - 1]] if k else [s])]
     clean, pieces = followed(events)[0], followed(muddled, said=said)[0]
-    assert not said
+    assert said[-1] == "x: dropped 100 late"
     for name in RIG.sensors:
         a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
         assert a.tobytes() == b.tobytes()
+
+
+def shifted(events, by_s):
+    return [Sighting(e.t_ns + round(by_s * 1e9), e.position, e.quat_xyzw) for e in events]
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_a_step_of_an_hour_begins_a_track_and_computes_nothing_between(step_s):
+    """A live simulated radar must not compute the whole hour, nor lose what came after it."""
+    said = []
+    pieces, script = followed([*line(5000, 5002), *shifted(line(5002, 5004), step_s)], said=said)
+    times = np.concatenate([f.t_ns for f in whole(pieces, "left")])
+    assert len(times) == 2 * 41
+    assert np.all(np.diff(times) > 0)
+    assert len(said) == 1
+    assert said[0].startswith(f"time jumped {'ahead' if step_s > 0 else 'back'} 3.6e+03 s (x)")
+    poses = np.concatenate([f.poses.position[:, 0] for f in whole(pieces, "left")])
+    np.testing.assert_allclose(poses, 0.5 * np.r_[np.linspace(5000, 5002, 41), np.linspace(5002, 5004, 41)])
+    own = np.concatenate([f.t_ns - offset for chunk, offset in script.given for f in [chunk["left"]]])
+    assert own[-1] == round((5004 + step_s) * 1e9)  # published by the simulator's own clock
+
+
+def test_one_pose_far_off_is_left_out():
+    events = line(5000, 5002)
+    clean = followed(events)[0]
+    events.insert(50, Sighting(6000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
+    events.insert(20, Sighting(1000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
+    said = []
+    pieces = followed(events, said=said)[0]
+    assert said[-1].startswith("x: dropped 2 bad (a single stamp +999.")
+    for name in RIG.sensors:
+        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
+        assert a.tobytes() == b.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("position", "quat", "words"),
+    [
+        ((np.nan, 0, 0), (0, 0, 0, 1), "position is not finite"),
+        ((0, 0, 0), (0, 0, np.inf, 1), "quaternion is not finite"),
+        ((0, 0, 0), (0, 0, 0, 2), "quaternion is not of unit length"),
+        ((0, 0, 0), (0, 0, 0, 0), "quaternion is not of unit length"),
+    ],
+)
+def test_poses_that_are_none_are_counted_and_left_out(position, quat, words):
+    events, said = line(), []
+    clean = followed(line())[0]
+    for k in (0, 30, 60):
+        events.insert(k, Sighting(events[k].t_ns + 1, position, quat))
+    pieces = followed(events, said=said)[0]
+    assert said[-1] == f"x: dropped 3 bad ({words})"
+    for name in RIG.sensors:
+        a, b = (np.concatenate([f.samples for f in whole(p, name)]) for p in (clean, pieces))
+        assert a.tobytes() == b.tobytes()
+
+
+def test_the_asked_duration_counts_the_tracks_alone():
+    pieces, _ = followed([*line(5, 6), *shifted(line(6, 9), 3600)], duration_s=2.0, chunk=4)
+    times = np.concatenate([f.t_ns for f in whole(pieces, "left")])
+    assert 3607.0e9 <= times[-1] < 3607.5e9
 
 
 def test_it_ends_after_the_asked_duration():

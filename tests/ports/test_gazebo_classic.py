@@ -4,6 +4,7 @@ import socket
 import threading
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +16,7 @@ pytest.importorskip("google.protobuf")
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
 from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions, source_of
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
+from ullage.ports.intake import Counters
 from ullage.ports.sightings import Others, Sighting
 
 
@@ -238,7 +240,7 @@ class Told:
     master = ("127.0.0.1", 1)
 
     def __init__(self):
-        self.events, self.asked = [], []
+        self.events, self.asked, self.counters = [], [], Counters()
 
     def hear(self, topic, message):
         self.events.append(Heard(f"/gazebo/w/{topic}", message.SerializeToString()))
@@ -271,6 +273,48 @@ def test_a_feed_tells_of_other_models_before_the_model_itself():
     peer.hear("pose/info", told)
     assert feed.next(0.1) == Others(3_000_000_005, {"box": ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))})
     assert feed.next(0.1) == Sighting(3_000_000_005, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+TOPICS = ("pose/info", "world_stats", "response", "model/info", "request", "x/l/front/scan")
+
+
+@given(st.sampled_from(TOPICS), st.binary(max_size=60))
+def test_bytes_that_cannot_be_read_are_counted_and_end_nothing(topic, data):
+    peer = Told()
+    feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box"}))
+    peer.events += [Heard(f"/gazebo/w/{topic}", data), Heard(f"/gazebo/w/{topic}", b"\xff\xff")]
+    while feed.next(0.0) is not None:
+        pass
+    assert not peer.events
+    assert peer.counters.dropped("bad", topic=f"/gazebo/w/{topic}") >= 1
+
+
+def test_poses_of_other_models_that_are_none_are_counted():
+    peer = Told()
+    feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box", "wall"}))
+    poses = [posed(np.nan, name="box"), posed(3.0, name="wall"), posed(1.0, name="x")]
+    peer.hear("pose/info", gz().PosesStamped(time=gz().Time(sec=1, nsec=0), pose=poses))
+    assert set(feed.next(0.0).poses) == {"wall"}
+    assert feed.next(0.0).position == (1.0, 0.0, 0.0)
+    assert peer.counters.lines() == ["/gazebo/w/pose/info: dropped 1 bad (box: position is not finite)"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"count": 2**31}, {"vertical_count": 3}, {"range_max": np.nan}, {"intensities": [1.0]}, {"ranges": [np.nan] * 4}],
+)
+def test_scans_that_are_none_are_counted(change):
+    peer = Told()
+    feed = ClassicFeed(peer, ClassicOptions(model="x", rays="front"))
+    fields = {
+        "frame": "f", "world_pose": posed(0.0), "angle_min": -1.0, "angle_max": 1.0, "angle_step": 1.0,
+        "range_min": 0.1, "range_max": 9.0, "count": 2, "vertical_count": 2, "ranges": [1.0] * 4, "intensities": [1.0] * 4,
+    }  # fmt: skip
+    when = gz().Time(sec=1, nsec=0)
+    for scan in (fields | change, fields):
+        peer.hear("x/l/front/scan", gz().LaserScanStamped(time=when, scan=gz().LaserScan(**scan)))
+    assert feed.next(0.0).range_m.shape == (2, 2)
+    assert peer.counters.dropped("bad") == 1
 
 
 def test_a_feed_asks_where_everything_is_and_hears_what_comes_and_goes():

@@ -1,6 +1,7 @@
 """What comes from outside: bad messages are counted, clocks may step, frames wait for poses."""
 
 import itertools
+import threading
 import tracemalloc
 
 import numpy as np
@@ -16,6 +17,7 @@ from ullage.ports.intake import (
     REASONS,
     Clock,
     Counters,
+    Inbox,
     Place,
     PoseQueue,
     checked_pose,
@@ -190,6 +192,25 @@ def test_a_pose_of_no_number_is_refused(at, bad):
     assert "is not finite" in checked_pose(values[:3], values[3:])
 
 
+def test_a_flood_is_bounded_in_number_and_bytes_and_every_message_is_accounted_for():
+    counters = Counters()
+    inbox = Inbox(counters, most=100, most_bytes=5000)
+    for k in range(500):
+        inbox.put(k, topic="pose", size=10)
+        inbox.put(-k, topic="scene", size=400)
+    inbox.put("the server has gone")
+    taken = []
+    while (item := inbox.get(0.0)) is not None:
+        taken.append(item)
+    assert len(inbox) == 0
+    assert taken[-1] == "the server has gone"  # such news finds room always
+    assert taken[:4] == [0, 0, 1, -1]
+    assert len(taken) - 1 + counters.dropped("lost") == counters.received() == 1000
+    assert counters.dropped("lost", topic="scene") >= 488
+    threading.Timer(0.05, inbox.put, ["late"]).start()
+    assert inbox.get(5.0) == "late"
+
+
 def test_frames_wait_for_their_poses_in_order():
     counters = Counters()
     queue = PoseQueue(counters, "front", patience_s=2.0)
@@ -242,7 +263,10 @@ def test_counts_come_in_one_line_a_topic_and_as_pairs():
     assert counters.received() == 1207
     assert counters.received("odom") == 1204
     counters.step("time jumped")
-    assert counters.lines()[-1] == "the clock stepped once"
+    assert len(counters.lines()) == 1
+    counters.step("time jumped")
+    assert counters.lines()[-1] == "the clock stepped twice"
+    assert counters.values()[-1] == ("clock steps", "2")
 
 
 def test_reports_come_at_once_and_then_ever_more_rarely():

@@ -108,7 +108,7 @@ def test_after_a_reset_it_is_where_it_is_told_to_be(world):
     run = hovering(1.0, lambda t: 3 - 0.5 * t)
     pieces = followed(world, [*run, *run], said=said)
     found = ranges(pieces)
-    assert said == ["'plate' moves: it is followed", "time jumped back 1 s: the radars begin anew"]
+    assert said == ["'plate' moves: it is followed", "time jumped back 1 s (x): a new track begins, the map goes on"]
     assert len(found) == 22
     np.testing.assert_allclose(found[11:], found[:11], atol=1e-12)
 

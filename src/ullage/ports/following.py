@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from pydantic import Field
 
 from ullage.data import Floats, Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
+from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, checked_pose
 from ullage.ports.pace import Pace
 from ullage.ports.protocol import Item, one_or_all
 from ullage.ports.sightings import Feed, Note, Others, Sighting
@@ -28,9 +30,6 @@ PATIENCE_S = 5.0
 """Wall time between two complaints of the same kind, and before the first one that nothing comes."""
 BEHIND_S = 1.0
 """How far the frames may lie behind the newest pose before that is said, by the simulator's clock."""
-
-LATE_NS = 100_000_000
-"""A pose that is older than the one before by less than this came late; by more, the clock jumped back."""
 
 
 class FollowOptions(Spec):
@@ -76,13 +75,18 @@ class Endless(ABC):
     Args:
         duration_s: how long it is listened to, by the clock of its frames [s]; None: until it ends.
         say: told it; None: it becomes a warning.
+        topic: what the counts of its messages are called.
     """
 
-    def __init__(self, duration_s: float | None, say: Say | None) -> None:
+    def __init__(self, duration_s: float | None, say: Say | None, *, topic: str) -> None:
         self._say, self._told = say or tell, dict[str, float]()
         self._duration_s = duration_s
-        self._first_ns: int | None = None  # of the frames heard
-        self._done_ns = -1  # the same of the last one
+        self._hear(Counters(), topic)
+
+    def _hear(self, counters: Counters, topic: str) -> None:
+        """Count what arrives with these counters, and keep the time of a topic."""
+        self.counters, counters.reporter = counters, self._say
+        self._intake = Clock(counters).stream(topic)
 
     @abstractmethod
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
@@ -120,9 +124,13 @@ class Endless(ABC):
         self.close()
 
     def _over(self) -> bool:
-        if self._duration_s is None or self._first_ns is None:
-            return False
-        return self._done_ns - self._first_ns >= self._duration_s * 1e9
+        return self._duration_s is not None and self._intake.elapsed_ns >= self._duration_s * 1e9
+
+    def _report(self) -> None:
+        """Give one line for each topic that lost messages; for the end of a run."""
+        self._intake.finish()
+        for line in self.counters.lines():
+            self._say(line)
 
     def _tell(self, text: str, *, kind: str = "") -> None:
         """Say it, but the same no more often than every few seconds."""
@@ -136,8 +144,8 @@ class FollowSource(Endless):
     """Frames of radars on a simulator's model, simulated as its poses come.
 
     Frames depend on the poses and their times alone, those of the world's other models among them. Where the
-    simulator's clock jumps back, as on a reset, the radars begin anew and the frames' own clock goes on, so that time
-    rises in every recording.
+    simulator's clock steps, as on a reset, the radars begin a new track, and the frames' own clock goes on, so that
+    time rises in every recording (`intake`). Nothing is computed for the time between two tracks.
 
     Args:
         join: begins to listen and gives what tells where the model is; called when the radars are ready.
@@ -152,7 +160,7 @@ class FollowSource(Endless):
     ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
-        super().__init__(options.duration_s, say)
+        super().__init__(options.duration_s, say, topic=options.model or "poses")
         self._options = options
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
@@ -160,12 +168,15 @@ class FollowSource(Endless):
         )  # fmt: skip
         self._fastest_hz = options.rate_hz or max(spec.fps for spec in rig.sensors.values())
         self._around = Surroundings(scene)
-        self._waiting: list[Sighting | Others] = []
-        self._early: list[Others] = []  # from beyond a jump of the clock that the model's own pose has yet to tell of
-        self._newest_ns, self._offset_ns = 0, 0  # of the simulator's clock, and what is added to it
+        self._waiting: deque[Stamped[Sighting] | Others] = deque()
+        self._early: deque[Others] = deque(maxlen=100)  # from beyond a step of the clock that no pose has confirmed yet
+        self._newest_ns: int | None = None  # of the simulator's clock
+        self._offset_ns = 0  # what is added to it
+        self._done_ns = -1  # until when frames have been made
         self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits for us
         self._radars.reset()
         self._feed = join()
+        self._hear(getattr(self._feed, "counters", None) or Counters(), options.model or "poses")
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -177,14 +188,15 @@ class FollowSource(Endless):
         try:
             while not self._over():
                 poses = self._bunch(chunk)
+                self.counters.report()
                 if not poses:
                     continue
                 found = self._radars.advance(
-                    [pose.t_ns + self._offset_ns for pose in poses],
-                    [pose.position for pose in poses],
-                    [pose.quat_xyzw for pose in poses],
+                    [pose.t_ns for pose in poses],
+                    [pose.item.position for pose in poses],
+                    [pose.item.quat_xyzw for pose in poses],
                 )
-                self._done_ns = poses[-1].t_ns + self._offset_ns
+                self._done_ns = poses[-1].t_ns
                 self._around.forget(self._done_ns)
                 self._complain_if_behind()
                 if found:
@@ -192,6 +204,7 @@ class FollowSource(Endless):
                         self._feed.give(found, self._offset_ns)
                     yield found
         finally:
+            self._report()
             self.close()
 
     def close(self) -> None:
@@ -199,43 +212,55 @@ class FollowSource(Endless):
         self._feed.close()
         self._radars.close()
 
-    def _bunch(self, chunk: int) -> list[Sighting]:
+    def _bunch(self, chunk: int) -> list[Stamped[Sighting]]:
         """Poses that wait, as many as give one chunk; empty: none came for a while."""
-        poses: list[Sighting] = []
+        poses: list[Stamped[Sighting]] = []
         length_ns = int(max(chunk - 1, 1) / self._fastest_hz * 1e9)
         while not poses or poses[-1].t_ns - poses[0].t_ns < length_ns:
-            found = self._waiting.pop() if self._waiting else self._feed.next(0.0 if poses else 0.5)
+            found = self._next(0.0 if poses else 0.5)
             if found is None:
                 break
-            if isinstance(found, Note):
-                self._tell(found.text)
-                continue
             if isinstance(found, Others):
                 if poses and self._around.changed_by(found):  # what came before it is seen in the world as it was
-                    self._waiting.append(found)
+                    self._waiting.appendleft(found)
                     break
                 self._take_in(found)
                 continue
-            if found.t_ns < self._newest_ns and self._first_ns is not None:
-                if self._newest_ns - found.t_ns < LATE_NS:
-                    continue
-                if poses:  # what came before the jump first
-                    self._waiting.append(found)
-                    break
-                self._begin_anew(found)
-            if (poses and found.t_ns == poses[-1].t_ns) or self._done_ns == found.t_ns + self._offset_ns:
-                continue  # it stands still
-            if self._first_ns is None:
-                self._first_ns = found.t_ns
-            self._newest_ns = found.t_ns
-            self._around.stand_until(found.t_ns + self._offset_ns)
+            if found.starts and poses:  # what came before the step first
+                self._waiting.appendleft(found)
+                break
+            if found.starts:
+                self._begin(found)
+            self._newest_ns = found.stamp_ns
+            self._around.stand_until(found.t_ns)
             poses.append(found)
         return poses
 
+    def _next(self, timeout_s: float) -> Stamped[Sighting] | Others | None:
+        """The next pose that can be used, or what others do; None where nothing came for so long."""
+        while not self._waiting:
+            found = self._feed.next(timeout_s)
+            if found is None:
+                return None
+            if isinstance(found, Note):
+                self._tell(found.text)
+            elif isinstance(found, Others):
+                return found
+            elif found.t_ns != self._intake.last_ns:  # else it stands still, or the simulator is paused
+                self._waiting += self._stamped(found)
+        return self._waiting.popleft()
+
+    def _stamped(self, found: Sighting) -> list[Stamped[Sighting]]:
+        pose = checked_pose(found.position, found.quat_xyzw)
+        if isinstance(pose, str):
+            self.counters.drop(self._intake.topic, "bad", pose)
+            return []
+        return self._intake.take(found.t_ns, found)
+
     def _take_in(self, told: Others) -> None:
         """What other models do."""
-        if self._first_ns is not None and told.t_ns < self._newest_ns - LATE_NS:
-            self._early = [*self._early[-99:], told]
+        if self._newest_ns is not None and not self._newest_ns - LATE_NS <= told.t_ns <= self._newest_ns + GAP_NS:
+            self._early.append(told)
             return
         if self._around.changed_by(told):
             for text in self._around.change(told):
@@ -243,12 +268,14 @@ class FollowSource(Endless):
             self._radars.look_at(self._around.scene)
         self._around.see(told, self._offset_ns)
 
-    def _begin_anew(self, found: Sighting) -> None:
-        self._say(f"time jumped back {(self._newest_ns - found.t_ns) * 1e-9:.3g} s: the radars begin anew")
+    def _begin(self, found: Stamped[Sighting]) -> None:
+        """Begin a track: the radars' first frame is due at its first pose."""
+        self._offset_ns = found.t_ns - found.stamp_ns
+        if not found.track:
+            return
         self._radars.reset()
-        self._offset_ns = self._done_ns + round(1e9 / self._fastest_hz) - found.t_ns
-        self._newest_ns = found.t_ns
-        early, self._early = self._early, []
+        self._newest_ns = found.stamp_ns
+        early, self._early = self._early, deque(maxlen=100)
         for told in early:
             self._take_in(told)
 

@@ -1,7 +1,8 @@
 """One policy for what arrives from outside: bad messages are counted, clocks are checked, frames wait for poses.
 
-Every live port and every reader of recordings uses these four objects. None of them knows a middleware.
+Every live port and every reader of recordings uses these objects. None of them knows a middleware.
 
+- `Inbox` holds messages between the thread that receives and the one that uses them, and bounds their number.
 - `Counters` counts the messages that were used and dropped, by topic and reason, and reports them.
 - `Clock` gives times that rise, although the source's clock may step or a single stamp may be wrong.
 - `checked_pose` accepts finite positions and unit quaternions only.
@@ -70,12 +71,12 @@ class Counters:
     Safe to use from several threads; only `report` calls the reporter.
 
     Args:
-        report: takes one line for a person; None: nothing is reported while the run goes on.
+        report: takes one line for a person; None: nothing is reported until `reporter` is set.
         now: gives the time that limits the rate of reports [s].
     """
 
     def __init__(self, report: Report | None = None, *, now: Callable[[], float] = time.monotonic) -> None:
-        self._report, self._now = report or (lambda text: None), now
+        self.reporter, self._now = report or (lambda text: None), now
         self._lock = threading.Lock()
         self._received: Counter[str] = Counter()
         self._dropped: Counter[_Entry] = Counter()
@@ -111,7 +112,7 @@ class Counters:
             self._steps["clock"] += 1
             frequent = self._too_soon(_Entry("clock", "late"), self._steps["clock"])
         if not frequent:
-            self._report(text)
+            self.reporter(text)
 
     @property
     def steps(self) -> int:
@@ -137,14 +138,14 @@ class Counters:
             due = [entry for entry, count in self._dropped.items() if not self._too_soon(entry, count)]
             lines = [self._line(entry) for entry in due]
         for line in lines:
-            self._report(line)
+            self.reporter(line)
 
     def lines(self) -> list[str]:
         """One line for each topic that lost messages, for the end of a run; empty where none did."""
         with self._lock:
             topics = sorted({entry.topic for entry in self._dropped})
             lines = [f"{topic}: {self._of(topic)}{self._share(topic)}" for topic in topics]
-            if self._steps["clock"]:
+            if self._steps["clock"] > 1:  # one was reported when it came
                 lines.append(f"the clock stepped {_times(self._steps['clock'])}")
         return lines
 
@@ -193,7 +194,7 @@ class Counters:
 
 
 def _times(count: int) -> str:
-    return {1: "once", 2: "twice"}.get(count, f"{count:,} times")
+    return "twice" if count == 2 else f"{count:,} times"
 
 
 Held = TypeVar("Held")
@@ -286,8 +287,9 @@ class Clock:
 class Stream(Generic[Held]):
     """Messages of one topic, whose stamps should rise.
 
-    A stamp that does not follow on the one before waits for the next message. If that one follows on it, the clock has
-    stepped or messages are missing: a new track begins. If not, the single stamp was wrong and its message is dropped.
+    A stamp that does not follow on the one before waits for the next message. If that one repeats it or follows on it,
+    the clock has stepped or messages are missing: a new track begins. If not, the single stamp was wrong, and its
+    message is dropped.
 
     Args:
         clock: of the source.
@@ -341,12 +343,9 @@ class Stream(Generic[Held]):
         """Decide on the message that waits, by the one after it."""
         assert self._waiting is not None
         held_ns, held = self._waiting
-        if stamp_ns == held_ns:
-            self._counters.drop(self.topic, "duplicate")
-            return []
         before_ns = self._before_ns()
         goes_on = 0 < stamp_ns - before_ns <= self._clock.gap_ns
-        nearer = 0 < stamp_ns - held_ns < max(self._clock.gap_ns + 1, abs(stamp_ns - before_ns))
+        nearer = 0 <= stamp_ns - held_ns < max(self._clock.gap_ns + 1, abs(stamp_ns - before_ns))
         if nearer and not goes_on:
             self._waiting = None
             return self._begin(held_ns, held) + self.take(stamp_ns, item)
@@ -404,6 +403,54 @@ def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Flo
     if abs(square - 1) > UNIT_TOLERANCE:
         return "quaternion is not of unit length"
     return at, turn / np.sqrt(square)
+
+
+class Inbox(Generic[Held]):
+    """Messages that one thread takes off the network and another one uses; bounded in number and in bytes.
+
+    Args:
+        counters: count the messages that find no room.
+        most: messages that may wait.
+        most_bytes: their size together [bytes].
+    """
+
+    def __init__(self, counters: Counters, *, most: int = 200_000, most_bytes: int = 256 * 2**20) -> None:
+        self._counters, self._most, self._most_bytes = counters, most, most_bytes
+        self._waiting: deque[tuple[Held, int]] = deque()
+        self._bytes = 0
+        self._changed = threading.Condition()
+
+    def put(self, item: Held, *, topic: str = "", size: int = 0) -> None:
+        """Add a message; it is lost where no room is left.
+
+        Args:
+            item: what came.
+            topic: for the counts; empty: news of the connection, which is never lost.
+            size: of the message [bytes].
+        """
+        if topic:
+            self._counters.receive(topic)
+        with self._changed:
+            if topic and (len(self._waiting) >= self._most or self._bytes + size > self._most_bytes):
+                self._counters.drop(topic, "lost", "messages come faster than they are used")
+                return
+            self._waiting.append((item, size))
+            self._bytes += size
+            self._changed.notify()
+
+    def get(self, timeout_s: float) -> Held | None:
+        """The oldest message; None where none comes for so long."""
+        with self._changed:
+            if not self._waiting:
+                self._changed.wait_for(lambda: bool(self._waiting), timeout_s)
+            if not self._waiting:
+                return None
+            item, size = self._waiting.popleft()
+            self._bytes -= size
+            return item
+
+    def __len__(self) -> int:
+        return len(self._waiting)
 
 
 Placed = TypeVar("Placed")

@@ -11,7 +11,8 @@ import numpy as np
 
 from ullage.data import Floats, Frames, Trajectory
 from ullage.errors import InputError
-from ullage.ports.following import LATE_NS, Endless, FollowOptions, Say
+from ullage.ports.following import Endless, FollowOptions, Say
+from ullage.ports.intake import Counters, Stamped, checked_pose
 from ullage.ports.sightings import Note, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.scan import echoes_of_scans
@@ -41,12 +42,22 @@ def scan_of(told: Any, time: Any, pose: Pose) -> Scan:
         told: its `LaserScan`.
         time: when.
         pose: of the sensor in the world.
+
+    Raises:
+        InputError: its numbers make no scan.
     """
     shape = (max(int(told.vertical_count), 1), int(told.count))
-    return Scan(
-        stamp_ns(time), np.array(told.ranges).reshape(shape), np.array(told.intensities).reshape(shape),
-        math.degrees(told.angle_max - told.angle_min), told.range_min, told.range_max, *pose,
-    )  # fmt: skip
+    counts = {"ranges": len(told.ranges), "intensities": len(told.intensities)}
+    for name, count in counts.items():
+        if count != shape[0] * shape[1]:
+            raise InputError(f"{count} {name} in {shape[0]} by {shape[1]} rays", where="scan")
+    ranges, strength = np.array(told.ranges).reshape(shape), np.array(told.intensities).reshape(shape)
+    limits = (told.angle_max - told.angle_min, told.range_min, told.range_max)
+    if np.isnan(ranges).any() or not np.isfinite(strength).all() or not np.isfinite(limits).all():
+        raise InputError("not a number", where="scan")
+    if isinstance(wrong := checked_pose(*pose), str):
+        raise InputError(wrong, where="scan")
+    return Scan(stamp_ns(time), ranges, strength, math.degrees(limits[0]), *limits[1:], *pose)
 
 
 class ScanFeed(Protocol):
@@ -100,10 +111,11 @@ class ScanSource(Endless):
         say: Say | None = None,
     ) -> None:
         self.scene = scene
-        super().__init__(options.duration_s, say)
+        super().__init__(options.duration_s, say, topic=options.rays)
         self._radar, self._options = radar, options
-        self._offset_ns, self._count = 0, 0
+        self._count = 0
         self._feed = join()
+        self._hear(getattr(self._feed, "counters", None) or Counters(), options.rays)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -115,33 +127,26 @@ class ScanSource(Endless):
         try:
             while not self._over():
                 found = self._feed.next(0.5)
+                self.counters.report()
                 if isinstance(found, Note):
                     self._tell(found.text)
-                elif found is not None and self._in_time(found):
-                    piece = {self._options.rays: self._frame(found)}
-                    if self._options.publish:
-                        self._feed.give(piece, self._offset_ns)
-                    yield piece
+                elif found is not None and found.t_ns != self._intake.last_ns:
+                    for scan in self._intake.take(found.t_ns, found):
+                        piece = {self._options.rays: self._frame(scan)}
+                        if self._options.publish:
+                            self._feed.give(piece, scan.t_ns - scan.stamp_ns)
+                        yield piece
         finally:
+            self._report()
             self.close()
 
     def close(self) -> None:
         """Let go of the sockets."""
         self._feed.close()
 
-    def _in_time(self, scan: Scan) -> bool:
-        """Whether it is later than the one before, on a clock that is made to rise."""
-        t_ns = scan.t_ns + self._offset_ns
-        if t_ns <= self._done_ns:
-            if self._done_ns - t_ns < LATE_NS:
-                return False
-            self._tell(f"time jumped back {(self._done_ns - t_ns) * 1e-9:.3g} s")
-            self._offset_ns, self._count = self._done_ns + LATE_NS - scan.t_ns, 0
-        self._done_ns = scan.t_ns + self._offset_ns
-        self._first_ns = self._done_ns if self._first_ns is None else self._first_ns
-        return True
-
-    def _frame(self, scan: Scan) -> Frames:
+    def _frame(self, stamped: Stamped[Scan]) -> Frames:
+        scan = stamped.item
+        self._count = 0 if stamped.starts else self._count
         spec, name = spec_of(scan, self._radar), self._options.rays
         strength = scan.intensity
         if not strength.any():
@@ -151,5 +156,5 @@ class ScanSource(Endless):
         seed = sensor_seed(self._options.seed, name)
         samples = receive_thesis(clean, spec, seed=seed, first_frame=self._count)
         self._count += 1
-        pose = Trajectory(np.array([self._done_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
+        pose = Trajectory(np.array([stamped.t_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
         return Frames(samples, spec.range_m, pose.t_ns, spec, pose, pose, name, "thesis")

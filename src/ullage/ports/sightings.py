@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 from ullage.data import Frames
+from ullage.ports.intake import Counters, checked_pose
 
 Quat = tuple[float, float, float, float]
 Pose = tuple[tuple[float, float, float], Quat]
@@ -61,6 +62,8 @@ Event_co = TypeVar("Event_co", covariant=True)
 class Listening(Protocol[Event_co]):
     """A peer among those around a simulator."""
 
+    counters: Counters
+
     def wait(self, timeout_s: float) -> Event_co | None:
         """The next thing that happened, None if nothing did for so long."""
 
@@ -76,7 +79,7 @@ class EventFeed(ABC, Generic[Event_co]):
     """
 
     def __init__(self, peer: Listening[Event_co]) -> None:
-        self._hearing = peer
+        self._hearing, self.counters = peer, peer.counters
         self._ready: deque[Any] = deque()
 
     def next(self, timeout_s: float) -> Any:
@@ -86,7 +89,7 @@ class EventFeed(ABC, Generic[Event_co]):
             event = self._hearing.wait(max(0.0, end - time.monotonic()))
             if event is None:
                 return self._silence() if timeout_s else None
-            last = self._take(event)
+            last = self._understood(event)
             if last is not None:
                 self._ready.append(last)
         return self._ready.popleft()
@@ -94,6 +97,30 @@ class EventFeed(ABC, Generic[Event_co]):
     def close(self) -> None:
         """Let go of the sockets."""
         self._hearing.close()
+
+    def _understood(self, event: Any) -> Any:
+        """What an event tells; a message that cannot be read is counted, whatever its bytes do to who reads them."""
+        try:
+            return self._take(event)
+        except Exception as error:
+            topic = getattr(event, "topic", "")
+            if not topic:
+                raise
+            cause = str(error).partition("\n")[0] or type(error).__name__
+            self.counters.drop(topic, "bad", f"cannot be read: {cause}")
+            return None
+
+    def _placed(self, topic: str, told: Mapping[str, Any]) -> dict[str, Pose]:
+        """The poses of other models by name, less those that are none."""
+        out = {}
+        for name, one in told.items():
+            pose = pose_of(one)
+            wrong = checked_pose(*pose)
+            if isinstance(wrong, str):
+                self.counters.drop(topic, "bad", f"{name}: {wrong}")
+            else:
+                out[name] = pose
+        return out
 
     @abstractmethod
     def _take(self, event: Any) -> Any:

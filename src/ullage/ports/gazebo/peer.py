@@ -18,11 +18,14 @@ from typing import Any, Self
 from ullage.errors import InputError, need
 from ullage.ports.gazebo import wire
 from ullage.ports.gazebo.service import Requests
+from ullage.ports.intake import Counters, Inbox
 
 HEARTBEAT_S, SILENCE_S = 1.0, 3.0
 """How often a peer says that it lives, and after how long a silence it is held for gone."""
-MOST_WAITING = 200_000
-"""Messages that may wait to be taken; about an hour of poses at 50 Hz."""
+MOST_OFFERS = 10_000
+"""Publishers that are remembered; further ones are passed over."""
+MOST_BYTES = 64 * 2**20
+"""A longer message is held for nonsense, and its publisher is disconnected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +74,8 @@ class Peer:
         self.host = host
         self.partition = wire.usual_partition() if partition is None else partition
         self.uuid, self._node = wire.new_uuid(), wire.new_uuid()
-        self.events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        self.dropped = 0  # messages that found no room, since nobody took them
+        self.counters = Counters()
+        self.events: Inbox[Event] = Inbox(self.counters)
         self._zmq, self._context = zmq, zmq.Context()
         self._alive: dict[str, float] = {}  # process to when it was last heard
         self._offers: dict[tuple[str, str], Any] = {}  # (full topic, node) to publisher
@@ -99,6 +102,7 @@ class Peer:
             self._group.append((wire.discovery_socket(port, self.host), port))
         self._give, self._take = self._context.socket(self._zmq.PUB), self._context.socket(self._zmq.SUB)
         self._take.setsockopt(self._zmq.RCVHWM, 0)
+        self._take.setsockopt(self._zmq.MAXMSGSIZE, MOST_BYTES)
         self._give.setsockopt(self._zmq.LINGER, 200)
         self._address = f"tcp://{self.host}:{self._give.bind_to_random_port(f'tcp://{self.host}')}"
         self._requests = Requests(self._zmq, self._context, self.host, self._node)
@@ -145,10 +149,7 @@ class Peer:
 
     def wait(self, timeout_s: float) -> Event | None:
         """The next thing that happened, waiting no longer than this for it."""
-        try:
-            return self.events.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
+        return self.events.get(timeout_s)
 
     def close(self) -> None:
         """Say goodbye and let go of every socket."""
@@ -250,15 +251,21 @@ class Peer:
             return  # others' partitions are none of ours: neither their coming nor their going is told
         key = (pub.topic, pub.node_uuid)
         if key not in self._offers:
+            if len(self._offers) >= MOST_OFFERS:
+                return
             self._offers[key] = pub
-            self._put(Came(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
+            self.events.put(Came(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
         if pub.topic in self._wanted:
             self._join(pub)
 
     def _join(self, pub: Any) -> None:
         """Connect, and let the publisher know, without which it sends nothing."""
         if pub.address not in self._joined:
-            self._take.connect(pub.address)
+            try:
+                self._take.connect(pub.address)
+            except self._zmq.ZMQError:
+                self.counters.drop(wire.short_topic(pub.topic), "bad", f"no such address: {pub.address[:60]!r}")
+                return
         self._joined.setdefault(pub.address, set()).add(pub.process_uuid)
         self._parting.discard(pub.address)
         ours = wire.gz().Publisher()
@@ -276,7 +283,7 @@ class Peer:
             if not behind:
                 self._parting.add(address)
         if known:
-            self._put(Gone(process))
+            self.events.put(Gone(process))
 
     def _hear_topics(self) -> None:
         while True:
@@ -284,8 +291,12 @@ class Peer:
                 parts = self._take.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
                 break
+            topic = wire.short_topic(parts[0].decode(errors="replace"))
             if len(parts) >= 4:  # a fifth holds statistics
-                self._put(Heard(wire.short_topic(parts[0].decode(errors="replace")), parts[3].decode(), parts[2]))
+                heard = Heard(topic, parts[3].decode(errors="replace"), parts[2])
+                self.events.put(heard, topic=topic, size=len(parts[2]))
+            else:
+                self.counters.drop(topic, "bad", f"a message of {len(parts)} parts")
         self._part()
 
     def _part(self) -> None:
@@ -299,12 +310,6 @@ class Peer:
             with contextlib.suppress(self._zmq.ZMQError):
                 self._take.disconnect(address)
         self._parting.clear()
-
-    def _put(self, event: Event) -> None:
-        if isinstance(event, Heard) and self.events.qsize() >= MOST_WAITING:
-            self.dropped += 1
-        else:
-            self.events.put(event)
 
     def _subscribe(self, full: str) -> None:
         if full in self._wanted:

@@ -61,7 +61,10 @@ class Requests:
 
     def _send(self, key: str, call: _Call, pub: Any) -> None:
         if pub.address not in self._connected:
-            self._ask.connect(pub.address)
+            try:
+                self._ask.connect(pub.address)
+            except self._zmq.ZMQError:  # no such address: another may offer the service too
+                return
             self._connected.add(pub.address)
         words = [pub.srv_pub.socket_id, call.topic, self._address, self._name, self._node, key]
         parts = [word.encode() for word in words] + [call.data, *(kind.encode() for kind in call.kinds)]

@@ -88,7 +88,8 @@ class PoseFeed(EventFeed[Event]):
     def _scan(self, event: Heard) -> Scan | None:
         """A scan, cast from where the model was last seen."""
         told = _read("LaserScan", event)
-        if told is None or self._at is None:
+        if self._at is None:
+            self.counters.drop(event.topic, "no pose", f"nothing told where {self._options.model!r} is")
             return None
         mounted = transform_of(self._at) @ self._mount
         pose = (tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])))
@@ -127,7 +128,7 @@ class PoseFeed(EventFeed[Event]):
 
     def _status(self, event: Heard) -> Note | None:
         stats = _read("WorldStatistics", event)
-        if stats is None or stats.paused == self._paused:
+        if stats.paused == self._paused:
             return None
         self._paused = bool(stats.paused)
         return Note("Gazebo is paused" if self._paused else "Gazebo goes on")
@@ -137,8 +138,6 @@ class PoseFeed(EventFeed[Event]):
         if self._dynamic and not dynamic and not self._glance():
             return None
         poses = _read("Pose_V", event)
-        if poses is None:
-            return Note(f"{event.topic} holds {event.kind} that cannot be read as poses")
         self._last_s = time.monotonic()
         t_ns = stamp_ns(poses.header.stamp)
         told = {pose.name: pose for pose in reversed(poses.pose)}  # models come first, and may share names with links
@@ -161,21 +160,20 @@ class PoseFeed(EventFeed[Event]):
 
     def _around(self, topic: str, t_ns: int, told: dict[str, Any]) -> Others:
         """Where others are, and who of them is no longer where it was told of."""
-        poses = {name: pose_of(told[name]) for name in self._others & told.keys()}
+        poses = self._placed(topic, {name: told[name] for name in self._others & told.keys()})
+        here = self._others & told.keys()
         found = POSES.fullmatch(topic)
         if found is None:  # a topic of somebody's own may tell of some only
             return Others(t_ns, poses)
         if found[2] == "dynamic_pose":
-            gone = frozenset(self._roaming - poses.keys())
-            self._roaming |= poses.keys()
+            gone = frozenset(self._roaming - here)
+            self._roaming |= here
             return Others(t_ns, poses, gone)
-        return Others(t_ns, poses, self._others - poses.keys())
+        return Others(t_ns, poses, self._others - here)
 
     def _news(self, event: Heard) -> Others | None:
         """What was put into the world."""
         told = _read("Scene", event)
-        if told is None:
-            return None
         names = frozenset(model.name for model in told.model)
         return Others(self.newest_ns, new=names - self._others - {self._options.model})
 
@@ -249,10 +247,8 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
     return FollowSource(join, scene, rig, chosen, say=say)
 
 
-def _read(kind: str, event: Heard) -> Any | None:
+def _read(kind: str, event: Heard) -> Any:
+    """The message of an event; whoever calls counts those that cannot be read."""
     message = getattr(gz(), kind)()
-    try:
-        message.ParseFromString(event.data)
-    except Exception:  # protobuf raises kinds of its own, by implementation
-        return None
+    message.ParseFromString(event.data)
     return message

@@ -18,6 +18,7 @@ from typing import Any, Self
 
 from ullage.errors import InputError
 from ullage.ports.gazebo_classic.wire import Stream, framed, full_type, gz, packet
+from ullage.ports.intake import Counters, Inbox
 
 AGAIN_S = 1.0
 """How often a master that is not there is looked for, and publishers that could not be joined are tried again."""
@@ -87,7 +88,8 @@ class ClassicPeer:
     def __init__(self, master: tuple[str, int], host: str = "127.0.0.1") -> None:
         gz()
         self.master, self.host = master, host
-        self.events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self.counters = Counters()
+        self.events: Inbox[Event] = Inbox(self.counters)
         self._wanted: dict[str, str] = {}  # topic to type
         self._mine: dict[str, str] = {}
         self._offers: dict[tuple[str, str, int], Any] = {}  # of others, on what is wanted
@@ -135,10 +137,7 @@ class ClassicPeer:
 
     def wait(self, timeout_s: float) -> Event | None:
         """The next thing that happened, waiting no longer than this for it."""
-        try:
-            return self.events.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
+        return self.events.get(timeout_s)
 
     def close(self) -> None:
         """Let go of every socket."""
@@ -304,7 +303,7 @@ class ClassicPeer:
         self._send(line, packet("sub", self._want(pub.topic, pub.msg_type)))
 
     def _on_topic(self, line: _Line, data: bytes) -> None:
-        self.events.put(Heard(line.topic, data))
+        self.events.put(Heard(line.topic, data), topic=line.topic, size=len(data))
 
     def _on_reader(self, line: _Line, data: bytes) -> None:
         said = gz().Packet.FromString(data)

@@ -100,12 +100,13 @@ class ClassicFeed(EventFeed[Event]):
     def _poses(self, event: Heard) -> Sighting | None:
         told = gz().PosesStamped.FromString(event.data)
         t_ns, own = stamp_ns(told.time), None
-        moved = {}
+        theirs = {}
         for pose in told.pose:
             if pose.name == self._options.model:
                 own = pose
             elif pose.name in self._others:
-                moved[pose.name] = pose_of(pose)
+                theirs[pose.name] = pose
+        moved = self._placed(event.topic, theirs)
         if moved:
             self._ready.append(Others(t_ns, moved))
         if own is None:
@@ -136,10 +137,10 @@ class ClassicFeed(EventFeed[Event]):
         asked_ns, self._looked_ns, self._look_around = self._looked_ns, None, False
         if asked_ns is None:
             return None
-        poses = {model.name: pose_of(model.pose) for model in gz().Scene.FromString(told.serialized_data).model}
-        new = frozenset(name for name in poses if self._strange(name))
-        ours = {name: pose for name, pose in poses.items() if name in self._others}
-        return Others(asked_ns, ours, self._others - poses.keys(), new)
+        there = {model.name: model.pose for model in gz().Scene.FromString(told.serialized_data).model}
+        new = frozenset(name for name in there if self._strange(name))
+        ours = self._placed("response", {name: pose for name, pose in there.items() if name in self._others})
+        return Others(asked_ns, ours, self._others - there.keys(), new)
 
     def _status(self, event: Heard) -> Note | None:
         stats = gz().WorldStatistics.FromString(event.data)
