@@ -308,7 +308,8 @@ def test_scans_that_are_none_are_counted(change):
     feed = ClassicFeed(peer, ClassicOptions(model="x", rays="front"))
     fields = {
         "frame": "f", "world_pose": posed(0.0), "angle_min": -1.0, "angle_max": 1.0, "angle_step": 1.0,
-        "range_min": 0.1, "range_max": 9.0, "count": 2, "vertical_count": 2, "ranges": [1.0] * 4, "intensities": [1.0] * 4,
+        "range_min": 0.1, "range_max": 9.0, "count": 2, "vertical_count": 2, "ranges": [1.0] * 4,
+        "intensities": [1.0] * 4,
     }  # fmt: skip
     when = gz().Time(sec=1, nsec=0)
     for scan in (fields | change, fields):

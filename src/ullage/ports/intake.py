@@ -384,6 +384,31 @@ class Stream(Generic[Held]):
         return [Stamped(item, self._given_ns, stamp_ns, self.track, starts)]
 
 
+class Covered:
+    """The time that rising stamps cover, without the gaps between tracks.
+
+    Args:
+        gap_ns: a longer step between two stamps is a gap [ns].
+    """
+
+    def __init__(self, gap_ns: int = GAP_NS) -> None:
+        self._gap_ns, self._last_ns, self._sum_ns = gap_ns, -1, 0
+        self.total_s = 0.0
+        """Time covered so far [s]."""
+
+    def take(self, t_ns: ArrayLike) -> Floats:
+        """Take the next stamps (n) [ns], and give the time covered until each of them (n) [s]."""
+        times = np.atleast_1d(np.asarray(t_ns, np.int64))
+        if not len(times):
+            return np.zeros(0)
+        first = times[0] if self._last_ns < 0 else self._last_ns
+        steps = np.diff(times, prepend=first)
+        sums = self._sum_ns + np.cumsum(np.where((steps > 0) & (steps <= self._gap_ns), steps, 0))
+        self._last_ns, self._sum_ns = max(int(times[-1]), self._last_ns), int(sums[-1])
+        self.total_s = self._sum_ns * 1e-9
+        return np.asarray(sums * 1e-9, np.float64)
+
+
 def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Floats] | str:
     """The pose with a quaternion of unit length, or what is wrong with it.
 
@@ -514,7 +539,7 @@ class PoseQueue(Generic[Held]):
             else:
                 self.counters.drop(self.topic, "no pose", answer.missing)
 
-    def clear(self) -> None:
-        """Drop whatever waits, as when the poses have begun a new track."""
-        self.counters.drop(self.topic, "no pose", "the track ended", count=len(self._frames))
+    def clear(self, cause: str = "no pose will come") -> None:
+        """Drop whatever waits, as at the end of a run."""
+        self.counters.drop(self.topic, "no pose", cause, count=len(self._frames))
         self._frames.clear()

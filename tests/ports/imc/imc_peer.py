@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from imc_bus import HEIGHT, LAT, LON, VEHICLE, announce, estimated_state, heartbeat, packed, text
 
-from ullage.ports.imc.codec import Packet, Parser
+from ullage.ports.imc.codec import Packet, Parser, encode, make
 
 EARTH_M = 6_371_000.0
 
@@ -84,9 +84,21 @@ class Peer:
 
 
 class Follower:
-    """A vehicle that follows References, a point that moves at the speed it is told."""
+    """A vehicle that follows References, a point that moves at the speed it is told.
 
-    def __init__(self, *, refuses: bytes = b"") -> None:
+    Args:
+        refuses: why it does not follow.
+        radius_m: it circles a point at this distance, as a vehicle does that cannot stop.
+        reports: it sends FollowRefState, as DUNE does.
+        argument: what its answers carry.
+    """
+
+    def __init__(
+        self, *, refuses: bytes = b"", radius_m: float = 0.0, reports: bool = False, argument: bytes = b"\xff\xff"
+    ) -> None:
+        self.radius_m, self.reports, self.argument = radius_m, reports, argument
+        self.starts = 0
+        self.reference: Packet | None = None
         self.north = self.east = 0.0
         self.down = 0.0
         self.goal: tuple[float, float, float] | None = None
@@ -99,10 +111,12 @@ class Follower:
         if packet.name == "PlanControl" and packet["op"] == 0:
             kind = 2 if self._refuses else 1
             reply = struct.pack("<BBH", kind, 0, packet["request_id"]) + text(packet["plan_id"].encode())
-            return packed(559, reply + struct.pack("<HH", 0, 0xFFFF) + text(self._refuses), t_s=now)
+            self.starts += 1
+            return packed(559, reply + struct.pack("<H", 0) + self.argument + text(self._refuses), t_s=now)
         if packet.name == "PlanControl":
             self.stopped = True
         if packet.name == "Reference":
+            self.reference = packet
             north = (packet["lat"] - LAT) * EARTH_M
             east = (packet["lon"] - LON) * EARTH_M * math.cos(LAT)
             self.goal = (north, east, HEIGHT - packet["z"]["value"])
@@ -112,13 +126,37 @@ class Follower:
     def tick(self, now: float) -> bytes:
         step = 0.0 if self._last is None else 8 * (now - self._last)  # lives eight times as fast as we do
         self._last = now
-        if self.goal is not None:
-            gap = [g - h for g, h in zip(self.goal, (self.north, self.east, self.down), strict=True)]
+        if self.goal is None:
+            return estimated_state(now, self.north, self.east, self.down, 0.0)
+        gap = [g - h for g, h in zip(self.goal, (self.north, self.east, self.down), strict=True)]
+        if self.radius_m:
+            self._circle(gap, self.speed * step)
+        else:
             share = min(1.0, self.speed * step / max(math.hypot(*gap), 1e-9))
             self.north, self.east, self.down = (
                 h + share * g for g, h in zip(gap, (self.north, self.east, self.down), strict=True)
             )
-        return estimated_state(now, self.north, self.east, self.down, 0.0)
+        near = math.hypot(gap[0], gap[1]) < 1.1 * self.radius_m and abs(gap[2]) < 0.5
+        told = self._told(now, near=near) if self.reports else b""
+        return told + estimated_state(now, self.north, self.east, self.down, 0.0)
+
+    def _circle(self, gap: list[float], way: float) -> None:
+        """Towards the point as far as the circle around it, then along that."""
+        away = math.hypot(gap[0], gap[1])
+        bearing = math.atan2(gap[1], gap[0])
+        if away > self.radius_m + way:
+            self.north, self.east = self.north + way * math.cos(bearing), self.east + way * math.sin(bearing)
+        else:
+            on = bearing + math.pi + way / self.radius_m
+            self.north = self.north + gap[0] + self.radius_m * math.cos(on)
+            self.east = self.east + gap[1] + self.radius_m * math.sin(on)
+        self.down += min(1.0, way / max(abs(gap[2]), 1e-9)) * gap[2]
+
+    def _told(self, now: float, *, near: bool) -> bytes:
+        state, proximity = (3, 6) if near else (2, 1)
+        values = {"control_src": 0x9001, "control_ent": 255, "state": state, "proximity": proximity}
+        reference = self.reference.message if self.reference is not None else None
+        return encode(Packet(make("FollowRefState", reference=reference, **values), now, VEHICLE, 7))
 
 
 __all__ = ["VEHICLE", "Follower", "Peer"]

@@ -13,7 +13,9 @@ from imc_peer import Follower, Peer
 
 import ullage as ul
 from ullage.errors import InputError, UllageWarning
-from ullage.ports.imc.codec import Packet
+from ullage.ports.imc import backseat
+from ullage.ports.imc.codec import Packet, encode, make
+from ullage.ports.imc.source import ImcSource
 
 
 def desired_z(value: float, units: int) -> bytes:
@@ -59,6 +61,61 @@ def test_a_vehicle_that_does_not_follow_says_why() -> None:
         time.sleep(0.2)
         led = [packet for packet in peer.heard if packet.name == "Reference"]
     assert len(led) <= 2  # not led on after its answer
+
+
+STATISTICS = encode(Packet(make("PlanStatistics", plan_id="ullage", durations="Total=60")))[20:-2]
+ARGUMENTS = {
+    "PlanStatistics": struct.pack("<H", 564) + STATISTICS,
+    "a message nobody knows": struct.pack("<H", 5001) + b"\x01whatever it holds",
+}
+
+
+@pytest.mark.parametrize("argument", ARGUMENTS)
+def test_a_plan_is_started_once_whatever_the_answer_carries(argument: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """DUNE's answers carry PlanStatistics: when that was not known, the plan was started anew every five seconds."""
+    monkeypatch.setattr(backseat, "ANSWER_S", 0.3)
+    vehicle = Follower(argument=ARGUMENTS[argument])
+    with Peer(react=vehicle.react, tick=vehicle.tick) as peer:
+        place = f"imc:{peer.place}?mission=0,30,2&speed_m_s=2&duration_s=2"
+        with pytest.warns(UllageWarning, match="follows"), ul.open(place) as source:
+            list(source.stream())
+    assert vehicle.starts == 1
+
+
+def flown(source: ImcSource) -> ul.Trajectory:
+    """The path until the stream ends."""
+    list(source.stream())
+    path = source.trajectory()
+    assert path is not None
+    return path
+
+
+@pytest.mark.parametrize("reports", [True, False])
+def test_a_vehicle_that_circles_a_point_on_its_loiter_radius_has_reached_it(reports: bool) -> None:
+    """DUNE's lauv-simulator loiters at 7.5 m, and never comes within a metre of a point."""
+    vehicle = Follower(radius_m=7.5, reports=reports)
+    goals = ((0.0, 40.0, 2.0), (40.0, 40.0, 2.0))
+    with Peer(react=vehicle.react, tick=vehicle.tick) as peer:
+        text = ";".join(",".join(map(str, goal)) for goal in goals)
+        place = f"imc:{peer.place}?mission={text}&speed_m_s=4&duration_s=60"
+        with pytest.warns(UllageWarning, match="the mission is flown"), ul.open(place) as source:
+            path = flown(source)
+        time.sleep(0.2)
+    for goal in goals:
+        assert 1.0 < np.linalg.norm((path.position - goal)[:, :2], axis=1).min() < 8.0
+    assert vehicle.stopped
+
+
+def test_a_vehicle_is_released_when_the_run_ends_before_the_mission() -> None:
+    vehicle = Follower()
+    with Peer(react=vehicle.react, tick=vehicle.tick) as peer:
+        place = f"imc:{peer.place}?mission=0,300,2&duration_s=1.5"
+        with pytest.warns(UllageWarning, match="follows"), ul.open(place) as source:
+            flown(source)
+        time.sleep(0.2)
+        (stop,) = [packet for packet in peer.heard if packet.name == "PlanControl" and packet["op"] == 1]
+    assert vehicle.stopped
+    assert stop["plan_id"] == "ullage"
 
 
 class HeightController:

@@ -76,7 +76,7 @@ GOOD = bytes_of_frames()
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, len(GOOD) - 1), st.integers(0, 4000), st.binary(min_size=1, max_size=8), st.booleans())
 def test_damaged_frames_of_a_stranger_do_no_harm(which: int, at: int, new: bytes, cut: bool) -> None:
-    gather = Gatherer(Track(say=lambda _: None))
+    gather = Gatherer(Track())
     hurt = list(GOOD)
     at %= len(hurt[which])
     hurt[which] = hurt[which][:at] + (b"" if cut else new + hurt[which][at + len(new) :])
@@ -93,7 +93,7 @@ def test_damaged_frames_of_a_stranger_do_no_harm(which: int, at: int, new: bytes
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_senseless_numbers_of_a_stranger_do_no_harm(data: st.DataObject) -> None:
-    track = Track(say=lambda _: None)
+    track = Track()
     gather = Gatherer(track)
     numbers = st.floats(width=32)
     for name in data.draw(st.lists(st.sampled_from(["EstimatedState", "Distance", "SonarData"]), max_size=8)):

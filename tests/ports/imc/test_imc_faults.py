@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import socket
 import threading
@@ -10,16 +11,19 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
-from imc_bus import announce, estimated_state, heartbeat, packed, text
+from imc_bus import HEIGHT, LAT, LON, VEHICLE, announce, estimated_state, heartbeat, packed, text
 from imc_peer import Peer
 
 import ullage as ul
-from ullage.ports.imc.codec import Parser, make
-from ullage.ports.imc.link import OUTBOX_BYTES, Identity, Link
+from ullage.ports.imc.codec import Packet, Parser, encode, make
+from ullage.ports.imc.gather import MOST_PARTS, Gatherer, Track
+from ullage.ports.imc.link import OUTBOX_BYTES, Identity, Link, Outbox
 from ullage.ports.imc.table import own
 from ullage.ports.imc.tcp import TcpWire
-from ullage.ports.imc.udp import UdpWire
+from ullage.ports.imc.udp import MOST_PEERS, UdpWire
+from ullage.ports.intake import Counters
 
 
 def until(true: Callable[[], object], seconds: float = 60.0) -> bool:
@@ -106,7 +110,7 @@ def test_a_flood_costs_messages_not_memory(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("ullage.ports.imc.link.INBOX", 500)
     flood = heartbeat(1.7e9) * 3000
     with Peer(tick=lambda _: flood) as peer, tcp(peer.place) as (link, told):
-        assert until(lambda: link.dropped_in > 1000)
+        assert until(lambda: link.counters.dropped("lost", topic="Heartbeat") > 1000)
         assert len(link.receive()) <= 500
         assert until(lambda: told)
         assert told == ["messages come faster than they are used; the oldest are dropped"]
@@ -156,25 +160,66 @@ def test_questions_are_answered() -> None:
         assert until(lambda: sum(p.name == "EntityInfo" and p["id"] == 10 for p in peer.heard) >= 1)
 
 
-def test_a_clock_that_jumps_back_starts_anew() -> None:
-    began = 1.7e9
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_a_step_of_an_hour_begins_a_track_and_nothing_is_lost(step_s: float) -> None:
+    began, sent = 1.7e9, [0]
+
+    def tick(_: float) -> bytes:
+        sent[0] += 1
+        step = step_s if sent[0] > 25 else 0.0
+        return estimated_state(began + step + sent[0] * 0.1, 0.1 * sent[0], 0.0, -1.5, 0.0)
+
+    asked = "world=ntnu-room&fidelity=thesis&rig=single&rate_hz=5&duration_s=4"
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with Peer(tick=tick) as peer, ul.open(f"imc:{peer.place}?{asked}") as source:
+            frames = source.frames()
+            path = source.trajectory()
+    told = [str(w.message) for w in said]
+    direction = "ahead" if step_s > 0 else "back"
+    assert sum(f"time jumped {direction} 3.6e+03 s" in line for line in told) == 1
+    assert np.all(np.diff(frames.t_ns) > 0)
+    assert 18 <= len(frames) <= 24  # of 4 s at 5 Hz, none of the hour
+    north = frames.poses.position[:, 1]
+    assert north.max() - north.min() > 3.0  # before and after the step, at 1 m/s
+    assert np.all(np.diff(path.t_ns) > 0)
+    assert path.position[0, 1] <= 0.2
+
+
+def odd_state(**changed: float) -> bytes:
+    fields = {"lat": LAT, "lon": LON, "height": HEIGHT} | changed
+    return encode(Packet(make("EstimatedState", **fields), 1.7e9, VEHICLE, 7))
+
+
+@pytest.mark.parametrize(
+    ("damaged", "topic", "words"),
+    [
+        (odd_state(x=math.nan), "EstimatedState of 0x0803", "x is not finite"),
+        (odd_state(lat=2.0), "EstimatedState of 0x0803", "latitude or longitude is out of range"),
+        (odd_state(lon=-7.0), "EstimatedState of 0x0803", "latitude or longitude is out of range"),
+        (odd_state(z=1e30), "EstimatedState of 0x0803", "more than 1000 km from its reference"),
+        (odd_state()[:-1] + b"\0", "tcp://", "a packet is damaged or cut"),
+        (odd_state()[:50], "tcp://", "a packet is damaged or cut"),
+        (odd_state()[:4] + b"\xff\xff" + odd_state()[6:], "tcp://", "a packet is damaged or cut"),
+        (packed(350, b"abc", t_s=1.7e9), "EstimatedState", "its bytes do not fit its fields"),
+    ],
+)
+def test_what_is_damaged_is_dropped_counted_and_reported(damaged: bytes, topic: str, words: str) -> None:
     sent = [0]
 
     def tick(_: float) -> bytes:
         sent[0] += 1
-        jump = -100.0 if sent[0] > 25 else 0.0
-        return estimated_state(began + jump + sent[0] * 0.1, 0.0, 0.0, -1.5, 0.0)
+        good = estimated_state(1.7e9 + sent[0] * 0.1, 0.1 * sent[0], 0.0, -1.5, 0.0)
+        return (damaged if sent[0] == 8 else b"") + good
 
-    asked = "world=ntnu-room&fidelity=thesis&rig=single&rate_hz=5"
+    asked = "world=ntnu-room&fidelity=thesis&rig=single&rate_hz=5&duration_s=2"
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         with Peer(tick=tick) as peer, ul.open(f"imc:{peer.place}?{asked}") as source:
-            times = []
-            for piece in source.stream():
-                times += [part.t_ns for part in piece.values()]
-                if times[-1][0] < began * 1e9 - 50e9:
-                    break
-    assert any("jumped back 99.9 s: starting anew" in str(w.message) for w in said)
+            assert 8 <= len(source.frames()) <= 13
+            assert source.counters.dropped("bad") == 1
+    told = [str(w.message) for w in said]
+    assert any(line.startswith(topic) and f"dropped 1 bad ({words})" in line for line in told), told
 
 
 # UDP
@@ -203,6 +248,46 @@ def test_two_peers_find_each_other_and_talk() -> None:
         assert until(lambda: any(p.name == "TextMessage" and p["text"] == "hello" for p in two.receive(0.1)))
         two.send(make("Abort"))
         assert names(one, "Abort")
+
+
+def test_a_thousand_peers_cost_no_memory_and_are_counted() -> None:
+    counters = Counters()
+    wire = UdpWire(
+        None, table=own(), own=Identity(0x9001, "one"), interface="127.0.0.1", port=0, silence_s=15.0, reconnect=True,
+        say=lambda _: None, counters=counters,
+    )  # fmt: skip
+    speaker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    place = wire.services[0].removeprefix("imc+udp://").rstrip("/").split(":")
+    found = 0
+    try:
+        for k in range(1000):
+            services = f"imc+udp://127.0.0.1:{1024 + k}/;imc+udp://127.0.0.1:{'9' * 5000}/".encode()
+            speaker.sendto(announce(1.7e9, src=100 + k, name=b"n" * 900, services=services), (place[0], int(place[1])))
+            speaker.sendto(announce(1.7e9, src=100 + k)[:-3], (place[0], int(place[1])))
+            found += len(wire.exchange(Outbox(), 0.2))
+        while more := wire.exchange(Outbox(), 0.2):
+            found += len(more)
+    finally:
+        speaker.close()
+        wire.close()
+    assert found == MOST_PEERS
+    assert counters.dropped("lost", topic="Announce") == 1000 - MOST_PEERS
+    assert counters.dropped("bad", topic="udp://127.0.0.1") == 1000
+
+
+def test_radars_and_labels_without_end_are_bounded() -> None:
+    track = Track()
+    gather = Gatherer(track)
+    profile = make("SonarData", type=1, max_range=9, bits_per_point=8, scale_factor=1.0, data=bytes(16))
+    many = ";".join(f"\x1b[31m{k}={'9' * 5000}" for k in range(3000))
+    for k in range(2000):
+        gather.take(Packet(profile, 1.7e9, k, 1))
+        gather.take(Packet(make("EntityInfo", id=k % 256, label="x" * 5000), 1.7e9, k, 1))
+        gather.take(Packet(make("EntityList", list=f"a={k % 256};{many}"), 1.7e9, k, 1))
+        track.take(Packet(make("Announce", sys_name=f"{k}"), 1.7e9, k, 1))
+    assert len(gather._sensors) == MOST_PARTS >= len(gather._labels)
+    assert max(map(len, gather._labels.values())) <= 64
+    assert track.counters.dropped("bad") == 2000 - MOST_PARTS
 
 
 def test_a_peer_that_falls_silent_is_forgotten() -> None:

@@ -11,21 +11,32 @@ import numpy as np
 
 from ullage.data import Floats
 from ullage.flight.missions import Waypoints
-from ullage.ports.imc.codec import Packet, make
+from ullage.ports.imc.codec import Packet, make, readable
 from ullage.ports.imc.link import Link
 from ullage.ports.imc.places import SWAP, Geodetic, Pose
 
-REQUEST, SUCCESS, FAILURE = 0, 1, 2
+REQUEST, SUCCESS, FAILURE, IN_PROGRESS = 0, 1, 2, 3
 START, STOP = 0, 1
 IGNORE_ERRORS = 2
 LOCATION, SPEED, HEIGHT_FLAG, DONE = 0x01, 0x02, 0x04, 0x80
 UNITS = {"depth": 1, "altitude": 2, "height": 3}
-EVERY_S, ANSWER_S = 0.5, 5.0
+LOITERS, XY_NEAR, Z_NEAR = (3, 4), 0x02, 0x04
+"""FollowRefState: the states of loitering and hovering, and the proximity that DUNE finds."""
+EVERY_S, ANSWER_S, CALIBRATION_S, RELEASE_S = 0.5, 5.0, 60.0, 3.0
+NEAR_Z_M = 1.0
+"""Heights and depths are held better than places: a vehicle that circles a point is no farther above or below."""
+TURN = 2.0
+"""A vehicle that has travelled so many times its least distance from a point, and is no nearer, circles it."""
+SAME_PLACE_RAD = 1e-7
 PLAN = "ullage"
 
 
 class Backseat:
     """Leads a vehicle from waypoint to waypoint.
+
+    A waypoint is reached within `near_m`. A vehicle that cannot stop, such as DUNE's lauv-simulator, circles a point on
+    its own loiter radius (7.5 m there) instead. So a waypoint is also reached when DUNE reports that it loiters at it
+    (FollowRefState), or when the vehicle is seen to circle it: it travels on and comes no nearer.
 
     Args:
         link: to the vehicle's bus.
@@ -41,30 +52,74 @@ class Backseat:
         self._link, self._mission, self._units, self._near, self._say = link, mission, UNITS[z], near_m, say
         self.target = 0
         self.done = self.refused = False
-        self._accepted = False
+        self._accepted = self._loiters = False
+        self._vehicle: int | None = None
+        self._place: Geodetic | None = None  # that it was last told
         self._request, self._asked, self._told = 0, -math.inf, -math.inf
+        self._patience_s = ANSWER_S
+        self._stop: tuple[int, float] | None = None  # request to stop, and when it was first sent [s]
+        self._stopped = False
+        self._last: Floats | None = None  # where the vehicle was
+        self._least_m, self._travelled_m = math.inf, 0.0  # least distance from the target, and the way since then
+
+    @property
+    def finished(self) -> bool:
+        """Whether the vehicle is led no longer: it refused, or it has stopped the plan or does not answer."""
+        if self.refused or self._stopped:
+            return True
+        return self._stop is not None and time.monotonic() - self._stop[1] > RELEASE_S
 
     def take(self, packet: Packet) -> None:
         """Heed the vehicle's answers."""
-        if packet.name != "PlanControl" or packet["request_id"] != self._request or packet["op"] != START:
+        if packet.src != self._vehicle:
             return
-        if packet["type"] == SUCCESS and not self._accepted:
+        if packet.name == "FollowRefState":
+            self._loiters = self._loiters or self._says_it_loiters(packet)
+        elif packet.name == "PlanControl" and packet["type"] != REQUEST:
+            self._answered(packet)
+
+    def _answered(self, packet: Packet) -> None:
+        answer = packet["type"]
+        if self._stop is not None:
+            self._stopped |= packet["request_id"] == self._stop[0] and answer in (SUCCESS, FAILURE)
+        elif packet["request_id"] != self._request or packet["op"] != START:
+            return
+        elif answer == IN_PROGRESS:
+            self._patience_s = CALIBRATION_S
+        elif answer == SUCCESS and not self._accepted:
             self._accepted = True
             self._say(f"system {packet.src:#06x} follows")
-        elif packet["type"] == FAILURE and not self.refused:
+        elif answer == FAILURE and not self.refused:
             self.refused = True
-            self._say(f"system {packet.src:#06x} does not follow: {packet['info'] or 'it does not say why'}")
+            why = readable(packet["info"], 200) or "it does not say why"
+            self._say(f"system {packet.src:#06x} does not follow: {why}")
+
+    def _says_it_loiters(self, packet: Packet) -> bool:
+        """Whether DUNE reports that the vehicle loiters at the point that it was last told."""
+        place, told = packet["reference"], self._place
+        if packet["control_src"] != self._link.me.system_id or place is None or place.name != "Reference":
+            return False
+        if told is None or max(abs(place["lat"] - told.lat_rad), abs(place["lon"] - told.lon_rad)) > SAME_PLACE_RAD:
+            return False
+        return packet["state"] in LOITERS and packet["proximity"] & (XY_NEAR | Z_NEAR) == XY_NEAR | Z_NEAR
 
     def lead(self, vehicle: int, pose: Pose, origin: Geodetic) -> None:
         """Send what is due, now that the vehicle is there."""
-        if self.done or self.refused:
+        self._vehicle = vehicle
+        if self.refused:
             return
         now = time.monotonic()
-        if not self._accepted and now - self._asked > ANSWER_S:
+        if self.done:
+            if now - self._told >= EVERY_S and not self.finished:
+                self._told = now
+                self._ask_stop(vehicle)
+            return
+        if not self._accepted and now - self._asked > self._patience_s:
             self._asked = now
             self._start(vehicle)
         while self.target < len(self._mission) and self._reached(pose):
             self.target += 1
+            self._loiters, self._least_m, self._travelled_m = False, math.inf, 0.0
         if self.target >= len(self._mission):
             self._end(vehicle, origin)
         elif now - self._told >= EVERY_S:
@@ -72,8 +127,21 @@ class Backseat:
             self._refer(vehicle, origin, self.target, LOCATION | SPEED | HEIGHT_FLAG)
 
     def _reached(self, pose: Pose) -> bool:
-        goal: Floats = self._mission.points[self.target]
-        return float(np.linalg.norm(goal - pose.position)) <= self._near
+        away: Floats = self._mission.points[self.target] - pose.position
+        far_m = float(np.linalg.norm(away))
+        if far_m <= self._near:
+            return True
+        step_m = 0.0 if self._last is None else float(np.linalg.norm(pose.position - self._last))
+        self._last = pose.position
+        if not self._accepted or abs(float(away[2])) > min(self._near, NEAR_Z_M):
+            return False
+        across_m = math.hypot(away[0], away[1])
+        if across_m < 0.95 * self._least_m:
+            self._least_m, self._travelled_m = across_m, 0.0
+            return self._loiters
+        self._travelled_m += step_m
+        circles = self._travelled_m > TURN * self._least_m and across_m < 1.2 * self._least_m
+        return self._loiters or circles
 
     def _start(self, vehicle: int) -> None:
         self._request = (self._request + 1) % 65536
@@ -82,19 +150,13 @@ class Backseat:
             loiter_radius=max(self._near, 1.0), altitude_interval=max(self._near / 2, 0.5),
         )  # fmt: skip
         self._send(
-            vehicle,
-            "PlanControl",
-            type=REQUEST,
-            op=START,
-            request_id=self._request,
-            plan_id=PLAN,
-            flags=IGNORE_ERRORS,
-            arg=follow,
-        )
+            vehicle, "PlanControl", type=REQUEST, op=START, request_id=self._request, plan_id=PLAN,
+            flags=IGNORE_ERRORS, arg=follow,
+        )  # fmt: skip
 
     def _refer(self, vehicle: int, origin: Geodetic, index: int, flags: int) -> None:
         goal = self._mission.points[index]
-        there = origin.moved(SWAP @ goal)
+        there = self._place = origin.moved(SWAP @ goal)
         values = {1: -goal[2], 2: goal[2], 3: there.height_m}
         self._send(
             vehicle, "Reference", flags=flags, lat=there.lat_rad, lon=there.lon_rad,
@@ -103,10 +165,21 @@ class Backseat:
         )  # fmt: skip
 
     def _end(self, vehicle: int, origin: Geodetic) -> None:
-        self.done = True
+        self.done, self._told = True, time.monotonic()
         self._refer(vehicle, origin, len(self._mission) - 1, LOCATION | SPEED | HEIGHT_FLAG | DONE)
-        self._send(vehicle, "PlanControl", type=REQUEST, op=STOP, request_id=self._request + 1, plan_id=PLAN)
+        self._ask_stop(vehicle)
         self._say("the mission is flown")
+
+    def _ask_stop(self, vehicle: int) -> None:
+        """Ask the vehicle to stop our plan, again until it answers."""
+        if self._stop is None:
+            self._stop = ((self._request + 1) % 65536, time.monotonic())
+        self._send(vehicle, "PlanControl", type=REQUEST, op=STOP, request_id=self._stop[0], plan_id=PLAN)
+
+    def release(self) -> None:
+        """Stop the plan at the end of a run, however it ended."""
+        if self._vehicle is not None and self._request and not (self.refused or self._stopped):
+            self._ask_stop(self._vehicle)
 
     def _send(self, vehicle: int, kind: str, **values: Any) -> None:
         self._link.send(make(kind, **values), entity=1, dst=vehicle, dst_ent=255)

@@ -74,6 +74,12 @@ class Packet:
         return self.message.name
 
 
+def readable(text: str, most: int = 64) -> str:
+    """What a stranger wrote, fit to be shown and used as a name: printable, and no longer than `most`."""
+    whole = text[:most].encode(errors="surrogateescape").decode(errors="replace")
+    return "".join(c if c.isprintable() else "?" for c in whole)
+
+
 def make(kind: str, /, *, table: Table | None = None, **values: Any) -> Message:
     """A message with these fields; the others are zero, empty or none.
 
@@ -317,6 +323,7 @@ class Parser:
 
     table: Table = field(default_factory=own)
     garbage: int = 0  # bytes so far that belonged to no packet
+    damaged: int = 0  # runs of such bytes: packets that were cut, or whose checksum does not fit
     strange: int = 0  # packets so far of another version of the protocol
     version: tuple[int, int] | None = None  # of the last of those
     _held: bytearray = field(default_factory=bytearray)
@@ -345,6 +352,7 @@ class Parser:
         while True:
             what, start, size = checksum.find(data, crcs, _powers(), at, SYNC & 0xFF, self._lost)
             self.garbage += start - at
+            self.damaged += start > at and not self._lost
             self._lost = self._lost or start > at
             at = start
             if what not in (checksum.WHOLE, checksum.OTHER):

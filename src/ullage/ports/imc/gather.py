@@ -2,77 +2,117 @@
 
 from __future__ import annotations
 
-import warnings
+import math
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats, Frames, Trajectory
-from ullage.errors import UllageWarning
+from ullage.data import Floats, Frames, Trajectory, joined
+from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.imc.codec import Packet
+from ullage.ports.imc.codec import Packet, readable
 from ullage.ports.imc.places import Geodetic, Pose, path_along, pose_of
 from ullage.ports.imc.radars import carried, mount_of, profile_of
+from ullage.ports.intake import Clock, Counters, Place, PoseQueue, Stamped, Stream
 from ullage.specs import MountSpec, RadarSpec
 
 HELD = 4096  # messages of one sensor that wait for a pose or for their settings
+MOST_PARTS = 256  # radars, and names of parts of systems; further ones are counted as bad
+FARTHEST_M = 1e6  # from the reference of a state
+LATEST_S = 9e9
 Part = tuple[int, int]
 """A system and a part of it."""
 
 
+def wrong_state(values: Mapping[str, float]) -> str:
+    """What makes an EstimatedState or SimulatedState unusable; empty where nothing does."""
+    if not all(map(math.isfinite, values.values())):
+        return next(f"{name} is not finite" for name, value in values.items() if not math.isfinite(value))
+    if abs(values["lat"]) > math.pi / 2 or abs(values["lon"]) > 2 * math.pi:
+        return "latitude or longitude is out of range"
+    if max(abs(values[name]) for name in ("height", "x", "y", "z")) > FARTHEST_M:
+        return f"more than {FARTHEST_M / 1000:g} km from its reference"
+    return ""
+
+
 @dataclass(slots=True)
 class Track:
-    """The poses of one vehicle, in order of time.
+    """The poses of one vehicle, in order of time, over every step of its clock.
 
     Args:
-        state: which message tells them.
+        counters: count states that cannot be used, and report steps of the clock.
+        state: which message holds the poses.
         origin: of the world; None: where the first one has its reference.
-        vehicle: name or number of the vehicle; empty: the first that tells one.
-        say: told of clocks that jump.
+        vehicle: name or number of the vehicle; empty: the first that sends a pose.
         keep: how many are kept.
     """
 
+    counters: Counters = field(default_factory=Counters)
     state: str = "EstimatedState"
     origin: Geodetic | None = None
     vehicle: str = ""
-    say: Callable[[str], None] = lambda text: warnings.warn(text, UllageWarning, stacklevel=2)
     keep: int | None = 4096
     poses: deque[Pose] = field(default_factory=deque)
     followed: int | None = None
-    jumps: int = 0
+    started_ns: int = 0  # when the track of now began
+    offset_ns: int = 0  # from the vehicle's clock to the times of the poses
+    _stream: Stream[Packet] | None = None
 
-    def take(self, packet: Packet) -> Pose | None:
-        """The pose of this message, if it is one of the vehicle's and later than the last."""
+    def take(self, packet: Packet) -> list[Stamped[Pose]]:
+        """The poses that are known by this message: none, its own, or one that waited and its own."""
         if packet.name == "Announce" and self.vehicle and packet["sys_name"] == self.vehicle:
             self.followed = packet.src
         if packet.name != self.state:
-            return None
-        if self.followed is None and (not self.vehicle or self.vehicle in (str(packet.src), f"{packet.src:#06x}")):
-            self.followed = packet.src
-        if packet.src != self.followed:
-            return None
-        numbers = list(packet.message.values.values())
-        if not np.isfinite(numbers).all() or not 0 <= packet.t_s < 9e9:
-            return None
+            return []
+        named = not self.vehicle or self.vehicle in (str(packet.src), f"{packet.src:#06x}")
+        if packet.src != self.followed and not (self.followed is None and named):
+            return []
+        topic = f"{self.state} of {packet.src:#06x}"
+        self.counters.receive(topic)
+        wrong = wrong_state(packet.message.values)
+        if not 0 <= packet.t_s < LATEST_S:
+            wrong = wrong or f"its time is {packet.t_s:g} s"
+        if wrong:
+            self.counters.drop(topic, "bad", wrong)
+            return []
+        if self._stream is None or self.followed != packet.src:
+            self.followed, self._stream = packet.src, Clock(self.counters).stream(topic)
+        return [self._keep(one) for one in self._stream.take(round(packet.t_s * 1e9), packet)]
+
+    def _keep(self, found: Stamped[Packet]) -> Stamped[Pose]:
+        values = found.item.message.values
         if self.origin is None:
-            self.origin = Geodetic(packet["lat"], packet["lon"], packet["height"])
-        pose = pose_of(packet.message.values, round(packet.t_s * 1e9), self.origin)
-        if self.poses and pose.t_ns <= self.poses[-1].t_ns:
-            behind = (self.poses[-1].t_ns - pose.t_ns) * 1e-9
-            if behind < 1.0:  # overtaken on the way
-                return None
-            self.say(f"time of system {packet.src:#06x} jumped back {behind:.1f} s: starting anew")
-            self.poses.clear()
-            self.jumps += 1
+            self.origin = Geodetic(values["lat"], values["lon"], values["height"])
+        pose = pose_of(values, found.t_ns, self.origin)
+        if found.starts:
+            self.started_ns, self.offset_ns = found.t_ns, found.t_ns - found.stamp_ns
         self.poses.append(pose)
         if self.keep is not None and len(self.poses) > self.keep:
             self.poses.popleft()
-        return pose
+        return Stamped(pose, *found[1:])
+
+    def place(self, stamp_ns: int) -> Place[int]:
+        """The time on the poses' clock of a moment on the vehicle's, once it lies between two poses of one track."""
+        if not self.poses:
+            return Place("wait", missing=f"no {self.state} yet")
+        t_ns = stamp_ns + self.offset_ns
+        if t_ns > self.poses[-1].t_ns:
+            return Place("wait", missing=f"no {self.state} later than it")
+        if t_ns < max(self.started_ns, self.poses[0].t_ns):
+            return Place("never", missing=f"no {self.state} before it")
+        return Place("known", t_ns)
+
+    def finish(self) -> None:
+        """Nothing more will come."""
+        if self._stream is not None:
+            self._stream.finish()
 
     def path(self) -> Trajectory | None:
         """All that is kept."""
@@ -83,9 +123,11 @@ class Track:
 class _Sensor:
     """What has come of one part of a system and is not yet given on."""
 
+    stream: Stream[bytes]  # of exact frames, by their own clock
+    profiles: PoseQueue[tuple[int, Floats, Floats]]  # stamp, ranges, amplitudes
     settings: dict[str, Any] = field(default_factory=dict)
-    notes: list[bytes] = field(default_factory=list)
-    profiles: list[tuple[int, Floats, Floats]] = field(default_factory=list)
+    notes: list[tuple[int, bytes]] = field(default_factory=list)  # time and CDR of exact frames
+    axis: Floats | None = None
     exact: bool = False
     name: str = ""
     mount: MountSpec = field(default_factory=MountSpec)
@@ -97,20 +139,24 @@ class Gatherer:
 
     Args:
         track: of the vehicle, for the poses of profiles.
+        say: told once of each radar that gives profiles only; None: the reporter of the track's counters.
         labels: names of parts of systems; learned from EntityInfo and EntityList as well.
     """
 
-    def __init__(self, track: Track, *, labels: dict[Part, str] | None = None) -> None:
-        self._track, self._labels = track, labels or {}
+    def __init__(
+        self, track: Track, say: Callable[[str], None] | None = None, *, labels: dict[Part, str] | None = None
+    ) -> None:
+        self._track, self._say, self._labels = track, say or track.counters.reporter, labels or {}
+        self._counters = track.counters
         self._sensors: dict[Part, _Sensor] = {}
+        self._clocks: dict[int, Clock] = {}  # of exact frames, by system
         self._told: set[Part] = set()
-        self.damaged = 0
 
     def take(self, packet: Packet) -> bool:
         """Keep what this message tells of a radar; true where it is a frame."""
         part = (packet.src, packet.src_ent)
         if packet.name == "EntityInfo":
-            self._labels[packet.src, packet["id"]] = packet["label"]
+            self._name((packet.src, packet["id"]), packet["label"])
         elif packet.name == "EntityList":
             self._learn(packet)
         elif packet.name == "DevDataBinary":
@@ -125,100 +171,149 @@ class Gatherer:
         """The frames that are ready, by sensor; with `final` those whose poses will not come are left out."""
         out: dict[str, Frames] = {}
         for part, sensor in self._sensors.items():
-            try:
-                found = self._whole(sensor) if sensor.exact else self._placed(part, sensor, final)
-            except Exception:  # bytes of a stranger: whatever they do to those who read them, the rest goes on
-                self.damaged += 1
-                sensor.notes.clear()
-                continue
+            found = self._whole(sensor) if sensor.exact else self._placed(part, sensor)
+            if final:
+                sensor.profiles.clear()
+                sensor.stream.finish()
             if found is not None and len(found):
                 sensor.last_ns = int(found.t_ns[-1])
                 out[found.sensor] = found
         return out
 
-    def _of(self, part: Part) -> _Sensor:
-        return self._sensors.setdefault(part, _Sensor())
+    def _of(self, part: Part) -> _Sensor | None:
+        """What is kept of a part; None where there are too many."""
+        if part not in self._sensors:
+            if len(self._sensors) >= MOST_PARTS:
+                self._counters.drop("radars", "bad", f"more than {MOST_PARTS} of them")
+                return None
+            clock = self._clocks.setdefault(part[0], Clock(self._counters))
+            topic = self._topic(part)
+            self._sensors[part] = _Sensor(clock.stream(topic), PoseQueue(self._counters, topic, most=HELD))
+        return self._sensors[part]
+
+    def _topic(self, part: Part) -> str:
+        return f"{self.label(part)} of {part[0]:#06x}"
+
+    def _name(self, part: Part, label: str) -> None:
+        if part in self._labels or len(self._labels) < MOST_PARTS:
+            self._labels[part] = readable(label)
 
     def _learn(self, packet: Packet) -> None:
-        for pair in packet["list"].split(";"):
+        for pair in packet["list"].split(";", 256)[:256]:
             label, sign, number = pair.partition("=")
-            if sign and number.isdecimal() and int(number) < 256:
-                self._labels[packet.src, int(number)] = label
+            if sign and number.isdecimal() and len(number) <= 3 and int(number) < 256:
+                self._name((packet.src, int(number)), label)
 
     def _exact(self, part: Part, value: bytes) -> None:
         found = carried(value)
         if found is None:
             return
         sensor = self._of(part)
+        if sensor is None:
+            return
         kind, data = found
+        self._counters.receive(sensor.stream.topic)
         try:
             if kind == ros.SETTINGS:
-                fresh = conversions.settings_of(data)
-                sensor.settings, sensor.name = fresh, conversions.text_in(data, 1)
-            elif conversions.text_in(data, 1) == sensor.name:
-                sensor.notes.append(data)
-        except Exception:  # as in `give`
-            self.damaged += 1
+                sensor.settings, sensor.name = conversions.settings_of(data), conversions.text_in(data, 1)
+            elif conversions.text_in(data, 1) != sensor.name:
+                self._counters.drop(sensor.stream.topic, "lost", "frames came before their settings")
+            else:
+                stamp_ns = int(conversions.times_in([data])[0])
+                sensor.notes += [(one.t_ns, one.item) for one in sensor.stream.take(stamp_ns, data)]
+        except Exception as error:  # bytes of a stranger: whatever they do to those who read them, the rest goes on
+            self._bad(sensor, error)
             return
         sensor.exact = True
+        over = len(sensor.notes) - HELD
+        self._counters.drop(sensor.stream.topic, "lost", f"more than {HELD} frames wait", count=over)
         del sensor.notes[:-HELD]
 
+    def _bad(self, sensor: _Sensor, error: Exception) -> None:
+        cause = str(error).partition("\n")[0] or type(error).__name__
+        self._counters.drop(sensor.stream.topic, "bad", f"cannot be read: {cause}")
+
     def _whole(self, sensor: _Sensor) -> Frames | None:
+        if "spec" not in sensor.settings:
+            return None
         notes, sensor.notes = sensor.notes, []
-        notes = [note for note in notes if len(note) == len(notes[0])]
-        if not notes or "spec" not in sensor.settings:
+        if not notes:
             return None
-        t_ns = conversions.times_in(notes)
-        before = np.maximum.accumulate(np.concatenate([[sensor.last_ns], t_ns[:-1]]))
-        rows = np.flatnonzero(t_ns > before)
-        if not len(rows):
+        with suppress(Exception):  # one of them may be damaged: then each is read by itself
+            whole = self._made(sensor, notes)
+            if whole.poses is not None or len(notes) == 1:
+                return whole
+        parts = [made for note in notes if (made := self._one(sensor, note)) is not None]
+        posed = [made for made in parts if made.poses is not None]
+        if posed:
+            self._counters.drop(sensor.stream.topic, "no pose", "frames without one", count=len(parts) - len(posed))
+        return joined(posed or parts) if parts else None
+
+    def _made(self, sensor: _Sensor, notes: list[tuple[int, bytes]]) -> Frames:
+        times = np.array([t_ns for t_ns, _ in notes], np.int64)
+        return conversions.frames_of([data for _, data in notes], sensor.name, sensor.settings, times)
+
+    def _one(self, sensor: _Sensor, note: tuple[int, bytes]) -> Frames | None:
+        """A frame by itself; None where it is damaged."""
+        try:
+            made = self._made(sensor, [note])
+            wanted = sensor.settings["range_m"]
+            if len(made.range_m) != len(wanted):
+                raise InputError(f"{len(made.range_m)} bins instead of {len(wanted)}")
+        except Exception as error:
+            self._bad(sensor, error)
             return None
-        return conversions.frames_of([notes[k] for k in rows], sensor.name, sensor.settings, t_ns[rows])
+        return made
 
     def _mount(self, part: Part, packet: Packet) -> None:
-        state = packet["location"][0]
-        if state is None or state.name != "DeviceState" or not np.isfinite(list(state.values.values())).all():
-            self.damaged += 1
+        state, sensor = packet["location"][0], self._of(part)
+        if sensor is None:
             return
-        self._of(part).mount = mount_of(state.values)
+        if state is None or state.name != "DeviceState" or not np.isfinite(list(state.values.values())).all():
+            self._counters.drop(sensor.stream.topic, "bad", "no finite DeviceState in a Distance")
+            return
+        sensor.mount = mount_of(state.values)
 
     def _profile(self, part: Part, packet: Packet) -> None:
-        sensor, found = self._of(part), profile_of(packet.message.values)
-        if found is None or sensor.exact or not 0 <= packet.t_s < 9e9:
+        found = profile_of(packet.message.values)
+        sensor = None if found is None else self._of(part)
+        if found is None or sensor is None or sensor.exact:
             return
         axis, values = found
-        waiting = sensor.profiles
-        if waiting and not np.array_equal(waiting[-1][1], axis):
-            waiting.clear()  # the range was changed
-        waiting.append((round(packet.t_s * 1e9), axis, values))
-        del waiting[:-HELD]
+        topic = sensor.stream.topic
+        self._counters.receive(topic)
+        if not (0 <= packet.t_s < LATEST_S and np.isfinite(values).all()):
+            self._counters.drop(topic, "bad", "a SonarData without finite numbers")
+            return
+        if sensor.axis is not None and not np.array_equal(sensor.axis, axis):
+            sensor.profiles.clear("the range was changed")
+        sensor.axis = axis
+        sensor.profiles.put((round(packet.t_s * 1e9), axis, values), time.monotonic())
         if part not in self._told:
             self._told.add(part)
-            self._track.say(
-                f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images"
-            )
+            self._say(f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images")
 
     def label(self, part: Part) -> str:
         """The name of a part of a system, as far as it is known."""
         return self._labels.get(part) or f"entity{part[1]}"
 
-    def _placed(self, part: Part, sensor: _Sensor, final: bool) -> Frames | None:
+    def _placed(self, part: Part, sensor: _Sensor) -> Frames | None:
         """Profiles whose time lies between two poses; later ones wait."""
-        poses = self._track.poses
-        if not poses or not sensor.profiles:
+        times: list[int] = []
+        rows: list[Floats] = []
+        for (_, _, values), t_ns in sensor.profiles.ready(lambda one: self._track.place(one[0]), time.monotonic()):
+            if t_ns <= (times[-1] if times else sensor.last_ns):
+                self._counters.drop(sensor.stream.topic, "late")
+                continue
+            times.append(t_ns)
+            rows.append(values)
+        if not times or sensor.axis is None:
             return None
-        first, last = poses[0].t_ns, poses[-1].t_ns
-        ready = [p for p in sensor.profiles if first <= p[0] <= last]
-        sensor.profiles = [] if final else [p for p in sensor.profiles if p[0] > last]
-        times = np.array([p[0] for p in ready], np.int64)
-        rows = np.flatnonzero(times > np.maximum.accumulate(np.concatenate([[sensor.last_ns], times[:-1]])))
-        if not len(rows):
-            return None
-        axis = ready[rows[0]][1]
-        samples = np.array([ready[k][2] for k in rows], np.complex64)  # as if all had phase zero
-        path = path_along(list(poses)).at(times[rows]).mounted(sensor.mount.body_from_sensor())
-        spec = profile_spec(axis, sensor.mount)
-        return Frames(samples, axis, times[rows], spec, poses=path, sensor=self.label(part), unit="normalised")
+        samples = np.array(rows, np.complex64)  # as if all had phase zero
+        poses = [pose for pose in self._track.poses if pose.t_ns >= self._track.started_ns]
+        path = path_along(poses).at(np.array(times, np.int64)).mounted(sensor.mount.body_from_sensor())
+        spec = profile_spec(sensor.axis, sensor.mount)
+        return Frames(samples, sensor.axis, path.t_ns, spec, poses=path, sensor=self.label(part), unit="normalised")
 
 
 def profile_spec(axis: Floats, mount: MountSpec) -> RadarSpec:

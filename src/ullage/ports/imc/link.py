@@ -12,13 +12,14 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from ullage.errors import UllageWarning
-from ullage.ports.imc.codec import NOBODY, Message, Packet, Parser, compile_kernels, encode, make
+from ullage.ports.imc.codec import NOBODY, Message, Packet, Parser, compile_kernels, encode, make, readable
 from ullage.ports.imc.table import Table, own
+from ullage.ports.intake import Counters
 
 MOBILE_SENSOR, UAV = 7, 4
 NORMAL = 1
 REPORT, QUERY = 0, 1
-INBOX, OUTBOX_BYTES = 20_000, 8_000_000
+INBOX, INBOX_BYTES, OUTBOX_BYTES = 20_000, 256_000_000, 8_000_000
 TICK_S = 0.05
 
 
@@ -132,18 +133,20 @@ class Link:
         table: the messages.
         say: told of what others should know: that we wait, that a peer has gone.
         listens: whether anybody here will `receive`.
+        counters: count what is damaged or finds no room.
     """
 
     def __init__(
         self, wire: Wire, me: Identity, *, table: Table | None = None, say: Callable[[str], None] | None = None,
-        listens: bool = True,
+        listens: bool = True, counters: Counters | None = None,
     ):  # fmt: skip
         self.wire, self.me, self.table = wire, me, table or own()
         self.listens = listens
         self._say = say or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
         self.out = Outbox()
+        self.counters = counters or Counters(self._say)
         self._in: deque[Packet] = deque()
-        self.dropped_in = 0
+        self._in_bytes = 0
         self._lock = threading.Condition()
         self._ending = False
         self._told: set[str] = set()
@@ -189,6 +192,7 @@ class Link:
                 self._lock.wait(timeout_s)
             found = list(self._in)
             self._in.clear()
+            self._in_bytes = 0
         if self._error is not None:
             raise self._error
         return found
@@ -260,16 +264,22 @@ class Link:
     def _take(self, packets: list[Packet]) -> None:
         for packet in packets:
             self._answer(packet)
+            if not packet.name and packet.id in self.table.by_id:
+                self.counters.drop(self.table.by_id[packet.id].name, "bad", "its bytes do not fit its fields")
         if not self.listens:
             return
+        full = False
         with self._lock:
-            self._in.extend(packets)
-            while len(self._in) > INBOX:
-                self._in.popleft()
-                self.dropped_in += 1
+            for packet in packets:
+                self._in.append(packet)
+                self._in_bytes += held_bytes(packet)
+                while len(self._in) > INBOX or self._in_bytes > INBOX_BYTES:
+                    oldest, full = self._in.popleft(), True
+                    self._in_bytes -= held_bytes(oldest)
+                    self.counters.drop(oldest.name or f"message {oldest.id}", "lost", "messages come too fast")
             if packets:
                 self._lock.notify_all()
-        if self.dropped_in:
+        if full:
             self._once("full", "messages come faster than they are used; the oldest are dropped")
 
     def _pack(self, message: Message, entity: int = 255) -> bytes:
@@ -298,7 +308,7 @@ class Link:
         """What any system is expected to answer."""
         if packet.src == self.me.system_id:
             if packet.name == "Announce" and not self.me.shared and self.me.uid not in packet["services"]:
-                other = f"{packet['sys_name']!r} also uses the address {packet.src:#06x}"
+                other = f"{readable(packet['sys_name'])!r} also uses the address {packet.src:#06x}"
                 self._once("twin", f"{other}; give one of us another: system_id=")
             return
         if packet.dst not in (self.me.system_id, NOBODY):
@@ -312,6 +322,12 @@ class Link:
             answers = [self._state(e) for e in self.me.entities if packet.dst_ent in (e.id, 255)]
         for data in answers:
             self.out.put(data)
+
+
+def held_bytes(packet: Packet) -> int:
+    """About how much memory a packet takes [bytes]: its texts and raw data, and what every packet takes."""
+    held = packet.message.values.values()
+    return 500 + sum(len(value) for value in held if isinstance(value, (str, bytes)))
 
 
 def strangers(parser: Parser, where: str, say: Callable[[str], None], told: set[str]) -> None:

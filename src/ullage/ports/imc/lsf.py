@@ -20,6 +20,7 @@ from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
 from ullage.ports.imc.source import pieces, warn
 from ullage.ports.imc.table import from_xml, own
 from ullage.ports.imc.teller import BODY, Teller
+from ullage.ports.intake import Counters
 from ullage.ports.protocol import Item, one_or_all, write_whole
 
 AT_ONCE = 1 << 19
@@ -100,8 +101,11 @@ class LsfSource:
 
     def _track(self, keep: int | None) -> Track:
         origin = origin_of(self._options.origin)
-        say = lambda text: warn(f"{self.path}: {text}")  # noqa: E731
-        return Track(state=self._options.state, origin=origin, vehicle=self._vehicle, say=say, keep=keep)
+        counters = Counters(self._warn)
+        return Track(counters, state=self._options.state, origin=origin, vehicle=self._vehicle, keep=keep)
+
+    def _warn(self, text: str) -> None:
+        warn(f"{self.path}: {text}")
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -124,7 +128,7 @@ class LsfSource:
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
         track = self._track(4096)
-        gather = Gatherer(track)
+        gather = Gatherer(track, self._warn)
         waiting = 0
         for packet in self.packets():
             track.take(packet)
@@ -133,8 +137,9 @@ class LsfSource:
                 waiting = 0
                 yield from pieces(gather.give(), chunk)
         yield from pieces(gather.give(final=True), chunk)
-        if gather.damaged:
-            warn(f"{self.path}: {gather.damaged} frames are damaged and left out")
+        track.finish()
+        for line in track.counters.lines():
+            self._warn(line)
 
     def trajectory(self) -> Trajectory | None:
         """The path of the vehicle, where it is known."""

@@ -13,6 +13,7 @@ from typing import Literal
 from ullage.ports.imc.link import Identity, Link, Wire
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.tcp import TcpWire
+from ullage.ports.intake import Counters
 
 Role = Literal["source", "sink", "vehicle"]
 
@@ -50,7 +51,9 @@ def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, say
             held.roles.add(role)
             held.link.join(me, listens=role == "source")
             return held.link
-    link = Link(_wire(where, options, me, say), me, table=options.table(), say=say, listens=role != "sink")
+    counters = Counters(say)
+    wire = _wire(where, options, me, say, counters)
+    link = Link(wire, me, table=options.table(), say=say, listens=role != "sink", counters=counters)
     with _lock:
         if role != "vehicle":
             _open[key] = _Held(link, {role})
@@ -69,16 +72,19 @@ def leave(link: Link, role: Role) -> None:
     link.close()
 
 
-def _wire(where: tuple[str, str, int], options: LinkOptions, me: Identity, say: Callable[[str], None]) -> Wire:
+def _wire(
+    where: tuple[str, str, int], options: LinkOptions, me: Identity, say: Callable[[str], None], counters: Counters
+) -> Wire:
     kind, host, port = where
     table = options.table()
     if kind == "tcp":
         return TcpWire(
-            host, port, table=table, silence_s=options.silence_s, reconnect=options.reconnect, say=say
+            host, port, table=table, silence_s=options.silence_s, reconnect=options.reconnect, say=say,
+            counters=counters,
         )  # fmt: skip
     from ullage.ports.imc.udp import UdpWire
 
     return UdpWire(
         (host, port) if kind else None, table=table, own=me, interface=options.interface, port=options.port,
-        silence_s=options.silence_s, reconnect=options.reconnect, say=say,
+        silence_s=options.silence_s, reconnect=options.reconnect, say=say, counters=counters,
     )  # fmt: skip

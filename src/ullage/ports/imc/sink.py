@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Self
 
+from ullage.ports.imc.codec import readable
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.reach import leave, open_link
@@ -14,8 +15,8 @@ from ullage.ports.imc.source import warn
 from ullage.ports.imc.teller import BODY, Note, Teller
 from ullage.ports.protocol import Item, Passed
 
-FIRST_RELAYED = 100
-"""Number of the first entity for whom we speak; radars have those from 10."""
+FIRST_RELAYED, LAST_RELAYED = 100, 254
+"""Numbers of the entities for whom we speak; radars have those from 10."""
 EPOCH_S = 1e9
 """Times earlier than 2001 count from the start of a flight, not from 1970."""
 
@@ -42,6 +43,7 @@ class ImcSink:
         self._link: Link = open_link(place, options, me, role="sink", say=say)
         self._teller = Teller(options, home, self._link.enter)
         self._joiner, self._relayed = Joiner(options.system_id, say), dict[str, int]()
+        self._shares = False  # the last entity stands for several parts
         self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
         self._epoch_s = 0.0
 
@@ -69,10 +71,12 @@ class ImcSink:
         """Send at once; each part of another system that we speak for is an entity of ours."""
         entity = self._relayed.get(told.part)
         if entity is None:
-            entity = BODY if not told.part else min(FIRST_RELAYED + len(self._relayed), 254)
-            self._relayed[told.part] = entity
-            if told.part:
-                self._link.enter(Entity(entity, told.part, "ullage.relay"))
+            entity = BODY if not told.part else min(FIRST_RELAYED + len(self._relayed), LAST_RELAYED)
+            if entity < LAST_RELAYED:  # further ones share the last entity
+                self._relayed[told.part] = entity
+            if told.part and (entity < LAST_RELAYED or not self._shares):
+                self._shares = entity == LAST_RELAYED
+                self._link.enter(Entity(entity, readable(told.part), "ullage.relay"))
         self._link.send(told.message, entity=entity, t_s=told.t_s)
 
     def close(self) -> None:

@@ -13,12 +13,14 @@ import numpy as np
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
+from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.gather import Gatherer, Track
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SourceOptions, scene_path
 from ullage.ports.imc.places import TRONDHEIM, Pose
 from ullage.ports.imc.reach import Role, leave, open_link
 from ullage.ports.imc.relay import passed
+from ullage.ports.intake import Covered
 from ullage.ports.protocol import Passing, one_or_all
 from ullage.world.scene import Scene
 
@@ -56,16 +58,18 @@ class ImcSource:
         self._radars: Any = None
         self._seen: list[str] = []
         self._behind = False
-        self._first_ns: int | None = None
         points, start = options.waypoints(), options.place_of_start()
-        self._track = Track(state=options.state, origin=options.place(), vehicle=options.vehicle, say=say)
-        self._gather = Gatherer(self._track)
+        self._vehicle_s, self._frames_s = Covered(), Covered()
         if options.world:
             self._build()
         vehicle = self._vehicle(start) if options.fly else None
         me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
         self._role: Role = "vehicle" if vehicle is not None else "source"
         self._link: Link = open_link(place, options, me, role=self._role, say=say)
+        self.counters = self._link.counters
+        self.counters.reporter = say
+        self._track = Track(self.counters, state=options.state, origin=options.place(), vehicle=options.vehicle)
+        self._gather = Gatherer(self._track, say)
         self._flight = self._take_off(vehicle) if vehicle is not None else None
         self._backseat = self._take_wheel(points) if points else None
 
@@ -94,23 +98,21 @@ class ImcSource:
             yield from pieces(out, chunk)
 
     def _within(self, ready: dict[str, Frames]) -> dict[str, Frames]:
-        """The frames that lie within the asked duration."""
+        """The frames that lie within the asked duration, of which the time between two tracks is no part."""
         limit = self._options.duration_s
         if limit is None or not ready:
             return ready
-        if self._first_ns is None:
-            self._first_ns = min(int(f.t_ns[0]) for f in ready.values())
-        last = self._first_ns + round(limit * 1e9)
-        return {name: f[f.t_ns <= last] for name, f in ready.items() if f.t_ns[0] <= last}
+        times = np.unique(np.concatenate([frames.t_ns for frames in ready.values()]))
+        covered = self._frames_s.take(times)
+        last = times[covered <= limit + 1e-9]
+        if not len(last):
+            return {}
+        return {name: f[f.t_ns <= last[-1]] for name, f in ready.items() if f.t_ns[0] <= last[-1]}
 
     def _over(self) -> bool:
         """Whether the asked duration is over, by the clock of the poses."""
-        limit, poses = self._options.duration_s, self._track.poses
-        if limit is None or not poses:
-            return False
-        if self._first_ns is None:
-            self._first_ns = poses[0].t_ns
-        return poses[-1].t_ns - self._first_ns > limit * 1e9
+        limit = self._options.duration_s
+        return limit is not None and self._vehicle_s.total_s > limit
 
     def _vehicle(self, start: tuple[float, ...]) -> Steered:
         from ullage.flight.live import Steered
@@ -135,51 +137,69 @@ class ImcSource:
 
     def _arriving(self) -> Iterator[dict[str, Frames]]:
         told = time.monotonic()
-        while True:
-            poses, heard = self._poses()
-            if self._radars is not None and poses:
-                yield self._simulated(poses)
-            elif self._radars is None and heard:
-                yield self._gather.give()
-            now = time.monotonic()
-            if not self._track.poses and now - told > 5.0:
-                told = now
-                what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
-                self._say(f"waiting for {what}" if self._flight is None else "waiting for a controller")
-            wheel = self._backseat
-            left = wheel is not None and (wheel.done or wheel.refused)
-            if left or self._over() or (self._link.finished and not heard):
-                if self._radars is None:
-                    yield self._gather.give(final=True)
-                return
+        try:
+            while True:
+                tracks, heard = self._tracks()
+                yield from self._made(tracks, heard)
+                self.counters.report()
+                now = time.monotonic()
+                if not self._track.poses and now - told > 5.0:
+                    told = now
+                    what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
+                    self._say(f"waiting for {what}" if self._flight is None else "waiting for a controller")
+                wheel = self._backseat
+                left = wheel is not None and wheel.finished
+                if left or self._over() or (self._link.finished and not heard):
+                    if self._radars is None:
+                        yield self._gather.give(final=True)
+                    return
+        finally:
+            self._track.finish()
+            for line in self.counters.lines():
+                self._say(line)
 
-    def _poses(self) -> tuple[list[Pose], bool]:
-        """The vehicle's next poses, and whether anything was heard."""
+    def _made(self, tracks: list[list[Pose]], heard: bool) -> Iterator[dict[str, Frames]]:
+        """The frames that are ready: simulated along the poses, or those that came."""
+        if self._radars is None:
+            if heard:
+                yield self._gather.give()
+            return
+        for number, poses in enumerate(tracks):
+            if number:
+                self._radars.reset()
+            if poses:
+                yield self._simulated(poses)
+
+    def _tracks(self) -> tuple[list[list[Pose]], bool]:
+        """The vehicle's next poses, those of each new track by themselves, and whether anything was heard."""
         if self._flight is not None:
             flown = self._flight.poses(0.25)
             self._track.poses.extend(flown)
-            return flown, bool(flown)
+            self._vehicle_s.take([pose.t_ns for pose in flown])
+            return [flown], bool(flown)
         packets = self._link.receive(0.25)
-        poses: list[Pose] = []
+        tracks: list[list[Pose]] = [[]]
         for packet in packets:
-            jumps = self._track.jumps
-            pose = self._track.take(packet)
-            if self._track.jumps > jumps and self._radars is not None:
-                self._radars.reset()
-                poses.clear()
-            if pose is not None:
-                poses.append(pose)
-            if self._options.relay and packet.src != self._options.system_id:
-                known = self._track.poses
-                self.passing.give(partial(passed, packet, known[-1].t_ns if known else time.time_ns()))
-            if self._radars is None:
-                self._gather.take(packet)
-            if self._backseat is not None:
-                self._backseat.take(packet)
-        track = self._track
-        if self._backseat is not None and track.poses and track.followed is not None and track.origin is not None:
-            self._backseat.lead(track.followed, track.poses[-1], track.origin)
-        return poses, bool(packets)
+            for found in self._track.take(packet):
+                if found.starts and found.track:
+                    tracks.append([])
+                tracks[-1].append(found.item)
+                self._vehicle_s.take(found.t_ns)
+            self._pass_on(packet)
+        track, wheel = self._track, self._backseat
+        if wheel is not None and track.poses and track.followed is not None and track.origin is not None:
+            wheel.lead(track.followed, track.poses[-1], track.origin)
+        return tracks, bool(packets)
+
+    def _pass_on(self, packet: Packet) -> None:
+        """Give a packet to all who want to know of it."""
+        if self._options.relay and packet.src != self._options.system_id:
+            known = self._track.poses
+            self.passing.give(partial(passed, packet, known[-1].t_ns if known else time.time_ns()))
+        if self._radars is None:
+            self._gather.take(packet)
+        if self._backseat is not None:
+            self._backseat.take(packet)
 
     def _simulated(self, poses: list[Pose]) -> dict[str, Frames]:
         began = time.monotonic()
@@ -212,7 +232,9 @@ class ImcSource:
         return None
 
     def close(self) -> None:
-        """Let go of sockets and threads."""
+        """Let go of sockets and threads; a vehicle that is led is released."""
+        if self._backseat is not None:
+            self._backseat.release()
         if self._flight is not None:
             self._flight.close()
         leave(self._link, self._role)

@@ -11,6 +11,7 @@ from contextlib import suppress
 from ullage.ports.imc.codec import Packet, Parser
 from ullage.ports.imc.link import Outbox, strangers
 from ullage.ports.imc.table import Table
+from ullage.ports.intake import Counters
 
 AT_ONCE = 65536
 
@@ -50,13 +51,16 @@ class TcpWire:
         silence_s: a server that says nothing for so long is taken for dead [s].
         reconnect: try again after the connection was lost.
         say: told of what others should know.
+        counters: count damaged packets.
     """
 
     services: Sequence[str] = ()
 
     def __init__(
-        self, host: str, port: int, *, table: Table, silence_s: float, reconnect: bool, say: Callable[[str], None]
-    ) -> None:
+        self, host: str, port: int, *, table: Table, silence_s: float, reconnect: bool, say: Callable[[str], None],
+        counters: Counters | None = None,
+    ) -> None:  # fmt: skip
+        self._counters, self._damaged = counters or Counters(), 0
         self._place, self._table, self._silence, self._again, self._say = (host, port), table, silence_s, reconnect, say
         self._where = f"tcp://{host}:{port}"
         self._waker = Waker()
@@ -122,7 +126,7 @@ class TcpWire:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._sock, self._was_there, self._wait_s, self._heard = sock, True, 0.25, time.monotonic()
         self._told.discard("waiting")
-        self._parser = Parser(self._table)
+        self._parser, self._damaged = Parser(self._table), 0
         return True
 
     def _write(self, sock: socket.socket, out: Outbox) -> None:
@@ -148,6 +152,8 @@ class TcpWire:
             return []
         self._heard = time.monotonic()
         packets = list(self._parser.feed(data))
+        fresh, self._damaged = self._parser.damaged - self._damaged, self._parser.damaged
+        self._counters.drop(self._where, "bad", "a packet is damaged or cut", count=fresh)
         strangers(self._parser, self._where, self._say, self._told)
         return packets
 

@@ -11,15 +11,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from ullage.errors import InputError
-from ullage.ports.imc.codec import Malformed, Packet, Parser, decode
+from ullage.ports.imc.codec import Malformed, Packet, Parser, decode, readable
 from ullage.ports.imc.link import Identity, Outbox, strangers
 from ullage.ports.imc.table import Table
 from ullage.ports.imc.tcp import Waker
+from ullage.ports.intake import Counters
 
 GROUP = "224.0.75.69"
 ANNOUNCE_PORTS = range(30100, 30105)
-SERVICE = re.compile(r"imc\+udp://([\d.]+):(\d+)/?")
+SERVICE = re.compile(r"imc\+udp://([\d.]{7,15}):(\d{1,5})(?!\d)/?", re.ASCII)
 MOST_PEERS = 64
+MOST_TOLD = 100
 TRIES = 16
 Place = tuple[str, int]
 
@@ -46,6 +48,7 @@ class UdpWire:
         silence_s: a peer that says nothing for so long is taken for dead [s].
         reconnect: wait for it to come back.
         say: told of what others should know.
+        counters: count damaged packets, and peers beyond those that are remembered.
 
     Raises:
         InputError: no port is free, or the interface is not there.
@@ -53,8 +56,9 @@ class UdpWire:
 
     def __init__(
         self, place: Place | None, *, table: Table, own: Identity, interface: str, port: int, silence_s: float,
-        reconnect: bool, say: Callable[[str], None],
+        reconnect: bool, say: Callable[[str], None], counters: Counters | None = None,
     ) -> None:  # fmt: skip
+        self._counters = counters or Counters()
         self._table, self._me, self._interface, self._silence = table, own, interface, silence_s
         self._again, self._say = reconnect, say
         self._fixed = (_address(place[0]), place[1]) if place else None
@@ -117,7 +121,8 @@ class UdpWire:
                 continue
             try:
                 packet = decode(data, table=self._table)
-            except Malformed:
+            except Malformed as error:
+                self._counters.drop(f"udp://{host}", "bad", str(error))
                 list(self._parser.feed(data))
                 list(self._parser.finish())
                 strangers(self._parser, f"udp://{host}:{port}", self._say, self._told)
@@ -136,7 +141,7 @@ class UdpWire:
         if peer is None:
             if self._fixed is not None and (host, port) == self._fixed:
                 self._enter(packet.src, Peer(str(packet.src), (host, port)))
-                return True
+                return packet.src in self._peers
             return False  # as DUNE does: who has not announced itself is not listened to
         if host != peer.place[0]:
             self._twins(packet.src, peer.name, host)
@@ -145,30 +150,32 @@ class UdpWire:
         return True
 
     def _announced(self, packet: Packet, host: str, peer: Peer | None) -> bool:
-        services = packet["services"]
+        services, name = packet["services"], readable(packet["sys_name"])
         places = [(a, int(p)) for a, p in SERVICE.findall(services) if 0 < int(p) < 65536]
         uid = next((s for s in services.split(";") if "/uid/" in s), "")
         lately = peer is not None and time.monotonic() - peer.heard < 3.0
-        if peer is not None and lately and uid and peer.uid and uid != peer.uid:
-            self._twins(packet.src, peer.name, packet["sys_name"])
+        if peer is not None and lately and uid and peer.uid and uid[:200] != peer.uid:
+            self._twins(packet.src, peer.name, name)
             return False
         reachable = next((p for p in places if p[0] == host), None)
         if reachable is None:
             return peer is not None
         if peer is None:
-            self._enter(packet.src, Peer(packet["sys_name"], reachable, uid))
-        else:
-            peer.place, peer.uid, peer.name, peer.heard = reachable, uid, packet["sys_name"], time.monotonic()
+            self._enter(packet.src, Peer(name, reachable, uid[:200]))
+            return packet.src in self._peers
+        peer.place, peer.uid, peer.name, peer.heard = reachable, uid[:200], name, time.monotonic()
         return True
 
     def _enter(self, number: int, peer: Peer) -> None:
-        if len(self._peers) < MOST_PEERS:
-            self._peers[number] = peer
-            self._there = True
+        if len(self._peers) >= MOST_PEERS and peer.place != self._fixed:
+            self._counters.drop("Announce", "lost", f"more than {MOST_PEERS} peers")
+            return
+        self._peers[number] = peer
+        self._there = True
 
     def _twins(self, number: int, one: str, other: str) -> None:
         key = f"twins {number}"
-        if key not in self._told:
+        if key not in self._told and len(self._told) < MOST_TOLD:
             self._told.add(key)
             self._say(f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to")
 
