@@ -1,6 +1,7 @@
 // What gz-sim's server says of a world, on the real library of Gazebo Transport: poses, statistics, a scan, the scene.
-// Started as PROGRAM WORLD MODEL; takes words on its standard input: pause, go, reset, delete, back, push, quit.
-// After push the wall comes nearer by half a metre a second, as far as x = 2.
+// Started as PROGRAM WORLD MODEL; takes words on its standard input: pause, go, reset, delete, back, push, quit, and
+// damage (20 messages cut or of other bytes, 20 poses without a number, 20 with no unit quaternion), ahead and behind
+// (the clock steps an hour), flood (30,000 poses at once, a millisecond apart). After push the wall comes nearer by half a metre a second, as far as x = 2.
 // Prints what it hears on the range topic of the model's front radar.
 #include <algorithm>
 #include <atomic>
@@ -15,7 +16,8 @@
 
 namespace msgs = ignition::msgs;
 std::atomic<bool> paused{false}, gone{false}, done{false};
-std::atomic<long> step{0}, pushed{-1};
+std::atomic<long> step{0}, pushed{-1}, damaged{0};
+std::atomic<bool> flood{false};
 
 void box(msgs::Model *model, const std::string &name, double x, double size_x, double size_y)
 {
@@ -62,6 +64,10 @@ int main(int, char **argv)
       if (word == "delete") gone = true;
       if (word == "back") gone = false;
       if (word == "push") pushed = step.load();
+      if (word == "damage") damaged = 20;
+      if (word == "ahead") step += 3600 * 50;
+      if (word == "behind") step -= 3600 * 50;
+      if (word == "flood") flood = true;
       if (word == "quit") done = true;
     }
     done = true;
@@ -85,6 +91,27 @@ int main(int, char **argv)
       own->mutable_position()->set_x(std::sin(0.01 * now));  // to and fro, half a metre a second
       own->mutable_orientation()->set_w(1);
     }
+    if (damaged > 0)
+    {
+      --damaged;
+      const std::string whole = all.SerializeAsString(), kind = "ignition.msgs.Pose_V";
+      poses.PublishRaw(damaged % 2 ? whole.substr(0, whole.size() - 3) : std::string(40, '\xff'), kind);
+      msgs::Pose_V nowhere = all, turned = all;
+      for (auto &pose : *nowhere.mutable_pose()) pose.mutable_position()->set_y(std::nan(""));
+      for (auto &pose : *turned.mutable_pose()) pose.mutable_orientation()->set_w(2);
+      nowhere.mutable_header()->mutable_stamp()->set_nsec(now % 50 * 20000000 + 1000);
+      turned.mutable_header()->mutable_stamp()->set_nsec(now % 50 * 20000000 + 2000);
+      poses.Publish(nowhere);
+      poses.Publish(turned);
+    }
+    for (long k = 0; flood && k < 30000; ++k)
+    {
+      const long now_ms = 20 * step + k;
+      all.mutable_header()->mutable_stamp()->set_sec(now_ms / 1000);
+      all.mutable_header()->mutable_stamp()->set_nsec(now_ms % 1000 * 1000000);
+      poses.Publish(all);
+    }
+    if (flood.exchange(false)) step += 1501;
     poses.Publish(all);
     if (turn % 5) continue;
     msgs::WorldStatistics told;

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from ullage.ports.gazebo.scene import sdf_of
 from ullage.ports.gazebo.sink import GazeboSink
 from ullage.ports.gazebo.source import source_of
 from ullage.ports.gazebo.wire import gz
+from ullage.ports.intake import Inbox
 
 SERVER = Path(__file__).with_name("gazebo_server.cpp")
 
@@ -134,6 +136,65 @@ def test_what_happens_to_the_server_is_said_and_survived(server):
         threading.Timer(6.0, server.start).start()
         until(pieces, lambda f: any(text.startswith("Gazebo has gone") for text in said))
     assert said.count("Gazebo gives poses on /world/w/pose/info") == 2
+
+
+TOPIC = "/world/w/pose/info"
+
+
+@pytest.mark.slow
+def test_damaged_messages_of_a_real_publisher_are_counted_and_end_nothing(server):
+    said = []
+    with source(said) as live:
+        pieces = live.stream()
+        until(pieces, lambda f: True)
+        server.say("damage")
+        until(pieces, lambda f: live.counters.dropped("bad", topic="x3") >= 40)
+        until(pieces, lambda f: live.counters.dropped("bad", topic=TOPIC) >= 20 + 40)  # and poses of the wall
+        last = until(pieces, lambda f: True).t_ns[-1]
+        frames = until(pieces, lambda f: f.t_ns[-1] > last + 1e9)
+        np.testing.assert_allclose(frames.poses.position[:, 0], np.sin(0.5e-9 * frames.t_ns), atol=1e-3)
+        pieces.close()
+    assert any(line.startswith(f"{TOPIC}: dropped ") and "cannot be read" in line for line in said)
+    assert sum(line.startswith("x3: dropped 40 bad (") for line in said) >= 1
+
+
+@pytest.mark.slow
+def test_the_clock_of_a_real_publisher_may_step_an_hour_either_way(server):
+    said, count, times = [], 0, []
+    with source(said) as live:
+        pieces = live.stream()
+        for word, direction in (("ahead", "ahead"), ("behind", "back")):
+            before = until(pieces, lambda f: True).t_ns[-1]
+            server.say(word)
+            began = time.monotonic()
+            while not any(f"time jumped {direction} 3.6e+03 s (x3)" in line for line in said):
+                piece = next(pieces)["front"]
+                count, times = count + len(piece), [*times, *piece.t_ns]
+            for _ in range(10):
+                piece = next(pieces)["front"]
+                count, times = count + len(piece), [*times, *piece.t_ns]
+            assert times[-1] > before
+            assert time.monotonic() - began < 60
+        pieces.close()
+    assert np.all(np.diff(times) > 0)
+    assert count < 17 * 120  # none of the 3600 s between the tracks
+
+
+@pytest.mark.slow
+def test_a_flood_of_a_real_publisher_loses_nothing_silently(server, monkeypatch):
+    monkeypatch.setattr("ullage.ports.gazebo.peer.Inbox", partial(Inbox, most=2000))
+    said = []
+    with source(said) as live:
+        pieces = live.stream()
+        begun = until(pieces, lambda f: True).t_ns[-1]
+        server.say("flood")
+        time.sleep(3.0)  # whoever takes the frames is busy
+        until(pieces, lambda f: f.t_ns[-1] > begun + 31e9)
+        lost, received = live.counters.dropped("lost", topic=TOPIC), live.counters.received(TOPIC)
+        pieces.close()
+    assert received > 30_000
+    assert lost > 10_000
+    assert any(line.startswith(f"{TOPIC}: dropped ") and " lost (messages come faster" in line for line in said)
 
 
 @pytest.mark.slow
