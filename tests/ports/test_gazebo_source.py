@@ -182,7 +182,7 @@ def test_the_clock_of_a_real_publisher_may_step_an_hour_either_way(server):
 
 @pytest.mark.slow
 def test_a_flood_of_a_real_publisher_loses_nothing_silently(server, monkeypatch):
-    monkeypatch.setattr("ullage.ports.gazebo.peer.Inbox", partial(Inbox, most=2000))
+    monkeypatch.setattr("ullage.ports.gazebo.peer.Inbox", partial(Inbox, most=300))
     said = []
     with source(said) as live:
         pieces = live.stream()
@@ -192,8 +192,8 @@ def test_a_flood_of_a_real_publisher_loses_nothing_silently(server, monkeypatch)
         until(pieces, lambda f: f.t_ns[-1] > begun + 31e9)
         lost, received = live.counters.dropped("lost", topic=TOPIC), live.counters.received(TOPIC)
         pieces.close()
-    assert received > 30_000
-    assert lost > 10_000
+    assert received > 1000  # the publisher's own queue has lost the others
+    assert lost > 100
     assert any(line.startswith(f"{TOPIC}: dropped ") and " lost (messages come faster" in line for line in said)
 
 

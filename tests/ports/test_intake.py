@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from ullage.ports.intake import (
     GAP_NS,
     LATE_NS,
+    MOST_STEPS,
     MOST_TOPICS,
     OTHERS,
     REASONS,
@@ -240,7 +241,7 @@ def test_frames_whose_pose_never_comes_are_dropped_at_once_and_the_queue_is_boun
     assert len(queue) == 10
     assert counters.dropped("no pose") == 15
     assert list(queue.ready(lambda frame: Place("never", missing="a gap"), 0.0)) == []
-    assert counters.lines() == ["front: dropped 25 no pose (a gap)"]
+    assert counters.lines() == ["front: dropped 25 no pose (more than 10 frames wait; a gap)"]
     queue.put(1, 0.0)
     queue.clear()
     assert counters.dropped(topic="front") == 26
@@ -251,10 +252,11 @@ def test_counts_come_in_one_line_a_topic_and_as_pairs():
     counters = Counters()
     counters.receive("odom", 1204)
     counters.receive("scan", 3)
-    counters.drop("odom", "bad", "position is not finite", count=3)
+    for cause in ("position is not finite", "too short", "position is not finite"):
+        counters.drop("odom", "bad", cause)
     counters.drop("odom", "late")
     assert counters.lines() == [
-        "odom: dropped 3 bad (position is not finite), 1 late, of 1,204 received",
+        "odom: dropped 3 bad (position is not finite; too short), 1 late, of 1,204 received",
     ]
     assert counters.values() == [
         ("odom: received", "1204"), ("odom: bad", "3"), ("odom: late", "1"), ("scan: received", "3"),
@@ -282,7 +284,7 @@ def test_reports_come_at_once_and_then_ever_more_rarely():
     assert len(said) <= 15
     for _ in range(1000):
         counters.step("time jumped")
-    assert said.count("time jumped") == 1
+    assert said.count("time jumped") == MOST_STEPS
 
 
 def test_a_million_topics_and_stamps_cost_no_memory():

@@ -46,6 +46,10 @@ MOST_TOPICS = 64
 OTHERS = "other topics"
 UNIT_TOLERANCE = 0.01
 """How far the squared norm of a quaternion may be from 1, as in tf2."""
+MOST_CAUSES, MOST_LETTERS = 3, 120
+"""Causes that are kept of each topic and reason, and their length."""
+MOST_STEPS = 10
+"""Steps of a clock that are reported as they come; later ones at the rate of other reports."""
 REPORT_S = 5.0
 """Least time between two reports on the same topic and reason [s]; it doubles with each one up to `RARELY_S`."""
 RARELY_S = 60.0
@@ -80,9 +84,9 @@ class Counters:
         self._lock = threading.Lock()
         self._received: Counter[str] = Counter()
         self._dropped: Counter[_Entry] = Counter()
-        self._causes: dict[_Entry, str] = {}
+        self._causes: dict[_Entry, list[str]] = {}
         self._reported: dict[_Entry, _Reported] = {}
-        self._steps: Counter[str] = Counter()
+        self._steps = 0
 
     def receive(self, topic: str, count: int = 1) -> None:
         """Count messages that arrived, whatever becomes of them."""
@@ -95,7 +99,7 @@ class Counters:
         Args:
             topic: or sensor that they came from.
             reason: why.
-            cause: what exactly is wrong; the last one is reported.
+            cause: what exactly is wrong; the first few different ones are reported.
             count: how many.
         """
         if count <= 0:
@@ -103,21 +107,22 @@ class Counters:
         with self._lock:
             entry = _Entry(self._name(topic), reason)
             self._dropped[entry] += count
-            if cause:
-                self._causes[entry] = cause[:200]
+            known = self._causes.setdefault(entry, [])
+            if cause and len(known) < MOST_CAUSES and (short := cause[:MOST_LETTERS]) not in known:
+                known.append(short)
 
     def step(self, text: str) -> None:
         """Count a step of a clock, and report it unless the clock steps all the time."""
         with self._lock:
-            self._steps["clock"] += 1
-            frequent = self._too_soon(_Entry("clock", "late"), self._steps["clock"])
+            self._steps += 1
+            frequent = self._too_soon(_Entry("clock steps", "late"), self._steps) and self._steps > MOST_STEPS
         if not frequent:
             self.reporter(text)
 
     @property
     def steps(self) -> int:
         """How often a clock stepped."""
-        return self._steps["clock"]
+        return self._steps
 
     def dropped(self, reason: Reason | None = None, *, topic: str | None = None) -> int:
         """Number of dropped messages, of all reasons and topics or of one."""
@@ -145,8 +150,8 @@ class Counters:
         with self._lock:
             topics = sorted({entry.topic for entry in self._dropped})
             lines = [f"{topic}: {self._of(topic)}{self._share(topic)}" for topic in topics]
-            if self._steps["clock"] > 1:  # one was reported when it came
-                lines.append(f"the clock stepped {_times(self._steps['clock'])}")
+            if self._steps > 1:  # one was reported when it came
+                lines.append(f"the clock stepped {_times(self._steps)}")
         return lines
 
     def values(self) -> list[tuple[str, str]]:
@@ -160,7 +165,7 @@ class Counters:
                     (f"{topic}: {reason}", str(self._dropped[_Entry(topic, reason)]))
                     for reason in REASONS if self._dropped[_Entry(topic, reason)]
                 ]  # fmt: skip
-            return [*pairs, ("clock steps", str(self._steps["clock"]))]
+            return [*pairs, ("clock steps", str(self._steps))]
 
     def _name(self, topic: str) -> str:
         known = self._received.keys() | {entry.topic for entry in self._dropped}
@@ -176,17 +181,15 @@ class Counters:
         return False
 
     def _line(self, entry: _Entry) -> str:
-        count, cause = self._dropped[entry], self._causes.get(entry, "")
-        return f"{entry.topic}: dropped {count:,} {entry.reason}" + (f" ({cause})" if cause else "")
+        return f"{entry.topic}: dropped {self._counted(entry)}"
+
+    def _counted(self, entry: _Entry) -> str:
+        causes = "; ".join(self._causes[entry])
+        return f"{self._dropped[entry]:,} {entry.reason}" + (f" ({causes})" if causes else "")
 
     def _of(self, topic: str) -> str:
-        parts = []
-        for reason in REASONS:
-            entry = _Entry(topic, reason)
-            if count := self._dropped[entry]:
-                cause = self._causes.get(entry, "")
-                parts.append(f"{count:,} {reason}" + (f" ({cause})" if cause else ""))
-        return "dropped " + ", ".join(parts)
+        entries = (_Entry(topic, reason) for reason in REASONS)
+        return "dropped " + ", ".join(self._counted(entry) for entry in entries if self._dropped[entry])
 
     def _share(self, topic: str) -> str:
         received = self._received[topic]
