@@ -31,12 +31,14 @@ Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metav
 def main() -> None:
     """Run the command; what ullage refuses is one line and exit 2, unless --debug asks for the traceback."""
     from ullage.errors import UllageError
+    from ullage.experiments.stop_signals import stop_as_ctrl_c
 
     debug = "--debug" in sys.argv
     sys.argv = [word for word in sys.argv if word != "--debug"]
     _quiet_warnings()
     try:
-        app(standalone_mode=True)
+        with stop_as_ctrl_c():
+            app(standalone_mode=True)
     except UllageError as error:
         if debug:
             raise
@@ -91,33 +93,21 @@ def run(
 ) -> None:
     """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
     from ullage.experiments.runner import execute
-    from ullage.experiments.targets import make_run
-    from ullage.pipeline import sink as open_sink
+    from ullage.experiments.targets import make_run, record, tasks_of
+    from ullage.pipeline import check_sink
     from ullage.view.progress import progress_bar, say
 
-    tasks = _tasks(do)
-    under_way = warm_up(source, option or [])
+    tasks, options, sinks = tasks_of(do), option or [], to or []
+    for target in sinks:
+        check_sink(target)
+    under_way = warm_up(source, options)
     with progress_bar("getting ready", total=1.0) as tell:
-        job = make_run(source, tasks=tasks, options=option or [], out=out, force=force, progress=tell, say=say)
-    sinks = [open_sink(str(job.folder / "frames.mcap")), *(open_sink(target) for target in to or [])]
-    if job.scene is not None:
-        for taker in sinks:
-            taker.write(job.scene)
+        job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=tell, say=say, to=sinks)
+    recording = record(job)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
-        report = execute(job, sinks=sinks, progress=tell, say=tell.say, under_way=under_way)
+        report = execute(job, sinks=[recording], progress=tell, say=tell.say, under_way=under_way)
     _tell(report)
-
-
-def _tasks(text: str | None) -> Any:
-    from ullage.errors import InputError
-
-    if text is None:
-        return None
-    words = tuple(word.strip() for word in text.split(",") if word.strip())
-    if unknown := set(words) - {"detect", "image", "map"}:
-        raise InputError(f"no task {sorted(unknown)[0]!r}", where="--do", allowed="detect, image, map")
-    return words
 
 
 def warm_up(source: str, options: list[str]) -> Compiling | None:
@@ -160,11 +150,14 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
 
 
 def _tell(report: Report) -> None:
+    from ullage.experiments.folder import final_of
     from ullage.view.progress import say, say_report
 
     outcome = report.outcome
     if outcome.interrupted:
         say(": everything received by then is written", mark="interrupted", style="yellow")
+    if (kept := final_of(report.folder)) != report.folder:
+        say(f"the complete run in {kept} stays; this one is in {report.folder}")
     factor = report.metrics["real_time_factor"].value
     say(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
     for key in ("f1", "precision", "recall"):
@@ -174,10 +167,12 @@ def _tell(report: Report) -> None:
 
 
 @app.command("list")
-def list_() -> None:
-    """List scenarios, worlds and radars."""
+def list_(out: Out = None) -> None:
+    """List scenarios, worlds, radars and runs."""
+    from rich.markup import escape
     from rich.table import Table
 
+    from ullage.experiments import folder as folders
     from ullage.experiments.catalog import find_scenario, scenario_names
     from ullage.specs import RadarSpec, Rig
     from ullage.view.progress import console, say
@@ -192,6 +187,11 @@ def list_() -> None:
         table.add_row(world.name, world.title)
     console.print(table)
     say(f"\nRadars: {', '.join(RadarSpec.presets)}\nRigs: {', '.join(Rig.presets)}")
+    if runs := folders.runs_in(out or folders.RUNS):
+        table = Table("run", "state", box=None, title="\nRuns: ullage show RUN", title_justify="left")
+        for place in runs:
+            table.add_row(escape(str(place)), folders.describe(place))
+        console.print(table)
 
 
 @app.command()
@@ -200,12 +200,15 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
     from rich.markup import escape
     from rich.table import Table
 
-    from ullage.experiments.folder import find_folder, read_json
+    from ullage.experiments.folder import describe, find_folder, read_json, state_of
     from ullage.view.progress import console, say
 
     folder = find_folder(run)
+    if (state := state_of(folder)) != "complete":
+        say(f": {folder}", mark=describe(folder), style="yellow")
     table = Table("metric", "value", "unit", box=None, title=escape(str(folder)), title_justify="left")
-    for name, metric in read_json(folder / "metrics.json").items():
+    lacking = state in {"running", "unfinished"} and not (folder / "metrics.json").exists()
+    for name, metric in () if lacking else read_json(folder / "metrics.json").items():
         value = metric["value"]
         table.add_row(name, "unknown" if value is None else f"{value:.4g}", metric["unit"])
     console.print(table)
@@ -216,11 +219,15 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
 @app.command()
 def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
     """Hold a run against its scenario's bounds; exit 1 when one is broken."""
-    from ullage.experiments.folder import find_folder
+    from ullage.errors import InputError
+    from ullage.experiments.folder import FINISHED, describe, find_folder, state_of
     from ullage.experiments.judge import verdicts
     from ullage.view.progress import say
 
-    rows = verdicts(find_folder(run))
+    folder = find_folder(run)
+    if state_of(folder) not in FINISHED:
+        raise InputError(f"this run is {describe(folder)}", where=folder, allowed="a run that ended")
+    rows = verdicts(folder)
     for row in rows:
         say(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
     if not rows:
@@ -332,15 +339,11 @@ def sweep(
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many runs at a time.")] = 2,
 ) -> None:
     """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
-    import shutil
-
     from ullage.experiments import sweep as sweeps
     from ullage.view.progress import progress_bar, say
 
     axes = dict(sweeps.axis_of(text) for text in over or [])
     points = sweeps.plan(scenario, axes, seeds=seeds, options=option or [], out=out)
-    for point in points if force else ():
-        shutil.rmtree(point.folder, ignore_errors=True)
     warm_up(scenario, list(points[0].options))
     with progress_bar(f"{len(points)} runs", total=float(len(points))) as bar:
 
@@ -348,7 +351,7 @@ def sweep(
             bar.retitle(text)
             bar(done)
 
-        done = sweeps.sweep(points, out=out, jobs=jobs, tell=tell)
+        done = sweeps.sweep(points, out=out, jobs=jobs, tell=tell, again=force)
     if done.done:
         shown: list[str] = [
             name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics

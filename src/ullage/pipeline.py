@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, sensors_of
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 
 if TYPE_CHECKING:
@@ -103,6 +104,26 @@ def sink(target: str | Path, **options: Any) -> PortSink:
     return ViewerSink(place, **options)
 
 
+def check_sink(target: str | Path) -> None:
+    """Check what can be checked of a sink without opening it: its kind, its library, and that its file can be written.
+
+    Raises:
+        InputError: it is of no known kind, its file is there already, or its folder cannot be written.
+        MissingExtra: its library is not installed.
+    """
+    from ullage import ports
+
+    kind, colon, place = str(target).partition(":")
+    if kind != "viewer" or not colon:
+        ports.check_sink(target)
+        return
+    need("rerun", extra="view")
+    if place and "://" not in place:
+        if Path(place).suffix.lower() != ".rrd":
+            raise InputError("not something a viewer shows", where=target, allowed="viewer:, viewer:FILE.rrd, ...")
+        ports.check_new(Path(place))
+
+
 def run(
     source: Source | Recording,
     *,
@@ -147,8 +168,9 @@ def run(
         for item in results:
             _give(item, sinks)
     finally:
-        for sink in sinks:
-            sink.close()
+        with ExitStack() as closing:  # one that fails does not leave the others open
+            for sink in reversed(sinks):
+                closing.callback(sink.close)
     return Outcome(count.frames, count.duration_s, interrupted, results)
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Protocol
 
 from ullage.errors import UllageError
-from ullage.experiments.folder import write_text
+from ullage.experiments.stop_signals import stop_as_ctrl_c
 
 Tell = Callable[[int, str], None]
-STATUS, FAILED = "status.txt", "failed.txt"
 LOOK_S, GRACE_S = 0.3, 20.0
 """Time between looks, and that given to finish what it is at after Ctrl-C [s]."""
 
@@ -47,19 +51,39 @@ class Task(Protocol):
         """Does it anew, telling how far it is."""
 
 
-def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: None) -> None:
+@dataclass(slots=True)
+class Running:
+    """A task at work in a process of its own, and what it last reported."""
+
+    task: Task
+    process: BaseProcess
+    reader: Connection
+    text: str = ""
+    failed: str = ""
+
+    def read(self) -> str:
+        """Title and progress of the task; reads what has come from its process since."""
+        with suppress(EOFError, OSError):  # it has ended
+            while self.reader.poll():
+                failed, text = self.reader.recv()
+                self.failed, self.text = (text, self.text) if failed else (self.failed, text)
+        return ": ".join(filter(None, (self.task.title, self.text)))
+
+
+def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: None, again: bool = False) -> None:
     """Do every task that is not done, the longest first.
 
     Args:
         tasks: in the order of the report.
         jobs: how many at a time; 1: here, in order.
         tell: told the number done and what goes on.
+        again: do those that are done once more.
 
     Raises:
         UllageError: one of them cannot be done.
         KeyboardInterrupt: Ctrl-C; results that were finished stay.
     """
-    left = [task for task in tasks if not task.done]
+    left = [task for task in tasks if again or not task.done]
     before = len(tasks) - len(left)
     if jobs < 2:
         for number, task in enumerate(left, before):
@@ -71,62 +95,69 @@ def carry_out(tasks: Sequence[Task], *, jobs: int = 1, tell: Tell = lambda *_: N
         tell(len(tasks), "done")
         return
     left.sort(key=lambda task: -task.cost)
-    running: dict[str, tuple[Task, BaseProcess]] = {}
+    running: dict[str, Running] = {}
     try:
         while left or running:
             while left and len(running) < jobs:
                 task = left.pop(0)
-                running[task.name] = task, _start(task)
+                running[task.name] = _start(task)
             time.sleep(LOOK_S)
-            for name in [name for name, (_, process) in running.items() if not process.is_alive()]:
-                _judge(*running.pop(name))
-            words = [": ".join(filter(None, (task.title, _read(task.folder / STATUS)))) for task, _ in running.values()]
+            for name in [name for name, one in running.items() if not one.process.is_alive()]:
+                _judge(running.pop(name))
+            words = [one.read() for one in running.values()]
             tell(len(tasks) - len(left) - len(running), "; ".join(words) or "done")
     finally:
-        _end([process for _, process in running.values()])
+        _end([one.process for one in running.values()])
 
 
-def _start(task: Task) -> BaseProcess:
-    process = multiprocessing.get_context("spawn").Process(target=work, args=(task,), daemon=True)
+def _start(task: Task) -> Running:
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(task, writer), daemon=True)
     process.start()
-    return process
+    writer.close()
+    return Running(task, process, reader)
 
 
-def work(task: Task) -> None:
-    """What each process does: the task, its state in a file."""
-    told = 0.0
+def work(task: Task, out: Connection) -> None:
+    """Do a task in a process of its own: `(failed, text)` goes to the parent, and the parent's end ends it too."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the parent ignores it
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    reported_s = 0.0
 
-    def say(text: str) -> None:
-        nonlocal told
-        if time.monotonic() - told > LOOK_S:
-            told = time.monotonic()
-            write_text(task.folder / STATUS, text)
+    def report_progress(text: str) -> None:
+        nonlocal reported_s
+        if time.monotonic() - reported_s > LOOK_S:
+            reported_s = time.monotonic()
+            out.send((False, text))
 
-    try:
-        task.do(say)
-    except UllageError as error:
-        task.folder.mkdir(parents=True, exist_ok=True)
-        write_text(task.folder / FAILED, str(error))
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+    with stop_as_ctrl_c():
+        try:
+            task.do(report_progress)
+        except UllageError as error:
+            out.send((True, str(error)))
+            raise SystemExit(2) from None
+        except KeyboardInterrupt:
+            raise SystemExit(130) from None
 
 
-def _judge(task: Task, process: BaseProcess) -> None:
+def _end_with_parent() -> None:
+    """End this process at once when its parent is gone, also by kill -9; a run then stays unfinished."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+
+def _judge(running: Running) -> None:
+    process = running.process
     process.join()
+    running.read()
     if process.exitcode == 130:
         raise KeyboardInterrupt
     if process.exitcode != 0:
-        what = _read(task.folder / FAILED) or f"ended with code {process.exitcode}"
-        raise UllageError(f"{task.title}: {what}")
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError:
-        return ""
+        what = running.failed or f"ended with code {process.exitcode}"
+        raise UllageError(f"{running.task.title}: {what}")
 
 
 def _end(processes: Sequence[BaseProcess]) -> None:
@@ -138,4 +169,4 @@ def _end(processes: Sequence[BaseProcess]) -> None:
     for process in processes:
         process.join(max(until - time.monotonic(), 0.1))
         if process.is_alive():
-            process.terminate()
+            process.kill()

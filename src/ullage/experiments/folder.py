@@ -2,54 +2,98 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import platform
-import shutil
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ullage.data import Metric
 from ullage.errors import InputError
+from ullage.files import write_whole
 
 RUNS = Path("runs")
+State = Literal["complete", "interrupted", "running", "unfinished"]
+FINISHED = ("complete", "interrupted")
+"""States of a run that has all its files; an interrupted one holds what came by then."""
 
 
-def make_folder(name: str, digest: str, *, root: Path | None = None, force: bool = False) -> Path:
-    """A fresh folder `NAME-DIGEST` under `root`, with `latest` pointing at it.
+def draft_of(final: Path) -> Path:
+    """Where a run is written until it is complete."""
+    return final.with_name(f".{final.name}.draft")
 
-    Raises:
-        InputError: the folder exists and `force` is not set, or the place cannot be written.
-    """
-    place = (RUNS if root is None else root) / f"{name}-{digest}"
+
+def final_of(folder: Path) -> Path:
+    """The final place of a run, from that or from its draft."""
+    name = folder.name
+    return folder.with_name(name[1:-6]) if name.startswith(".") and name.endswith(".draft") else folder
+
+
+def lock_of(final: Path) -> Path:
+    """The file that a process locks while it writes a run."""
+    return final.with_name(f".{final.name}.lock")
+
+
+def state_of(folder: Path) -> State:
+    """How far a run came, from its provenance.json and from whether a process still writes it."""
     try:
-        if place.exists():
-            if not force:
-                raise InputError(
-                    "this run exists", where=place, allowed="--force to run it again, or another name or setting"
-                )
-            shutil.rmtree(place)
-        (place / "figures").mkdir(parents=True)
-        draft = place.parent / f".latest-{os.getpid()}"
-        draft.symlink_to(place.name)
-        draft.replace(place.parent / "latest")
-    except OSError as error:
-        raise InputError(
-            f"cannot write: {error.strerror}", where=place, allowed="a folder that can be written, --out DIR"
-        ) from None
-    return place
+        about = read_json(folder / "provenance.json")
+    except InputError:
+        about = {}
+    about = about if isinstance(about, dict) else {}
+    state = about.get("state")
+    if state in FINISHED:
+        return "complete" if state == "complete" else "interrupted"
+    if state == "running":
+        return "running" if _locked(final_of(folder)) else "unfinished"
+    if state or "refused" in about or not (folder / "metrics.json").is_file():
+        return "unfinished"
+    return "interrupted" if about.get("interrupted") else "complete"  # from a version without states
+
+
+def describe(folder: Path) -> str:
+    """The state of a run in a few words, with the reason or the process where it is known."""
+    state = state_of(folder)
+    if state in FINISHED:
+        return state
+    with suppress(InputError, AttributeError):
+        about = read_json(folder / "provenance.json")
+        if state == "running":
+            return f"running, process {about.get('pid')} on {about.get('host')}"
+        return f"unfinished: {about['refused']}" if "refused" in about else state
+    return state
+
+
+def _locked(final: Path) -> bool:
+    try:
+        with lock_of(final).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def runs_in(root: Path) -> list[Path]:
+    """Every run folder under `root`, the unfinished ones by their drafts, in order of their names."""
+    found = (mark.parent for mark in [*root.glob("*/provenance.json"), *root.glob(".*.draft/provenance.json")])
+    return sorted({p for p in found if not p.is_symlink()}, key=lambda p: (final_of(p).name, p.name))
 
 
 def find_folder(text: str | Path) -> Path:
-    """A run folder by path, by name under runs/, or "latest".
+    """A run folder by path, by name under runs/, or "latest"; an unfinished run is found by its final name too.
 
     Raises:
         InputError: there is none.
     """
-    for place in (Path(text), RUNS / str(text)):
+    places = (Path(text), RUNS / str(text))
+    for place in (*places, *(draft_of(p) for p in places if p.name)):
         if (place / "scenario.yaml").is_file() or (place / "provenance.json").is_file():
             return place.resolve() if place.is_symlink() else place
     known = sorted(p.parent.name for p in RUNS.glob("*/provenance.json")) if RUNS.is_dir() else []
@@ -64,12 +108,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         InputError: the disk is full or the place cannot be written.
     """
-    draft = path.with_name(f".{path.name}")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot write: {error.strerror}", where=path) from None
+    write_whole(path, lambda out: out.write(text.encode()))
 
 
 def write_json(path: Path, tree: Any) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 from ullage.config import Scenario, Task, scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
+from ullage.experiments.draft import Draft, running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
+from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
@@ -31,7 +34,7 @@ Say = Callable[[str], None]
 class Run:
     """A run under way: what it reads, makes and knows."""
 
-    folder: Path
+    folder: Path  # a draft until the run is complete
     scenario: Scenario
     source: Source
     scene: Scene | None = None
@@ -44,11 +47,20 @@ class Run:
     looks: Looks = field(default_factory=Looks)
     rest: Rest = field(default_factory=Rest)
     timing: dict[str, float] = field(default_factory=dict)
+    draft: Draft | None = None  # that folder, if it is one to be swapped in
+    sinks: list[Sink] = field(default_factory=list)  # those that were asked for, open
 
     @property
     def title(self) -> str:
         """What stands above its figures."""
         return self.scenario.title or self.scenario.name
+
+    def discard(self) -> None:
+        """Remove its folder, in which nothing is worth keeping."""
+        if self.draft is None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        else:
+            self.draft.discard()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +73,17 @@ class Report:
     figures: tuple[Path, ...]
 
 
-def of_scenario(folder: Path, simulated: Simulated) -> Run:
-    """A run of a simulated scenario."""
+def of_scenario(folder: Path | Draft, simulated: Simulated) -> Run:
+    """A run of a simulated scenario, into a plain folder or a draft."""
     scenario = simulated.scenario
-    return Run(folder, scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
+    run = Run(Path(), scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
+    return into(run, folder)
+
+
+def into(run: Run, folder: Path | Draft) -> Run:
+    """Let a run write to a plain folder, or to a draft that is swapped in when it is complete."""
+    run.folder, run.draft = (folder.path, folder) if isinstance(folder, Draft) else (folder, None)
+    return run
 
 
 def execute(
@@ -76,7 +95,9 @@ def execute(
     draw: bool = True,
     under_way: Compiling | None = None,
 ) -> Report:
-    """Run the loop, then write map files, figures, metrics, provenance and report.
+    """Run the loop, then write map files, metrics, figures, report and provenance, and put the run in its place.
+
+    A run that is cut short (disk full, source refused, second Ctrl-C) stays in its draft folder, marked as unfinished.
 
     Args:
         job: what to run.
@@ -87,42 +108,81 @@ def execute(
         under_way: kernels that are still being compiled; maps and images wait for theirs.
     """
     origin = provenance()
-    write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
-    write_json(job.folder / "provenance.json", origin)
+    try:
+        write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
+        write_json(job.folder / "provenance.json", origin | running())
+        outcome = _receive(job, sinks, progress, say, under_way)
+        report = _finish(job, outcome, origin, say if draw else None)
+    except BaseException as error:
+        _keep_what_came(job, origin, error)
+        raise
+    if job.draft is None:
+        return report
+    job.folder = job.draft.finish(interrupted=outcome.interrupted)
+    return replace(report, folder=job.folder, figures=tuple(job.folder / "figures" / p.name for p in report.figures))
+
+
+def _receive(
+    job: Run,
+    sinks: Sequence[Sink],
+    progress: Callable[[float], None] | None,
+    say: Say,
+    under_way: Compiling | None,
+) -> Outcome:
+    """Run the loop; the map so far is saved every minute."""
     stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, say)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
-        outcome = run(job.source, stages=stages, sinks=sinks, progress=progress)
-    except UllageError as error:
-        _keep_what_came(job, origin | {"refused": str(error)})
-        raise
+        outcome = run(job.source, stages=stages, sinks=[*sinks, *job.sinks, MapSaver(job.folder)], progress=progress)
     finally:
         if under_way is not None:
             under_way.close()
     if job.live:
         job.flown = _seen_path(job.looks) or job.flown
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
-    _write_maps(job.folder, outcome)
-    metrics = _metrics(job, outcome)
-    if draw:
-        say("drawing figures")
-    figures = _draw(job, outcome) if draw else ()
-    write_json(job.folder / "metrics.json", metric_tree(metrics))
-    write_json(job.folder / "provenance.json", origin | {"timing": job.timing, "interrupted": outcome.interrupted})
-    report = Report(job.folder, outcome, metrics, figures)
+    return outcome
+
+
+def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say | None) -> Report:
+    """Write maps, metrics, figures and report; provenance.json comes last but one and marks the run as complete.
+
+    Args:
+        job: the run.
+        outcome: what the loop gave.
+        origin: its provenance.
+        say: told that figures are drawn; None: none are.
+    """
     from ullage.view.report import write_report
 
-    write_report(job.folder)
-    return report
+    for item in outcome.results:
+        if isinstance(item, OccupancyMap):
+            write_map_files(job.folder, item)
+    metrics = _metrics(job, outcome)
+    write_json(job.folder / "metrics.json", metric_tree(metrics))
+    if say is not None:
+        say("drawing figures")
+    figures = _draw(job, outcome) if say is not None else ()
+    state = "interrupted" if outcome.interrupted else "complete"
+    done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
+    write_report(job.folder, origin={**origin, **done})
+    write_json(job.folder / "provenance.json", {**origin, **done})
+    return Report(job.folder, outcome, metrics, figures)
 
 
-def _keep_what_came(job: Run, origin: Mapping[str, object]) -> None:
-    """Say in the folder of a run that was refused how many frames came and why it ended; without any it goes."""
+def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException) -> None:
+    """Mark a run that was cut short as unfinished, with the reason; without any frames its folder goes."""
     if not job.looks.received:  # nothing is lost
-        shutil.rmtree(job.folder, ignore_errors=True)
+        job.discard()
         return
-    write_json(job.folder / "metrics.json", metric_tree({"frames": Metric("frames", job.looks.received)}))
-    write_json(job.folder / "provenance.json", origin)
+    stopped = isinstance(error, KeyboardInterrupt)
+    reason = str(error) if isinstance(error, UllageError) else "ended" if stopped else type(error).__name__
+    with suppress(UllageError):  # a full disk: the folder keeps its mark of a run under way, and no process holds it
+        frames = {"frames": Metric("frames", job.looks.received)}
+        if not (job.folder / "metrics.json").exists():
+            write_json(job.folder / "metrics.json", metric_tree(frames))
+        write_json(job.folder / "provenance.json", {**origin, "state": "unfinished", "refused": reason})
+    if job.draft is not None:
+        job.draft.release()
 
 
 @dataclass(slots=True)
@@ -186,20 +246,6 @@ def _bounds(job: Run) -> np.ndarray:
         raise InputError("no poses, so nothing can be imaged or mapped", where="--do", allowed="detect")
     reach = job.scenario.map.reach_m
     return np.stack([job.flown.position.min(0) - reach, job.flown.position.max(0) + reach])
-
-
-def _write_maps(folder: Path, outcome: Outcome) -> None:
-    """The final map as map_server files, a volume as an OctoMap tree and as points."""
-    from ullage.ports.maps import write_map_server
-    from ullage.ports.octomap import write_octomap
-    from ullage.ports.ply import write_ply
-
-    for item in outcome.results:
-        if isinstance(item, OccupancyMap) and item.grid.dims == 2:
-            write_map_server(item, folder / "map.yaml")
-        elif isinstance(item, OccupancyMap):
-            write_octomap(item, folder / "map.bt")
-            write_ply(item, folder / "map.ply")
 
 
 def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:

@@ -15,7 +15,7 @@ import yaml
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.crew import Tell, carry_out
-from ullage.experiments.folder import read_json, write_text
+from ullage.experiments.folder import read_json, state_of, write_text
 from ullage.experiments.runner import execute
 from ullage.experiments.targets import make_run
 
@@ -48,8 +48,7 @@ class Point:
     @property
     def done(self) -> bool:
         """Whether it ran to its end."""
-        mark = self.folder / "provenance.json"
-        return mark.is_file() and read_json(mark).get("interrupted") is False
+        return state_of(self.folder) == "complete"
 
     @property
     def metrics(self) -> dict[str, float | None]:
@@ -145,7 +144,9 @@ def plan(
     return points
 
 
-def sweep(points: Sequence[Point], *, out: Path, jobs: int = 1, tell: Tell = lambda *_: None) -> Sweep:
+def sweep(
+    points: Sequence[Point], *, out: Path, jobs: int = 1, tell: Tell = lambda *_: None, again: bool = False
+) -> Sweep:
     """Run what is not there yet, several at a time, and write `sweep.csv`, a row for each run.
 
     Args:
@@ -153,13 +154,14 @@ def sweep(points: Sequence[Point], *, out: Path, jobs: int = 1, tell: Tell = lam
         out: folder of the table.
         jobs: how many at a time, each in a process of its own.
         tell: told the number done and what goes on.
+        again: run again what is there; each old run lives until its new one is complete.
 
     Raises:
         UllageError: one of them cannot be run; the table holds those before it.
     """
     interrupted = False
     try:
-        carry_out(points, jobs=jobs, tell=tell)
+        carry_out(points, jobs=jobs, tell=tell, again=again)
     except KeyboardInterrupt:
         interrupted = True
     finally:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 from ullage.config import Task, make_scenario
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario, scenario_names
-from ullage.experiments.folder import make_folder
-from ullage.experiments.runner import Run, of_scenario
+from ullage.experiments.draft import begin_run, check_free, place_of
+from ullage.experiments.runner import Run, into, of_scenario
 from ullage.experiments.simulated import prepare
+from ullage.pipeline import Sink, check_sink
+from ullage.pipeline import sink as open_sink
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Passing
 
@@ -27,8 +30,11 @@ def make_run(
     force: bool = False,
     progress: Callable[[float], None] | None = None,
     say: Callable[[str], None] = print,
+    to: Sequence[str] = (),
 ) -> Run:
     """Get a run ready: read the scenario and fly it, or open the recording.
+
+    Then open the sinks and make a draft folder. Whatever can be refused is refused before that.
 
     Args:
         target: scenario name, scenario.yaml, recording, or live port.
@@ -38,24 +44,27 @@ def make_run(
         force: run again where the folder exists.
         progress: told the share of the preparation done.
         say: told what was found on the way.
+        to: sinks beside the run's own files; see `ullage.sink`.
 
     Raises:
-        InputError: the target cannot be used.
+        InputError: the target, an option or a sink cannot be used, or the run exists.
     """
+    for sink in to:
+        check_sink(sink)
     path = Path(target)
     address = Address.of(target)
     if address and address.known and not path.exists():
-        return _of_live(address, tasks, options, out, say)
+        return _begin(_of_live(address, tasks, options, say), to, out)
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
         scenario = find_scenario(target, options=options)
         if tasks is not None:
             scenario = scenario.but(do=tasks)
-        folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
-        return of_scenario(folder, prepare(scenario, progress=progress))
+        check_free(place_of(scenario.name, scenario.digest, root=out), force=force)
+        return _begin(of_scenario(Path(), prepare(scenario, progress=progress)), to, out, force=force)
     if path.exists():
         target = str(path.resolve())  # `latest` will point elsewhere before it is read
     if path.exists() or ":" in target:
-        return _of_recording(target, tasks, options, out, force, say)
+        return _begin(_of_recording(target, tasks, options, say), to, out, force=force)
     raise InputError(
         f"no scenario, recording or port {target!r}",
         allowed="a scenario ("
@@ -64,18 +73,80 @@ def make_run(
     )
 
 
+def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False) -> Run:
+    """Open the sinks of a run and make its draft folder; where one is refused, what was opened is closed again."""
+    name, digest = run.scenario.name, run.scenario.digest
+    with ExitStack() as opened:
+        if hasattr(run.source, "close"):
+            opened.callback(run.source.close)
+        check_free(place_of(name, digest, root=out), force=force)
+        live = [target for target in to if ":" in target]  # ports first: they leave nothing on the disk
+        run.sinks += [_opened(target, opened) for target in live]
+        draft = begin_run(name, digest, root=out, force=force)
+        opened.callback(draft.discard)
+        run.sinks += [_opened(target, opened) for target in to if target not in live]
+        opened.pop_all()
+    return into(run, draft)
+
+
+def check_options(options: Sequence[str]) -> None:
+    """Refuse a wrong option before a recording is read or a port listened to.
+
+    Raises:
+        InputError: an option is no setting, or its value is not allowed.
+    """
+    make_scenario({"name": "any", "do": ["detect"]}, options=options)
+
+
+def tasks_of(text: str | None) -> tuple[Task, ...] | None:
+    """The tasks of `detect,image,map`; None where nothing was asked for.
+
+    Raises:
+        InputError: there is no such task.
+    """
+    if text is None:
+        return None
+    words = tuple(word.strip() for word in text.split(",") if word.strip())
+    if unknown := set(words) - set(get_args(Task)):
+        raise InputError(f"no task {min(unknown)!r}", where="--do", allowed="detect, image, map")
+    return cast("tuple[Task, ...]", words)
+
+
+def record(run: Run) -> Sink:
+    """Open the recording in a run's folder, and give every sink the world; where that fails, the run's folder goes.
+
+    Raises:
+        InputError: the disk is full or the folder cannot be written.
+    """
+    with ExitStack() as opened:
+        opened.callback(run.discard)
+        for sink in run.sinks:
+            opened.callback(sink.close)
+        recording = _opened(str(run.folder / "frames.mcap"), opened)
+        for sink in (recording, *run.sinks):
+            if run.scene is not None:
+                sink.write(run.scene)
+        opened.pop_all()
+    return recording
+
+
+def _opened(target: str, opened: ExitStack) -> Sink:
+    sink = open_sink(target)
+    opened.callback(sink.close)
+    return sink
+
+
 def _of_recording(
     target: str,
     tasks: tuple[Task, ...] | None,
     options: Sequence[str],
-    out: Path | None,
-    force: bool,
     say: Callable[[str], None],
 ) -> Run:
     from ullage.pipeline import Held
     from ullage.ports import RailSource
     from ullage.ports import open as open_source
 
+    check_options(options)
     source: Any = open_source(target)
     first = next(iter(source.stream()), None)
     if not first:
@@ -89,12 +160,12 @@ def _of_recording(
         phase = all(part.unit != "thesis" for part in first.values())
         tasks = ("detect", "image", "map") if placed and phase else ("detect", "map") if placed else ("detect",)
     name = Path(target.rstrip("/").replace(":", "_")).stem or "recording"
+    name = name.lstrip(".") or "recording"
     tree: dict[str, Any] = {"name": "".join(c if c.isalnum() or c in "_.-" else "-" for c in name)[:60], "do": tasks}
     tree["title"] = f"Recording {Path(target).name}"
     scenario = make_scenario(tree, options=options)
-    folder = make_folder(scenario.name, scenario.digest, root=out, force=force)
     flown = _track(source) if placed else None
-    return Run(folder, scenario, source, flown=flown, marks=marks, tasks=scenario.do)
+    return Run(Path(), scenario, source, flown=flown, marks=marks, tasks=scenario.do)
 
 
 class _Begun:
@@ -112,20 +183,24 @@ class _Begun:
                 yield self.first
             yield from self._rest
         finally:
-            self._source.close()
+            self.close()
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._source.close()
 
 
 def _of_live(
     address: Address,
     tasks: tuple[Task, ...] | None,
     options: Sequence[str],
-    out: Path | None,
     say: Callable[[str], None],
 ) -> Run:
     """Listen until the first frames come: they say what radars there are and where the map should lie.
 
     Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
     """
+    check_options(options)
     source: Any = address.source()
     try:
         wait = tasks != ()
@@ -141,12 +216,11 @@ def _of_live(
         tree: dict[str, Any] = {"name": f"{address.scheme}-{now:%Y%m%d-%H%M%S}", "do": usual}
         tree["title"] = f"Live from {address.scheme}:{address.place}"
         scenario = make_scenario(tree, options=options)
-        folder = make_folder(scenario.name, scenario.digest, root=out)
     except BaseException:
         source.close()
         raise
     scene = getattr(source, "scene", None)
-    return Run(folder, scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
+    return Run(Path(), scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
 
 
 def _on_one_clock(source: Any, say: Callable[[str], None]) -> dict[str, Frames]:

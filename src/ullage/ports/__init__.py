@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -13,7 +14,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from ullage.data import Floats, Frames, Times, Trajectory
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import OccupancyMap
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
@@ -28,6 +29,8 @@ SOURCES = (
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 LOGS = (".lsf", ".lsf.gz")
+NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf")}
+"""Libraries of live ports beyond those of every installation, in the extra of the port's name."""
 FILES = {
     ".mcap": ("replay", "McapSource"),
     ".zarr": ("store", "ZarrSource"),
@@ -104,6 +107,56 @@ def sink(target: str | Path, **options: Any) -> Sink:
 
         return with_options(McapSink, path, options)
     raise InputError("not something to write to", where=target, allowed=SINKS)
+
+
+def check_sink(target: str | Path) -> None:
+    """Check what can be checked of a sink without opening it: its kind, its library, and that its file can be written.
+
+    Raises:
+        InputError: it is of no known kind, its file is there already, or its folder cannot be written.
+        MissingExtra: its library is not installed.
+    """
+    path = Path(target)
+    kind = path.suffix.lower()
+    if address := Address.of(target):
+        if not address.known:
+            raise InputError("not something to write to", where=target, allowed=SINKS)
+        address.port()
+        for library in NEEDED.get(address.scheme, ()):
+            need(library, extra=address.scheme)
+    elif kind in MAPS:
+        check_folder(path)  # a map replaces the one before
+    elif kind in {".mcap", ".zarr"} or path.name.lower().endswith(LOGS):
+        if kind == ".zarr":
+            need("zarr", extra="zarr")
+        check_new(path)
+    elif path.is_dir() or (not kind and not path.is_file()):
+        check_new(path / "frames.mcap")
+    else:
+        raise InputError("not something to write to", where=target, allowed=SINKS)
+
+
+def check_new(path: Path) -> None:
+    """Check that a file can be made.
+
+    Raises:
+        InputError: it is there already, or its folder cannot be written.
+    """
+    if path.exists():
+        raise InputError("exists already", where=path, allowed="a new name")
+    check_folder(path)
+
+
+def check_folder(path: Path) -> None:
+    """Check that the folder of a file, or the nearest one above it that exists, can be written.
+
+    Raises:
+        InputError: it cannot.
+    """
+    there = next(folder for folder in path.absolute().parents if folder.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+        what = "read-only" if there.is_dir() else "no folder"
+        raise InputError(f"cannot write: {there} is {what}", where=path, allowed="a folder that can be written")
 
 
 def write_map(omap: OccupancyMap, path: str | Path, **options: Any) -> None:

@@ -18,12 +18,13 @@ import numpy as np
 
 from ullage.data import Detections, Frames, Trajectory, sensors_of
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.geometry import invert
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.messages import topic_name
-from ullage.ports.protocol import Item, Passed, write_whole
+from ullage.ports.protocol import Item, Passed
 from ullage.world.scene import Scene
 
 FLUSH_NS = 500_000_000

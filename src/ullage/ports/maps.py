@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
-from ullage.ports.protocol import write_whole
 
 Mode = Literal["trinary", "scale", "raw"]
 MODES = ("trinary", "scale", "raw")

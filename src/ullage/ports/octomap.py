@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError, UllageWarning
+from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
-from ullage.ports.protocol import write_whole
 
 DEPTH = 16
 CENTRE = 1 << (DEPTH - 1)

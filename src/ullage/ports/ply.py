@@ -11,8 +11,8 @@ import numpy as np
 
 from ullage.data import Floats
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
-from ullage.ports.protocol import write_whole
 
 TAG = "comment ullage grid "
 

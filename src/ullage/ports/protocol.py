@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,24 +162,3 @@ def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int6
     step = step.copy()
     step[bad] = usual
     return np.asarray(np.concatenate([t_ns[:1], t_ns[0] + np.cumsum(step)]), np.int64)
-
-
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file under a temporary name and rename it, so that it is there wholly or not at all.
-
-    Raises:
-        InputError: the folder cannot be written, or the disk is full.
-    """
-    name = ""
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as out:
-            name = out.name
-            write(out)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-    except OSError as error:
-        if name and os.path.exists(name):
-            os.unlink(name)
-        raise InputError(f"cannot write: {error.strerror or error}", where=path) from None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ullage.data import Frames
 from ullage.grids import Image
 from ullage.processing.baseband import envelope
+from ullage.view.saving import save_figure
 
 Floats = NDArray[np.float64]
 COLORS = {"recorded": "#22577a", "simulated": "#d1495b"}
@@ -69,7 +70,7 @@ def draw_rail(path: Path, looks: Sequence[Look], *, place: Floats, reach_m: Floa
     for axes in below:
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _db(value: Any) -> Floats:
@@ -96,10 +97,3 @@ def _image(axes: Any, look: Look, place: Floats, figure: Any) -> None:
     axes.plot(place[0], place[1], "+", color="#d1495b", markersize=12, markeredgewidth=1.6)
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{look.name}: focused", aspect="equal")
     figure.colorbar(mesh, ax=axes, label="dB", pad=0.01, shrink=0.8)
-
-
-def _save(figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}")
-    figure.savefig(draft, dpi=110, format=path.suffix[1:])
-    draft.replace(path)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
 from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
+from ullage.view.saving import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,10 +32,7 @@ def drawing(path: Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: i
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, columns)
     yield figure, axes
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}")
-    figure.savefig(draft, dpi=130, format=path.suffix[1:])
-    draft.replace(path)
+    save_figure(figure, path, dpi=130)
 
 
 def draw_map(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import yaml
 from jinja2 import Environment, StrictUndefined
 
 from ullage.errors import InputError
+from ullage.files import write_whole
 
 CAPTIONS = {
     "map": "Occupancy map over the true walls (red) and the flown path (blue).",
@@ -34,7 +36,8 @@ PAGE = """<!doctype html>
 </style></head><body>
 <h1>{{ title }}</h1>
 <p>{{ name }}, run {{ provenance.started }} with ullage {{ provenance.ullage }}
-{%- if provenance.interrupted %} <span class="bad">interrupted: what had been received by then</span>{% endif %}</p>
+{%- if provenance.interrupted %} <span class="bad">interrupted: what had been received by then</span>{% endif %}
+{%- if unfinished %} <span class="bad">unfinished: {{ unfinished }}</span>{% endif %}</p>
 <h2>Figures</h2>
 {% for figure in figures %}<figure><img alt="{{ figure.caption }}" src="data:image/png;base64,{{ figure.data }}">
 <figcaption>{{ figure.caption }}</figcaption></figure>
@@ -50,29 +53,35 @@ PAGE = """<!doctype html>
 """
 
 
-def write_report(folder: Path) -> Path:
-    """Write `report.html` from what lies in a run folder.
+def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) -> Path:
+    """Write `report.html` from what lies in a run folder; an unfinished run gives what it has.
+
+    Args:
+        folder: of the run.
+        origin: its provenance; None: that of its provenance.json.
 
     Raises:
-        InputError: the folder lacks its scenario or metrics, or they cannot be read.
+        InputError: the folder lacks its scenario or metrics, they cannot be read, or the disk is full.
     """
     settings = _text(folder / "scenario.yaml")
     plan = yaml.safe_load(settings)
-    origin = json.loads(_text(folder / "provenance.json"))
-    metrics = json.loads(_text(folder / "metrics.json"))
+    origin = dict(origin or json.loads(_text(folder / "provenance.json")))
+    unfinished = origin.get("state") in {"running", "unfinished"}
+    lacking = unfinished and not (folder / "metrics.json").exists()
+    metrics = {} if lacking else json.loads(_text(folder / "metrics.json"))
     page = Environment(autoescape=True, undefined=StrictUndefined).from_string(PAGE)
     html = page.render(
         name=plan["name"],
         title=plan.get("title") or plan["name"],
         provenance={"interrupted": False} | origin,
+        unfinished=str(origin.get("refused", "its process was ended, or is still at work")) if unfinished else "",
         figures=[_figure(path) for path in _pictures(folder)],
         metrics=[_row(name, m, plan.get("expect") or {}) for name, m in metrics.items()],
         settings=settings,
         origin=json.dumps(origin, indent=2),
     )
-    out, draft = folder / "report.html", folder / ".report.html"
-    draft.write_text(html, encoding="utf-8")
-    draft.replace(out)
+    out = folder / "report.html"
+    write_whole(out, lambda file: file.write(html.encode()))
     return out
 
 

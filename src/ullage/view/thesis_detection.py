@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ullage.data import Frames
 from ullage.grids import Image
 from ullage.view.figures import TRUTH_COLOR
+from ullage.view.saving import save_figure
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
 
@@ -61,7 +62,7 @@ def draw_target(path: Path, passes: Sequence[Pass], *, title: str) -> None:
     rows[-1][2].set_xlabel("time [s]")
     rows[0][0].legend(fontsize=7, loc="upper left")
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _unit(frames: Frames) -> str:
@@ -133,7 +134,7 @@ def draw_images(
         mesh, ax=list(panels[: len(images)]), label="amplitude under the brightest 0.2 % of cells [dB]", shrink=0.8
     )
     figure.suptitle(title, fontsize=11)
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def outline(axes: Axes, scene: Scene, z_m: float) -> None:
@@ -143,10 +144,3 @@ def outline(axes: Axes, scene: Scene, z_m: float) -> None:
     axes.add_collection(LineCollection(list(section(scene, z_m)), color="#7bdff2", linewidth=0.7))
     wires = wire_section(scene, z_m)
     axes.plot(wires[:, 0], wires[:, 1], ".", color="#7bdff2", markersize=3)
-
-
-def _save(figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}")
-    figure.savefig(draft, dpi=110, format=path.suffix[1:])
-    draft.replace(path)

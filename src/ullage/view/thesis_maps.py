@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ullage.data import Trajectory
 from ullage.grids import Image, OccupancyMap
 from ullage.view.figures import draw_map, draw_plan
+from ullage.view.saving import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +102,4 @@ def _finish(figure: Figure, grid: Any, bars: dict[str, Any], title: str, path: P
         bar = figure.colorbar(mesh, ax=[axes for axes in grid.flat if axes.figure is not None], shrink=0.7, pad=0.01)
         bar.set_label(label, fontsize=8)
     figure.suptitle(title, fontsize=11)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}")
-    figure.savefig(draft, dpi=110, format=path.suffix[1:])
-    draft.replace(path)
+    save_figure(figure, path)

@@ -10,7 +10,7 @@ from typing import Any
 
 from ullage.data import Frames, Metric, Trajectory, joined
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.folder import make_folder
+from ullage.experiments.draft import begin_run
 from ullage.experiments.reproduce.findings import Findings
 from ullage.experiments.runner import execute, of_scenario
 from ullage.experiments.simulated import Simulated, prepare
@@ -103,17 +103,17 @@ class Bench:
         scenario = find_scenario(name, options=options)
         self.say(f"{name}: flying")
         simulated = prepare(scenario)
-        folder = make_folder(scenario.name, scenario.digest, root=self.folder / "runs", force=True)
+        draft = begin_run(scenario.name, scenario.digest, root=self.folder / "runs", force=True)
         kept, started = Kept(), time.monotonic()
         total = max(simulated.flown.duration_s, 1e-9)
 
         def tell(done: float) -> None:
             self.say(f"{name}: {100 * min(done / total, 1):.0f} %, {time.monotonic() - started:.0f} s")
 
-        report = execute(of_scenario(folder, simulated), sinks=[kept], progress=tell, say=lambda _: None, draw=False)
+        report = execute(of_scenario(draft, simulated), sinks=[kept], progress=tell, say=lambda _: None, draw=False)
         if report.outcome.interrupted:
             raise Interrupted
-        self.findings.scenarios.append(str(folder.relative_to(self.folder)))
+        self.findings.scenarios.append(str(report.folder.relative_to(self.folder)))
         results = report.outcome.results
         image = next((item for item in results if isinstance(item, Image)), None)
         omap = next((item for item in results if isinstance(item, OccupancyMap)), None)

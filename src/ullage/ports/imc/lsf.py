@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.grids import OccupancyMap
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.definition import to_xml
@@ -21,7 +22,7 @@ from ullage.ports.imc.source import pieces, warn
 from ullage.ports.imc.table import from_xml, own
 from ullage.ports.imc.teller import BODY, Teller
 from ullage.ports.intake import Counters
-from ullage.ports.protocol import Item, one_or_all, write_whole
+from ullage.ports.protocol import Item, one_or_all
 
 AT_ONCE = 1 << 19
 STARTED, STOPPED = 1, 3

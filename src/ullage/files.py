@@ -1,0 +1,38 @@
+"""Write files whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+from ullage.errors import InputError
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file under a temporary name and rename it, so that it is there wholly or not at all.
+
+    Args:
+        path: of the file; its folder exists.
+        write: puts the content into the open file.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    name = ""
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as out:
+            name = out.name
+            write(out)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)
+        os.replace(name, path)
+    except BaseException as error:  # Ctrl-C too leaves no half a file
+        if name and os.path.exists(name):
+            os.unlink(name)
+        if isinstance(error, OSError):
+            raise InputError(f"cannot write: {error.strerror or error}", where=path) from None
+        raise
