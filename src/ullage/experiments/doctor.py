@@ -92,14 +92,20 @@ def _worlds() -> Check:
 def _disk() -> Check:
     from ullage.specs import Rig
 
-    free, minute = shutil.disk_usage(Path.cwd()).free, 60 * recording_rate(Rig.preset("thesis-4"))
-    text = f"{free / 1e9:.1f} GB free here (a minute of four radars takes about {minute / 1e6:.0f} MB)"
+    rig, free = Rig.preset("thesis-4"), shutil.disk_usage(Path.cwd()).free
+    low, high = (60e-6 * recording_rate(rig, sample_bytes=size) for size in (4, 8))
+    text = f"{free / 1e9:.1f} GB free here (a minute of four radars takes {low:.0f} to {high:.0f} MB)"
     return Check("disk", free > 200e6, text)
 
 
-def recording_rate(rig: Rig) -> float:
-    """Bytes a second that a recording of these radars takes: complex samples, which noise keeps from being compressed.
+def recording_rate(rig: Rig, *, sample_bytes: int) -> float:
+    """Bytes a second that a recording of these radars takes.
 
-    The tenth beside them is measured: poses, detections, and the map of the cargo hold.
+    Noise keeps the samples and the profiles (4 bytes a bin) from being compressed. All else, a twentieth, is measured:
+    poses, detections, and the map of the cargo hold.
+
+    Args:
+        rig: the radars.
+        sample_bytes: 8 for complex baseband, 4 for the real samples of the thesis model.
     """
-    return 1.1 * sum(8 * spec.bins * spec.fps for spec in rig.sensors.values())
+    return 1.05 * sum((sample_bytes + 4) * spec.bins * spec.fps for spec in rig.sensors.values())
