@@ -28,6 +28,14 @@ Options = Annotated[
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
 
 
+def _trust(wanted: bool) -> None:
+    if wanted:
+        os.environ["ULLAGE_TRUST_XACRO"] = "1"  # for this process and its workers
+
+
+Trust = Annotated[bool, typer.Option("--trust-xacro", callback=_trust, help="Expand .xacro, which may run code.")]
+
+
 def main() -> None:
     """Run the command; what ullage refuses is one line and exit 2, unless --debug asks for the traceback."""
     from ullage.errors import UllageError
@@ -90,6 +98,7 @@ def run(
     option: Options = None,
     out: Out = None,
     force: Annotated[bool, typer.Option("--force", help="Run again where the run exists.")] = False,
+    trust_xacro: Trust = False,
 ) -> None:
     """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
     from ullage.experiments.runner import execute
@@ -337,6 +346,7 @@ def sweep(
     ),
     force: Annotated[bool, typer.Option("--force", help="Run again what is there.")] = False,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many runs at a time.")] = 2,
+    trust_xacro: Trust = False,
 ) -> None:
     """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
     from ullage.experiments import sweep as sweeps

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
-import yaml
 from pydantic import BaseModel, Field, model_validator
 from pydantic_core import PydanticUndefined
 
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 from ullage.specs import RadarSpec, Rig, Spec
+from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 
-MAX_BYTES = 1_000_000
 Fidelity = Literal["physical", "thesis"]
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 MapMethod = Literal["ullage", "elfes"]
@@ -148,35 +147,29 @@ def read_scenario(path: str | Path, *, options: Sequence[str] = ()) -> Scenario:
         InputError: the file is missing, not YAML, or a field is unknown or out of bounds.
     """
     file = Path(path)
-    try:
-        if file.stat().st_size > MAX_BYTES:
-            raise InputError(f"{file.stat().st_size} bytes", where=file, allowed=f"a scenario of at most {MAX_BYTES}")
-        text = file.read_text(encoding="utf-8")
-        tree = yaml.safe_load(text)
-    except OSError as error:
-        raise InputError(error.strerror or str(error), where=file) from None
-    except UnicodeDecodeError:
-        raise InputError("not UTF-8 text", where=file, allowed="a YAML scenario") from None
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else None
-        raise InputError(f"not YAML: {error.problem}", where=file, line=line) from None
+    tree, text = read_yaml(file)
     if not isinstance(tree, dict):
         raise InputError("not a scenario", where=file, allowed="YAML with fields like world, flight, sensing")
     try:
         return make_scenario({"name": file.stem} | tree, options=options, where=str(file))
     except InputError as error:
         place = ".".join(str(part) for part in error.field)
-        if any(f"{place}.".startswith(f"{option.partition('=')[0]}.") for option in options):
+        if is_set_by(options, place):
             raise InputError(error.what, where="-o", allowed=error.allowed, field=error.field) from None
-        line = _line(yaml.compose(text), error.field)
+        line = _line(compose_yaml(text), error.field)
         raise InputError(error.what, where=file, line=line, allowed=error.allowed, field=error.field) from None
 
 
-def _line(node: yaml.Node | None, path: tuple[str | int, ...]) -> int | None:
+def is_set_by(options: Sequence[str], place: str) -> bool:
+    """Whether one of the `a.b=value` options sets the field at this place, or a group that holds it."""
+    return any(f"{place}.".startswith(f"{option.partition('=')[0]}.") for option in options)
+
+
+def _line(node: Any, path: tuple[str | int, ...]) -> int | None:
     """The line of the setting at `path` [1 = first], or of the group that should hold it."""
     line = None
     for part in path:
-        if not isinstance(node, yaml.MappingNode):
+        if not isinstance(getattr(node, "value", None), list) or node.id != "mapping":
             break
         found = next((pair for pair in node.value if pair[0].value == str(part)), None)
         if found is None:
@@ -205,21 +198,24 @@ def make_scenario(tree: dict[str, Any], *, options: Sequence[str] = (), where: s
 
 
 def _overlaid(tree: dict[str, Any], options: Sequence[str]) -> dict[str, Any]:
-    out: dict[str, Any] = json.loads(json.dumps(tree, default=list))
+    try:
+        out: dict[str, Any] = json.loads(json.dumps(tree, default=list))
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InputError(f"not plain values: {reason(error)}", allowed="numbers, text, lists and groups") from None
     for option in options:
         key, sep, text = option.partition("=")
         if not sep or not key:
-            raise InputError(f"-o {option!r} is not an option", allowed="key=value, e.g. -o map.step_m=0.2")
+            raise InputError(f"-o {shown(option)} is not an option", allowed="key=value, e.g. -o map.step_m=0.2")
         *folders, leaf = key.split(".")
         place = out
         for folder in folders:
             place = place.setdefault(folder, {})
             if not isinstance(place, dict):
-                raise InputError(f"{folder!r} holds a value, not a group, in -o {option}")
+                raise InputError(f"{folder!r} holds a value, not a group, in -o {shown(option)}")
         try:
-            place[leaf] = yaml.safe_load(text)
-        except yaml.YAMLError:
-            raise InputError(f"cannot read -o {key}={text!r}", allowed="a YAML value") from None
+            place[leaf] = load_yaml(text, where="-o")
+        except InputError as error:
+            raise InputError(f"cannot read -o {key}={shown(text)}: {error.what}", allowed="a YAML value") from None
     return out
 
 

@@ -5,6 +5,26 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
+LONGEST = 1200
+"""Characters of a message: what a file holds may be of any length."""
+
+
+def one_line(text: str, *, most: int = LONGEST) -> str:
+    """Text without line breaks and control characters, its middle left out where it is too long."""
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else " " if c.isspace() else f"\\x{ord(c):02x}" for c in text[: 4 * most])
+        text = " ".join(text.split())
+    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 3 :]}"
+
+
+def shown(value: Any, *, most: int = 80) -> str:
+    """A value as Python writes it, on one line and of limited length."""
+    try:
+        return one_line(repr(value), most=most)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, a list that holds itself
+        return f"<{type(value).__name__}>"
 
 
 class UllageError(Exception):
@@ -32,7 +52,7 @@ class InputError(UllageError):
         field: tuple[str | int, ...] = (),
     ) -> None:
         place = "" if where is None else f"{where}:{line}: " if line is not None else f"{where}: "
-        super().__init__(f"{place}{what}" + (f" (allowed: {allowed})" if allowed else ""))
+        super().__init__(one_line(f"{place}{what}" + (f" (allowed: {allowed})" if allowed else "")))
         self.what, self.where, self.line, self.allowed, self.field = what, where, line, allowed, field
 
 

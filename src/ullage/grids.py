@@ -254,7 +254,7 @@ class OccupancyMap:
         free_to: percent at and below which it counts as free.
 
     Raises:
-        InputError: the cells are not int8 or not of the grid's shape.
+        InputError: the cells are not int8, not of the grid's shape, or out of range; or the levels are.
     """
 
     __slots__ = ("_view", "free_to", "grid", "method", "occupied_from", "tiles")
@@ -276,6 +276,12 @@ class OccupancyMap:
         if percent.shape != grid.shape or (isinstance(percent, np.ndarray) and percent.dtype != np.int8):
             kind = "blocks" if isinstance(percent, Tiles) else percent.dtype
             raise InputError(f"percent is {kind} {percent.shape}", where="OccupancyMap", allowed=f"int8 {grid.shape}")
+        if isinstance(percent, np.ndarray) and (percent.min() < AMBIGUOUS or percent.max() > 100):
+            low, high = int(percent.min()), int(percent.max())
+            raise InputError(f"cells from {low} to {high}", where="OccupancyMap", allowed=f"{AMBIGUOUS} to 100 percent")
+        if not 0 <= free_to <= occupied_from <= 100:
+            levels = f"free_to {free_to}, occupied_from {occupied_from}"
+            raise InputError(levels, where="OccupancyMap", allowed="0 <= free_to <= occupied_from <= 100")
         tiles = percent if isinstance(percent, Tiles) else Tiles.of(percent)
         self.__setstate__((grid, tiles, method, occupied_from, free_to))
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 from ullage.geometry import C0, transform
 
 
@@ -29,9 +29,9 @@ def refusal(error: ValidationError, model: type[BaseModel]) -> InputError:
     elif first["type"] == "missing":
         said = " is missing"
     elif allowed:
-        said, allowed = f" is {given!r}" if plain else " is a group", allowed.partition(", unable")[0]
+        said, allowed = f" is {shown(given)}" if plain else " is a group", allowed.partition(", unable")[0]
     else:
-        said = f": {said}, not {given!r}" if plain else f": {said}"
+        said = f": {said}, not {shown(given)}" if plain else f": {said}"
     path = ".".join(str(part) for part in field)
     return InputError((path + said).removeprefix(": "), where=model.__name__, allowed=allowed, field=field)
 
@@ -53,7 +53,7 @@ class Spec(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
 
-    def __init__(self, **values: Any) -> None:
+    def __init__(self, /, **values: Any) -> None:
         outermost = not _nested.get()
         mark = _nested.set(True)
         try:
@@ -65,7 +65,7 @@ class Spec(BaseModel):
         finally:
             _nested.reset(mark)
 
-    def but(self, **changes: Any) -> Self:
+    def but(self, /, **changes: Any) -> Self:
         """A checked copy with some fields changed."""
         return type(self)(**{name: getattr(self, name) for name in type(self).model_fields} | changes)
 
@@ -202,7 +202,7 @@ def _frame_area(area: Any, values: dict[str, Any]) -> dict[str, Any]:
         step = C0 / 2 * (1 if values.get("output") == "rf" else decimation) / rate
         return {"range_start_m": start, "bins": math.floor((end - start) / step + 1e-9) + 1}
     except (TypeError, ValueError, OverflowError, ZeroDivisionError):
-        raise ValueError(f"frame_area is {area!r} (allowed: two ranges, start and end [m])") from None
+        raise ValueError(f"frame_area is {shown(area)} (allowed: two ranges, start and end [m])") from None
 
 
 class RadarSpec(Spec):
@@ -262,7 +262,7 @@ class RadarSpec(Spec):
     }  # fmt: skip
 
     @classmethod
-    def preset(cls, name: str, **changes: Any) -> RadarSpec:
+    def preset(cls, name: str, /, **changes: Any) -> RadarSpec:
         """A known radar, with some fields changed: `preset("x4m05", noise=None)`.
 
         Raises:
@@ -272,7 +272,7 @@ class RadarSpec(Spec):
             raise InputError(f"no radar preset {name!r}", where="preset", allowed=", ".join(cls.presets))
         return cls(**_over(cls.presets[name], changes))
 
-    def but(self, **changes: Any) -> Self:
+    def but(self, /, **changes: Any) -> Self:
         """A checked copy with some fields changed."""
         return type(self)(**_over({name: getattr(self, name) for name in type(self).model_fields}, changes))
 

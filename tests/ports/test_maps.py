@@ -107,7 +107,7 @@ GOOD = {
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no map"), ("- 1\n", "no map"), (": [", "no YAML"), ("image: [\n", "no YAML"),
+        ("", "no map"), ("- 1\n", "no map"), (": [", "not YAML"), ("image: [\n", "not YAML"),
         (yaml.dump(GOOD | {"resolution": "wide"}), "resolution is 'wide'"),
         (yaml.dump(GOOD | {"resolution": -1}), "step_m"),
         (yaml.dump(GOOD | {"origin": [0, 0, 0.5]}), "turned by 0.5"), (yaml.dump(GOOD | {"origin": 3}), "origin is 3"),

@@ -138,7 +138,7 @@ def test_the_xacro_macro_mounts_a_radar_on_a_urdf_robot(tmp_path):
     robot.write_text("""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
       <xacro:include filename="ullage_radar.urdf.xacro"/><link name="base"/>
       <xacro:ullage_radar name="front" parent="base" xyz="0.1 0 0.2" rpy="0 0 0.5" rays="58" noise="0.01"/></robot>""")
-    spec = ul.load_scene(robot).rig("r").sensors["front"]
+    spec = ul.load_scene(robot, trust_xacro=True).rig("r").sensors["front"]
     assert (spec.fps, spec.thesis.rays_per_side, spec.thesis.noise_sigma) == (17, 58, 0.01)
     want = transform([0.1, 0, 0.2], np.array([0, 0, 0.5]))
     np.testing.assert_allclose(spec.mount.body_from_sensor(), want, atol=1e-9)

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from ullage.data import Metric
 from ullage.errors import InputError
 from ullage.files import write_whole
+from ullage.untrusted import reason
 
 RUNS = Path("runs")
 State = Literal["complete", "interrupted", "running", "unfinished"]
@@ -124,8 +125,8 @@ def read_json(path: Path) -> Any:
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read: {error}", where=path) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"cannot read: {reason(error)}", where=path) from None
 
 
 def provenance() -> dict[str, Any]:

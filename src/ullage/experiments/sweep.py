@@ -10,14 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.crew import Tell, carry_out
 from ullage.experiments.folder import read_json, state_of, write_text
 from ullage.experiments.runner import execute
 from ullage.experiments.targets import make_run
+from ullage.untrusted import compose_yaml, load_yaml
 
 Settings = tuple[tuple[str, str], ...]  # key, value as text
 MOST = 10_000
@@ -108,10 +107,11 @@ def axis_of(text: str) -> tuple[str, list[str]]:
     key, _, values = text.partition("=")
     allowed = "KEY=VALUE,VALUE as in map.step_m=0.1,0.2"
     try:
-        node = yaml.compose(f"[{values}]", Loader=yaml.SafeLoader)
-    except yaml.YAMLError:
+        load_yaml(f"[{values}]", where="--over")
+    except InputError:
         raise InputError(f"cannot read {text!r}", where="--over", allowed=allowed) from None
-    if not key or not isinstance(node, yaml.SequenceNode) or not node.value:
+    node = compose_yaml(f"[{values}]")
+    if not key or node.id != "sequence" or not node.value:
         raise InputError(f"cannot read {text!r}", where="--over", allowed=allowed)
     return key, [f"[{values}]"[part.start_mark.index : part.end_mark.index] for part in node.value]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -53,7 +54,8 @@ def make_run(
         check_sink(sink)
     path = Path(target)
     address = Address.of(target)
-    if address and address.known and not path.exists():
+    there = os.path.exists(path)  # false also of a name that no file can have
+    if address and address.known and not there:
         return _begin(_of_live(address, tasks, options, say), to, out)
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
         scenario = find_scenario(target, options=options)
@@ -61,9 +63,9 @@ def make_run(
             scenario = scenario.but(do=tasks)
         check_free(place_of(scenario.name, scenario.digest, root=out), force=force)
         return _begin(of_scenario(Path(), prepare(scenario, progress=progress)), to, out, force=force)
-    if path.exists():
+    if there:
         target = str(path.resolve())  # `latest` will point elsewhere before it is read
-    if path.exists() or ":" in target:
+    if there or ":" in target:
         return _begin(_of_recording(target, tasks, options, say), to, out, force=force)
     raise InputError(
         f"no scenario, recording or port {target!r}",

@@ -16,9 +16,11 @@ import numpy as np
 from ullage.data import Floats, Frames, Times, Trajectory
 from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import OccupancyMap
+from ullage.ports.guarded import GuardedSource, only_files
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.specs import MountSpec
+from ullage.untrusted import read_yaml, reading, regular_size
 
 __all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 
@@ -56,22 +58,33 @@ def open(target: str | Path, **options: Any) -> Source:
         **options: of that kind: X4 takes fps and range_start_m; a PulsON folder takes mount (a MountSpec).
 
     Raises:
-        InputError: it is not there, or of no known kind.
+        InputError: it is not there, of no known kind, or damaged; so do the methods of what is returned.
     """
     path = Path(target)
-    if not path.exists():
+    if not os.path.exists(path):
         if address := Address.of(target, **options):
             return address.source()
         raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
-    if path.is_dir() and path.suffix.lower() != ".zarr":
-        return _open_folder(path, options)
+    with reading(path):
+        source = _opened(path, options)
+    return source if isinstance(source, WholeSource) else GuardedSource(source, path)
+
+
+def _opened(path: Path, options: dict[str, Any]) -> Source:
+    """The reader of a recording, chosen by the kind of its name."""
+    if path.is_dir():
+        only_files(path)
+        if path.suffix.lower() != ".zarr":
+            return _open_folder(path, options)
+    else:
+        regular_size(path, allowed=SOURCES)
     if path.name.lower().endswith(LOGS):
         from ullage.ports.imc import open_log
 
         return open_log(path, options)
     if path.suffix.lower() in FILES:
         return _open_file(path, options)
-    raise InputError("not a recording", where=target, allowed=SOURCES)
+    raise InputError("not a recording", where=path, allowed=SOURCES)
 
 
 def sink(target: str | Path, **options: Any) -> Sink:
@@ -184,7 +197,11 @@ def read_map(path: str | Path, **options: Any) -> OccupancyMap:
         raise InputError("not a map file", where=path, allowed=", ".join(k for k in MAPS if k != ".pgm"))
     module, _, read = MAPS[kind]
     door: Callable[..., OccupancyMap] = getattr(importlib.import_module(f"ullage.ports.{module}"), read)
-    return with_options(door, Path(path), options)
+    if not os.path.exists(path):
+        raise InputError("cannot read: no such file", where=path)
+    regular_size(path, allowed="a map file")
+    with reading(path):
+        return with_options(door, Path(path), options)
 
 
 class MapSink:
@@ -252,6 +269,8 @@ def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
 def _open_file(path: Path, options: dict[str, Any]) -> Source:
     module, name = FILES[path.suffix.lower()]
     door: Callable[..., Source] = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
+    if path.suffix.lower() == ".db3" and os.path.exists(metadata := path.parent / "metadata.yaml"):
+        read_yaml(metadata)  # the library that reads it knows no limits
     return with_options(door, path, options)
 
 

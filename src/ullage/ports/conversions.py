@@ -233,6 +233,8 @@ def grid_of(data: bytes) -> OccupancyMap:
     if abs(turn.x) + abs(turn.y) + abs(turn.z) > 1e-9:
         raise InputError("the map is turned", where="OccupancyGrid", allowed="an origin along the axes of the world")
     percent = np.array(note.data, np.int8)
+    if percent.size and (percent.min() < UNKNOWN or percent.max() > 100):
+        raise InputError("a cell is out of range", where="OccupancyGrid", allowed="-1 (unknown), 0 to 100 percent")
     if len(percent) != info.width * info.height:
         raise InputError("the map's size does not fit", where="OccupancyGrid")
     step = float(str(np.float32(info.resolution)))  # the shortest number that this float32 can mean

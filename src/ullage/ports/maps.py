@@ -7,21 +7,28 @@ transparent, so the image is a PNG. raw: the pixel is the percent, 255 unknown; 
 from __future__ import annotations
 
 import math
+import os
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.untrusted import read_yaml, reason, regular_size
 
 Mode = Literal["trinary", "scale", "raw"]
 MODES = ("trinary", "scale", "raw")
 FREE_PIXEL, UNKNOWN_PIXEL = 254, 205
 FREE_THRESHOLD, OCCUPIED_THRESHOLD = 0.196, 0.65  # map_server's own, between which 205 is unknown
-MOST_PIXELS = 400_000_000
+MOST_PIXELS = 100_000_000
+STRIP = 256  # rows of the image worked on at a time, so that their colours take little memory
+FORMATS = ("PPM", "PNG", "BMP", "TIFF", "GIF", "JPEG")  # none that needs another program, as PostScript does
+LARGEST = 1e9  # metres and metres a pixel
 
 
 def write_map_server(omap: OccupancyMap, path: str | Path, *, mode: Mode = "trinary") -> Path:
@@ -89,15 +96,8 @@ def read_map_server(path: str | Path) -> OccupancyMap:
     Raises:
         InputError: the file or its image cannot be read or make no map; turned maps are refused.
     """
-    import yaml
-
     path = Path(path)
-    try:
-        about = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"no YAML: {' '.join(str(error).split())}", where=path) from None
+    about, _ = read_yaml(path)
     if not isinstance(about, dict) or "image" not in about:
         raise InputError("no map", where=path, allowed="a map_server .yaml with image, resolution, origin, ...")
     step = _number(about, "resolution", path)
@@ -105,15 +105,15 @@ def read_map_server(path: str | Path) -> OccupancyMap:
     mode = str(about.get("mode", "trinary"))
     if mode not in MODES:
         raise InputError(f"no mode {mode!r}", where=path, allowed=", ".join(MODES))
-    if not low < high:
-        raise InputError(f"free_thresh {low:g} is not below occupied_thresh {high:g}", where=path)
+    if not 0 <= low < high <= 1:
+        raise InputError(f"free_thresh {low:g} is not below occupied_thresh {high:g}", where=path, allowed="0 to 1")
     x, y = _origin(about, path)
-    grey, opacity = _read_image(path.parent / str(about["image"]))
-    percent = _percent(grey, opacity, mode, bool(about.get("negate", 0)), low, high)[::-1]
+    image, negate = _beside(path, str(about["image"])), bool(about.get("negate", 0))
+    percent = _read_image(image, lambda grey, opaque: _percent(grey, opaque, mode, negate, low, high))[::-1]
     said = about.get("ullage")
     own: dict[str, Any] = said if isinstance(said, dict) else {}
     z = own.get("height_m")
-    height = float(z) if isinstance(z, int | float) else math.nan
+    height = float(z) if isinstance(z, int | float) and abs(z) <= LARGEST else math.nan
     grid = Grid((x, y, height), step, percent.shape)
     levels = (round(100 * high), round(100 * low)) if mode == "raw" else (65, 35)
     return OccupancyMap(grid, np.ascontiguousarray(percent), str(own.get("method") or "map_server"), *levels)
@@ -121,35 +121,58 @@ def read_map_server(path: str | Path) -> OccupancyMap:
 
 def _number(about: dict[str, Any], name: str, path: Path) -> float:
     value = about.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{name} is {value!r}", where=path, allowed="a number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        raise InputError(f"{name} is {shown(value)}", where=path, allowed="a number")
     return float(value)
 
 
 def _origin(about: dict[str, Any], path: Path) -> tuple[float, float]:
     origin = about.get("origin")
-    if not (isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)):
-        raise InputError(f"origin is {origin!r}", where=path, allowed="[x, y, yaw]")
+    known = isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)
+    if not (known and all(abs(v) <= LARGEST for v in origin)):
+        raise InputError(f"origin is {shown(origin)}", where=path, allowed="[x, y, yaw]")
     if origin[2] != 0:
         raise InputError(f"the map is turned by {origin[2]:g} rad", where=path, allowed="yaw 0")
     return float(origin[0]), float(origin[1])
 
 
-def _read_image(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Brightness 0..255, the mean of colours, and whether each pixel is opaque."""
+def _beside(path: Path, name: str) -> Path:
+    """The image that a map names: a file in the map's folder, or below it."""
+    image = path.parent / name
+    try:
+        inside = image.resolve().is_relative_to(path.parent.resolve())
+    except (OSError, ValueError):  # too long, or a zero byte in it
+        raise InputError(f"image is {shown(name)}", where=path, allowed="the name of a file") from None
+    if not inside:
+        raise InputError(f"image {shown(name)} reaches out of the map's folder", where=path, allowed="a file beside it")
+    if not os.path.exists(image):
+        raise InputError("no image: no such file", where=image, allowed="PGM, PNG, BMP")
+    regular_size(image, allowed="PGM, PNG, BMP")
+    return image
+
+
+def _read_image(path: Path, percent_of: Callable[[Any, Any], NDArray[np.int8]]) -> NDArray[np.int8]:
+    """The percent of each pixel, from its brightness 0..255, the mean of colours, and whether it is opaque."""
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(), Image.open(path, formats=FORMATS) as image:
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # our own limit is lower
             if image.width * image.height > MOST_PIXELS:
                 size = f"{image.width} x {image.height} pixels"
                 raise InputError(f"{size} are too many", where=path, allowed=f"{MOST_PIXELS:.0e}")
-            has_opacity = "A" in image.getbands() or "transparency" in image.info
-            pixels = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"no image: {error}", where=path, allowed="PGM, PNG, BMP") from None
-    opaque = pixels[..., 3] > 0 if has_opacity else np.ones(pixels.shape[:2], np.bool_)
-    return pixels[..., :3].mean(axis=-1), opaque
+            transparent = "A" in image.getbands() or "transparency" in image.info
+            out = np.empty((image.height, image.width), np.int8)
+            for top in range(0, image.height, STRIP):
+                part = image.crop((0, top, image.width, min(top + STRIP, image.height)))
+                pixels: Any = np.asarray(part.convert("RGBA" if transparent else "RGB"))
+                opaque = pixels[..., 3] > 0 if transparent else np.ones(pixels.shape[:2], np.bool_)
+                out[top : top + STRIP] = percent_of(pixels[..., :3].mean(axis=-1), opaque)
+            return out
+    except InputError:
+        raise
+    except Exception as error:  # the image library raises a dozen kinds of exception
+        raise InputError(f"no image: {reason(error)}", where=path, allowed="PGM, PNG, BMP") from None
 
 
 def _percent(

@@ -35,7 +35,7 @@ def read_tracks(path: str | Path) -> dict[str, Trajectory]:
     except OSError as error:
         raise InputError(f"cannot read: {error.strerror}", where=path) from None
     start = next((i for i, line in enumerate(lines[:50]) if line.startswith("Frame,")), None)
-    if start is None:
+    if not start:  # none, or without the lines above it
         raise InputError("no line that starts with Frame,Time", where=path, allowed="a Motive .csv export")
     scale = _check_header(lines[0], path)
     columns = _rigid_bodies(lines[: start + 1], path)

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.untrusted import MOST_CELLS
 
 DEPTH = 16
 CENTRE = 1 << (DEPTH - 1)
 FREE, OCCUPIED, INNER = 1, 2, 3
-MOST_CELLS = 500_000_000
 SUREST = 0.9975
+MOST_STEP_M = 1e6
 
 Codes = NDArray[np.int64]
 
@@ -175,6 +176,8 @@ def read_octomap(path: str | Path) -> OccupancyMap:
     body = raw[len(head) + len(found) :]
     try:
         step = float(words["res"])
+        if not MOST_STEP_M > step > 0:
+            raise InputError(f"cells of {step:g} m", where=path, allowed=f"above 0, below {MOST_STEP_M:g} m")
         leaves = (_parse_bits if binary else _parse_values)(body) if int(words["size"]) else []
     except (IndexError, KeyError, ValueError):
         raise InputError("cut or damaged", where=path) from None

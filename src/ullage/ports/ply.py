@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from ullage.data import Floats
 from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.specs import Spec
+from ullage.untrusted import MOST_CELLS, reason
+from ullage.world.meshes import check_ply
 
 TAG = "comment ullage grid "
+FURTHEST_M = 1e12  # points beyond cannot be numbered in cells
 
 
 def write_ply(omap: OccupancyMap, path: str | Path, *, normals: Floats | None = None) -> None:
@@ -63,19 +69,20 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     import trimesh
 
     path = Path(path)
+    raw = _bytes(path)
+    about = _grid_in(raw, path)
     try:
-        head = path.read_bytes()[:65536].split(b"end_header")[0].decode("latin1").splitlines()
-        cloud: Any = trimesh.load(path, file_type="ply", process=False)
-        points = np.asarray(cloud.vertices, float)
-    except OSError as error:
-        raise InputError(f"cannot read: {error.strerror}", where=path) from None
+        check_ply(raw, path)
+        cloud: Any = trimesh.load(io.BytesIO(raw), file_type="ply", process=False)
+        points = np.asarray(cloud.vertices, float).reshape(-1, 3)
+    except InputError:
+        raise
     except Exception as error:  # trimesh says what is wrong in a dozen kinds of exception
-        raise InputError(f"no PLY point cloud: {error}", where=path) from None
+        raise InputError(f"no PLY point cloud: {reason(error)}", where=path) from None
     points = points[np.isfinite(points).all(1)]
-    said = next((json.loads(line.removeprefix(TAG)) for line in head if line.startswith(TAG)), None)
-    if said is not None and step_m is None:
-        x, y, z = (math.nan if value is None else value for value in said["origin_m"])
-        grid = Grid((x, y, z), said["step_m"], tuple(said["shape"]))
+    if about is not None and step_m is None:
+        x, y, z = (math.nan if value is None else value for value in about.origin_m)
+        grid = Grid((x, y, z), about.step_m, about.shape)
     elif not len(points):
         raise InputError("no points in it", where=path)
     elif step_m is None:
@@ -83,7 +90,41 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     else:
         box = np.stack([points.min(0), points.max(0)])
         grid = Grid.covering(box, step_m, dims=3, margin_m=0.01 * step_m)  # so that no point lies on the last edge
+    if grid.size > MOST_CELLS:
+        raise InputError(f"{grid.size:.3g} cells are too many for an array", where=path, allowed=f"{MOST_CELLS:.0e}")
     percent = np.full(grid.shape, UNKNOWN, np.int8)
+    points = points[(abs(points) < FURTHEST_M).all(1)]
     cells, inside = grid.index(points)
     percent[tuple(cells[inside].T)] = 100
-    return OccupancyMap(grid, percent, said["method"] if said else "ply")
+    return OccupancyMap(grid, percent, about.method if about else "ply")
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", where=path) from None
+
+
+class GridNote(Spec):
+    """The grid that ullage writes into a comment."""
+
+    origin_m: tuple[float | None, float | None, float | None]
+    step_m: float = Field(gt=0, le=1e6)
+    shape: tuple[int, ...] = Field(min_length=2, max_length=3)
+    method: str = Field("ply", max_length=100)
+
+
+def _grid_in(raw: bytes, path: Path) -> GridNote | None:
+    """The grid in the file's header, where ullage wrote it."""
+    head = raw[:65536].split(b"end_header")[0].decode("latin1").splitlines()
+    for number, line in enumerate(head, 1):
+        if line.startswith(TAG):
+            try:
+                found = json.loads(line.removeprefix(TAG))
+                return GridNote(**found if isinstance(found, dict) else {"grid": found})
+            except InputError as error:
+                raise InputError(f"the grid in it: {error}", where=path, line=number) from None
+            except (ValueError, RecursionError) as error:
+                raise InputError(f"the grid in it is no JSON: {reason(error)}", where=path, line=number) from None
+    return None

@@ -55,6 +55,7 @@ class McapSource:
         if magic != MAGIC:
             raise InputError("not an MCAP recording" if magic else "empty file", where=self.path, allowed="MCAP")
         self._sensors: tuple[str, ...] | None = None
+        self.place = ""
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -131,7 +132,7 @@ class McapSource:
 
         names: dict[int, str] = {}
         channels: dict[int, str] = {}
-        for record in self._records():
+        for number, record in enumerate(self._records()):
             if isinstance(record, Schema):
                 names[record.id] = record.name
             elif isinstance(record, Channel):
@@ -140,13 +141,16 @@ class McapSource:
             elif isinstance(record, Message) and channels.get(record.channel_id) in kinds:
                 if record.data[:2] != b"\0\1":
                     continue  # big endian: no ROS 2 machine of today writes it
+                self.place = f"record {number}"
                 yield channels[record.channel_id], record.data
 
     def _records(self) -> Iterator[Any]:
         """Records in and outside chunks; damaged chunks are left out, with one warning at the end."""
         from mcap.exceptions import EndOfFile
         from mcap.records import Chunk
-        from mcap.stream_reader import StreamReader, breakup_chunk
+        from mcap.stream_reader import StreamReader
+
+        from ullage.ports.chunks import chunk_records
 
         broken: Counter[str] = Counter()
         with open(self.path, "rb") as file:
@@ -164,7 +168,7 @@ class McapSource:
                     broken[f"it ends in what is no record, at byte {file.tell()} ({type(error).__name__})"] += 1
                     break
                 try:
-                    inner = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+                    inner = chunk_records(record) if isinstance(record, Chunk) else [record]
                 except unreadable():
                     broken["damaged chunks"] += 1
                     continue

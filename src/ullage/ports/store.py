@@ -19,6 +19,8 @@ from ullage.ports import conversions
 from ullage.ports.protocol import Item, one_or_all
 
 ROWS = 256  # frames in a chunk
+FREE_BYTES, MOST_RATIO = 256 * 2**20, 200
+"""Arrays above so many bytes may unpack to so many times what is stored."""
 
 
 class ZarrSink:
@@ -135,8 +137,9 @@ class ZarrSource:
     def __init__(self, path: str | Path) -> None:
         zarr: Any = need("zarr", extra="zarr")
         self.path = Path(path)
+        self._checked: set[str] = set()
         try:
-            self._root: Any = zarr.open_group(str(self.path), mode="r")
+            self._root: Any = zarr.open_group(str(self.path), mode="r", zarr_format=3)
             known = str(self._root.attrs.get("format", "")).startswith("ullage frames")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"no zarr store: {error}", where=self.path) from None
@@ -165,8 +168,22 @@ class ZarrSource:
         for start in range(0, max(sizes.values(), default=0), chunk):
             yield {name: self._cut(name, start, start + chunk) for name, size in sizes.items() if start < size}
 
+    def _check_size(self, group: Any) -> None:
+        """Refuse arrays whose description promises far more than the files hold."""
+        if group.name in self._checked:
+            return
+        self._checked.add(group.name)
+        promised = sum(int(array.nbytes) for _, array in group.arrays())
+        if promised <= FREE_BYTES:
+            return
+        stored = sum(path.stat().st_size for path in self.path.rglob("*") if path.is_file())
+        if promised > MOST_RATIO * stored:
+            what = f"promises {promised} bytes and holds {stored}"
+            raise InputError(what, where=self.path, allowed=f"at most {MOST_RATIO} times what is stored")
+
     def _cut(self, name: str, start: int, stop: int | None) -> Frames:
         try:
+            self._check_size(self._root[name])
             group, rows = self._root[name], slice(start, stop)
             t_ns = group["t_ns"][rows]
             paths = {
@@ -190,6 +207,7 @@ class ZarrSource:
         """The map, where there is one."""
         if "map" not in self._root:
             return None
+        self._check_size(self._root["map"])
         about, percent = self._root["map"].attrs, self._root["map"]["percent"][...]
         x, y, z = (np.nan if v is None else v for v in about["origin_m"])
         grid = Grid((x, y, z), about["step_m"], percent.shape)

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
 from jinja2 import Environment, StrictUndefined
 
 from ullage.errors import InputError
 from ullage.files import write_whole
+from ullage.untrusted import load_yaml
 
 CAPTIONS = {
     "map": "Occupancy map over the true walls (red) and the flown path (blue).",
@@ -64,7 +64,7 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
         InputError: the folder lacks its scenario or metrics, they cannot be read, or the disk is full.
     """
     settings = _text(folder / "scenario.yaml")
-    plan = yaml.safe_load(settings)
+    plan = load_yaml(settings, where=folder / "scenario.yaml")
     origin = dict(origin or json.loads(_text(folder / "provenance.json")))
     unfinished = origin.get("state") in {"running", "unfinished"}
     lacking = unfinished and not (folder / "metrics.json").exists()

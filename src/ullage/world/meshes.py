@@ -6,23 +6,35 @@ Coordinates are taken as they stand, without turning any axis (as Gazebo does); 
 from __future__ import annotations
 
 import io
+import json
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
+from ullage.untrusted import regular_size
 from ullage.world.notices import notify
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Mesh = tuple[Floats, Ints]
 
+PLY_BYTES = {
+    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4, "uint": 4,
+    "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
+}  # fmt: skip
 FORMATS = (".dae", ".glb", ".gltf", ".obj", ".ply", ".stl")
 MOST_BYTES = 512 * 2**20
 MOST_FACES = 20_000_000
+MOST_EMPTY = 1_000_000
+"""Values of glTF accessors that have no data in the file."""
+
+MOST_NODES = 100_000
+"""Nodes of a COLLADA scene, those that are instanced several times counted each time."""
 
 
 def load_mesh(path: Path, *, submesh: str = "", center: bool = False) -> Mesh:
@@ -90,11 +102,49 @@ def _parts(path: Path) -> list[tuple[set[str], Mesh]]:
     raw = _bytes(path)
     try:
         return _collada(raw, path) if kind == ".dae" else _by_trimesh(raw, path, kind[1:])
-    except (InputError, MemoryError):
+    except InputError:
         raise
     except Exception as error:  # whatever a broken file brings a reader to raise
         said = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"the mesh cannot be read: {said}", where=path) from None
+
+
+def check_ply(raw: bytes, path: Path) -> None:
+    """Refuse a PLY file whose header promises more than the file can hold: a reader would make room for it.
+
+    Raises:
+        InputError: the header is malformed, or promises too much.
+    """
+    head, found, _ = raw[: 2**20].partition(b"end_header")
+    if not raw.startswith(b"ply") or not found:
+        raise InputError("the mesh cannot be read: it has no PLY header", where=path)
+    size = len(raw) - len(head) - len(found)
+    ascii_text, promised, count = b"format ascii" in head, 0, 0
+    for number, line in enumerate(head.decode("latin1").splitlines(), 1):
+        words = line.split()
+        if words[:1] == ["element"] and len(words) == 3:
+            count = int(words[2]) if words[2].isdecimal() and len(words[2]) < 16 else -1
+            if not 0 <= count <= max(size, 1):
+                raise InputError(
+                    f"{line[:80]!r} in {size} bytes", where=path, line=number, allowed="what the file holds"
+                )
+        elif words[:1] == ["property"] and len(words) >= 3:
+            promised += count * (2 if ascii_text else PLY_BYTES.get(words[2 if words[1] == "list" else 1], 1))
+        if promised > size + 1:
+            raise InputError(
+                f"promises {promised} bytes and holds {size}", where=path, line=number, allowed="whole data"
+            )
+
+
+def _check_gltf(raw: bytes, path: Path) -> None:
+    """Refuse a glTF file whose accessors have no data and ask for much room."""
+    start = raw.find(b"{")
+    text = raw[20 : 20 + int.from_bytes(raw[12:16], "little")] if raw.startswith(b"glTF") else raw[start:]
+    empty = [one.get("count", 0) for one in json.loads(text).get("accessors", ()) if "bufferView" not in one]
+    if any(not isinstance(count, int) or count < 0 for count in empty) or sum(empty) > MOST_EMPTY:
+        raise InputError(
+            f"accessors without data, of {shown(empty)} values", where=path, allowed=f"{MOST_EMPTY} in all"
+        )
 
 
 def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], Mesh]]:
@@ -102,6 +152,10 @@ def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], Mesh]
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what it would say is said by the caller
     options: dict[str, Any] = {}
+    if kind == "ply":
+        check_ply(raw, path)
+    if kind in ("glb", "gltf"):
+        _check_gltf(raw, path)
     if kind == "obj":
         objects = raw.startswith(b"o ") or b"\no " in raw
         options = {"split_objects": objects, "split_groups": not objects, "group_material": False}
@@ -131,12 +185,17 @@ def _collada(raw: bytes, path: Path) -> list[tuple[set[str], Mesh]]:
     unit = document.assetInfo.unitmeter if document.assetInfo is not None else None
     scale = np.diag([unit or 1.0, unit or 1.0, unit or 1.0, 1.0])
     out: list[tuple[set[str], Mesh]] = []
+    left = iter(range(MOST_NODES))
     for node in document.scene.nodes if document.scene is not None else ():
-        _collada_node(node, scale, set(), out)
+        _collada_node(node, scale, set(), out, left)
     return out
 
 
-def _collada_node(node: Any, matrix: Floats, names: set[str], out: list[tuple[set[str], Mesh]]) -> None:
+def _collada_node(
+    node: Any, matrix: Floats, names: set[str], out: list[tuple[set[str], Mesh]], left: Iterator[int]
+) -> None:
+    if next(left, None) is None:
+        raise ValueError(f"more than {MOST_NODES} nodes")
     geometry = getattr(node, "geometry", None)
     if geometry is None:
         geometry = getattr(getattr(node, "controller", None), "geometry", None)
@@ -146,7 +205,7 @@ def _collada_node(node: Any, matrix: Floats, names: set[str], out: list[tuple[se
         return
     own = {name for name in (getattr(node, "id", None), node.xmlnode.get("name")) if name}
     for child in getattr(node, "children", None) or ():
-        _collada_node(child, matrix @ np.asarray(node.matrix, float), own or names, out)
+        _collada_node(child, matrix @ np.asarray(node.matrix, float), own or names, out, left)
 
 
 def _collada_triangles(primitive: Any) -> Mesh | None:
@@ -165,7 +224,7 @@ def _moved(mesh: Mesh, matrix: Floats) -> Mesh:
 
 def _bytes(path: Path) -> bytes:
     try:
-        size = path.stat().st_size
+        size = regular_size(path, allowed="a mesh")
         if size > MOST_BYTES:
             raise InputError(
                 f"{size / 2**20:.0f} MiB of mesh", where=path, allowed=f"at most {MOST_BYTES // 2**20} MiB"

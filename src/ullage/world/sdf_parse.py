@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix, transform
+from ullage.untrusted import regular_size
 from ullage.world.notices import notify
 from ullage.world.sdf_schema import ELEMENTS
 
@@ -80,9 +81,7 @@ def read_xml(path: Path, *, root: tuple[str, ...] = ()) -> Element:
 
 def _bytes(path: Path) -> bytes:
     try:
-        size = path.stat().st_size
-        if path.is_dir():
-            raise InputError("is a folder, not a file", where=path)
+        size = regular_size(path, allowed="an XML file")
         if size > MOST_BYTES:
             raise InputError(f"{size / 2**20:.0f} MiB of XML", where=path, allowed=f"at most {MOST_BYTES // 2**20} MiB")
         return path.read_bytes()

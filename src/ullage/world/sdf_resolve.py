@@ -78,7 +78,7 @@ class Resolver:
             return self._cached(uri, rest, at)
         if scheme not in ("", "file", "model", "package"):
             at.refuse(f"{uri!r} is of an unknown kind", allowed="model://, package://, file:// or a relative path")
-        there = [path.resolve() for path in self._candidates(scheme, rest, at.file.parent) if path.exists()]
+        there = [path.resolve() for path in self._candidates(scheme, rest, at.file.parent) if os.path.exists(path)]
         roots = (*self.homes, *self.folders, *self.caches)
         near = [path for path in there if any(path.is_relative_to(root) for root in roots)]
         if near:
@@ -96,7 +96,7 @@ class Resolver:
 
     def _cached(self, uri: str, rest: str, at: Place) -> Path:
         name = FuelName.parse(rest)
-        found = [] if name is None else [path.resolve() for path in name.paths(self.caches) if path.exists()]
+        found = [] if name is None else [path.resolve() for path in name.paths(self.caches) if os.path.exists(path)]
         for path in found:
             if any(path.is_relative_to(cache) for cache in self.caches):
                 return path

@@ -10,7 +10,6 @@ import copy
 import io
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,10 @@ from ullage.geometry import matrix_quat, transform
 from ullage.world.notices import one_notice_per_kind
 from ullage.world.scene import Scene
 from ullage.world.sdf import Geometry, scene_of
-from ullage.world.sdf_parse import Node, Place, Pose, parse_xml, read_xml
+from ullage.world.sdf_parse import Node, Pose, parse_xml, read_xml
 from ullage.world.sdf_resolve import Resolver
 from ullage.world.sdf_tree import Link, Scope
+from ullage.world.xacro_process import expand_xacro
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ _NEEDED = {"box": ("size",), "capsule": ("radius", "length"), "cylinder": ("radi
 
 def load_urdf(
     path: Path, *, geometry: Geometry = "collision", search_path: Sequence[str | Path] = (),
-    joints: Mapping[str, float] | None = None,
+    joints: Mapping[str, float] | None = None, trust_xacro: bool = False,
 ) -> Scene:  # fmt: skip
     """The scene of a URDF or xacro file.
 
@@ -50,12 +50,18 @@ def load_urdf(
         geometry: which shapes to take.
         search_path: folders for package://, model:// and relative names, and for xacro's $(find).
         joints: joint values [rad or m]; those not named are at zero.
+        trust_xacro: expand a .xacro file, which may evaluate Python code; it is refused otherwise.
 
     Raises:
-        InputError: something in it, or a file that it names, cannot be used.
+        InputError: something in it, or a file that it names, cannot be used; or it is xacro and not trusted.
     """
     resolver = Resolver(path, search_path)
-    root = Node(_expanded(path, resolver) if path.suffix.lower() == ".xacro" else read_xml(path, root=("robot",)), path)
+    tree = read_xml(path, root=("robot",))
+    if path.suffix.lower() == ".xacro":
+        if not trust_xacro:
+            raise InputError("xacro is not trusted", where=path, allowed="load_urdf(..., trust_xacro=True)")
+        tree = parse_xml(expand_xacro(path, resolver), path, root=("robot",))
+    root = Node(tree, path)
     _check(root)
     poses = _link_poses(root, joints or {})
     robot = Scope(root.attribute("name") or path.stem, root)
@@ -119,14 +125,18 @@ def _link_poses(root: Node, joints: Mapping[str, float]) -> dict[str, Floats]:
     logging.getLogger("yourdfpy").setLevel(logging.CRITICAL)
     try:
         robot = yourdfpy.URDF.load(io.BytesIO(etree.tostring(bare)), load_meshes=False)
+        values = dict.fromkeys(robot.actuated_joint_names, 0.0)
+        if set(joints) <= set(robot.joint_map):
+            robot.update_cfg(values | {name: float(value) for name, value in joints.items()})
+        poses = {link.name: np.asarray(robot.get_transform(link.name), float) for link in root.children("link")}
     except Exception as error:  # whatever a malformed joint brings the reader to raise
         said = " ".join(str(error).split())[:120] or type(error).__name__
         root.place.refuse(f"the joints cannot be read: {said}")
-    unknown = set(joints) - set(robot.joint_map)
-    if unknown:
+    if unknown := set(joints) - set(robot.joint_map):
         raise InputError(f"no joint {min(unknown)!r}", where=root.file, allowed=", ".join(robot.actuated_joint_names))
-    robot.update_cfg(dict.fromkeys(robot.actuated_joint_names, 0.0) | {k: float(v) for k, v in joints.items()})
-    return {link.name: np.asarray(robot.get_transform(link.name), float) for link in root.children("link")}
+    if bad := next((name for name, pose in poses.items() if not np.isfinite(pose).all()), None):
+        root.place.refuse(f"the joints put link {bad!r} at no finite place")
+    return poses
 
 
 def _sdf_link(link: Node, retros: Mapping[str, str]) -> Node:
@@ -213,52 +223,3 @@ def _sensors(root: Node, link: str) -> Iterator[Any]:
     for note in root.children("gazebo"):
         if note.attribute("reference") == link:
             yield from (one for one in note.element if one.tag == "sensor" or _ours(one))
-
-
-def _expanded(path: Path, resolver: Resolver) -> Any:
-    """The URDF that a xacro file makes; lines in messages are then those of the expanded text."""
-    import xacro
-    import xacro.substitution_args
-
-    read_xml(path, root=("robot",))  # no entities; what it includes goes through the same door below
-    with _finding(xacro, path, resolver) as refused:
-        try:
-            text = xacro.process_file(str(path)).toxml(encoding="utf-8")
-        except Exception as error:  # xacro evaluates expressions: anything may come
-            if refused:
-                raise refused[0] from None
-            said = " ".join(str(error).split())[:160] or type(error).__name__
-            raise InputError(f"xacro fails: {said}", where=path) from None
-    return parse_xml(text, path, root=("robot",))
-
-
-@contextmanager
-def _finding(xacro: Any, path: Path, resolver: Resolver) -> Iterator[list[InputError]]:
-    """While it lasts, xacro's $(find PACKAGE) looks on the search path, and its includes are checked as files are.
-
-    Gives the list of what was refused meanwhile, since xacro wraps errors in its own.
-    """
-    refused: list[InputError] = []
-    terms, place = xacro.substitution_args, Place(path, 1)
-    old_find, old_eval, old_parse = terms._eval_find, terms._eval_dict["find"], xacro.parse
-
-    def sought(uri: str) -> Path:
-        try:
-            return resolver.find(uri, at=place)
-        except InputError as error:
-            refused.append(error)
-            raise
-
-    def find(package: str) -> str:
-        return str(sought(f"package://{package}"))
-
-    def parse(given: Any, name: str | None = None) -> Any:
-        if given is None and name is not None and Path(name).exists():
-            read_xml(sought(str(Path(name).absolute())))
-        return old_parse(given, name)
-
-    terms._eval_find, terms._eval_dict["find"], xacro.parse = find, find, parse
-    try:
-        yield refused
-    finally:
-        terms._eval_find, terms._eval_dict["find"], xacro.parse = old_find, old_eval, old_parse

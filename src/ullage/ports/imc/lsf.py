@@ -28,6 +28,8 @@ AT_ONCE = 1 << 19
 STARTED, STOPPED = 1, 3
 EPOCH_NS = 1_000_000_000_000_000_000
 FLUSH_EVERY_S = 0.5
+MOST_RATIO, MOST_UNPACKED = 200, 64 * 2**20
+"""A packed log may grow to so many times its size, or to so many bytes; logs of vehicles grow 2 to 20 times."""
 
 
 class LsfSource:
@@ -71,7 +73,9 @@ class LsfSource:
 
     def _unpacked(self) -> Iterator[bytes]:
         """The bytes of the log in pieces, as far as they can be unpacked."""
+        given = 0
         try:
+            most = max(MOST_RATIO * self.path.stat().st_size, MOST_UNPACKED)
             with open(self.path, "rb") as file:
                 zipped = file.read(2) == b"\x1f\x8b"
                 file.seek(0)
@@ -80,7 +84,10 @@ class LsfSource:
                     if not zipped:
                         yield data
                     while zipped and data:
-                        yield unzip.decompress(data, AT_ONCE)
+                        yield (plain := unzip.decompress(data, AT_ONCE))
+                        given += len(plain)
+                        if given > most:
+                            raise InputError(f"unpacks to over {most} bytes", where=self.path, allowed="a log")
                         data = unzip.unconsumed_tail or unzip.unused_data
                         if unzip.eof:
                             unzip = zlib.decompressobj(wbits=31)

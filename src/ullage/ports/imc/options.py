@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import Field
 
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 from ullage.ports.imc.places import TRONDHEIM, Geodetic
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.specs import RadarSpec, Rig, Spec
@@ -197,12 +197,12 @@ def options_of(group: type[Group], options: dict[str, Any]) -> Group:
     """
     if unknown := sorted(options.keys() - group.model_fields.keys()):
         raise InputError(f"no option {unknown[0]!r}", where="imc", allowed=", ".join(group.model_fields))
-    fixed = {key: int(value, 0) if key == "system_id" and _number(value) else value for key, value in options.items()}
+    fixed = {key: int(value, 16) if key == "system_id" and _hex(value) else value for key, value in options.items()}
     return group(**fixed)
 
 
-def _number(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]+|\d+", value) is not None
+def _hex(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value) is not None
 
 
 def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
@@ -212,8 +212,8 @@ def endpoint(place: str) -> tuple[Literal["tcp", "udp", ""], str, int]:
         InputError: it is none.
     """
     found = PLACE.fullmatch(place)
-    if not found or (found[3] and not 0 < int(found[3]) < 65536):
-        raise InputError(f"{place!r} is no place", where="imc", allowed=PLACES)
+    if not found or (found[3] and not (len(found[3]) < 6 and 0 < int(found[3]) < 65536)):
+        raise InputError(f"{shown(place)} is no place", where="imc", allowed=PLACES)
     kind: Any = found[1] or ""
     return kind, found[2] or "", int(found[3] or PORTS.get(kind, 0))
 

@@ -1,0 +1,80 @@
+"""One guard around the readers of recordings: whatever they raise becomes one line with file and place."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ullage.data import Frames, Trajectory
+from ullage.errors import InputError
+from ullage.grids import OccupancyMap
+from ullage.ports.protocol import Source
+from ullage.untrusted import reading
+
+
+class GuardedSource:
+    """A recording whose reader may raise anything.
+
+    A reader that knows where it stands says so in an attribute `place`, such as "message 17 of /radar/front".
+
+    Args:
+        source: the reader.
+        path: the file that it reads.
+    """
+
+    def __init__(self, source: Source, path: Path) -> None:
+        self._source, self._file = source, path
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._source, name)
+
+    def _call(self, work: Callable[[], Any]) -> Any:
+        with reading(self._file, place=lambda: str(getattr(self._source, "place", ""))):
+            return work()
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        found: tuple[str, ...] = self._call(lambda: self._source.sensors)
+        return found
+
+    def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
+        """Everything of one sensor as Frames, or of several as a dict by name."""
+        found: Frames | dict[str, Frames] = self._call(lambda: self._source.frames(sensor))
+        return found
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+        pieces = self._call(lambda: iter(self._source.stream(chunk)))
+        while (piece := self._call(lambda: next(pieces, None))) is not None:
+            yield piece
+
+    def trajectory(self) -> Trajectory | None:
+        """The path of the body, where it is known."""
+        found: Trajectory | None = self._call(self._source.trajectory)
+        return found
+
+    def map(self) -> OccupancyMap | None:
+        """The last map recorded, where there is one."""
+        found: OccupancyMap | None = self._call(self._source.map)
+        return found
+
+
+def only_files(folder: Path) -> None:
+    """Refuse a folder that holds anything but folders and regular files: a reader would wait for a pipe without end.
+
+    Raises:
+        InputError: something in it is a pipe, a socket or a device.
+    """
+    for place, _, names in os.walk(folder):
+        for name in names:
+            path = Path(place, name)
+            try:
+                mode = path.stat().st_mode
+            except OSError:
+                continue  # a link that leads nowhere: readers say so
+            if not stat.S_ISREG(mode):
+                raise InputError("is a pipe, a socket or a device", where=path, allowed="regular files")
