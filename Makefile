@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo test slow bounds gazebo-classic lint docs bench check env dev lock ros2 clean
+.PHONY: help demo test slow bounds fuzz gazebo-classic lint docs bench check env dev lock ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make lint   formatting, style, types, layers"
 	@echo "make slow   the slower tests"
 	@echo "make bounds the tests of radar and processing once more, every index of every kernel checked"
+	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
 	@echo "make docs   build the documentation into site/"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
 	@echo "make bench  ratios of speed and memory, measured side by side"
@@ -32,6 +33,15 @@ slow: $(VENV)/.dev
 bounds: $(VENV)/.dev
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow" -n 2 \
 	  --dist loadfile --no-loadscope-reorder tests/physics tests/processing tests/radar
+
+# an exception, a hang or runaway memory is a finding: its input lies in fuzz-findings/, and make fails
+SECONDS ?= 3600
+fuzz: $(VENV)/.fuzz
+	$(BIN)/python tests/fuzz/fuzz.py --seconds $(SECONDS) --jobs 2
+
+$(VENV)/.fuzz: $(VENV)/.dev requirements-fuzz.lock
+	@$(PIP) install --quiet --require-hashes -r requirements-fuzz.lock
+	@touch $@
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff format --check src tests benchmarks examples

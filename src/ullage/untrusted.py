@@ -159,31 +159,29 @@ def _check_yaml(text: str, where: str | Path) -> None:
     def refuse(event: Any, what: str, allowed: str) -> NoReturn:
         raise InputError(what, where=where, line=event.start_mark.line + 1, allowed=allowed)
 
-    opened: list[tuple[str | None, int]] = []  # anchor of each open group, and the values before it
+    opened: list[tuple[str, int]] = []  # anchor ("" for none) of each open group, and the values before it
     sizes: dict[str, int] = {}  # values that an alias stands for
     count = 0
     events: Iterator[Any] = yaml.parse(text, Loader=PlainLoader)
     for event in events:
-        before = count
+        tag, anchor = getattr(event, "tag", None), getattr(event, "anchor", None) or ""
         if isinstance(event, yaml.AliasEvent):
-            if event.anchor not in sizes and any(anchor == event.anchor for anchor, _ in opened):
-                refuse(event, f"*{event.anchor} holds itself", "aliases of what is complete")
-            count += sizes.get(event.anchor, 1)
+            if anchor not in sizes and any(name == anchor for name, _ in opened):
+                refuse(event, f"*{anchor} holds itself", "aliases of what is complete")
+            count += sizes.get(anchor, 1)
         elif isinstance(event, yaml.ScalarEvent):
             count += 1
+            sizes[anchor] = 1
             if len(event.value) > MOST_DIGITS and not event.style and _INTEGER.fullmatch(event.value):
                 refuse(event, f"an integer of {len(event.value)} digits", f"at most {MOST_DIGITS}")
         elif isinstance(event, yaml.CollectionStartEvent):
-            opened.append((event.anchor, count))
+            opened.append((anchor, count))
             count += 1
         elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, first = opened.pop()
-            if anchor is not None:
-                sizes[anchor] = count - first
-        if isinstance(event, yaml.ScalarEvent) and event.anchor is not None:
-            sizes[event.anchor] = count - before
-        if isinstance(event, yaml.NodeEvent) and getattr(event, "tag", None) not in (None, "!"):
-            refuse(event, f"the tag {event.tag!r}", "plain YAML without tags")
+            name, first = opened.pop()
+            sizes[name] = count - first
+        if tag not in (None, "!"):
+            refuse(event, f"the tag {tag!r}", "plain YAML without tags")
         if len(opened) > DEEPEST_YAML:
             refuse(event, f"nested more than {DEEPEST_YAML} deep", f"at most {DEEPEST_YAML}")
         if count > MOST_YAML_NODES:

@@ -127,7 +127,7 @@ def _number(about: dict[str, Any], name: str, path: Path) -> float:
 
 
 def _origin(about: dict[str, Any], path: Path) -> tuple[float, float]:
-    origin = about.get("origin")
+    origin: Any = about.get("origin")
     known = isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)
     if not (known and all(abs(v) <= LARGEST for v in origin)):
         raise InputError(f"origin is {shown(origin)}", where=path, allowed="[x, y, yaw]")
@@ -171,6 +171,8 @@ def _read_image(path: Path, percent_of: Callable[[Any, Any], NDArray[np.int8]]) 
             return out
     except InputError:
         raise
+    except Image.DecompressionBombError:
+        raise InputError("its pixels are too many", where=path, allowed=f"{MOST_PIXELS:.0e}") from None
     except Exception as error:  # the image library raises a dozen kinds of exception
         raise InputError(f"no image: {reason(error)}", where=path, allowed="PGM, PNG, BMP") from None
 

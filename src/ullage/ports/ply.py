@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from ullage.data import Floats
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
 from ullage.specs import Spec
@@ -93,8 +94,11 @@ def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     if grid.size > MOST_CELLS:
         raise InputError(f"{grid.size:.3g} cells are too many for an array", where=path, allowed=f"{MOST_CELLS:.0e}")
     percent = np.full(grid.shape, UNKNOWN, np.int8)
-    points = points[(abs(points) < FURTHEST_M).all(1)]
-    cells, inside = grid.index(points)
+    cells, inside = grid.index(np.clip(points, -FURTHEST_M, FURTHEST_M))
+    if not inside.all():
+        warnings.warn(
+            f"{path}: {int((~inside).sum())} points lie outside its grid; left out", UllageWarning, stacklevel=2
+        )
     percent[tuple(cells[inside].T)] = 100
     return OccupancyMap(grid, percent, about.method if about else "ply")
 

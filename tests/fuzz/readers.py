@@ -1,0 +1,371 @@
+"""What the fuzzer reads: for each reader real inputs, how to read one, and how to keep its outer shell sound.
+
+An input is one or more files in a folder. Damage goes into the part that the reader understands: MCAP messages are
+damaged before they are packed, so that checksums hold, and packed logs before they are packed.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import shutil
+import struct
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ullage as ul
+from ullage import ports
+from ullage.config import make_scenario
+from ullage.errors import UllageError
+from ullage.experiments.catalog import FOLDER, find_scenario
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "ports"))
+from conftest import some_frames  # the tests' own recordings
+
+LARGEST = 60_000
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+SCENE = """<sdf version="1.9"><world name="w"><model name="m"><static>true</static><pose>1 2 0 0 0 0.5</pose>
+<link name="l"><collision name="c"><geometry><box><size>1 2 3</size></box></geometry></collision>
+<visual name="v"><geometry><cylinder><radius>0.1</radius><length>2</length></cylinder></geometry></visual></link>
+<joint name="j" type="fixed"><parent>world</parent><child>l</child></joint>
+<frame name="f" attached_to="l"><pose relative_to="l">0 0 1 0 0 0</pose></frame></model>
+<include><uri>part.sdf</uri><pose>0 0 1 0 0 0</pose></include></world></sdf>"""
+PART = """<sdf version="1.6"><model name="p"><link name="l"><collision name="c"><geometry><plane><normal>0 0 1</normal>
+<size>2 2</size></plane></geometry></collision></link></model></sdf>"""
+ROBOT = """<robot name="arm"><link name="base"><collision><geometry><box size="1 1 0.2"/></geometry></collision></link>
+<link name="upper"><visual><geometry><sphere radius="0.5"/></geometry></visual><collision><origin xyz="1 0 0"
+ rpy="0 0 0"/><geometry><cylinder radius="0.2" length="1"/></geometry></collision></link>
+<joint name="s" type="revolute"><origin xyz="0 0 1" rpy="0 0 1.5"/><parent link="base"/><child link="upper"/>
+<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+OPTIONS = (
+    "map.step_m=0.2", "sensing.changes={bins: 100}", "flight.waypoints=[[0,0,1],[1,0,1]]", "seed=7",
+    "sensing.changes.frame_area=[0.2, 5]", "do=[detect]", "expect.f1.min=0.1", "world.name=cargo-hold",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader: seeds, the name of the file that is damaged, and what is called on it."""
+
+    name: str
+    seeds: Callable[[Path], Sequence[bytes]]
+    file: str
+    read: Callable[[Path], object]
+    pack: Callable[[bytes], bytes] = bytes
+    before: Callable[[Path], object] = lambda folder: None
+
+
+def _all_of(path: Path) -> None:
+    """Everything that a recording gives; a part that is refused hides no other."""
+    source: Any = ports.open(path)
+    for part in (source.frames, source.trajectory, source.map):
+        try:
+            part()
+        except ul.InputError as error:
+            assert_one_line(error)
+
+
+def assert_one_line(error: Exception) -> None:
+    """A refusal is one line of readable length."""
+    assert str(error).isprintable()
+    assert len(str(error)) < 2000
+
+
+def _written(*items: object, name: str) -> Callable[[Path], Sequence[bytes]]:
+    def seeds(folder: Path) -> Sequence[bytes]:
+        with ul.sink(folder / name) as sink:
+            for item in items:
+                sink.write(item)
+        return [(folder / name).read_bytes()]
+
+    return seeds
+
+
+def small_frames() -> ul.Frames:
+    return some_frames(6, bins=12)
+
+
+def plane() -> ul.OccupancyMap:
+    percent = np.random.default_rng(0).integers(-2, 101, (6, 9)).astype(np.int8)
+    return ul.OccupancyMap(ul.Grid((-1.0, 2.0, 0.5), 0.2, percent.shape), percent)
+
+
+def volume() -> ul.OccupancyMap:
+    percent = np.full((4, 5, 6), -1, np.int8)
+    percent[1:3, 1:3, 2:5] = 100
+    percent[0] = 0
+    return ul.OccupancyMap(ul.Grid((-0.4, 0.0, 0.0), 0.2, percent.shape), percent)
+
+
+def _messages(folder: Path) -> list[bytes]:
+    """The messages of small recordings, as (schema, length, bytes) in a row."""
+    from mcap.reader import make_reader
+
+    out = []
+    for number, items in enumerate(((small_frames(), plane()), (small_frames(), volume()))):
+        path = folder / f"{number}.mcap"
+        with ul.sink(path) as sink:
+            for item in items:
+                sink.write(item)
+        with open(path, "rb") as file:
+            rows = [(s.name, c.topic, m.data) for s, c, m in make_reader(file).iter_messages()]
+        wanted = [r for r in rows if r[0].startswith("ullage") or "Odometry" in r[0] or "OccupancyGrid" in r[0]]
+        seen: dict[str, int] = {}
+        blob = b""
+        for kind, topic, data in wanted:
+            seen[kind] = seen.get(kind, 0) + 1
+            if seen[kind] <= 3:
+                head = f"{kind} {topic}".encode()
+                blob += struct.pack("<HI", len(head), len(data)) + head + data
+        out.append(blob)
+    plain = [row for row in unrolled(out[0]) if not row[0].endswith("CellMap")]  # which is read before a plain grid
+    heads = [(f"{kind} {topic}".encode(), data) for kind, topic, data in plain]
+    return [*out, b"".join(struct.pack("<HI", len(head), len(data)) + head + data for head, data in heads)]
+
+
+def unrolled(blob: bytes) -> Iterator[tuple[str, str, bytes]]:
+    at = 0
+    while at + 6 <= len(blob):
+        head, size = struct.unpack_from("<HI", blob, at)
+        kind, _, topic = blob[at + 6 : at + 6 + head].decode("latin1").partition(" ")
+        yield kind, topic, blob[at + 6 + head : at + 6 + head + size]
+        at += 6 + head + size
+
+
+def mcap_of(blob: bytes) -> bytes:
+    """A recording with sound checksums that holds these messages."""
+    from mcap.writer import CompressionType, Writer
+
+    out = io.BytesIO()
+    writer = Writer(out, compression=CompressionType.NONE)
+    writer.start()
+    channels: dict[tuple[str, str], int] = {}
+    for number, (kind, topic, data) in enumerate(unrolled(blob)):
+        if (kind, topic) not in channels:
+            schema = writer.register_schema(kind, "ros2msg", b"")
+            channels[kind, topic] = writer.register_channel(topic, "cdr", schema)
+        writer.add_message(channels[kind, topic], number, data, number)
+    writer.finish()
+    return out.getvalue()
+
+
+def _bag(folder: Path) -> list[bytes]:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    kinds = store.types
+    stamp, quaternion = kinds["builtin_interfaces/msg/Time"], kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    with Writer(folder / "a.bag") as writer:
+        ranges = writer.add_connection("/range", "sensor_msgs/msg/Range", typestore=store)
+        poses = writer.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
+        for n in range(4):
+            head = kinds["std_msgs/msg/Header"](n, stamp(10 + n, 0), "base_link")
+            heard = kinds["sensor_msgs/msg/Range"](head, 0, 0.5, 0.1, 10.0, 2.0 + n)
+            place = kinds["geometry_msgs/msg/Transform"](kinds["geometry_msgs/msg/Vector3"](0.0, 1.0, 2.0), quaternion)
+            moved = kinds["geometry_msgs/msg/TransformStamped"](
+                kinds["std_msgs/msg/Header"](n, stamp(10 + n, 0), "map"), "base_link", place
+            )
+            writer.write(poses, n, store.serialize_ros1(kinds["tf2_msgs/msg/TFMessage"]([moved]), poses.msgtype))
+            writer.write(ranges, n + 1, store.serialize_ros1(heard, ranges.msgtype))
+    return [(folder / "a.bag").read_bytes()]
+
+
+def _db3(folder: Path) -> list[bytes]:
+    from rosbags.rosbag2 import Writer
+
+    from ullage.ports import messages as ros
+    from ullage.ports.ros2.outgoing import Outgoing
+
+    with Writer(folder / "bag", version=9) as writer:
+        connections: dict[str, Any] = {}
+        for note in Outgoing().notes({"front": small_frames()}):
+            topic = "/" + note.topic.lstrip("/")
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, note.kind, typestore=ros.typestore())
+            writer.write(connections[topic], note.t_ns, note.data)
+    return [next((folder / "bag").glob("*.db3")).read_bytes()]
+
+
+def _metadata(folder: Path) -> list[bytes]:
+    _db3(folder)
+    return [(folder / "bag" / "metadata.yaml").read_bytes()]
+
+
+def _recorded(*parts: str, most: int = 40_000) -> Callable[[Path], Sequence[bytes]]:
+    def seeds(folder: Path) -> Sequence[bytes]:
+        path = SHARED.joinpath(*parts)
+        return [path.read_bytes()[:most]] if path.exists() else []
+
+    return seeds
+
+
+def _map_files(folder: Path) -> list[bytes]:
+    out = []
+    for mode in ("trinary", "scale", "raw"):
+        ports.write_map(plane(), folder / f"{mode}.yaml", mode=mode)
+        text = (folder / f"{mode}.yaml").read_bytes()
+        image = (folder / f"{mode}.{'png' if mode == 'scale' else 'pgm'}").read_bytes()
+        text = text.replace(b"scale.png", b"m.img").replace(f"{mode}.pgm".encode(), b"m.img")
+        out.append(struct.pack("<I", len(text)) + text + image)
+    return out
+
+
+def _read_map_server(path: Path) -> None:
+    blob = path.read_bytes()
+    size = int.from_bytes(blob[:4], "little") % (len(blob) + 1)
+    path.with_name("m.img").write_bytes(blob[4 + size :])
+    path.write_bytes(blob[4 : 4 + size])
+    ports.read_map(path)
+
+
+def _meshes(kind: str) -> Callable[[Path], Sequence[bytes]]:
+    def seeds(folder: Path) -> Sequence[bytes]:
+        import trimesh
+
+        trimesh.creation.box((1, 2, 3)).export(folder / f"m.{kind}")
+        return [(folder / f"m.{kind}").read_bytes()]
+
+    return seeds
+
+
+def _maps(omap: Callable[[], ul.OccupancyMap], kind: str) -> Callable[[Path], Sequence[bytes]]:
+    def seeds(folder: Path) -> Sequence[bytes]:
+        ports.write_map(omap(), folder / f"m.{kind}")
+        return [(folder / f"m.{kind}").read_bytes()]
+
+    return seeds
+
+
+def _text(*texts: str) -> Callable[[Path], Sequence[bytes]]:
+    return lambda folder: [text.encode() for text in texts]
+
+
+def _zarr(folder: Path) -> list[bytes]:
+    with ul.sink(folder / "seed.zarr") as sink:
+        sink.write(small_frames())
+        sink.write(plane())
+    files = sorted(p for p in (folder / "seed.zarr").rglob("*") if p.is_file())
+    blob = b""
+    for path in files:
+        name, data = str(path.relative_to(folder / "seed.zarr")).encode(), path.read_bytes()
+        blob += struct.pack("<HI", len(name), len(data)) + name + data
+    return [blob]
+
+
+def _read_zarr(path: Path) -> None:
+    """Files of a store in a row; names come from the seed alone, so that nothing else is written to."""
+    home = path.with_name("a.zarr")
+    shutil.rmtree(home, ignore_errors=True)
+    for name, _, data in unrolled(path.read_bytes()):
+        place = (home / name.replace("\0", "")[:80]).resolve()
+        if place.is_relative_to(home.resolve()) and place != home.resolve():
+            try:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(data)
+            except OSError:
+                continue
+    _all_of(home)
+
+
+def _read_options(path: Path) -> None:
+    make_scenario({"name": "x"}, options=path.read_bytes().decode("utf-8", "replace").splitlines())
+
+
+def _read_address(path: Path) -> None:
+    """The options of a live port, as far as they are read before anything is connected."""
+    from ullage.ports.imc.options import SourceOptions, endpoint, options_of
+    from ullage.ports.live import Address
+
+    address = Address.of(path.read_bytes().decode("utf-8", "replace"))
+    if address is not None:
+        endpoint(address.place)
+        options = options_of(SourceOptions, address.options)
+        options.waypoints(), options.place(), options.place_of_start()
+
+
+def _read_motive(path: Path) -> None:
+    from ullage.ports.motive import read_tracks
+
+    read_tracks(path)
+
+
+def _read_pulson(path: Path) -> None:
+    from ullage.ports.pulson import read_log
+
+    read_log(path)
+
+
+READERS = [
+    Reader(
+        "scenario",
+        lambda _: [p.read_bytes() for p in sorted(FOLDER.glob("*.yaml"))],
+        "s.yaml",
+        lambda path: find_scenario(str(path)),
+    ),
+    Reader("options", _text(*OPTIONS), "o.txt", _read_options),
+    Reader(
+        "address",
+        _text(
+            "imc:tcp://127.0.0.1:6006?world=cargo-hold&mission=0,0,1;1,1,1&speed_m_s=0.5&origin=63,10&system_id=0x9001"
+        ),
+        "a.txt",
+        _read_address,
+    ),
+    Reader("sdf", _text(SCENE, PART), "w.sdf", ul.load_scene, before=lambda f: (f / "part.sdf").write_text(PART)),
+    Reader("urdf", _text(ROBOT), "r.urdf", ul.load_scene),
+    *(
+        Reader(f"mesh-{kind}", _meshes(kind), f"m.{kind}", ul.load_scene)
+        for kind in ("stl", "obj", "ply", "glb", "dae")
+    ),
+    Reader("map-server", _map_files, "m.yaml", _read_map_server),
+    Reader("octomap-bt", _maps(volume, "bt"), "m.bt", ports.read_map),
+    Reader("octomap-ot", _maps(volume, "ot"), "m.ot", ports.read_map),
+    Reader("map-ply", _maps(volume, "ply"), "m.ply", ports.read_map),
+    Reader("mcap", _written(small_frames(), plane(), name="a.mcap"), "a.mcap", _all_of),
+    Reader("mcap-messages", _messages, "a.mcap", _all_of, pack=mcap_of),
+    Reader("bag", _bag, "a.bag", _all_of),
+    Reader("db3", _db3, "a.db3", _all_of),
+    Reader("zarr", _zarr, "store", _read_zarr),
+    Reader("lsf", _written(small_frames(), name="a.lsf"), "a.lsf", _all_of),
+    Reader("lsf-gz", _written(small_frames(), name="a.lsf"), "a.lsf.gz", _all_of, pack=lambda b: gzip.compress(b, 1)),
+    Reader(
+        "x4",
+        lambda f: [
+            *_recorded("x4", "xethru_baseband_iq_20170913_150437.dat")(f),
+            *_recorded("x4", "xethru_datafloat_20190614_141837.dat")(f),
+        ],
+        "a.dat",
+        _all_of,
+    ),
+    Reader("pulson", _recorded("pulson440", "rail_a", "radar.out"), "radar.out", _read_pulson),
+    Reader("motive", _recorded("pulson440", "rail_a", "mocap.csv", most=12_000), "mocap.csv", _read_motive),
+]
+
+READER = {reader.name: reader for reader in READERS}
+
+
+def read_one(reader: Reader, data: bytes, folder: Path) -> None:
+    """Give one damaged input to a reader, which may refuse it in one line and nothing else."""
+    path = folder / reader.file
+    path.write_bytes(reader.pack(data))
+    try:
+        reader.read(path)
+    except UllageError as error:
+        assert_one_line(error)
+
+
+TEXT_WORDS = r"999999999999999999999 -1 nan 1e999 null [ ] { } \x00 \xff ../.. &a *a !!int 0x"
+BYTE_WORDS = r"\xff\xff\xff\xff \x00\x00\x00\x00 \xff\xff\xff\x7f \x00\x00\xc0\x7f \x00\x00\x80\x7f"
+
+
+def dictionary(seed: bytes) -> str:
+    """What the fuzzer puts in beside random bytes, in libFuzzer's format."""
+    words = TEXT_WORDS if seed.isascii() else BYTE_WORDS
+    return "".join(f'"{word}"\n' for word in words.split())
