@@ -212,7 +212,7 @@ def _parse_bits(body: bytes) -> list[Leaf]:
 
 def _parse_values(body: bytes) -> list[Leaf]:
     nodes = np.frombuffer(body[: len(body) // 5 * 5], [("value", "<f4"), ("children", "u1")])
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         percents = (100 / (1 + np.exp(-nodes["value"].astype(float)))).tolist()
     children = nodes["children"].tolist()
     leaves: list[Leaf] = []

@@ -24,6 +24,13 @@ Choices that the comments do not list: `world.geometry` collision or visual; `se
 `do` any of detect, image, map; `detect.method` first_peak, peaks, cfar, os-cfar or clean; `map.method` ullage or elfes;
 `map.dims` 2 or 3; `image.method` backprojection or summation.
 
+## Files that a scenario names
+
+A world, a `search_path` folder or an antenna table in a scenario file lies in one of three places: the scenario's own
+folder, the current folder, or a folder of `GZ_SIM_RESOURCE_PATH`. ullage refuses anything else in one line. Options may
+name any file: `-o world.file=PATH`. A `.xacro` world runs only with `--trust-xacro`. A scenario file has at most 1 MB,
+50 levels and 100,000 values. Dates are text.
+
 ## All fields
 
 ```yaml
