@@ -405,5 +405,5 @@ def test_a_store_that_promises_more_than_it_holds_is_refused(tmp_path: Path) -> 
     tree = json.loads(note.read_text())
     tree["shape"][0] = 10**10
     note.write_text(json.dumps(tree))
-    with pytest.raises(ul.InputError, match=r"a\.zarr: promises \d+ bytes and holds"):
+    with pytest.raises(ul.InputError, match=r"a\.zarr: samples promises \d+ bytes and holds"):
         ports.open(tmp_path / "a.zarr").frames()

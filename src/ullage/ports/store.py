@@ -137,7 +137,6 @@ class ZarrSource:
     def __init__(self, path: str | Path) -> None:
         zarr: Any = need("zarr", extra="zarr")
         self.path = Path(path)
-        self._checked: set[str] = set()
         try:
             self._root: Any = zarr.open_group(str(self.path), mode="r", zarr_format=3)
             known = str(self._root.attrs.get("format", "")).startswith("ullage frames")
@@ -168,32 +167,31 @@ class ZarrSource:
         for start in range(0, max(sizes.values(), default=0), chunk):
             yield {name: self._cut(name, start, start + chunk) for name, size in sizes.items() if start < size}
 
-    def _check_size(self, group: Any) -> None:
-        """Refuse arrays whose description promises far more than the files hold."""
-        if group.name in self._checked:
-            return
-        self._checked.add(group.name)
-        promised = sum(int(array.nbytes) for _, array in group.arrays())
-        if promised <= FREE_BYTES:
-            return
-        stored = sum(path.stat().st_size for path in self.path.rglob("*") if path.is_file())
-        if promised > MOST_RATIO * stored:
-            what = f"promises {promised} bytes and holds {stored}"
-            raise InputError(what, where=self.path, allowed=f"at most {MOST_RATIO} times what is stored")
+    def _array(self, group: Any, name: str) -> Any:
+        """An array, refused where its description promises far more than the files hold."""
+        array = group[name]
+        if array.nbytes > FREE_BYTES:
+            stored = sum(path.stat().st_size for path in (self.path / array.path).rglob("*") if path.is_file())
+            if array.nbytes > MOST_RATIO * stored:
+                what = f"{name} promises {array.nbytes} bytes and holds {stored}"
+                raise InputError(what, where=self.path, allowed=f"at most {MOST_RATIO} times what is stored")
+        return array
 
     def _cut(self, name: str, start: int, stop: int | None) -> Frames:
         try:
-            self._check_size(self._root[name])
             group, rows = self._root[name], slice(start, stop)
-            t_ns = group["t_ns"][rows]
+            t_ns = self._array(group, "t_ns")[rows]
             paths = {
-                key: conversions.path_of(t_ns, group[key][rows]) if key in group else None for key in ("poses", "truth")
+                key: conversions.path_of(t_ns, self._array(group, key)[rows]) if key in group else None
+                for key in ("poses", "truth")
             }
-            track = conversions.path_of(group["track_t_ns"][:], group["track"][:]) if "track" in group else None
+            track = None
+            if "track" in group:
+                track = conversions.path_of(self._array(group, "track_t_ns")[:], self._array(group, "track")[:])
             about = group.attrs["calibration"]
             spec = conversions.spec_of(json.loads(group.attrs["spec"]), name)
             return Frames(
-                group["samples"][rows], group["range_m"][:], t_ns, spec, paths["poses"], paths["truth"], name,
+                self._array(group, "samples")[rows], self._array(group, "range_m")[:], t_ns, spec, paths["poses"], paths["truth"], name,
                 group.attrs["unit"], track, None if about is None else Calibration(**about),
             )  # fmt: skip
         except (OSError, KeyError, ValueError, RuntimeError) as error:
@@ -207,8 +205,8 @@ class ZarrSource:
         """The map, where there is one."""
         if "map" not in self._root:
             return None
-        self._check_size(self._root["map"])
-        about, percent = self._root["map"].attrs, self._root["map"]["percent"][...]
+        group = self._root["map"]
+        about, percent = group.attrs, self._array(group, "percent")[...]
         x, y, z = (np.nan if v is None else v for v in about["origin_m"])
         grid = Grid((x, y, z), about["step_m"], percent.shape)
         return OccupancyMap(grid, percent, about["method"], about["occupied_from"], about["free_to"])
