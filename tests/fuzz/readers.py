@@ -10,7 +10,6 @@ import gzip
 import io
 import shutil
 import struct
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,9 +22,6 @@ from ullage import ports
 from ullage.config import make_scenario
 from ullage.errors import UllageError
 from ullage.experiments.catalog import FOLDER, find_scenario
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "ports"))
-from conftest import some_frames  # the tests' own recordings
 
 LARGEST = 60_000
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -87,7 +83,14 @@ def _written(*items: object, name: str) -> Callable[[Path], Sequence[bytes]]:
 
 
 def small_frames() -> ul.Frames:
-    return some_frames(6, bins=12)
+    """Six frames of noise with poses."""
+    rng, n, bins = np.random.default_rng(0), 6, 12
+    spec = ul.RadarSpec.preset("x4m05", bins=bins, range_start_m=0.3, fps=25)
+    t_ns = 1_700_000_000_000_000_000 + np.arange(n) * 40_000_000
+    quat = rng.normal(size=(n, 4))
+    poses = ul.Trajectory(t_ns, rng.normal(size=(n, 3)), quat / np.linalg.norm(quat, axis=1, keepdims=True))
+    samples = rng.normal(size=(n, bins, 2)).astype(np.float32).view(np.complex64)[..., 0]
+    return ul.Frames(samples, spec.range_m, t_ns, spec, poses=poses, truth=poses, sensor="front", unit="path_gain")
 
 
 def plane() -> ul.OccupancyMap:

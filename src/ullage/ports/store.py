@@ -191,8 +191,8 @@ class ZarrSource:
             about = group.attrs["calibration"]
             spec = conversions.spec_of(json.loads(group.attrs["spec"]), name)
             return Frames(
-                self._array(group, "samples")[rows], self._array(group, "range_m")[:], t_ns, spec, paths["poses"], paths["truth"], name,
-                group.attrs["unit"], track, None if about is None else Calibration(**about),
+                self._array(group, "samples")[rows], self._array(group, "range_m")[:], t_ns, spec, paths["poses"],
+                paths["truth"], name, group.attrs["unit"], track, None if about is None else Calibration(**about),
             )  # fmt: skip
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             raise InputError(f"damaged: {error}", where=self.path) from None
