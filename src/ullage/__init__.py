@@ -41,6 +41,7 @@ _HOMES = {
     "detect": "processing.detect",
     "focus": "processing.sar",
     "calibrate": "processing.calibrate",
+    "own_echo": "processing.own_echo",
     "map_occupancy": "processing.occupancy",
     "open": "ports",
     "sink": "pipeline",

@@ -99,6 +99,18 @@ class ImageSpec(Spec):
     method: ImageMethod = "backprojection"
     step_m: float = Field(0.05, gt=0, le=10)
     sensor: str = Field("", description="one sensor; none: all")
+    z_m: float | None = Field(
+        None, ge=-1000, le=1000, description="height of the plane; none: surveyed reflectors', else the flight's"
+    )
+    volume: tuple[float, float] | None = Field(None, description="lowest and highest z [m] of a volume, not a plane")
+
+    @model_validator(mode="after")
+    def _plane_or_volume(self) -> Self:
+        if self.volume is not None and not -1000 <= self.volume[0] < self.volume[1] <= 1000:
+            raise ValueError(f"volume is {list(self.volume)} (allowed: two rising heights within 1000 m)")
+        if self.volume is not None and self.z_m is not None:
+            raise ValueError("z_m and volume are both set (allowed: one of them)")
+        return self
 
 
 class Bound(Spec):
@@ -124,6 +136,7 @@ class Scenario(Spec):
     detect: DetectSpec = DetectSpec()
     map: MapSpec = MapSpec()
     image: ImageSpec = ImageSpec()
+    remove_own_echo: bool = Field(True, description="subtract direct path and ring-down before all of do")
     seed: int = Field(7, ge=0, lt=2**63)
     expect: dict[str, Bound] = Field({}, description="bounds on metrics; `ullage measure` exits 1 outside them")
 

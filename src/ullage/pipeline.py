@@ -22,8 +22,16 @@ from ullage.grids import Grid, Image, OccupancyMap
 
 if TYPE_CHECKING:
     from ullage.ports.protocol import Sink as PortSink
+    from ullage.processing.own_echo import OwnEchoFilter
 
 Chunk = dict[str, Frames]
+HELD_FRAMES = 2048  # of a sensor that wait for an image
+
+
+def _own_echo_filter() -> OwnEchoFilter:
+    from ullage.processing.own_echo import OwnEchoFilter
+
+    return OwnEchoFilter()
 
 
 class Source(Protocol):
@@ -199,6 +207,7 @@ class DetectStage:
 
     method: DetectMethod = "first_peak"
     threshold: float | None = None
+    own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     found: int = 0
     _seen: dict[str, int] = field(default_factory=dict)
 
@@ -208,8 +217,10 @@ class DetectStage:
 
         from ullage.processing.detect import detect
 
+        if self.own_echo is not None:
+            chunk = self.own_echo.clean(chunk)
         for name, part in chunk.items():
-            hits = detect(part, method=self.method, threshold=self.threshold)
+            hits = detect(part, method=self.method, threshold=self.threshold, remove_own_echo=False)
             before = self._seen.get(name, 0)
             self._seen[name] = before + len(part)
             self.found += len(hits)
@@ -234,6 +245,7 @@ class MapStage:
     threshold: float | None = None
     every_s: float = 1.0
     live: bool = False
+    own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     _away: bool = False
     _mapper: Any = None
     _given_ns: int | None = None
@@ -242,6 +254,8 @@ class MapStage:
         """The map so far, once per `every_s` of recording."""
         from ullage.processing.occupancy import Mapper
 
+        if self.own_echo is not None:
+            chunk = self.own_echo.clean(chunk)
         if self.live and not (chunk := self._inside(chunk)):
             return
         if self._mapper is None:
@@ -281,12 +295,15 @@ class MapStage:
 class ImageStage:
     """A SAR image that grows with each piece, given at the end; its memory is the grid's, however long the flight.
 
-    Frames weigh by the way the sensor moved, so that standing still adds nothing; sensors add in power.
+    Frames weigh by the way the sensor moved, so that standing still adds nothing; sensors add in power. Frames wait
+    until there are `HELD_FRAMES` of a sensor, so that its own echo is estimated from a long part of the track.
     """
 
     grid: Grid
     method: ImageMethod = "backprojection"
     sensor: str = ""  # one sensor; none: all
+    own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
+    _held: dict[str, list[Frames]] = field(default_factory=dict)
     _sums: dict[str, Any] = field(default_factory=dict)
     _summed: Any = None
     _last_m: dict[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -294,15 +311,30 @@ class ImageStage:
     def update(self, chunk: Chunk) -> Iterable[Any]:
         """Adds this piece."""
         for name, part in chunk.items():
-            if not self.sensor or name == self.sensor:
+            if self.sensor and name != self.sensor:
+                continue
+            if self.own_echo is None:
                 self._add(name, part)
+                continue
+            held = self._held.setdefault(name, [])
+            held.append(part)
+            if sum(map(len, held)) >= HELD_FRAMES:
+                self._release(name)
         return ()
+
+    def _release(self, name: str) -> None:
+        """Add the frames that waited, without their own echo."""
+        if self.own_echo is not None and (held := self._held.pop(name, [])):
+            for part in held:
+                self.own_echo.learn({name: part})
+            for part in held:
+                self._add(name, self.own_echo.removed_from({name: part})[name])
 
     def _add(self, name: str, part: Frames) -> None:
         if self.method == "summation":
             from ullage.processing.sar import focus
 
-            image = focus(part, self.grid, method="summation")
+            image = focus(part, self.grid, method="summation", remove_own_echo=False)
             self.grid = image.grid
             self._summed = image.values if self._summed is None else self._summed + image.values
             return
@@ -317,6 +349,8 @@ class ImageStage:
 
     def finish(self) -> Iterable[Image]:
         """The image."""
+        for name in list(self._held):
+            self._release(name)
         if self._summed is not None:
             return (Image(self.grid, self._summed, None, "summation"),)
         images = [summing.image() for summing in self._sums.values()]

@@ -230,6 +230,9 @@ class RadarSpec(Spec):
     range_zero_m: float | None = Field(
         None, ge=-5, le=5, description="of recordings: what cables and antennas add to every range, if once measured"
     )
+    own_echo_m: float = Field(
+        0.45, ge=0, le=100, description="range up to which the direct path and the ring-down of the instrument last"
+    )
     range_zero_sigma_m: float = Field(0.02, gt=0, le=5, description="one sigma of range_zero_m")
     antenna: AntennaSpec = AntennaSpec()
     antenna_offset_m: float = Field(0.0, ge=0, le=2, description="distance between Tx and Rx along sensor y")
@@ -253,6 +256,7 @@ class RadarSpec(Spec):
             "name": "pulson440", "center_hz": 3.95e9, "bandwidth_hz": 1.7e9, "sampling_hz": 1 / 61e-12,
             "decimation": 1, "output": "rf", "bins": 1152, "prf_div": 24,
             "antenna": {"kind": "cosine", "gain_dbi": 2.0, "azimuth_deg": 100, "elevation_deg": 100},
+            "own_echo_m": 2.5,  # ring-down of the recordings: docs/imaging.md
             "range_zero_m": 0.45, "range_zero_sigma_m": 0.02,  # from surveyed reflectors of one rail: docs/imaging.md
             "iterations": 1, "pulses_per_step": 2048,  # pulse integration index 11
             # from the same rail's frames at rest, by Receiver.fit; unit_gain from a link budget: docs/receiver.md

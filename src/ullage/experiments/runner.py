@@ -18,11 +18,13 @@ from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
 from ullage.experiments.draft import Draft, running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
+from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
+from ullage.processing.own_echo import OwnEchoFilter
 from ullage.radar.warmup import Compiling
 from ullage.world.scene import Scene
 
@@ -46,6 +48,8 @@ class Run:
     range_time: RangeTime = field(default_factory=RangeTime)
     looks: Looks = field(default_factory=Looks)
     rest: Rest = field(default_factory=Rest)
+    own_echo: OwnEchoFilter = field(default_factory=OwnEchoFilter)
+    plane: ImagePlane | None = None
     timing: dict[str, float] = field(default_factory=dict)
     draft: Draft | None = None  # that folder, if it is one to be swapped in
     sinks: list[Sink] = field(default_factory=list)  # those that were asked for, open
@@ -212,16 +216,18 @@ def _patient(stages: list[Stage], under_way: Compiling, say: Say) -> list[Stage]
 
 def _stages(job: Run) -> list[Stage]:
     plan = job.scenario
+    own = job.own_echo if plan.remove_own_echo else None
     out: list[Stage] = [job.range_time, job.looks, job.rest]
     if "detect" in job.tasks:
-        job.detect = DetectStage(plan.detect.method, plan.detect.threshold)
+        job.detect = DetectStage(plan.detect.method, plan.detect.threshold, own_echo=own)
         out.append(job.detect)
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=plan.map.margin_m)
-        out.append(MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live))
+        out.append(MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own))
     if "image" in job.tasks:
-        grid = Grid.covering(_bounds(job), plan.image.step_m, z_m=_height(job), margin_m=plan.map.margin_m)
-        out.append(ImageStage(grid, plan.image.method, plan.image.sensor))
+        margin, height = plan.map.margin_m, _height(job)
+        job.plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
+        out.append(ImageStage(job.plane.grid, plan.image.method, plan.image.sensor, own_echo=own))
     return out
 
 
@@ -261,6 +267,11 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
     if len(job.looks.frames()) == 1:
         out |= {m.name: m for item in outcome.results if isinstance(item, Image) for m in _place(item)}
     maps = [item for item in outcome.results if isinstance(item, OccupancyMap)]
+    if job.plane is not None and job.plane.grid.dims == 2:
+        out["image_z"] = Metric("image_z", float(job.plane.grid.origin_m[2]), "m")
+    if found := [one for one in job.own_echo.found.values() if one.energy_share]:
+        out["own_echo_share"] = Metric("own_echo_share", 100 * max(one.energy_share for one in found), "%")
+        out["own_echo_extent"] = Metric("own_echo_extent", max(one.extent_m for one in found), "m")
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality
 
@@ -278,6 +289,7 @@ def _place(image: Image) -> list[Metric]:
 
 def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
     from ullage.view import figures
+    from ullage.view.own_echo_figure import own_echo_figure
     from ullage.view.rest_figure import rest_figure
 
     folder, out = job.folder / "figures", []
@@ -300,11 +312,29 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
         if isinstance(item, OccupancyMap):
             out.append(figures.map_figure(folder / "map.png", item, title=job.title, walls=walls, flown=job.flown))
         elif isinstance(item, Image):
-            place = folder / "image.png"
+            notes = _image_notes(job, item, frames)
             out.append(
-                figures.image_figure(place, item, title=job.title, walls=walls, flown=job.flown, marks=job.marks)
+                figures.image_figure(
+                    folder / "image.png",
+                    item,
+                    title=job.title,
+                    walls=walls,
+                    flown=job.flown,
+                    marks=job.marks,
+                    notes=notes,
+                )
             )
+    if any(found.energy_share for found in job.own_echo.found.values()):
+        title = f"{job.title}: own echo"
+        out.append(own_echo_figure(folder / "own_echo.png", job.own_echo.found, title=title))
     return tuple(out)
+
+
+def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[str]:
+    """What to say beneath an image: its plane, and what the track tells about heights."""
+    seen = {name: part for name, part in frames.items() if job.scenario.image.sensor in ("", name)}
+    plane = "" if job.plane is None else job.plane.text
+    return [note for note in (plane, plane_findings(image, seen, marks=job.marks)) if note]
 
 
 def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
@@ -327,7 +357,7 @@ def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> P
                     seed=job.scenario.seed)  # fmt: skip
     height = float(frames.poses.position[index, 2]) if frames.poses is not None else _height(job)
     return explain_figure(path, frames, index, found, walls=_walls(job.scene, height),
-                          title=f"{job.title}: frame {index} of {name}, explained")  # fmt: skip
+                          title=f"{job.title}: frame {job.looks.number(name, index)} of {name}, explained")  # fmt: skip
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:

@@ -94,6 +94,10 @@ class Looks:
         """Nothing flows on."""
         return ()
 
+    def number(self, name: str, index: int) -> int:
+        """The number in the whole recording of a sensor's `index`-th kept frame."""
+        return index * self._stride.get(name, 1)
+
     def frames(self) -> dict[str, Frames]:
         """What was kept, by sensor."""
         return {name: joined(parts) for name, parts in self._kept.items() if parts}

@@ -14,6 +14,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.processing.baseband import checked, envelope, is_amplitude, noise_sigma, to_baseband
 from ullage.processing.cfar import cfar_threshold
+from ullage.processing.own_echo import blind_m, own_echo
 from ullage.processing.track import tracked
 
 Floats = NDArray[np.float64]
@@ -22,8 +23,6 @@ Method = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 
 THESIS_THRESHOLD = 0.038
 """The thesis' threshold on its own amplitudes [Billdal2018, 5.3.3]."""
-DIRECT_PATH_M = 0.45
-"""Leakage and the device's own ringing lie nearer than this [m] [X4Recordings]."""
 _SIGMAS, _DYNAMIC_RANGE = 5.0, 10 ** (-50 / 20)
 
 
@@ -40,6 +39,7 @@ def detect(
     correlation: ArrayLike | None = ...,
     max_echoes: int = ...,
     window_m: float = ...,
+    remove_own_echo: bool = ...,
 ) -> Detections: ...
 @overload
 def detect(
@@ -54,6 +54,7 @@ def detect(
     correlation: ArrayLike | None = ...,
     max_echoes: int = ...,
     window_m: float = ...,
+    remove_own_echo: bool = ...,
 ) -> dict[str, Detections]: ...
 
 
@@ -69,6 +70,7 @@ def detect(
     correlation: ArrayLike | None = None,
     max_echoes: int = 16,
     window_m: float = 0.6,
+    remove_own_echo: bool = True,
 ) -> Detections | dict[str, Detections]:
     """Echoes judged to be objects, in each frame, with ranges finer than a bin (parabola through three bins).
 
@@ -88,6 +90,7 @@ def detect(
         correlation: noise correlation between bins at lags 0, 1, ... (CFAR); None: what the receiver's filter gives.
         max_echoes: at most so many a frame (CLEAN).
         window_m: way along the track over which power is added (track) [m].
+        remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
 
     Raises:
         InputError: unknown method, a number out of bounds, or a sample that is not finite.
@@ -96,11 +99,13 @@ def detect(
         kept: dict[str, Any] = {
             "method": method, "threshold": threshold, "min_range_m": min_range_m, "pfa": pfa, "guard": guard,
             "train": train, "correlation": correlation, "max_echoes": max_echoes, "window_m": window_m,
+            "remove_own_echo": remove_own_echo,
         }  # fmt: skip
         return {name: detect(part, **kept) for name, part in frames.items()}
     _refuse_unknown(method, threshold)
+    frames = own_echo(checked(frames)).removed_from(frames) if remove_own_echo else frames
     sigma = noise_sigma(checked(frames))
-    least_m = _blind_m(frames) if min_range_m is None else min_range_m
+    least_m = blind_m(frames) if min_range_m is None else min_range_m
     if method == "track":
         frame, place, height, snr = tracked(frames, sigma, pfa=pfa, window_m=window_m, min_range_m=least_m)
         return replace(_detections(frames, frame, place, height, sigma), snr_db=snr)
@@ -122,12 +127,6 @@ def _refuse_unknown(method: str, threshold: float | None) -> None:
         raise InputError(f"no method {method!r}", where="detect", allowed=", ".join(get_args(Method)))
     if threshold is not None and not threshold > 0:
         raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
-
-
-def _blind_m(frames: Frames) -> float:
-    noise = frames.spec.noise
-    leaks = noise is not None and noise.leakage and not is_amplitude(frames)
-    return DIRECT_PATH_M if leaks else 0.0
 
 
 def default_threshold(frames: Frames, sigma: float, values: Floats) -> float:
@@ -226,7 +225,7 @@ def roc(
     gate = np.abs(frames_with.range_m - range_m) <= gate_m
     if not gate.any():
         raise InputError(f"no bins within {gate_m} m of {range_m} m", where="roc")
-    far = frames_without.range_m >= _blind_m(frames_without)
+    far = frames_without.range_m >= blind_m(frames_without)
     hit = np.where(gate, np.asarray(envelope(frames_with), np.float64), 0.0).max(1)
     false = np.sort(np.asarray(envelope(frames_without), np.float64)[:, far].ravel())
     low, high = max(float(false[0]), 1e-12), float(max(hit.max(), false[-1]))

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Frames
+from ullage.processing.own_echo import DIRECT_PATH_M
 from ullage.specs import AntennaSpec
 
 Floats = NDArray[np.float64]
 RAYLEIGH_MEDIAN = 1.1774
 FALSE_ALARM_SIGMAS = 6.0
-BLANKED_M = 0.45
 DYNAMIC = 10 ** (-40 / 20)
 X4A02_DEG, WIDEST_DEG = 65.0, 67.0
 RIM_DBI = -3.0
@@ -32,7 +32,7 @@ def blank_m(frames: Frames) -> float:
     """Range below which the direct path and the device itself speak [m]."""
     if frames.unit == "thesis":
         return frames.spec.thesis.min_range_m
-    return max(BLANKED_M, float(frames.range_m[0]))
+    return max(DIRECT_PATH_M, float(frames.range_m[0]))
 
 
 def echo_level(frames: Frames) -> NDArray[np.float32]:

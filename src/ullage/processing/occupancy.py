@@ -7,6 +7,7 @@ from typing import Literal, Protocol
 from ullage.data import Recording
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap
+from ullage.processing.own_echo import without_own_echo
 
 Method = Literal["ullage", "elfes"]
 
@@ -45,7 +46,13 @@ def Mapper(grid: Grid, *, method: Method = "ullage", **options: float | None) ->
 
 
 def map_occupancy(
-    frames: Recording, grid: Grid, *, method: Method = "ullage", drift_m: float = 0.0, **options: float | None
+    frames: Recording,
+    grid: Grid,
+    *,
+    method: Method = "ullage",
+    drift_m: float = 0.0,
+    remove_own_echo: bool = True,
+    **options: float | None,
 ) -> OccupancyMap:
     """The occupancy map that a recording gives.
 
@@ -54,11 +61,14 @@ def map_occupancy(
         grid: a plane or a volume that holds the flight.
         method: "ullage", all that each profile says, or "elfes", the thesis' baseline.
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it.
+        remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
         options: those of the method's mapper, as `threshold`.
 
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.
     """
+    if remove_own_echo:
+        frames = without_own_echo(frames)
     if drift_m:
         from ullage.processing.drift import correct_drift
 

@@ -12,6 +12,7 @@ from ullage.data import Frames, Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Grid, Image
 from ullage.processing.backprojection import Backprojector
+from ullage.processing.own_echo import without_own_echo
 from ullage.processing.summation import summed
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,7 @@ def focus(
     combine: Literal["incoherent", "coherent"] = "incoherent",
     subaperture_m: float | None = None,
     threads: int = 0,
+    remove_own_echo: bool = True,
 ) -> Image:
     """An image of what stood where, from the frames of one sensor or several and their believed poses.
 
@@ -44,12 +46,13 @@ def focus(
             by its share of the way. Coarser, but what is seen from a part of the way is not drowned, and slow errors of
             the poses blur no more than a piece. None: all of the way.
         threads: 0 takes every core.
+        remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
 
     Raises:
         InputError: unknown method, no poses, no phase, a sample that is not finite, a grid too large for memory, or
             sensors of different frequency to be added in phase.
     """
-    parts = sensors_of(frames)
+    parts = without_own_echo(frames) if remove_own_echo else sensors_of(frames)
     if method == "summation":
         return summed(parts, grid)
     if method != "backprojection":
@@ -66,7 +69,7 @@ def focus(
             if subaperture_m is None
             else _piecewise(parts[0], grid, subaperture_m, **settings)
         )
-    images = [focus(part, grid, subaperture_m=subaperture_m, **settings) for part in parts]
+    images = [focus(part, grid, subaperture_m=subaperture_m, remove_own_echo=False, **settings) for part in parts]
     power = np.sqrt(np.sum([np.abs(i.values) ** 2 for i in images], axis=0))
     coherence = np.max([i.coherence for i in images if i.coherence is not None], axis=0)
     return Image(grid, power.astype(np.float32), coherence, "backprojection")

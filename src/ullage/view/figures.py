@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from ullage.view.saving import save_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 Floats = NDArray[np.float64]
 TRUTH_COLOR = "#d1495b"
@@ -32,7 +34,29 @@ def drawing(path: Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: i
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, columns)
     yield figure, axes
+    fit_titles(figure)
     save_figure(figure, path, dpi=130)
+
+
+def fit_titles(figure: Figure) -> None:
+    """Break titles that are wider than the figure, or than a panel's share of it, into lines that fit."""
+    whole = figure.get_figwidth() * figure.dpi
+    for axes in figure.axes:
+        place = axes.get_subplotspec()
+        columns = 1 if place is None else place.get_gridspec().ncols
+        _break_lines(axes.title, 0.85 * whole / columns)
+    for text in figure.texts:
+        if text.get_text() == figure.get_suptitle():
+            _break_lines(text, 0.95 * whole)
+
+
+def _break_lines(text: Text, width_px: float) -> None:
+    """Break a text at its words so that no line is wider [px]."""
+    words = text.get_text()
+    wide = text.get_window_extent().width
+    if words and wide > width_px:
+        lines = [textwrap.fill(line, max(int(len(words) * width_px / wide), 8)) for line in words.split("\n")]
+        text.set_text("\n".join(lines))
 
 
 def draw_map(
@@ -80,7 +104,7 @@ def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
 def draw_plan(
     axes: Axes, *, walls: Floats | None = None, path: Trajectory | None = None, marks: Floats | None = None
 ) -> None:
-    """True walls and marks (m, 2 or 3) in red and the flown path in blue, on axes in metres of equal scale."""
+    """True walls in red, marks (m, 2 or 3) in green and the flown path in blue, on axes in metres of equal scale."""
     from matplotlib.collections import LineCollection
 
     if walls is not None and len(walls):
@@ -90,7 +114,7 @@ def draw_plan(
         axes.plot(*path.position[0, :2], "o", color="#2e86ab", markersize=4)
     if marks is not None and len(marks):
         axes.scatter(
-            marks[:, 0], marks[:, 1], s=160, facecolors="none", edgecolors=TRUTH_COLOR, label="surveyed reflector"
+            marks[:, 0], marks[:, 1], s=160, facecolors="none", edgecolors="#4ade80", label="surveyed reflector"
         )
     axes.set(xlabel="x east [m]", ylabel="y north [m]", aspect="equal")
 
@@ -117,9 +141,13 @@ def image_figure(
     walls: Floats | None = None,
     flown: Trajectory | None = None,
     marks: Floats | None = None,
+    notes: Sequence[str] = (),
     span_db: float = 40,
 ) -> Path:
-    """A SAR image in dB below its peak, as a picture file; a volume is shown as its brightest value over height."""
+    """A SAR image in dB below its peak, as a picture file; a volume is shown as its brightest value over height.
+
+    `notes` stand beneath the title, as which plane was imaged.
+    """
     amplitude = image.amplitude
     flat = amplitude.max(axis=0) if amplitude.ndim == 3 else amplitude
     peak = max(float(flat.max()), 1e-30)
@@ -133,7 +161,8 @@ def image_figure(
         figure.colorbar(mesh, ax=axes, label="amplitude below the brightest cell [dB]", shrink=0.8)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         figure.suptitle(title, fontsize=10)
-        axes.set_title(f"{image.method}, {image.grid.step_m:g} m cells", fontsize=8)
+        about = [f"{image.method}, {image.grid.step_m:g} m cells", *notes[:1]]
+        axes.set_title("\n".join([", ".join(about), *notes[1:]]), fontsize=8)
     return path
 
 
