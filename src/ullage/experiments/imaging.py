@@ -15,8 +15,8 @@ from ullage.errors import UllageWarning
 from ullage.grids import Grid, Image
 
 Floats = NDArray[np.float64]
-_OFF_DB, _LEAST_POINTS = 1.5, 2  # so many points that focus so much better elsewhere are warned of
-_OFF_M, _ALIKE_M = 0.1, 0.5  # a survey farther from the plane is warned of; spread of one plane's reflectors [m]
+_OFF_DB = 3.0  # a brightest point that focuses so much better elsewhere is warned of [dB]
+_OFF_M, _ALIKE_M = 0.2, 0.5  # how far from the plane that is; spread of reflectors that share a plane [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +80,13 @@ def plane_findings(image: Image, frames: Mapping[str, Frames], *, marks: Floats 
         for x, y, z in off[:1]:
             _warn(f"the surveyed reflector at ({x:.2f}, {y:.2f}) is at z = {z:.2f} m", plane_m, f"image.z_m={z:.2f}")
     part = max(without_own_echo(frames), key=len)
-    points = focus_height(part, image)
-    told = [point for point in points if point.resolved]
-    away = [point for point in told if point.gain_db > _OFF_DB and abs(point.best_m[2] - plane_m) > _OFF_M]
-    if len(away) >= _LEAST_POINTS:
-        heights = ", ".join(f"{point.best_m[2]:.1f}" for point in away)
-        text = f"{len(away)} of the {len(points)} strongest points focus better at other heights ({heights} m)"
-        _warn(text, plane_m, "image.z_m or image.volume")
-    if points and not told:
+    found = focus_height(part, image)
+    if not found.resolved:
         return "heights not resolved: the track is straight; a target off the plane appears displaced"
+    off_m = found.best_m[2] - plane_m
+    if found.gain_db > _OFF_DB and abs(off_m) > _OFF_M:
+        text = f"the brightest point focuses {found.gain_db:.1f} dB better at z = {found.best_m[2]:.1f} m"
+        _warn(text, plane_m, "image.z_m or image.volume")
     return ""
 
 

@@ -52,11 +52,11 @@ def fit_titles(figure: Figure) -> None:
 
 def _break_lines(text: Text, width_px: float) -> None:
     """Break a text at its words so that no line is wider [px]."""
-    words = text.get_text()
+    lines = text.get_text().split("\n")
     wide = text.get_window_extent().width
-    if words and wide > width_px:
-        lines = [textwrap.fill(line, max(int(len(words) * width_px / wide), 8)) for line in words.split("\n")]
-        text.set_text("\n".join(lines))
+    if wide > width_px:
+        most = max(int(max(map(len, lines)) * width_px / wide), 8)
+        text.set_text("\n".join(textwrap.fill(line, most) for line in lines))
 
 
 def draw_map(

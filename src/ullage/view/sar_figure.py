@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Trajectory
 from ullage.grids import Image
+from ullage.view.figures import fit_titles
 
 
 def sar_figure(
@@ -60,6 +61,7 @@ def sar_figure(
     axes[0, 0].set_title(title, fontsize=10)
     axes[0, 0].legend(loc="upper right", fontsize=8)
     figure.colorbar(shown, ax=list(axes[0]), label="amplitude under the brightest cell [dB]", shrink=0.85)
+    fit_titles(figure)
     figure.savefig(path, dpi=130)
     return Path(path)
 

@@ -32,6 +32,7 @@ PICTURE_HZ = 2.0  # of the rolling pictures
 MAP_S = 1.0  # between two maps
 PATH_S = 0.2  # between two points of the flown path
 MAX_BOXES = 50_000  # of a volume's cells; more of them become points
+BLENDED = 0.999  # rerun blends pictures with what is behind them only when their opacity is below 1
 IMAGE_DB = 30.0  # a radar image goes from its peak so far down
 USAGE = "viewer:, viewer:FILE.rrd, or viewer:rerun+http://HOST:9876/proxy of a running viewer"
 
@@ -284,7 +285,9 @@ class ViewerSink:
         )
         x, y, z = grid.at_height(self._height_m).origin_m
         corner = [x + i * grid.step_m, y + j * grid.step_m, z + lift_m]
-        plane = self._rr.GridMap(data=part.tobytes(), format=form, cell_size=grid.step_m, translation=corner)
+        plane = self._rr.GridMap(
+            data=part.tobytes(), format=form, cell_size=grid.step_m, translation=corner, opacity=BLENDED
+        )
         self._rec.log(path, plane)
 
     def _set_time(self, t_ns: int) -> None:

@@ -184,9 +184,9 @@ def map_colors(omap: OccupancyMap) -> NDArray[np.uint8]:
 
 
 def image_colors(share: NDArray[Any]) -> NDArray[np.uint8]:
-    """Levels 0 to 1 as RGBA (..., 4), clear where there is nothing."""
+    """Levels 0 to 1 as RGBA (..., 4): the weaker, the clearer, so that the floor stays visible."""
     from matplotlib import colormaps
 
     out = (colormaps["inferno"](share) * 255).astype(np.uint8)
-    out[..., 3] = np.where(share > 0, 60 + 180 * share, 0).astype(np.uint8)
+    out[..., 3] = (240 * np.clip(share, 0, 1)).astype(np.uint8)
     return np.asarray(out)
