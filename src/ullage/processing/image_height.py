@@ -44,7 +44,7 @@ def focus_height(frames: Frames, image: Image) -> FocusHeight:
     point = np.array([image.grid.x_m[column], image.grid.y_m[row], image.grid.origin_m[2]])
     part = _nearest(frames, point)
     offsets = np.arange(-round(_REACH_M / _STEP_M), round(_REACH_M / _STEP_M) + 1) * _STEP_M
-    planes = [_plane(part, point + [0.0, 0.0, offset]) for offset in offsets]
+    planes = [_plane(part, point + np.array([0.0, 0.0, offset])) for offset in offsets]
     level_db = np.array([20 * np.log10(max(float(plane.amplitude.max()), 1e-30)) for plane in planes])
     top = int(np.argmax(level_db))
     gain_db = float(level_db[top] - level_db[np.argmin(np.abs(offsets))])

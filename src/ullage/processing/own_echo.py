@@ -31,6 +31,7 @@ _ROUNDS, _REFINEMENTS = 12, 2  # of the robust mean; of the gains
 _STEADY = 5.0  # bins whose own echo exceeds its variation by this factor give the gain of a frame
 _SEPARABLE = 0.95  # a wall's mean phasor above which it and the own echo are not told apart
 _EXPLAINED = 0.5  # share of what remains that a wall must explain before it is held against the own echo
+_OVER_NOISE = 12.0  # of a mean's power over that of the noise left in it
 _MARGIN = 1.3  # on the steadiness that a wall may have
 _LARGEST_CHANGE = 0.3  # of a frame's gain; a larger one is not believed
 
@@ -81,13 +82,15 @@ def own_echo(frames: Frames) -> OwnEcho:
     taken as own echo. Beyond, only what exceeds the mean that a reflector at rest could leave on this track.
 
     Args:
-        frames: one sensor's frames; without poses, or of a sensor that does not move, only the direct path is taken.
-            Nothing is estimated from fewer than three frames, from amplitudes without phase, from samples that are not
-            finite, or where `spec.noise` says that there is no direct path.
+        frames: one sensor's frames; without poses, or of fewer than eight places, only the direct path is taken.
+            Nothing is estimated from fewer than three frames or three known places, from amplitudes without phase,
+            from samples that are not finite, or where `spec.noise` says that there is no direct path.
     """
     if not _expected(frames):
         return _none(frames)
     frames, places = _distinct(frames)
+    if frames.poses is not None and places < _LEAST_FRAMES:
+        return _none(frames)
     values = np.asarray(to_baseband(frames), np.complex128)
     moved = places >= _LEAST_PLACES
     extent_m = frames.spec.own_echo_m if moved else min(frames.spec.own_echo_m, DIRECT_PATH_M)
@@ -96,7 +99,8 @@ def own_echo(frames: Frames) -> OwnEcho:
     common, steady = _common(values, frames.range_m <= extent_m)
     level = values if not steady.any() else values / _gains(values[:, steady], common[steady])[:, None]
     profile = _without_walls(level, common, phasors)
-    profile = profile * np.maximum(frames.range_m <= extent_m, _unexplained(level, ambiguity))
+    share = np.maximum(frames.range_m <= extent_m, _unexplained(level, ambiguity))
+    profile = profile * np.where(_significant(level), share, 0.0)
     found = OwnEcho(
         frames.sensor, frames.range_m, profile, _power_db(values), _power_db(values), extent_m, ambiguity, 0.0,
         places if frames.poses is not None else 0, steady,
@@ -283,8 +287,15 @@ def _without_walls(values: Complexes, common: Complexes, phasors: NDArray[np.com
     return np.asarray(common + np.where(explains & (np.abs(rho) < _SEPARABLE), own, 0))
 
 
+def _significant(values: Complexes) -> NDArray[np.bool_]:
+    """Where the mean of frames (n, b) stands out of what they differ by (b): noise alone does in e^-12 of all bins."""
+    mean = values.mean(axis=0)
+    spread = np.mean(np.abs(values - mean) ** 2, axis=0) / max(len(values) - 1, 1)
+    return np.asarray(np.abs(mean) ** 2 > _OVER_NOISE * spread)
+
+
 def _unexplained(values: Complexes, ambiguity: float) -> Floats:
     """The part of the mean (b) that no reflector at rest leaves on this track."""
     power = np.maximum(np.mean(np.abs(values) ** 2, axis=0), 1e-300)
     steadiness = np.maximum(np.abs(values.mean(axis=0)) ** 2 / power, 1e-30)
-    return np.asarray(np.clip(1 - (_MARGIN * ambiguity**2 + 4 / len(values)) / steadiness, 0.0, 1.0))
+    return np.asarray(np.clip(1 - (_MARGIN * ambiguity**2 + _OVER_NOISE / len(values)) / steadiness, 0.0, 1.0))
