@@ -5,7 +5,8 @@ from ideal_points import frames_of_points
 import ullage as ul
 from ullage.processing.baseband import noise_correlation, noise_sigma
 from ullage.processing.cfar import _window_mean, cell_average_factor, cfar_threshold
-from ullage.processing.detect import peaks, roc
+from ullage.processing.detect import roc
+from ullage.processing.echoes import peaks
 
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
 STILL = ul.Trajectory.stationary(n=40)
@@ -169,3 +170,48 @@ def test_bad_input_is_refused_in_one_line():
         ul.detect(frames, method="cfar", train=100)
     with pytest.raises(ul.InputError, match="pfa is 2"):
         ul.detect(frames, method="cfar", pfa=2)
+
+
+def flown_past(n=24):
+    path = ul.Trajectory.line((0, -0.6, 0), (0, 0.6, 0), speed_m_s=0.5, rate_hz=10)[:n]
+    spec = SPEC.but(noise=ul.NoiseSpec())
+    return frames_of_points([(0.2, 0, 0), (2.0, 0, 0), (5.0, 0.3, 0)], path, spec=spec, noise=0.004, seed=5)
+
+
+def test_the_mapper_and_detect_find_the_same_echoes():
+    from ullage.processing.mapper_looks import Listener
+
+    frames = flown_past()
+    hits = ul.detect(frames, method="peaks")
+    step = frames.range_m[1] - frames.range_m[0]
+    listener = Listener(float(frames.range_m[0]), float(step), frames.spec.wavelength_m)
+    keyframes = [*listener.hear(frames), *listener.flush()]
+    assert len(keyframes) > 5
+    for one in keyframes:
+        mine = np.sort(one.heard.ranges[: one.heard.count])
+        assert mine == pytest.approx(hits.range_m[hits.t_ns == one.heard.t_ns], abs=1e-4)
+
+
+def test_pieces_of_a_recording_give_the_echoes_of_the_whole():
+    frames = flown_past()
+    whole = ul.detect(frames, method="peaks")
+    pieces = [ul.detect(frames[i : i + 1], method="peaks") for i in range(len(frames))]
+    assert np.concatenate([p.range_m for p in pieces]) == pytest.approx(whole.range_m)
+
+
+def test_noise_crosses_the_level_as_seldom_as_stated():
+    from ullage.processing.echoes import echo_level
+
+    frames = noise_frames(3000, correlated=False)
+    for rate in (1e-2, 1e-3):
+        over = np.abs(frames.samples) > echo_level(frames, false_alarm=rate)[:, None]
+        assert 0.9 * rate < over.mean() < 2 * rate  # one profile's noise is known to 7 %
+
+
+def test_what_lies_under_the_dynamic_range_is_no_echo():
+    frames = frames_of_points([(2.0, 0, 0), (5.0, 0.0, 0)], STILL[:1], spec=SPEC)
+    for fall_db, count in ((35.0, 2), (45.0, 1)):
+        weak = frames.samples.copy()
+        weak[:, frames.range_m > 3.5] *= 10 ** (-fall_db / 20)
+        hits = ul.detect(ul.Frames(weak, frames.range_m, frames.t_ns, frames.spec), method="peaks")
+        assert len(hits) == count

@@ -2,11 +2,13 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.antenna import boresight_pattern
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_looks import Heard, Look
 
 FOLD_M, REACH_M, WAVE_M = 9.87, 3.0, 0.041
+PATTERN = boresight_pattern(ul.AntennaSpec())
 NORTH = np.array([0.0, 1.0, 0.0])
 
 
@@ -21,7 +23,7 @@ def blocks_with(*strips, north_m=15.0, dims=2):
 
 def folds(blocks, *, height=1.0, loudest_m=np.inf):
     """Whether an echo straight to the north of an eastward flight may be folded."""
-    fold = Fold(least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M, loudest_m=loudest_m)
+    fold = Fold(least=0.64, pattern=PATTERN, wave_m=WAVE_M, fold_m=FOLD_M, loudest_m=loudest_m)
     usual = REACH_M + FOLD_M  # an echo of height 1 is as loud as the usual at the farther range
     if blocks.grid.dims == 3:
         return fold.may_be(np.zeros(3), NORTH, NORTH, (REACH_M, height), blocks, usual=usual)
@@ -47,7 +49,7 @@ def test_in_a_volume_no_wall_is_too_loud_for_being_louder_than_what_was_heard_fa
 
 
 def test_in_a_volume_a_way_that_is_in_doubt_may_lead_to_a_wall_on_the_grid():
-    fold = Fold(least=0.64, half_rad=0.57, wave_m=WAVE_M, fold_m=FOLD_M, loudest_m=np.inf)
+    fold = Fold(least=0.64, pattern=PATTERN, wave_m=WAVE_M, fold_m=FOLD_M, loudest_m=np.inf)
     far, top = REACH_M + FOLD_M, 1.0
     for off_rad, folded in ((0.09, True), (0.25, False)):
         rise = np.arctan2(top, far) + off_rad

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
+import ullage as ul
+from ullage.antenna import boresight_pattern
 from ullage.processing.mapper_rims import LEAST_RIM, MOST_RIM, rim_along, rim_of
 
-WAVELENGTH_M, HALF_RAD = 0.041, np.radians(32.5)
+WAVELENGTH_M, PATTERN = 0.041, boresight_pattern(ul.AntennaSpec())
 
 
 def level_near_an_edge(parameter: np.ndarray) -> np.ndarray:
@@ -38,30 +40,30 @@ def test_a_steady_level_draws_a_wall_twice_as_far_as_one_that_ripples():
 @pytest.mark.parametrize("reach", [1.5, 3.0, 5.0])
 @pytest.mark.parametrize("edge_m", [0.05, 0.2, 0.4])
 def test_beside_a_plane_no_more_is_drawn_than_is_there(reach, edge_m):
-    rim = rim_along(abeam(reach, edge_m), np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD)
+    rim = rim_along(abeam(reach, edge_m), np.array([0.0, 1.0]), WAVELENGTH_M, PATTERN)
     least = 0.5 * LEAST_RIM * np.sqrt(WAVELENGTH_M * reach)
     assert 0.5 * rim * np.sqrt(WAVELENGTH_M * reach) <= max(edge_m, least) + 0.15
 
 
 def test_beside_an_endless_wall_as_much_is_drawn_as_it_may_answer_for():
-    assert rim_along(abeam(3.0, 50.0), np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) == MOST_RIM
+    assert rim_along(abeam(3.0, 50.0), np.array([0.0, 1.0]), WAVELENGTH_M, PATTERN) == MOST_RIM
 
 
 def test_turning_the_antenna_past_a_wall_is_no_edge():
     rows = abeam(3.0, 50.0)
     turn = np.radians(20) * (1 + np.tanh((rows[:, 0] + 1) / 0.2))
     rows[:, 4:] = np.column_stack([np.sin(turn), np.cos(turn)])
-    rows[:, 3] *= 10 ** (-6 / 20 * (turn / HALF_RAD) ** 2)
-    assert rim_along(rows, np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) == MOST_RIM
+    rows[:, 3] *= 10 ** (2 * (PATTERN.gain_dbi(turn) - PATTERN.gain_dbi(0.0)) / 20)
+    assert rim_along(rows, np.array([0.0, 1.0]), WAVELENGTH_M, PATTERN) == MOST_RIM
     rows[:, 4:] = 0.0, 1.0
-    assert rim_along(rows, np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) < 0.9 * MOST_RIM
+    assert rim_along(rows, np.array([0.0, 1.0]), WAVELENGTH_M, PATTERN) < 0.9 * MOST_RIM
 
 
 def test_a_track_too_short_to_hear_an_edge_tells_of_none():
     steady = abeam(3.0, 50.0)
-    assert rim_along(steady[:8], np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) == LEAST_RIM
+    assert rim_along(steady[:8], np.array([0.0, 1.0]), WAVELENGTH_M, PATTERN) == LEAST_RIM
     still = abeam(3.0, 50.0, span_m=0.05)
-    assert rim_along(still, np.array([0.0, 1.0]), WAVELENGTH_M, HALF_RAD) == LEAST_RIM
+    assert rim_along(still, np.array([0.0, 1.0]), WAVELENGTH_M, PATTERN) == LEAST_RIM
 
 
 def test_the_fold_of_a_corner_is_drawn_no_wider_than_an_edge_however_steady_it_is():
@@ -69,4 +71,4 @@ def test_the_fold_of_a_corner_is_drawn_no_wider_than_an_edge_however_steady_it_i
     for way in (np.array([0.0, 1.0]), np.array([0.6, 0.8])):
         reach = np.linalg.norm(5.0 * way - np.column_stack([x, 0 * x]), axis=1)
         rows = np.column_stack([x, 0 * x, reach, 1 / reach, 0 * x + way[0], 0 * x + way[1]])
-        assert rim_along(rows, way, WAVELENGTH_M, HALF_RAD) == LEAST_RIM
+        assert rim_along(rows, way, WAVELENGTH_M, PATTERN) == LEAST_RIM

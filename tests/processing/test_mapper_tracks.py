@@ -9,6 +9,7 @@ import pytest
 from scipy.special import fresnel
 
 import ullage as ul
+from ullage.antenna import boresight_pattern
 from ullage.processing.inverse_sensor import least_cosine, mirror_m
 from ullage.processing.mapper_looks import Heard, Look
 from ullage.processing.mapper_screens import BEYOND_M, SHADE_SLOPE, screens_of
@@ -178,7 +179,8 @@ def test_what_a_known_wall_explains_screens_that_wall_alone_as_far_again():
 def test_a_floor_explains_no_echo_louder_than_a_mirror_beside_the_beam():
     at = waving(14, rise_m=0.0)
     floor = ((-1, -1.5),)
-    for gain_db, told in ((-2.5, 14), (5.0, 0)):  # of the mirror that would echo so, over one before 0 dBi
+    abeam_dbi = float(boresight_pattern(ul.AntennaSpec()).gain_dbi(np.pi / 2))
+    for gain_db, told in ((abeam_dbi + 2.5, 14), (5.0, 0)):  # of the mirror that would echo so, over one before 0 dBi
         tracks, feet = follow_all(at, np.full(14, 1.5), levels=floor, mirror_m=1.5e-3 / 10 ** (gain_db / 10))
         assert len(feet) == told
         assert (tracks.screens(tracks.walls)[:, 2] > -0.99).any() == (told == 0)
@@ -192,7 +194,7 @@ def test_a_mirror_off_boresight_is_never_too_loud_for_where_it_stands(off_deg):
     wall = replace(wall, vertices=wall.vertices - [2.0, 0, 0] + away)
     frames = ul.simulate(wall, ul.Trajectory.stationary(), radar)
     strength = float((frames.range_m * abs(frames.samples[0]))[frames.range_m > 1].max())
-    within = least_cosine(strength, mirror_m(frames))
+    within = least_cosine(strength, mirror_m(frames), boresight_pattern(radar.antenna))
     assert within <= np.cos(np.radians(off_deg))
     assert off_deg > 20 or within > np.cos(np.radians(50))
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.antenna import boresight_pattern
 from ullage.data import Trajectory
 from ullage.geometry import rpy_quat
 from ullage.processing.mapper_looks import Heard, Look
-from ullage.processing.mapper_rims import LOBE_NEPERS
 from ullage.processing.mapper_turns import Turns, bearing_of, bearings
 
-HALF = np.radians(32.5)
+PATTERN = boresight_pattern(ul.AntennaSpec())
 HEADINGS = np.radians(np.arange(0, 360, 4.0))
 
 
@@ -26,7 +26,7 @@ def look(at, heading, echoes, t_ns=0):
 
 def lobe(off):
     off = (off + np.pi) % (2 * np.pi) - np.pi
-    return np.exp(-2 * LOBE_NEPERS * (off / HALF) ** 2)
+    return 1 / PATTERN.two_way_loss(np.cos(off))
 
 
 def turn(arm_m=0.0, *, bearing, range_m=3.0, level=lobe, noise=0.0):
@@ -48,7 +48,7 @@ def told(arm_m=0.0, **how):
     assert stretch.turned
     out = []
     for one, heading in zip(looks, HEADINGS, strict=True):
-        seen, (cosine, _, trust) = bearings(one, stretch, HALF)
+        seen, (cosine, _, trust) = bearings(one, stretch, PATTERN)
         assert not seen.track.any() or abs(seen.track @ one.heard.axes[:, 0]) < 1e-9
         out += (heading + np.arcsin(cosine[trust > 0])).tolist()
     return (np.array(out) + np.pi) % (2 * np.pi) - np.pi
@@ -81,7 +81,7 @@ def test_range_about_an_arm_must_agree_with_the_loudness():
     turned = np.where(np.isfinite(ranges), np.log(lobe(HEADINGS - 1.3))[:, None], np.inf)
     heading = HEADINGS[18]
     reach = 3.0 - at[18] @ [np.cos(0.5), np.sin(0.5)]
-    assert bearing_of(reach, at[18], heading, (at, HEADINGS, ranges, turned), HALF) is None
+    assert bearing_of(reach, at[18], heading, (at, HEADINGS, ranges, turned), PATTERN) is None
 
 
 def test_a_corner_of_the_way_is_no_turn_on_the_spot():

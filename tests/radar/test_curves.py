@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.antenna import gain
 from ullage.experiments.oracles import dense_tank
 from ullage.experiments.validate import over
 from ullage.radar import ball_echoes, curves, flat_pairs, ways
-from ullage.radar.antenna import gain
 from ullage.radar.multipath import beams_of, looks
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import bench, path_gain_cw, view_of

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.antenna import gain
 from ullage.kernels import lit
 from ullage.kernels import rims as draw
 from ullage.radar import curves, multipath, zones
-from ullage.radar.antenna import gain
 from ullage.radar.flats import Rim
 from ullage.radar.physical import bench, echoes
 

@@ -14,16 +14,13 @@ from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.processing.baseband import checked, envelope, is_amplitude, noise_sigma, to_baseband
 from ullage.processing.cfar import cfar_threshold
-from ullage.processing.own_echo import blind_m, own_echo
+from ullage.processing.echoes import blind_m, echo_level, peaks
+from ullage.processing.own_echo import own_echo
 from ullage.processing.track import tracked
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Method = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
-
-THESIS_THRESHOLD = 0.038
-"""The thesis' threshold on its own amplitudes [Billdal2018, 5.3.3]."""
-_SIGMAS, _DYNAMIC_RANGE = 5.0, 10 ** (-50 / 20)
 
 
 @overload
@@ -80,10 +77,10 @@ def detect(
             them; "cfar" and "os-cfar" all that exceed a threshold found from the bins around; "clean" takes the
             strongest echo, subtracts the pulse it would have made, and looks again; "track" adds the power of the
             frames around along the hyperbolas that things at rest draw, which shows wires no single frame does.
-        threshold: amplitude in the frames' unit. None: 0.038 for the thesis' amplitudes; else the larger of
-            5 times the noise of a bin and 50 dB under the strongest echo of these frames. Not used by CFAR and track.
-        min_range_m: nothing nearer is an object [m]; None: 0.45 m, which the direct path fills, where the sensor
-            has one, else 0.
+        threshold: amplitude in the frames' unit. None: the level that the mapper uses (`processing.echoes`), 0.038 for
+            the thesis' amplitudes. Not used by CFAR and track.
+        min_range_m: nothing nearer is an object [m]; None: 0.45 m where the sensor leaks, 0.2 m for the thesis'
+            sensor, else 0.
         pfa: false alarm probability of each bin (CFAR, track).
         guard: cells left out on either side (CFAR).
         train: cells used on either side (CFAR).
@@ -115,10 +112,10 @@ def detect(
         settings: dict[str, Any] = {"pfa": pfa, "guard": guard, "train": train, "correlation": correlation}
         over = values > cfar_threshold(frames, ordered=method == "os-cfar", **settings)
     else:
-        level = default_threshold(frames, sigma, values[:, far]) if threshold is None else float(threshold)
+        level = echo_level(frames) if threshold is None else np.full(len(frames), float(threshold))
         if method == "clean":
             return _cleaned(frames, far, level, sigma, max_echoes)
-        over = values > level
+        over = values > level[:, None]
     return _at_peaks(frames, values, peaks(values) & over & far, sigma, first=method == "first_peak")
 
 
@@ -127,20 +124,6 @@ def _refuse_unknown(method: str, threshold: float | None) -> None:
         raise InputError(f"no method {method!r}", where="detect", allowed=", ".join(get_args(Method)))
     if threshold is not None and not threshold > 0:
         raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
-
-
-def default_threshold(frames: Frames, sigma: float, values: Floats) -> float:
-    """0.038 for the thesis' amplitudes; else 5 times the noise, or 50 dB under the strongest echo if that is more."""
-    if is_amplitude(frames):
-        return THESIS_THRESHOLD
-    return max(_SIGMAS * sigma, _DYNAMIC_RANGE * float(values.max(initial=0.0)), 1e-30)
-
-
-def peaks(values: Floats) -> NDArray[np.bool_]:
-    """Local maxima along range (n, b); of a flat top the first bin, never the first or last bin of a frame."""
-    out = np.zeros(values.shape, bool)
-    out[:, 1:-1] = (values[:, 1:-1] > values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
-    return out
 
 
 def _vertex(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
@@ -169,7 +152,7 @@ def _detections(frames: Frames, frame: Ints, range_m: Floats, amplitude: Floats,
     return Detections(frame.astype(np.int64), frames.t_ns[frame], range_m, amplitude, snr, nowhere, frames.sensor)
 
 
-def _cleaned(frames: Frames, far: NDArray[np.bool_], level: float, sigma: float, most: int) -> Detections:
+def _cleaned(frames: Frames, far: NDArray[np.bool_], level: Floats, sigma: float, most: int) -> Detections:
     """CLEAN [Hogbom1974] with the Gaussian pulse as point response, all frames at once."""
     if most < 1:
         raise InputError(f"max_echoes is {most}", where="detect", allowed=">= 1")

@@ -10,7 +10,7 @@ from ullage.errors import InputError
 from ullage.geometry import quat_matrix
 from ullage.grids import UNKNOWN, Changes, Grid, OccupancyMap
 from ullage.kernels.elfes import insert_reading
-from ullage.processing.inverse_sensor import first_echo
+from ullage.processing.echoes import first_echo
 from ullage.processing.mapper_door import in_order, plane_of
 
 Floats = NDArray[np.float64]

@@ -11,6 +11,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.data import Recording
 from ullage.grids import Changes, Grid, OccupancyMap, Tiles
 from ullage.kernels.occupancy import RING, TORN
@@ -52,7 +53,6 @@ FLAT_SHARE = 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
 SHADE = float(np.cos(np.radians(25.0)))
 SEEN_TRUST, APART_M = 0.9, 0.4
-HALF_POWER = 0.65  # of the half angle in which echoes are looked for
 AHEAD = {2: 12, 3: 24}
 DISCS_A_STEP, JOINED_A_LOOK, DONE = 4, 2, object()  # discs in one go; stretches of legs judged anew
 UNITS, MOST_OPEN, CATCH_UP = 9, 16, 4  # of work in a frame without a look; looks that may wait, frames for each more
@@ -78,6 +78,7 @@ class UllageMapper:
         self._axis: dict[str, tuple[float, float, float]] = {}
         self._lobe: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {}
         self._folds: dict[str, Fold] = {}
+        self._patterns: dict[str, BoresightPattern] = {}
         self._wavelength_m = 0.0
         self._rays: ElfesMapper | None = None
         self._published: OccupancyMap | None = None
@@ -118,8 +119,9 @@ class UllageMapper:
             hit_deg, free_deg = heard_deg(part.spec.antenna)
             self._lobe[name] = cos_sin(hit_deg), cos_sin(free_deg)
             least = self._lobe[name][0][0]
-            half, fold_m = HALF_POWER * math.acos(least), part.spec.unambiguous_range_m
-            self._folds[name] = Fold(least, half, self._wavelength_m, fold_m, loudest_wall_m(part))
+            pattern = self._patterns[name] = self._tracks.patterns[name] = boresight_pattern(part.spec.antenna)
+            fold_m = part.spec.unambiguous_range_m
+            self._folds[name] = Fold(least, pattern, self._wavelength_m, fold_m, loudest_wall_m(part))
             listener = self._listeners.setdefault(name, Listener(*self._axis[name][:2], part.spec.wavelength_m))
             looks += [(look.heard.t_ns, name, look) for look in listener.hear(part)]
         looks = self._order.passed(looks, self._listeners)
@@ -218,14 +220,13 @@ class UllageMapper:
         around = [look, *(other for one, other, *_ in self._pending if one == name)]
         weighed[2][self._levels.feet_and_heads(look, around)] = 0
         yield FOLLOW
-        rims = self._rims(look, weighed[0], runs, self._lobe[name][0][0])
+        rims = self._rims(name, look, weighed[0], runs)
         folded = self._folds[name].among(look, weighed[0], self.blocks, usual=self._judge.usual)
         yield from self._insert(name, look, *self._arcs(look, weighed, rims, folded))
 
     def _insert_turned(self, name: str, look: Look, stretch: Stretch) -> Iterator[int]:
         """A look of a turn on the spot: what has no bearing by its loudness names no place."""
-        half = HALF_POWER * math.acos(self._lobe[name][0][0])
-        seen, weighed = bearings(look, stretch, half)
+        seen, weighed = bearings(look, stretch, self._patterns[name])
         told = weighed[2] > 0
         arcs, rims = self._arcs(seen.only(told), (weighed[0][told], weighed[1][told], weighed[2][told]))
         vague, none = self._arcs(look.only(~told), None)
@@ -263,14 +264,14 @@ class UllageMapper:
             yield CAST
             self._lay_strips(beam, arcs, rims, hit[0], look_share(heard.step_m))
 
-    def _rims(self, look: Look, cosine: Floats, runs: list[Run], least: float) -> Floats:
+    def _rims(self, name: str, look: Look, cosine: Floats, runs: list[Run]) -> Floats:
         """Fresnel parameter (k) out to which each echo's surface goes on about the foot of the perpendicular."""
         out = np.full(len(runs), LEAST_RIM)
-        half = HALF_POWER * math.acos(least)
+        least, pattern = self._lobe[name][0][0], self._patterns[name]
         for k, run in enumerate(runs):
             lit = lit_ways(look.heard.axes, look.track, float(np.clip(cosine[k], -1, 1)), least)
             if len(lit) == 1:
-                out[k] = rim_along(near(run, look), lit[0][:2], self._wavelength_m, half)
+                out[k] = rim_along(near(run, look), lit[0][:2], self._wavelength_m, pattern)
         return out
 
     def _may_be_folded(self, name: str, echo: Traced, way: Floats) -> bool:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import BoresightPattern
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper_looks import Look, lit_ways
-from ullage.processing.mapper_rims import lobe_loss
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class Fold(NamedTuple):
     """What of a sensor says whether its echoes may be folded."""
 
     least: float  # cosine to boresight in which echoes are looked for
-    half_rad: float  # angle from boresight at which the antenna has fallen by 3 dB one way [rad]
+    pattern: BoresightPattern  # of its antenna
     wave_m: float  # wavelength of the carrier [m]
     fold_m: float  # range at which echoes fold [m]
     loudest_m: float  # amplitude times range that no flat wall's echo exceeds, infinite where it is not known [m]
@@ -66,7 +66,7 @@ class Fold(NamedTuple):
         reach, height = echo
         far = reach + self.fold_m
         _, inside = blocks.grid.index(eye + far * _about(way, blocks.grid.dims))
-        facing = height * float(lobe_loss(float(way @ ahead), self.half_rad))
+        facing = height * float(self.pattern.two_way_loss(float(way @ ahead)))
         if not inside.any() or facing * far >= self._loudest(usual, blocks.grid.dims):
             return False
         step, slope = blocks.grid.step_m, math.sqrt(self.wave_m / (2 * far))  # half the zone's width over its range

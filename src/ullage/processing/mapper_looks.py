@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ullage.data import Frames
 from ullage.geometry import quat_matrix
 from ullage.kernels.occupancy_listen import find_peaks, fit_bearings, focus_echoes
-from ullage.processing.inverse_sensor import blank_m, echo_level
+from ullage.processing.baseband import envelope
+from ullage.processing.echoes import blind_m, echo_level
 
 Floats = NDArray[np.float64]
 
@@ -277,13 +278,13 @@ def smoothest(t: Floats, values: Floats) -> tuple[Floats, float, int]:
 
 
 def _heard(frames: Frames) -> list[Heard]:
-    amplitude = np.ascontiguousarray(frames.amplitude, np.float32)
+    amplitude = np.ascontiguousarray(envelope(frames), np.float32)
     n, bins = amplitude.shape
     counts, quiet = np.zeros(n, np.int64), np.zeros((n, bins), bool)
     ranges, heights = np.zeros((n, MOST_PEAKS)), np.zeros((n, MOST_PEAKS))
     step = float(frames.range_m[-1] - frames.range_m[0]) / (bins - 1)
-    first = int(np.searchsorted(frames.range_m, blank_m(frames)))
-    find_peaks(amplitude, echo_level(frames), first, float(frames.range_m[0]), step, counts, ranges, heights, quiet)
+    first, level = int(np.searchsorted(frames.range_m, blind_m(frames))), echo_level(frames).astype(np.float32)
+    find_peaks(amplitude, level, first, float(frames.range_m[0]), step, counts, ranges, heights, quiet)
     path = frames.believed
     axes = quat_matrix(path.quat_xyzw)
     phased = frames.samples if np.iscomplexobj(frames.samples) else [None] * n

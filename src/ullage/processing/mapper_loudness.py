@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.processing.inverse_sensor import OFF_DBI, OFF_DEG
-
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
 
@@ -23,7 +21,6 @@ Floats = NDArray[np.float64]
 
 FAINTEST_DB, FOCUS_DB = -24.0, 10.0  # between the faintest wall and the strongest edge; a focus is no sharper
 EDGE_DB, NEAR_ZONES = 6.0, 2.0  # at an edge under what is beside it; how far beside, so that other walls do not count
-TOLD_DEG = 47.5  # farther off boresight the antenna's gain is known from above only
 
 
 def level_db(strength_m: float, mirror_m: float) -> float:
@@ -41,21 +38,26 @@ def too_faint(echoes: list[Traced], way: Floats, radius_m: float = math.inf) -> 
 
     A hollow wall of radius R focuses: at range r its echo is that of a flat one times |1 - r / R| to the power -1/2.
     """
-    off = math.degrees(math.acos(min(max(float(way @ echoes[-1].ahead), -1.0), 1.0)))
-    if off > TOLD_DEG:
+    off, pattern = angle_off(echoes[-1], way), echoes[-1].pattern
+    if off > pattern.main_lobe_rad:
         return False
     bend = abs(1 - echoes[-1].range_m / radius_m)
     focus = min(-10 * math.log10(max(bend, 1e-9)), FOCUS_DB)
-    wall = 2 * float(np.interp(off, OFF_DEG, OFF_DBI)) + focus + FAINTEST_DB
+    wall = 2 * pattern.least_gain_dbi(off) + focus + FAINTEST_DB
     return bool(np.median([e.level_db for e in echoes]) < wall)
 
 
 def facing_db(echo: Traced, way: Floats) -> float:
     """Level of an echo against a perfect mirror's in a way (3) [dB]; not a number where that is not known."""
-    off = math.degrees(math.acos(min(max(float(way @ echo.ahead), -1.0), 1.0)))
-    if off > TOLD_DEG or not math.isfinite(echo.level_db):
+    off = angle_off(echo, way)
+    if off > echo.pattern.main_lobe_rad or not math.isfinite(echo.level_db):
         return math.nan
-    return echo.level_db - 2 * float(np.interp(off, OFF_DEG, OFF_DBI))
+    return echo.level_db - 2 * float(echo.pattern.gain_dbi(off))
+
+
+def angle_off(echo: Traced, direction: Floats) -> float:
+    """Angle of a direction (3) off the boresight that an echo was received with [rad]."""
+    return math.acos(min(max(float(direction @ echo.ahead), -1.0), 1.0))
 
 
 def fallen(feet: list[Traced], echoes: list[Traced], way: Floats, zone: float) -> NDArray[np.bool_]:

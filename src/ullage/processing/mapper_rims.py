@@ -1,8 +1,8 @@
 """How far a wall goes on about the foot of the perpendicular, heard from how steady its echo's level is.
 
 An edge at Fresnel parameter v > 1 off the foot makes the level of a mirror echo ripple by 0.225 / v as the foot moves:
-Cornu's spiral winds about its end with a radius of 1 / (pi sqrt(2) v) [BornWolf1999]. What the antenna's lobe makes of
-the level is taken out as far as its opening tells, and what is left of slow change too.
+Cornu's spiral winds about its end with a radius of 1 / (pi sqrt(2) v) [BornWolf1999]. The gain of the antenna is
+divided out first. A slow polynomial then takes what is left of slow change.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import BoresightPattern
+
 Floats = NDArray[np.float64]
 
 RIPPLE, LEAST_RIM, UNTOLD_RIM, MOST_RIM = 0.225, 0.8, 1.2, 4.0
@@ -19,7 +21,6 @@ RIPPLES_HEARD, KEPT = 1.5, 0.8  # of the rim: what is taken for slow hides some 
 LEAST_ECHOES = 9
 HALF_WAY, LEAST_SCATTER_M = 0.5, 0.002  # of the bend that an edge's ranges have; of ranges
 SLOW = 4  # order of the polynomial that is slow change
-LOBE_NEPERS = 0.5 * math.log(2.0)  # by which one way of a lobe falls at its -3 dB half angle
 
 
 def rim_of(level: Floats, *, least: float, most: float, slow: int = 2) -> float:
@@ -33,20 +34,20 @@ def rim_of(level: Floats, *, least: float, most: float, slow: int = 2) -> float:
     return float(np.clip(RIPPLE / max(ripple, 1e-6), least, most))
 
 
-def rim_along(rows: Floats, way: Floats, wavelength_m: float, half_rad: float) -> float:
+def rim_along(rows: Floats, way: Floats, wavelength_m: float, pattern: BoresightPattern) -> float:
     """The same for a run of echoes on a plane, which must have gone far enough to hear such an edge.
 
     Args:
         rows: position x, y, range [m], height and boresight x, y of each echo (n, 6).
         way: (2) unit vector to the wall.
         wavelength_m: of the carrier [m].
-        half_rad: angle from boresight at which the antenna has fallen by 3 dB one way, as a Gaussian lobe [rad].
+        pattern: of the sensor's antenna.
     """
     if len(rows) < LEAST_ECHOES:
         return LEAST_RIM
     most = most_by_bend(rows, way)
     ahead = rows[:, 4:] @ way / np.maximum(np.hypot(rows[:, 4], rows[:, 5]), 1e-9)
-    level = rows[:, 3] * rows[:, 2] * lobe_loss(ahead, half_rad)
+    level = rows[:, 3] * rows[:, 2] * pattern.two_way_loss(ahead)
     rim = KEPT * rim_of(level, least=LEAST_RIM / KEPT, most=MOST_RIM / KEPT, slow=SLOW)
     reach = float(rows[:, 2].mean())
     aside = float(np.ptp(rows[:, 0] * -way[1] + rows[:, 1] * way[0]))
@@ -73,8 +74,3 @@ def most_by_bend(rows: Floats, way: Floats) -> float:
     if bend + doubt < half_way:
         return MOST_RIM
     return UNTOLD_RIM if bend - doubt < half_way else LEAST_RIM
-
-
-def lobe_loss(ahead: Floats | float, half_rad: float) -> Floats:
-    """By how much a Gaussian lobe weakens an echo, both ways, at a cosine to boresight (n); at least 1."""
-    return np.asarray(np.exp(2 * LOBE_NEPERS * (np.arccos(np.clip(ahead, -1, 1)) / half_rad) ** 2))

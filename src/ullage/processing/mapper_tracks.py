@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_bows import own_share
 from ullage.processing.mapper_hollows import Piece
@@ -32,6 +33,7 @@ from ullage.processing.mapper_screens import (
     screens_of,
     sheets_of,
 )
+from ullage.specs import AntennaSpec
 
 Floats = NDArray[np.float64]
 
@@ -68,6 +70,7 @@ class Traced:
     laid: bool = False
     way: Floats | None = None  # (3) to the wall it was told to come from
     sensor: str = ""
+    pattern: BoresightPattern = field(default_factory=lambda: boresight_pattern(AntennaSpec()))  # of the sensor
 
 
 @dataclass(slots=True, eq=False)
@@ -126,12 +129,14 @@ class EchoTracks:
 
     Attributes:
         mirror_m: amplitude times range of a perfect mirror before an antenna of 0 dBi, by sensor where it is known [m].
+        patterns: of the antennas, by sensor; the X4's where none is given.
         wave_m: wavelength of the carrier [m].
     """
 
     def __init__(self, may_be_folded: Callable[[str, Traced, Floats], bool] = lambda *_: False) -> None:
         self._may_be_folded = may_be_folded
         self.mirror_m: dict[str, float] = {}
+        self.patterns: dict[str, BoresightPattern] = {}
         self.wave_m = 0.0
         self._open: dict[str, list[Followed]] = {}
         self._walls: list[Floats] = []
@@ -223,6 +228,7 @@ class EchoTracks:
             least: cosine to boresight in which echoes are looked for.
         """
         here, now, ahead = look.heard.position, look.heard.t_ns, look.heard.axes[:, 0]
+        pattern = self.patterns.setdefault(name, boresight_pattern(AntennaSpec()))
         mirror, loud = self.mirror_m.get(name, np.inf), (look.echoes[:, 0] * look.echoes[:, 5]).tolist()
         held: list[Followed] = []
         gone: list[Followed] = []
@@ -236,8 +242,8 @@ class EchoTracks:
         for k in np.argsort(-trust):
             echo = Traced(
                 now, here, look.track, float(look.echoes[k, 0]), float(cosine[k]), float(look.echoes[k, 5]),
-                float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror),
-                dense_looks(look.heard.step_m), level_db(loud[k], mirror), sensor=name,
+                float(sigma[k]), float(trust[k]), ahead, least_cosine(loud[k], mirror, pattern),
+                dense_looks(look.heard.step_m), level_db(loud[k], mirror), sensor=name, pattern=pattern,
             )  # fmt: skip
             misses = [one.miss(echo) for one in free]
             if misses and min(misses) < LINK_M * echo.looks:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import BoresightPattern
 from ullage.processing.mapper_looks import Look
-from ullage.processing.mapper_rims import LOBE_NEPERS
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -29,6 +29,7 @@ MISSED, CAPPED = 6.0, 9.0
 MOST_SLIP_M = 0.02
 LEAST_HEARD, LEAST_SPAN_RAD = 8, np.radians(36.0)
 LEAST_BEND, MOST_SCATTER, OFF_PEAK_RAD = 0.6, 0.25, np.radians(12.0)
+LEAST_FALL = 2 * MOST_SCATTER  # of the lobe over the angles received [neper]; an antenna without one gives no bearing
 BEHIND_RAD, AS_LOUD, MOST_BEHIND = np.radians(70.0), math.log(10 ** (8 / 20)), 0.4
 TRUST = 0.9
 
@@ -81,20 +82,20 @@ class Turns:
             one.ended = True
 
 
-def bearings(look: Look, stretch: Stretch, half_rad: float) -> tuple[Look, Weighed]:
+def bearings(look: Look, stretch: Stretch, pattern: BoresightPattern) -> tuple[Look, Weighed]:
     """A look of a turn on the spot, seen as one that flew across its boresight, and cosine, sigma, trust (k each).
 
     Args:
         look: one of the stretch.
         stretch: all looks of the turn so far.
-        half_rad: angle from boresight at which the antenna has fallen by 3 dB one way, as a Gaussian lobe [rad].
+        pattern: of the sensor's antenna.
     """
     mine = stretch.heading[next(k for k, one in enumerate(stretch.looks) if one is look)]
     heard = _gathered(stretch)
     count = len(look.echoes)
     cosine, sigma, trust = np.zeros(count), np.full(count, 1e3), np.zeros(count)
     for k, echo in enumerate(look.echoes):
-        found = bearing_of(float(echo[0]), look.heard.position, mine, heard, half_rad)
+        found = bearing_of(float(echo[0]), look.heard.position, mine, heard, pattern)
         if found is not None:
             cosine[k], sigma[k], trust[k] = math.sin(found[0] - mine), found[1], TRUST
     track = np.array([-math.sin(mine), math.cos(mine), 0.0])
@@ -113,7 +114,11 @@ def _gathered(stretch: Stretch) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def bearing_of(
-    reach: float, place: Floats, heading: float, heard: tuple[Floats, Floats, Floats, Floats], half_rad: float
+    reach: float,
+    place: Floats,
+    heading: float,
+    heard: tuple[Floats, Floats, Floats, Floats],
+    pattern: BoresightPattern,
 ) -> tuple[float, float] | None:
     """Bearing and its sigma [rad] of the reflector that a sensor at a place and heading heard at a range [m]."""
     at, headings, ranges, levels = heard
@@ -125,7 +130,7 @@ def bearing_of(
     gap = np.take_along_axis(miss, nearest[:, :, None], 2)[:, :, 0]
     level = levels[np.arange(len(headings))[None, :], nearest]
     there = (abs(gap) < GATE_M) & (abs(off) < HEARD_RAD)
-    flat = np.where(there, level + 2 * LOBE_NEPERS * (off / half_rad) ** 2, np.nan)
+    flat = np.where(there, level + np.log(pattern.two_way_loss(np.cos(off))), np.nan)
     cost = np.full(len(tried), np.inf)
     for b in np.flatnonzero(there.sum(1) >= LEAST_HEARD):
         wrong = (flat[b] - np.nanmedian(flat[b])) / LEVEL_SIGMA
@@ -135,7 +140,7 @@ def bearing_of(
     if not 0 < best < len(tried) - 1 or not np.isfinite(cost[best - 1 : best + 2]).all():
         return None
     mine = there[best]
-    if np.std(gap[best, mine]) > MOST_SLIP_M or not _follows_lobe(off[best, mine], level[best, mine], half_rad):
+    if np.std(gap[best, mine]) > MOST_SLIP_M or not _follows_lobe(off[best, mine], level[best, mine], pattern):
         return None
     aside = abs(off[best]) > BEHIND_RAD
     loud = (abs(gap[best]) < GATE_M) & (
@@ -149,14 +154,17 @@ def bearing_of(
     return float(tried[best] + step * 0.5 * (left - right) / bend), max(step * math.sqrt(2 / bend), 0.02)
 
 
-def _follows_lobe(off: Floats, level: Floats, half_rad: float) -> bool:
+def _follows_lobe(off: Floats, level: Floats, pattern: BoresightPattern) -> bool:
     """Whether log levels at angles from a bearing are highest there and fall on both sides about as the lobe does."""
     if np.ptp(off) < LEAST_SPAN_RAD or off.min() > -LEAST_SPAN_RAD / 4 or off.max() < LEAST_SPAN_RAD / 4:
         return False
     basis = np.stack([np.ones(len(off)), off, off**2], 1)
-    fit = np.linalg.lstsq(basis, level, rcond=None)[0]
+    loss = np.log(pattern.two_way_loss(np.cos(off)))
+    if np.ptp(loss) < LEAST_FALL:
+        return False
+    fit, lobe = np.linalg.lstsq(basis, np.column_stack([level, -loss]), rcond=None)[0].T
     scatter = float(np.sqrt(np.mean((level - basis @ fit) ** 2)))
     bend = -float(fit[2])
     if bend <= 0 or abs(float(fit[1])) > 2 * bend * OFF_PEAK_RAD:
         return False
-    return bool(bend > LEAST_BEND * 2 * LOBE_NEPERS / half_rad**2 and scatter < MOST_SCATTER)
+    return bool(bend > -LEAST_BEND * lobe[2] and scatter < MOST_SCATTER)

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from ullage.data import Frames, Recording, joined, sensors_of
 from ullage.geometry import C0
 from ullage.processing.baseband import is_amplitude, to_baseband
+from ullage.processing.echoes import BLIND_M
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-DIRECT_PATH_M = 0.45
-"""The direct path and the device's internal echoes lie nearer than this [m] [X4Recordings]."""
 _PLACE = 0.25  # side of a place in wavelengths: frames of one place count once
 _LEAST_FRAMES = 3  # fewer have no statistics
 _LEAST_PLACES = 8  # fewer places say nothing about what moves with the track
@@ -93,7 +92,7 @@ def own_echo(frames: Frames) -> OwnEcho:
         return _none(frames)
     values = np.asarray(to_baseband(frames), np.complex128)
     moved = places >= _LEAST_PLACES
-    extent_m = frames.spec.own_echo_m if moved else min(frames.spec.own_echo_m, DIRECT_PATH_M)
+    extent_m = frames.spec.own_echo_m if moved else min(frames.spec.own_echo_m, BLIND_M)
     phasors = _wall_phasors(frames) if moved else np.ones((len(frames), 1), np.complex128)
     ambiguity = float(np.abs(phasors.mean(axis=0)).max())
     common, steady = _common(values, frames.range_m <= extent_m)
@@ -113,12 +112,6 @@ def own_echo(frames: Frames) -> OwnEcho:
 def without_own_echo(frames: Recording) -> list[Frames]:
     """Remove each radar's own echo, estimated from these very frames."""
     return [own_echo(part).removed_from(part) for part in sensors_of(frames)]
-
-
-def blind_m(frames: Frames) -> float:
-    """Range below which the direct path hides objects even after its removal [m]."""
-    noise = frames.spec.noise
-    return DIRECT_PATH_M if noise is not None and noise.leakage and not is_amplitude(frames) else 0.0
 
 
 class OwnEchoFilter:

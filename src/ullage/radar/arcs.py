@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
+from ullage.antenna import gain
 from ullage.geometry import C0
-from ullage.radar.antenna import gain
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.physical import Bench, View, shading

@@ -16,8 +16,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import gain
 from ullage.geometry import C0
-from ullage.radar.antenna import gain
 from ullage.radar.arcs import reflection
 from ullage.radar.balls import Ball
 from ullage.radar.facets import Surfaces

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import cube
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
@@ -23,7 +24,6 @@ from ullage.kernels import facets as kernel
 from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.kernels.near import LEAST_M
-from ullage.radar.antenna import cube
 from ullage.radar.diffraction import Rims, nowhere, rims_of
 from ullage.radar.facets import Flats, Surfaces, joined
 from ullage.radar.laid import Laid, centroids, laid_by

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
+from ullage.antenna import gain
 from ullage.geometry import C0
 from ullage.kernels import impulses as kernel
-from ullage.radar.antenna import gain
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.mirrors import across, dot, reflected

@@ -1,5 +1,8 @@
 """Antenna patterns: smooth, one-way, in the sensor's own frame (x along the boresight, y left, z up).
 
+The simulator weights each path with `gain` or its table `cube`. Processing knows the angle of an echo off the
+boresight, so it reads `boresight_pattern`, which samples the same pattern around the boresight.
+
 The X4A02 dome goes through the values of its data sheet [NoveldaX4A02]: 5.97 dBi at the peak, 3 dB less at 32.5 deg,
 0 dBi near 47.5 deg, between -5 and -8 dBi at 90 deg, a low back lobe.
 """
@@ -7,6 +10,7 @@ The X4A02 dome goes through the values of its data sheet [NoveldaX4A02]: 5.97 dB
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,6 +25,8 @@ Floats = NDArray[np.float64]
 X4A02_DBI = ((0.0, 5.97), (32.5, 2.97), (47.5, 0.0), (90.0, -6.5), (130.0, -11.0), (180.0, -13.0))
 """Angle off boresight [deg] and gain [dBi]; both main planes are alike. Beyond 90 deg the sheet gives no numbers."""
 _CUBE = 96  # cells along each side of the cube of directions
+_ANGLES, _ROLLS = 1441, 24  # samples from boresight to its back (each 0.125 deg), and of planes around it
+_HALF_POWER_DB, _MAIN_LOBE_DB = 3.0, 6.0
 
 
 def gain(antenna: AntennaSpec, directions: ArrayLike) -> Floats:
@@ -140,3 +146,78 @@ def cube(antenna: AntennaSpec) -> Floats:
     one = np.ones_like(a)
     faces = [(one, a, b), (-one, a, b), (a, one, b), (a, -one, b), (a, b, one), (a, b, -one)]
     return np.stack([gain(antenna, np.stack(f, 1)).reshape(_CUBE + 1, _CUBE + 1) for f in faces])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoresightPattern:
+    """One-way gain against the angle off boresight, over all planes that hold the boresight.
+
+    A pattern that differs between planes has a greatest, a mean and a least gain at each angle. They agree for an
+    antenna that is symmetric about its boresight.
+    """
+
+    angle_rad: Floats  # (k) from 0 to pi
+    greatest_dbi: Floats  # (k)
+    mean_dbi: Floats  # (k) mean of the decibels
+    least_dbi: Floats  # (k)
+    half_power_rad: float  # half opening: geometric mean of where the main planes have fallen by 3 dB; at most pi
+    main_lobe_rad: float  # where the mean has fallen by 6 dB; a data sheet says little of the gain beyond; at most pi
+
+    @property
+    def peak_dbi(self) -> float:
+        """Greatest gain in any direction [dBi]."""
+        return float(self.greatest_dbi.max())
+
+    def gain_dbi(self, angle_rad: float | Floats) -> Floats:
+        """Mean gain [dBi] at angles off boresight (n)."""
+        return np.asarray(np.interp(angle_rad, self.angle_rad, self.mean_dbi))
+
+    def least_gain_dbi(self, angle_rad: float) -> float:
+        """Gain [dBi] that no plane falls below at an angle off boresight."""
+        return float(np.interp(angle_rad, self.angle_rad, self.least_dbi))
+
+    def two_way_loss(self, cosine: ArrayLike) -> Floats:
+        """Factor (n) by which an echo on boresight is stronger in amplitude than one at these cosines to boresight."""
+        fallen_db = self.mean_dbi[0] - self.gain_dbi(np.arccos(np.clip(cosine, -1, 1)))
+        return np.asarray(10 ** (2 * fallen_db / 20))
+
+    def farthest_rad(self, gain_dbi: float) -> float:
+        """Largest angle off boresight at which any plane, side lobes included, has this gain; 0 where none has."""
+        strong = np.flatnonzero(self.greatest_dbi >= gain_dbi)
+        if not len(strong) or strong[-1] == len(self.angle_rad) - 1:
+            return float(np.pi) if len(strong) else 0.0
+        return _crossing(self.angle_rad, self.greatest_dbi, gain_dbi, int(strong[-1]))
+
+
+@lru_cache(maxsize=32)
+def boresight_pattern(antenna: AntennaSpec) -> BoresightPattern:
+    """Sample an antenna around its boresight: what processing needs of beam width and side lobes.
+
+    Raises:
+        InputError: a table cannot be read.
+    """
+    angle = np.linspace(0, np.pi, _ANGLES)
+    roll = 2 * np.pi * np.arange(_ROLLS) / _ROLLS
+    off, aside = np.sin(angle)[:, None], np.stack([np.cos(roll), np.sin(roll)], -1)
+    ahead = np.broadcast_to(np.cos(angle)[:, None, None], (_ANGLES, _ROLLS, 1))
+    unit = np.concatenate([ahead, off[..., None] * aside], axis=2)
+    dbi = 20 * np.log10(np.maximum(gain(antenna, unit.reshape(-1, 3)), 1e-15)).reshape(_ANGLES, _ROLLS)
+    mean = dbi.mean(axis=1)
+    main = [_first_fall(angle, dbi[:, k], _HALF_POWER_DB) for k in range(0, _ROLLS, _ROLLS // 4)]
+    half = float(np.exp(np.mean(np.log(main))))
+    return BoresightPattern(
+        angle, dbi.max(axis=1), mean, dbi.min(axis=1), half, _first_fall(angle, mean, _MAIN_LOBE_DB)
+    )
+
+
+def _first_fall(angle: Floats, dbi: Floats, fall_db: float) -> float:
+    """First angle at which a gain (k) has fallen by so much from its value on boresight; pi where it never does."""
+    low = np.flatnonzero(dbi <= dbi[0] - fall_db)
+    return _crossing(angle, dbi, dbi[0] - fall_db, max(int(low[0]) - 1, 0)) if len(low) else float(np.pi)
+
+
+def _crossing(angle: Floats, dbi: Floats, level: float, index: int) -> float:
+    """Angle between two samples, the first at `index`, at which a falling gain reaches a level."""
+    fall = dbi[index] - dbi[index + 1]
+    share = (dbi[index] - level) / fall if fall > 0 else 1.0
+    return float(angle[index] + np.clip(share, 0, 1) * (angle[index + 1] - angle[index]))

@@ -1,0 +1,130 @@
+"""Antenna patterns: the data sheet's values, smoothness, tables, and the cube the kernels read."""
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.antenna import boresight_pattern, cube, gain
+from ullage.kernels.facets import toward
+from ullage.processing.inverse_sensor import heard_deg, least_cosine, loudest_wall_m, mirror_m, rim_mirror_m
+
+RNG = np.random.default_rng(3)
+
+
+def at(degrees, plane):
+    angle = np.radians(degrees)
+    side = [np.sin(angle), 0.0] if plane == "azimuth" else [0.0, np.sin(angle)]
+    return np.array([[np.cos(angle), *side]])
+
+
+@pytest.mark.parametrize("plane", ["azimuth", "elevation"])
+@pytest.mark.parametrize(("degrees", "low", "high"), [(0, 5.9, 6.0), (32.5, 2.6, 3.3), (47.5, -1, 1), (90, -8, -5)])
+def test_x4a02_data_sheet(plane, degrees, low, high):
+    level = 20 * np.log10(gain(ul.AntennaSpec(kind="x4a02"), at(degrees, plane))[0])
+    assert low <= level <= high
+
+
+def test_no_hard_edge():
+    angle = np.radians(np.arange(0, 180, 0.25))
+    way = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    for kind in ("x4a02", "cosine"):
+        assert abs(np.diff(gain(ul.AntennaSpec(kind=kind), way))).max() < 0.02
+
+
+def test_cosine_opening_and_directivity():
+    spec = ul.AntennaSpec(kind="cosine", azimuth_deg=40, elevation_deg=80, gain_dbi=10)
+    assert 20 * np.log10(gain(spec, at(20, "azimuth"))[0]) == pytest.approx(7, abs=0.02)
+    assert 20 * np.log10(gain(spec, at(40, "elevation"))[0]) == pytest.approx(7, abs=0.02)
+    ball = RNG.standard_normal((200_000, 3))
+    assert np.mean(gain(ul.AntennaSpec(kind="cosine"), ball) ** 2) == pytest.approx(1, abs=0.02)
+
+
+def test_cube_is_the_pattern():
+    for spec in (ul.AntennaSpec(), ul.AntennaSpec(kind="cosine", azimuth_deg=50), ul.AntennaSpec(kind="isotropic")):
+        way = RNG.standard_normal((500, 3))
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        ours = [toward(cube(spec), False, np.eye(3)[None, None], 0, 0, *w) for w in way]
+        assert np.allclose(ours, gain(spec, way), atol=4e-3)
+
+
+def test_table(tmp_path):
+    file = tmp_path / "pattern.csv"
+    rows = [f"{a},{e},{6 - abs(a) / 10 - abs(e) / 20}" for a in range(-180, 181, 10) for e in range(-90, 91, 10)]
+    file.write_text("azimuth_deg,elevation_deg,gain_dbi\n" + "\n".join(rows))
+    spec = ul.AntennaSpec(kind="table", file=str(file))
+    assert 20 * np.log10(gain(spec, at(30, "azimuth"))[0]) == pytest.approx(3)
+    file2 = tmp_path / "gap.csv"
+    file2.write_text("azimuth_deg,elevation_deg,gain_dbi\n0,0,1\n0,10,1\n10,0,1\n20,20,3\n")
+    with pytest.raises(ul.InputError, match="the antenna table has gaps"):
+        gain(ul.AntennaSpec(kind="table", file=str(file2)), at(0, "azimuth"))
+    with pytest.raises(ul.InputError, match="cannot read the antenna table"):
+        gain(ul.AntennaSpec(kind="table", file=str(tmp_path / "none.csv")), at(0, "azimuth"))
+    with pytest.raises(ul.InputError, match="needs a file"):
+        gain(ul.AntennaSpec(kind="table"), at(0, "azimuth"))
+
+
+def same_as_a_table(tmp_path, spec):
+    """An antenna given by a table of another's gains."""
+    rows = ["azimuth_deg,elevation_deg,gain_dbi"]
+    for az in range(-180, 181, 3):
+        for el in range(-90, 91, 3):
+            a, e = np.radians([az, el])
+            unit = [[np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]]
+            rows.append(f"{az},{el},{20 * np.log10(gain(spec, unit)[0])}")
+    file = tmp_path / "same.csv"
+    file.write_text("\n".join(rows))
+    return ul.AntennaSpec(kind="table", file=str(file))
+
+
+def test_a_table_of_an_antenna_has_its_beam_and_side_lobes(tmp_path):
+    model = boresight_pattern(ul.AntennaSpec())
+    table = boresight_pattern(same_as_a_table(tmp_path, ul.AntennaSpec()))
+    assert np.degrees(model.half_power_rad) == pytest.approx(32.5, abs=1e-9)
+    assert table.half_power_rad == pytest.approx(model.half_power_rad, abs=np.radians(0.3))
+    assert table.main_lobe_rad == pytest.approx(model.main_lobe_rad, abs=np.radians(0.3))
+    assert table.peak_dbi == pytest.approx(model.peak_dbi, abs=0.01)
+    for level in (5.0, 0.0, -5.0, -10.0):
+        assert table.farthest_rad(level) == pytest.approx(model.farthest_rad(level), abs=np.radians(1.5))
+    assert table.two_way_loss([1.0, 0.8]) == pytest.approx(model.two_way_loss([1.0, 0.8]), rel=0.02)
+
+
+def test_a_pattern_that_differs_between_planes_has_bounds_and_a_mean_opening():
+    spec = ul.AntennaSpec(kind="cosine", azimuth_deg=40, elevation_deg=80)
+    pattern = boresight_pattern(spec)
+    k = int(np.argmin(abs(pattern.angle_rad - np.radians(30))))
+    levels = [20 * np.log10(gain(spec, at(30, plane))[0]) for plane in ("azimuth", "elevation")]
+    assert [pattern.least_dbi[k], pattern.greatest_dbi[k]] == pytest.approx(sorted(levels), abs=1e-6)
+    assert 2 * np.degrees(pattern.half_power_rad) == pytest.approx(np.sqrt(40 * 80), abs=0.3)
+
+
+def test_an_antenna_without_a_lobe_has_the_same_gain_all_round():
+    pattern = boresight_pattern(ul.AntennaSpec(kind="isotropic"))
+    assert pattern.half_power_rad == pattern.main_lobe_rad == pattern.farthest_rad(0.0) == np.pi
+    assert pattern.farthest_rad(0.1) == 0.0
+    assert (pattern.two_way_loss([1.0, 0.0, -1.0]) == 1.0).all()
+
+
+@pytest.mark.parametrize("kind", ["isotropic", "x4a02", "cosine", "table"])
+def test_rules_of_the_mapper_know_every_antenna(kind, tmp_path):
+    antenna = same_as_a_table(tmp_path, ul.AntennaSpec()) if kind == "table" else ul.AntennaSpec(kind=kind)
+    spec = ul.RadarSpec.preset("x4m05", noise=None, antenna=antenna.model_dump())
+    path = ul.Trajectory.stationary(n=1)
+    frames = ul.Frames(np.zeros((1, spec.bins), np.complex64), spec.range_m, path.t_ns, spec, poses=path)
+    pattern = boresight_pattern(spec.antenna)
+    mirror = mirror_m(frames)
+    assert mirror == pytest.approx(spec.wavelength_m / (8 * np.pi))
+    assert loudest_wall_m(frames) == pytest.approx(mirror * 10 ** (pattern.peak_dbi / 10 + 0.15))
+    assert rim_mirror_m(frames) <= loudest_wall_m(frames)
+    ahead = mirror * 10 ** (pattern.peak_dbi / 10)
+    assert least_cosine(ahead, mirror, pattern) == (-1.0 if kind == "isotropic" else pytest.approx(0.84, abs=0.06))
+    assert least_cosine(100 * ahead, mirror, pattern) == -1.0, "focused: it may come from anywhere"
+    echo, silence = heard_deg(spec.antenna)
+    assert 0 < silence < echo <= 52
+    if kind in ("x4a02", "table"):
+        assert (echo, silence) == pytest.approx((50, 40), abs=0.5)
+
+
+def test_a_sensors_unknown_unit_hides_how_strong_a_wall_could_be():
+    spec, path = ul.RadarSpec.preset("x4m05"), ul.Trajectory.stationary(n=1)
+    frames = ul.Frames(np.zeros((1, spec.bins), np.complex64), spec.range_m, path.t_ns, spec, unit="normalised")
+    assert mirror_m(frames) == loudest_wall_m(frames) == np.inf
