@@ -25,6 +25,7 @@ app = typer.Typer(
 Options = Annotated[
     list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
 ]
+MAP_SCORES = ("f1", "precision", "recall", "recall_in_view", "flyable_found", "flyable_false")
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
 
 
@@ -169,7 +170,7 @@ def _tell(report: Report) -> None:
         say(f"the complete run in {kept} stays; this one is in {report.folder}")
     factor = report.metrics["real_time_factor"].value
     say(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
-    for key in ("f1", "precision", "recall"):
+    for key in MAP_SCORES:
         if key in report.metrics:
             say(f"  map {key}: {report.metrics[key].value:.3f}")
     say_report(report.folder / "report.html")

@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.grids import AMBIGUOUS, UNKNOWN, OccupancyMap
+from ullage.processing.truth import MOST_POINTS, surface_of
 from ullage.world.scene import Scene
 
 SPEC = ul.RadarSpec.preset("x4m05")
@@ -126,8 +129,6 @@ def test_smooth_walls_are_observable_only_near_their_normal_and_rough_thesis_ray
 def test_what_is_hidden_is_not_asked_for():
     plate = ul.scenes.room((6.0, 4.0, 3.0), plate={"width_m": 1.0, "height_m": 3.0, "distance_m": 2.5})
     frames = flight((0,))
-    from ullage.processing.truth import surface_of
-
     seen = surface_of(plate, GRID, frames)
     wall = seen.object_id == plate.object("wall_east")
     behind = wall & (abs(seen.points[:, 1]) < 0.4)
@@ -182,6 +183,70 @@ def test_volume_maps_are_judged_over_all_surfaces():
     assert got["recall"] == 1.0
     assert got["known_behind"] == 0.0
     assert got["free_found"] > 0.99
+
+
+def hall_with_pipes():
+    """A room whose six walls have few triangles, and thin pipes of very many, with 2 % of its area or less."""
+    named = []
+    for k in range(4):
+        pipe = ul.scenes.cylinder(radius_m=0.02, height_m=2.9, distance_m=2.0 + 0.2 * k)
+        named.append(replace(pipe, objects=tuple(replace(one, name=f"pipe{k}") for one in pipe.objects)))
+    return Scene.union([ROOM, *named])
+
+
+@pytest.mark.parametrize("spacing_m", [0.05, 0.2])
+def test_surfaces_of_a_volume_are_sampled_by_their_area(spacing_m):
+    scene = hall_with_pipes()
+    corners = scene.corners()
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    grid = ul.Grid.covering(scene.bounds, 0.1, dims=3)
+    surface = surface_of(scene, grid, flight(), spacing_m=spacing_m)
+    count = len(surface.points)
+    assert count == pytest.approx(area.sum() / spacing_m**2, rel=0.02)
+    for index in range(len(scene.objects)):
+        share = area[scene.face_object == index].sum() / area.sum()
+        assert np.mean(surface.object_id == index) == pytest.approx(share, abs=1.5 / count)
+    again = surface_of(scene, grid, flight(), spacing_m=spacing_m)
+    np.testing.assert_array_equal(surface.points, again.points)
+
+
+def test_samples_of_one_face_are_spread_evenly_over_it():
+    plate = ul.scenes.plate(2.0, 2.0, 2.5)
+    grid = ul.Grid.covering([[0, -2, -2], [4, 2, 2]], 0.1, dims=3)
+    surface = surface_of(plate, grid, flight(), spacing_m=0.05)
+    cells = np.floor((surface.points[:, 1:] + 1.0) / 0.25).astype(int)
+    counts = np.bincount(cells @ [8, 1], minlength=64)
+    assert counts.mean() == pytest.approx(25, rel=0.05)
+    assert counts.std() < 0.6 * np.sqrt(25)  # of independent draws it would be the root of the mean
+
+
+def test_no_more_samples_are_taken_than_the_cap():
+    grid = ul.Grid.covering(ROOM.bounds, 0.1, dims=3)
+    surface = surface_of(ROOM, grid, flight((0,)), spacing_m=0.005)
+    assert 0.99 * MOST_POINTS < len(surface.points) <= MOST_POINTS
+
+
+def test_recall_in_view_counts_what_no_radar_echo_comes_from():
+    """All four walls are in view of the flight; half of the map's walls are missing."""
+    got = score(perfect())
+    assert got["recall_in_view"] == got["recall"] == 1.0
+    half = perfect()
+    half[:, : half.shape[1] // 2][half[:, : half.shape[1] // 2] == 99] = UNKNOWN
+    assert score(half)["recall_in_view"] == pytest.approx(0.5, abs=0.05)
+    assert score(half, flight((0,)))["recall"] > 0.95, "what lies ahead is still there"
+
+
+def test_flyable_space_is_what_a_ball_of_30_cm_fits_in():
+    got = score(perfect())
+    assert got["flyable_found"] == 1.0
+    assert got["flyable_false"] == 0.0
+    lost = perfect()
+    lost[:, lost.shape[1] // 2 :] = UNKNOWN
+    assert 0.4 < score(lost)["flyable_found"] < 0.5  # and none within 0.3 m of what is unknown
+    wide = np.full(GRID.shape, 0, np.int8)  # all free, to the border of the grid
+    inside = np.mean([(abs(x) < 2.7) & (abs(y) < 1.7) for x in GRID.x_m for y in GRID.y_m])
+    offered = np.mean([(abs(x) < 3.7) & (abs(y) < 2.7) for x in GRID.x_m for y in GRID.y_m])
+    assert score(wide)["flyable_false"] == pytest.approx(1 - inside / offered, abs=0.01)
 
 
 def test_a_grid_beside_the_scene_is_refused():

@@ -29,6 +29,8 @@ CORRIDOR_M = 0.5
 SMALL_M = 0.6
 MOST_CELLS = 40_000
 CLIP = 0.01
+BODY_M = 0.3
+"""Radius of the space that a flying drone needs [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,11 +55,17 @@ def map_quality(
 ) -> dict[str, Metric]:
     """How true a map is, at its own fixed thresholds.
 
-    Surface counts as observable when at least `min_looks` looks (5 cm or 4 deg apart) had it in the 65 deg beam, in
-    range, in line of sight and, where it is smooth, within 10 deg of its normal (75 deg for the thesis' ray model,
-    whose cosine law lights oblique walls). Recall, completeness and F1 are over observable surface; precision and
-    accuracy over every occupied cell against every surface. Those named `_half_cell` match only surface that lies in an
-    occupied cell or on its border. A plane is judged in the slice at its height.
+    Surface counts as observable when at least `min_looks` looks (5 cm or 4 deg apart) had it in the antenna's 3 dB beam
+    (65 deg for the X4), in range, in line of sight and, where it is smooth, within 10 deg of its normal (75 deg for the
+    thesis' ray model, whose cosine law lights oblique walls). Recall, completeness and F1 are over observable surface;
+    precision and accuracy over every occupied cell against every surface. `recall_in_view` is over all surface that a
+    lidar on the flight would see: in range and in line of sight, in any direction and at any incidence. Those named
+    `_half_cell` match only surface that lies in an occupied cell or on its border. A plane is judged in the slice at
+    its height.
+
+    A place is flyable when a ball of 0.3 m radius about it is free. `flyable_found` is the share of truly flyable cells
+    in sight of the flight that the map holds flyable, `flyable_false` the share of cells that the map holds flyable and
+    that are not.
 
     Args:
         omap: the map.
@@ -73,8 +81,11 @@ def map_quality(
         InputError: nothing of the scene lies on the grid.
     """
     judged = _judge(omap, scene, frames, min_looks)
+    near = judged.surface_gap <= match_m
     scores = (
-        _matches(judged, judged.occupied_gap <= match_m, judged.surface_gap <= match_m, "")
+        _matches(judged, judged.occupied_gap <= match_m, near, "")
+        + _in_view(judged, near)
+        + _flyable(judged)
         + _matches(judged, judged.on_surface, judged.on_cells, "_half_cell")
         + _distances(judged)
         + _shares(judged)
@@ -91,7 +102,7 @@ def _judge(omap: OccupancyMap, scene: Scene, frames: Recording, min_looks: int) 
     surface = surface_of(scene, grid, frames)
     dims = grid.dims
     occupied = cell_centres(grid, np.flatnonzero(omap.occupied))
-    tree = cKDTree(surface.points[:, :dims])
+    tree = cKDTree(np.concatenate([surface.points, surface.corners])[:, :dims])
     reach = (0.5 + BORDER) * grid.step_m
     gap, on_surface = _gaps(tree, occupied[:, :dims], reach)
     surface_gap, on_cells = np.full(len(surface.points), np.inf), np.zeros(len(surface.points), bool)
@@ -133,6 +144,10 @@ def _matches(judged: _Scored, true: Flags, found: Flags, suffix: str) -> list[Me
     return [Metric(name + suffix, value) for name, value in (("f1", f1), ("precision", precision), ("recall", recall))]
 
 
+def _in_view(judged: _Scored, found: Flags) -> list[Metric]:
+    return [Metric("recall_in_view", _share(found[judged.surface.in_view]))]
+
+
 def _distances(judged: _Scored) -> list[Metric]:
     out = []
     for name, gaps in (("accuracy", judged.occupied_gap), ("completeness", judged.surface_gap[judged.observable])):
@@ -160,6 +175,21 @@ def _shares(judged: _Scored) -> list[Metric]:
         Metric("surface_observable", _share(judged.observable)),
         Metric("surface_specular_invisible", _share(seen & ~judged.observable)),
         Metric("surface_hidden", _share(~seen & ~judged.observable)),
+    ]
+
+
+def _flyable(judged: _Scored) -> list[Metric]:
+    """How much of the space that a drone can use is on the map, and how much of what the map offers it cannot use.
+
+    The ball about a cell's centre must not touch a cell that is not free, nor what lies off the grid.
+    """
+    omap, step = judged.omap, judged.omap.grid.step_m
+    room = distance_transform_edt(np.pad(omap.free, 1))[(slice(1, -1),) * omap.grid.dims] - 0.5
+    offered = room.ravel()[judged.cells] * step > BODY_M
+    usable = judged.cell_open & (judged.cell_gap > BODY_M)
+    return [
+        Metric("flyable_found", _share(offered[usable])),
+        Metric("flyable_false", _share(~usable[offered])),
     ]
 
 

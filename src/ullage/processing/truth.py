@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import boresight_pattern
 from ullage.data import Frames, Recording, Trajectory, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
@@ -18,11 +19,13 @@ from ullage.world.section import section, wire_section
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-HALF_BEAM_RAD = np.radians(32.5)
 SPECULAR_RAD = np.radians(10.0)
 OBLIQUE_RAD = np.radians(75.0)
 LOOK_M, LOOK_RAD = 0.05, np.radians(4.0)
 EYES = 80
+MOST_POINTS, SEED = 400_000, 7
+KRONECKER = 1 / np.array([1.32471795724474602596, 1.32471795724474602596**2])  # by the plastic number
+SLACK_M = 0.02
 BORDER = 1e-3
 """How far beyond a grid's border a surface still lies on it [steps]."""
 
@@ -36,6 +39,8 @@ class Surface:
     object_id: NDArray[np.int64]  # (s) into scene.objects
     looks: NDArray[np.int64]  # (s) looks in beam, in range, in line of sight and near enough to the normal
     seen: Flags  # (s) in beam, in range and in line of sight at least once, at any incidence
+    in_view: Flags  # (s) in range and in line of sight from the flight in any direction: what a lidar there would see
+    corners: Floats  # (c, 3) corners of triangles on a volume: surface too, but not spread by area [m]
 
     def observable(self, min_looks: int) -> Flags:
         """Points that gave an echo in at least so many looks."""
@@ -77,7 +82,11 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     smooth = np.array([8 * o.material.roughness_m < parts[0].spec.wavelength_m for o in scene.objects])[owner]
     for part in parts:
         _count_looks(part, caster, points, normals, smooth, looks, seen)
-    return Surface(points, normals, owner, looks, seen)
+    reach_m = max(float(part.range_m[-1]) for part in parts)
+    in_view = seen.copy()
+    in_view[~seen] = in_sight(scene, frames, points[~seen], reach_m=reach_m, slack_m=SLACK_M)
+    corners = np.unique(scene.corners().reshape(-1, 3), axis=0) if grid.dims == 3 else np.zeros((0, 3))
+    return Surface(points, normals, owner, looks, seen, in_view, corners[_on_grid(plane, corners)])
 
 
 def _on_grid(grid: Grid, points: Floats) -> Flags:
@@ -99,29 +108,37 @@ def _count_looks(
 ) -> None:
     path = true_path(frames)
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
+    beam = half_beam_rad(frames)
     limit = np.where(smooth & (frames.unit != "thesis"), np.cos(SPECULAR_RAD), np.cos(OBLIQUE_RAD))
     round_ones, columns = np.asarray(~normals.any(axis=1)), np.ascontiguousarray(points.T)
     for i in spaced_looks(path):
-        near = _in_beam(columns, path.position[i], ahead[i], float(frames.range_m[-1]))
+        near = _in_beam(columns, path.position[i], ahead[i], float(frames.range_m[-1]), beam)
         ray = points[near] - path.position[i]
         ray /= np.maximum(np.sqrt(np.einsum("ij,ij->i", ray, ray)), 1e-9)[:, None]
         facing = round_ones[near] | (abs(np.einsum("ij,ij->i", ray, normals[near])) >= limit[near])
         wanted = np.flatnonzero(facing | ~seen[near])
-        clear = wanted[caster.visible(path.position[i], points[near[wanted]], slack_m=0.02)]
+        clear = wanted[caster.visible(path.position[i], points[near[wanted]], slack_m=SLACK_M)]
         seen[near[clear]] = True
         looks[near[clear[facing[clear]]]] += 1
 
 
-def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float) -> NDArray[np.int64]:
+def half_beam_rad(frames: Frames) -> float:
+    """Half opening of a sensor's beam: of the thesis' fan of rays, else where its antenna has fallen by 3 dB."""
+    if frames.unit == "thesis":
+        return float(np.radians(frames.spec.thesis.fov_deg) / 2)
+    return boresight_pattern(frames.spec.antenna).half_power_rad
+
+
+def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float, half_rad: float) -> NDArray[np.int64]:
     """Indices of the points, given as columns (3, p), in the beam and in range; most points are in neither."""
     x, y, z = columns
     along = x * ahead[0]
     along += y * ahead[1]
     along += z * ahead[2]
     along -= eye @ ahead
-    front = np.flatnonzero(along > 0)
+    front = np.flatnonzero(along >= min(np.cos(half_rad), 0.0) * 2 * reach)
     square = (x[front] - eye[0]) ** 2 + (y[front] - eye[1]) ** 2 + (z[front] - eye[2]) ** 2
-    lit = (along[front] ** 2 >= np.cos(HALF_BEAM_RAD) ** 2 * square) & (square <= reach**2)
+    lit = (along[front] >= np.cos(half_rad) * np.sqrt(square)) & (square <= reach**2)
     return np.asarray(front[lit], np.int64)
 
 
@@ -164,30 +181,67 @@ def _normals(corners: Floats) -> Floats:
 
 
 def _volume(scene: Scene, grid: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    corners = scene.corners()
+    """Points spread evenly over the area of all surfaces: equal areas hold equal counts, whatever their triangles.
+
+    One point for each `spacing` squared, at most MOST_POINTS in all. Wires count with the area of their mantle. Each
+    object has at least one point.
+    """
+    corners, wires = scene.corners(), scene.wires
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    step = max(spacing, float(np.sqrt(area.sum() / 400_000)) if len(area) else spacing)
-    points, owner, normals = [], [], []
-    for face, normal in enumerate(_normals(corners)):
-        a, u, v = corners[face, 0], corners[face, 1] - corners[face, 0], corners[face, 2] - corners[face, 0]
-        n = max(int(np.ceil(max(np.linalg.norm(u), np.linalg.norm(v)) / step)), 1)
-        s, t = np.meshgrid((np.arange(n) + 1 / 3) / n, (np.arange(n) + 1 / 3) / n)
-        keep = s + t <= 1
-        points.append(a + s[keep][:, None] * u + t[keep][:, None] * v)
-        owner.append(np.full(int(keep.sum()), scene.face_object[face], np.int64))
-        normals.append(np.tile(normal, (int(keep.sum()), 1)))
-    for start, end, thing in zip(scene.wires.start, scene.wires.end, scene.wires.object_id, strict=True):
-        n = max(int(np.ceil(np.linalg.norm(end - start) / step)), 1)
-        points.append(start + ((np.arange(n) + 0.5) / n)[:, None] * (end - start))
-        owner.append(np.full(n, thing, np.int64))
-        normals.append(np.zeros((n, 3)))
-    if not points:
+    mantle = 2 * np.pi * wires.radius_m * np.linalg.norm(wires.end - wires.start, axis=1)
+    measure = np.concatenate([area, mantle])
+    owner = np.concatenate([scene.face_object, wires.object_id]).astype(np.int64)
+    if not measure.sum() > 0:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64)
-    return np.concatenate(points), np.concatenate(normals), np.concatenate(owner)
+    most = max(MOST_POINTS - len(scene.objects), 1)
+    piece = _even_picks(measure, min(most, int(np.ceil(measure.sum() / spacing**2))))
+    left_out = np.setdiff1d(owner, owner[piece])
+    extra = [int(np.argmax(np.where(owner == one, measure, -1.0))) for one in left_out]
+    piece = np.concatenate([piece, np.array(extra, np.int64)])
+    points, normals = _points_on(scene, corners, piece)
+    return points, normals, owner[piece]
 
 
-def in_sight(scene: Scene, frames: Recording, points: Floats, *, eyes: int = EYES) -> Flags:
-    """Whether each point (p, 3) can be seen from anywhere on the flight."""
+def _even_picks(measure: Floats, count: int) -> NDArray[np.int64]:
+    """Indices (count) of pieces, each as often as its measure says: one draw from each of `count` equal strata."""
+    edges = np.cumsum(measure)
+    drawn = (np.arange(count) + np.random.default_rng(SEED).random(count)) * (edges[-1] / count)
+    return np.asarray(np.minimum(np.searchsorted(edges, drawn, side="right"), len(measure) - 1), np.int64)
+
+
+def _points_on(scene: Scene, corners: Floats, piece: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """A point on each piece, triangles first, then wires; those on one piece are spread by a Kronecker sequence."""
+    order = np.argsort(piece, kind="stable")
+    rank = np.empty(len(piece), np.int64)
+    rank[order] = np.arange(len(piece)) - np.searchsorted(piece[order], piece[order])
+    start = np.random.default_rng(SEED).random((len(corners) + len(scene.wires), 2))
+    share = (start[piece] + rank[:, None] * KRONECKER) % 1.0
+    points, normals = np.zeros((len(piece), 3)), np.zeros((len(piece), 3))
+    on_face = piece < len(corners)
+    face, (s, t) = piece[on_face], share[on_face].T
+    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
+    a = corners[face, 0]
+    points[on_face] = a + s[:, None] * (corners[face, 1] - a) + t[:, None] * (corners[face, 2] - a)
+    normals[on_face] = _normals(corners)[face]
+    wire = piece[~on_face] - len(corners)
+    begin = scene.wires.start[wire]
+    points[~on_face] = begin + share[~on_face, :1] * (scene.wires.end[wire] - begin)
+    return points, normals
+
+
+def in_sight(
+    scene: Scene, frames: Recording, points: Floats, *, eyes: int = EYES, reach_m: float = np.inf, slack_m: float = 1e-3
+) -> Flags:
+    """Whether each point (p, 3) can be seen from anywhere on the flight, in any direction and at any incidence.
+
+    Args:
+        scene: what hides points.
+        frames: one sensor's, or several.
+        points: asked about (p, 3) [m].
+        eyes: places of the flight that are tried.
+        reach_m: how far sight goes [m].
+        slack_m: what lies so near before a point does not hide it: the surface that the point is on [m].
+    """
     spots = np.concatenate([true_path(p).position for p in sensors_of(frames)])
     spots = spots[np.linspace(0, len(spots) - 1, min(eyes, len(spots))).astype(int)]
     caster = Raycaster(scene)
@@ -196,5 +250,6 @@ def in_sight(scene: Scene, frames: Recording, points: Floats, *, eyes: int = EYE
         todo = np.flatnonzero(~seen)
         if not len(todo):
             break
-        seen[todo[caster.visible(spot, points[todo])]] = True
+        todo = todo[np.linalg.norm(points[todo] - spot, axis=1) <= reach_m]
+        seen[todo[caster.visible(spot, points[todo], slack_m=slack_m)]] = True
     return seen
