@@ -46,7 +46,9 @@ def turn_left(frames: dict[str, Frames], path: Trajectory, time_s: float) -> flo
     turned = np.column_stack(
         [away[:, :2] @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]], away[:, 2]]
     )
-    found = correct_drift(believed(frames, turned - away), drift_m=DRIFT_M, time_s=time_s)["front"].believed.position
+    found = (
+        correct_drift(believed(frames, turned - away), drift_m=DRIFT_M, time_s=time_s).frames["front"].believed.position
+    )
     one, other = ((at - at.mean(0))[:, :2] for at in (frames["front"].believed.position, found))
     cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     return float(np.degrees(np.arctan2(cross.sum(), (one * other).sum())))
@@ -65,17 +67,20 @@ def print_turns(flights: int) -> None:
 
 def print_drifts(flights: int, count: int) -> None:
     scene = judged_room()
-    print("| flight | drift | before, rms [mm] | after, rms [mm] | of this one shift of all [mm] |")
-    print("|---|---|---|---|---|")
+    print("| flight | drift | before [mm] | after [mm] | of this one shift of all [mm] | corrected | sigma [mm] |")
+    print("|---|---|---|---|---|---|---|")
     for seed in range(flights):
         path = level_round(seed)
         frames = heard(scene, path, seed)
         for k in range(count):
             offset = drift(len(path), DRIFT_M, np.random.default_rng([seed, 300 + k]))
-            found = next(iter(correct_drift(believed(frames, offset), drift_m=DRIFT_M).values()))
+            done = correct_drift(believed(frames, offset), drift_m=DRIFT_M)
+            found = next(iter(done.frames.values()))
             left = (found.believed.position - next(iter(frames.values())).believed.position)[:, :2]
             rms = [1e3 * np.sqrt((part**2).sum(1).mean()) for part in (offset[:, :2], left)]
-            print(f"| {seed} | {k} | {rms[0]:.0f} | {rms[1]:.0f} | {1e3 * np.hypot(*left.mean(0)):.0f} |", flush=True)
+            sigma = 1e3 * np.sqrt((done.sigma_m**2).sum(1).mean())
+            print(f"| {seed} | {k} | {rms[0]:.0f} | {rms[1]:.0f} | {1e3 * np.hypot(*left.mean(0)):.0f} |", end=" ")
+            print("yes" if done.corrected else f"no: {done.reason}", f"| {sigma:.0f} |", flush=True)
 
 
 def main() -> None:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import warnings
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ullage.data import Frames, Recording, Trajectory, sensors_of
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.processing.coherent import EchoJudge
-from ullage.processing.drift_walls import LEAST_LOOKS, FlatEchoes, Peaks, WallFit
+from ullage.processing.drift_walls import LEAST_LOOKS, WINDOW_S, FlatEchoes, Offset, Peaks, WallFit
 from ullage.processing.inverse_sensor import heard_deg
 from ullage.processing.mapper_looks import Listener, Look, lit_ways
 from ullage.processing.mapper_runs import fit_edges, fit_walls
@@ -26,17 +26,33 @@ FLAT_RAD, SCATTER_RAD = 0.25, 0.2
 EDGE_BETTER, EDGE_REACH_M, EDGE_EVERY = 0.7, 1.2, 6
 LEAST_ECHOES = 40
 HARMLESS_M = 0.03
+LEAST_AGREEMENT = 0.7  # of keyframes facing a wall, in every window of time
 
 
-def correct_drift(frames: Recording, *, drift_m: float = 0.2, time_s: float = 5.0) -> dict[str, Frames]:
-    """The frames with the slow error of their horizontal positions taken out, as far as flat walls show it.
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftCorrection:
+    """Frames with the slow error of their poses taken out, or as they were, and what is known of that error."""
+
+    frames: dict[str, Frames]
+    corrected: bool  # whether the poses were moved
+    reason: str  # in plain words
+    t_s: Floats  # (k) [s], of the frames' clock
+    offset_m: Floats  # (k, 2) added to the horizontal positions; zero where the input is kept
+    sigma_m: Floats  # (k, 2) standard deviation of what error is left on each axis
+
+
+def correct_drift(frames: Recording, *, drift_m: float = 0.2, time_s: float = 5.0) -> DriftCorrection:
+    """Take the slow error out of the horizontal positions of frames, as far as flat walls show it.
 
     Echoes that keep one bearing while the drone flies on come off flat walls. One smooth offset of the track and all
     walls' directions and distances are found together, so that every echo's range fits its wall: a spline with a
-    Gaussian-process prior, solved by Gauss-Newton with weights that leave outliers aside [Rasmussen2006]. Walls that
-    stand within 10 deg of square or parallel to the main one are taken to be so. Then every peak near the range that a
-    wall should have counts, so that the walls ahead and behind tell of the way along. Where fewer than two directions
-    of walls are heard, or the offset is under 3 cm (rms), the frames come back as they were.
+    Gaussian-process prior, solved by Gauss-Newton with weights that leave outliers aside [Rasmussen2006]. Then every
+    peak near the range that a wall should have counts, so that the walls ahead and behind fix the position along the
+    track. No angle between walls is assumed.
+
+    The input is kept, with a warning, where the walls do not determine the offset: fewer than two directions of walls
+    echo, the fit slips against them (in some window of 1.5 s fewer than 70 % of the keyframes that face a wall hold its
+    echo), or the offset is smaller than its standard deviation. It is also kept where the offset is under 3 cm (rms).
 
     Turning track and walls together changes no range of a point on a straight way. What holds the turn is that the
     offset is smooth where the flight has corners, and that the attitude is believed, and with it how the sensors lie
@@ -46,6 +62,9 @@ def correct_drift(frames: Recording, *, drift_m: float = 0.2, time_s: float = 5.
         frames: one sensor's, or several on one body, with poses.
         drift_m: sigma of the drift, of each axis [m].
         time_s: its correlation time [s].
+
+    Returns:
+        The frames, whether they were corrected and why, and the standard deviation of the error that is left.
 
     Raises:
         InputError: no poses, or a prior that is not above zero.
@@ -57,17 +76,41 @@ def correct_drift(frames: Recording, *, drift_m: float = 0.2, time_s: float = 5.
     looks = {part.sensor: _looks(part) for part in parts}
     heard = _flat_echoes(parts, looks)
     if len(heard.t_s) < LEAST_ECHOES:
-        return by_name
+        return _kept(by_name, f"{len(heard.t_s)} echoes of flat walls, {LEAST_ECHOES} wanted", drift_m)
     offset = WallFit(heard, drift_m, time_s).solve(_peaks([look for mine in looks.values() for look in mine]))
-    if offset is None or np.sqrt((offset(offset.x) ** 2).sum(1).mean()) < HARMLESS_M:
-        return by_name
-    return {name: _moved(part, offset) for name, part in by_name.items()}
+    if offset is None:
+        return _kept(by_name, "walls echo from fewer than two directions", drift_m)
+    return _decided(by_name, offset, drift_m)
 
 
-def _moved(frames: Frames, offset: CubicSpline) -> Frames:
+def _decided(by_name: dict[str, Frames], offset: Offset, drift_m: float) -> DriftCorrection:
+    """The frames moved by an offset, or kept where it cannot be trusted or gains nothing."""
+    size, doubt = (float(np.sqrt((part**2).sum(1).mean())) for part in (offset.offset_m, offset.sigma_m))
+    if offset.agreement < LEAST_AGREEMENT:
+        lost = f"for {WINDOW_S} s the fit misses {100 * (1 - offset.agreement):.0f} % of the walls' echoes"
+        return _kept(by_name, lost, drift_m)
+    if size < HARMLESS_M:
+        found = f"the poses are within {1e3 * size:.0f} mm of the walls"
+        return DriftCorrection(by_name, False, found, offset.t_s, 0 * offset.offset_m, offset.sigma_m + size)
+    if size < doubt:
+        return _kept(by_name, f"an offset of {1e3 * size:.0f} mm is known to {1e3 * doubt:.0f} mm only", drift_m)
+    done = f"moved by {1e3 * size:.0f} mm (rms), known to {1e3 * doubt:.0f} mm"
+    moved = {name: _moved(part, offset) for name, part in by_name.items()}
+    return DriftCorrection(moved, True, done, offset.t_s, offset.offset_m, offset.sigma_m)
+
+
+def _kept(frames: dict[str, Frames], reason: str, drift_m: float) -> DriftCorrection:
+    """The input as it was, and a warning that says why."""
+    warnings.warn(f"drift is not corrected: {reason}; the poses are kept", UllageWarning, stacklevel=4)
+    path = next(iter(frames.values())).believed
+    t_s = np.asarray(path.t_ns[[0, -1]] * 1e-9, np.float64)
+    return DriftCorrection(frames, False, reason, t_s, np.zeros((2, 2)), np.full((2, 2), drift_m))
+
+
+def _moved(frames: Frames, offset: Offset) -> Frames:
     path = frames.believed
-    time = np.clip(path.t_ns * 1e-9, offset.x[0], offset.x[-1])
-    position = path.position + np.column_stack([offset(time), np.zeros(len(time))])
+    shift = offset.at(np.asarray(path.t_ns * 1e-9, np.float64))
+    position = path.position + np.column_stack([shift, np.zeros(len(shift))])
     return replace(frames, poses=Trajectory(path.t_ns, position, path.quat_xyzw))
 
 
@@ -86,6 +129,7 @@ def _peaks(looks: list[Look]) -> Peaks:
         np.array([look.heard.position[:2] for look in looks])[which],
         np.array([look.heard.axes[:2, 0] for look in looks])[which],
         np.concatenate([look.echoes[:, 0] for look in looks]),
+        which,
     )
 
 

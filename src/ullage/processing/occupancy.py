@@ -60,7 +60,8 @@ def map_occupancy(
         frames: one sensor's, or several by name; sensors may differ in settings and rate.
         grid: a plane or a volume that holds the flight.
         method: "ullage", all that each profile says, or "elfes", the thesis' baseline.
-        drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it.
+        drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it,
+            and a warning says where they do not (`processing.drift.correct_drift`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
         options: those of the method's mapper, as `threshold`.
 
@@ -72,7 +73,7 @@ def map_occupancy(
     if drift_m:
         from ullage.processing.drift import correct_drift
 
-        frames = correct_drift(frames, drift_m=drift_m)
+        frames = correct_drift(frames, drift_m=drift_m).frames
     mapper = Mapper(grid, method=method, **options)
     mapper.update(frames)
     mapper.finish()
