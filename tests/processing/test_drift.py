@@ -106,6 +106,7 @@ def held_to_its_word(frames, seed):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("off_deg", [0, 5, 8])
 def test_a_correction_is_as_good_as_it_says_or_the_input_is_kept(off_deg):
     frames = world.rig(loop(), leaning_room(off_deg), seed=1)

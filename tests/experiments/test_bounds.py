@@ -1,0 +1,64 @@
+"""The bounds of shipped scenarios: a sound mapper is inside them, one that is ruined is not."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from ullage.data import Trajectory
+from ullage.experiments.catalog import find_scenario
+from ullage.experiments.judge import verdicts
+from ullage.experiments.runner import execute, of_scenario
+from ullage.experiments.simulated import Simulated, prepare
+
+
+def too_long(frames, step_m):
+    """Every echo 0.25 m farther off, or a cell where that is more: half a cell off shows on no map."""
+    return replace(frames, range_m=frames.range_m + max(0.25, step_m))
+
+
+def shifted(frames, step_m):
+    """Poses, and with them the map, 0.3 m aside."""
+    path = frames.believed
+    moved = Trajectory(path.t_ns, path.position + np.array([0.3, 0.0, 0.0]), path.quat_xyzw)
+    return replace(frames, poses=moved, truth=path)
+
+
+def deaf(frames, step_m):
+    """Noise alone."""
+    return replace(frames, samples=np.zeros_like(frames.samples))
+
+
+@dataclass
+class Ruined:
+    source: Simulated
+    ruin: object
+
+    def stream(self):
+        for piece in self.source.stream():
+            yield {name: self.ruin(part, self.source.scenario.map.step_m) for name, part in piece.items()}
+
+
+def outside(name, folder, ruin=None):
+    """Bounds of a scenario that its run is outside of."""
+    simulated = prepare(find_scenario(name))
+    job = of_scenario(folder, simulated)
+    job.source = simulated if ruin is None else Ruined(simulated, ruin)
+    execute(job, draw=False, say=lambda text: None)
+    return [one.text for one in verdicts(folder) if not one.inside]
+
+
+QUICK = ["ntnu-mapping"]
+SLOW = ["ntnu-mapping-5cm", "ntnu-mapping-50cm", "ntnu-mapping-20cm", "cluttered-room", "cargo-hold",
+        "ntnu-mapping-physical", "cluttered-room-physical", "cargo-hold-physical"]  # fmt: skip
+
+
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
+@pytest.mark.parametrize("ruin", [None, too_long, shifted, deaf])
+def test_a_ruined_mapper_is_out_of_bounds_and_a_sound_one_within(name, ruin, tmp_path):
+    found = outside(name, tmp_path, ruin)
+    if ruin is None:
+        assert not found
+    else:
+        assert any(text.startswith(("f1", "accuracy_median", "free_found", "completeness")) for text in found), found
