@@ -37,7 +37,7 @@ def payload(kind: str) -> bytes:
         return conversions.grid_note(
             OccupancyMap(ul.Grid((0.0, 0.0, 0.0), 0.1, (1000, 1000)), np.zeros((1000, 1000), np.int8)), 0
         )
-    from ullage.ports.ros2.encode import update_note
+    from ullage.ports.encode import update_note
 
     return update_note(0, 0, 0, np.zeros((100, 100), np.int8))
 
@@ -81,9 +81,9 @@ def listen(case: str, typed: bool) -> None:
 
 def speak(case: str) -> float:
     """Publish a case's messages; messages a second."""
+    from ullage.ports.publisher import Message
     from ullage.ports.ros2.middleware import Peer
     from ullage.ports.ros2.options import NodeOptions
-    from ullage.ports.ros2.outgoing import Note
 
     topic, kind, quality, rate, count = CASES[case]
     peer = Peer("", NodeOptions(node="bench_speaker"))
@@ -96,7 +96,7 @@ def speak(case: str) -> float:
     for number in range(count):
         if rate:
             time.sleep(max(0.0, begin + number / rate - time.monotonic()))
-        peer.send(Note(0, topic, kind, quality, stamped(data)))  # type: ignore[arg-type]
+        peer.send(Message(0, topic, kind, quality, stamped(data)))  # type: ignore[arg-type]
     reached = count / (time.monotonic() - begin)
     peer.settle(5.0)
     time.sleep(1.0)

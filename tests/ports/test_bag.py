@@ -129,7 +129,8 @@ def test_rosbags_reads_the_folder_and_agrees_on_every_byte(tmp_path: Path) -> No
             if connection.topic == "/radar/front/frame" and message.index == 7:
                 want = some_frames().samples[7]
                 np.testing.assert_array_equal(np.array(message.samples).view(np.complex64), want)
-    assert len(seen) == 14
+    assert seen >= {"/tf_static", "/radar/left/range", "/path", "/clock"}
+    assert len(seen) == 20
 
 
 def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:
@@ -142,16 +143,18 @@ def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:
     frames = ul.Frames(samples, spec.range_m, body.t_ns, spec, body.mounted(mount.body_from_sensor()), sensor="left")
     record(tmp_path / "run", frames)
     with AnyReader([tmp_path / "run"]) as reader:
-        notes = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic != "/tf"}
-        children = {
-            tf.child_frame_id
-            for c, _, raw in reader.messages() if c.topic == "/tf"
+        notes = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()}
+        tree = {
+            (c.topic, tf.header.frame_id, tf.child_frame_id)
+            for c, _, raw in reader.messages() if c.topic in ("/tf", "/tf_static")
             for tf in reader.deserialize(raw, c.msgtype).transforms
         }  # fmt: skip
     at, twist = notes["/odom"].pose.pose.position, notes["/odom"].twist.twist.linear
     np.testing.assert_allclose((at.x, at.y, at.z), body.position[-1], atol=1e-12)
     np.testing.assert_allclose((twist.x, twist.y), 0.5 * np.array([np.cos(np.pi / 6), -np.sin(np.pi / 6)]), atol=1e-12)
-    assert children == {"left", "base_link"}
+    assert tree == {
+        ("/tf_static", "map", "odom"), ("/tf", "odom", "base_link"), ("/tf_static", "base_link", "left"),
+    }  # fmt: skip
     path = ul.open(tmp_path / "run").trajectory()
     assert path is not None
     np.testing.assert_allclose(path.position, body.position, atol=1e-12)

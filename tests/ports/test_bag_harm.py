@@ -11,6 +11,7 @@ import textwrap
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from conftest import assert_same, some_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
@@ -123,7 +125,7 @@ def test_full_disk_is_one_line_and_keeps_what_was_written(tmp_path: Path) -> Non
     frames = replace(frames, t_ns=frames.t_ns[0] + np.arange(2000) * 40_000_000, poses=None, truth=None)
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     sink = ul.sink(path)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limit[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (140_000, limit[1]))
     try:
         with pytest.raises(ul.InputError, match=r"a\.mcap: cannot write: File too large; readable up to") as error:
             write_all(sink, frames)
@@ -136,7 +138,7 @@ def test_full_disk_is_one_line_and_keeps_what_was_written(tmp_path: Path) -> Non
     with pytest.warns(ul.UllageWarning, match="never finished"):
         got = ul.open(path).frames()
     assert len(got) >= 250
-    assert path.stat().st_size < 100_000  # what did not arrive whole is taken off
+    assert path.stat().st_size < 140_000  # what did not arrive whole is taken off
     np.testing.assert_array_equal(got.samples, frames.samples[: len(got)])
 
 
@@ -180,7 +182,8 @@ def right_or_refused(path: Path) -> bool:
 
 def test_damaged_chunk_costs_only_itself(whole: bytes, tmp_path: Path) -> None:
     damaged = bytearray(whole)
-    damaged[len(whole) // 3] ^= 0xFF
+    index = make_reader(BytesIO(whole)).get_summary().chunk_indexes[1]  # type: ignore[union-attr]
+    damaged[index.chunk_start_offset + index.chunk_length // 2] ^= 0xFF
     path = tmp_path / "a.mcap"
     path.write_bytes(damaged)
     with pytest.warns(ul.UllageWarning, match="damaged"):

@@ -1,6 +1,7 @@
 """When stamps are due: by their own clock, and never in years."""
 
 import time
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 import ullage as ul
 from ullage.errors import UllageWarning
 from ullage.ports.following import PacedSink
-from ullage.ports.pace import Pace
+from ullage.ports.pace import Pace, StampOrder
 
 S = 10**9
 
@@ -16,7 +17,6 @@ S = 10**9
 def test_stamps_are_due_by_their_own_clock():
     pace = Pace(2.0)
     assert [pace.due_s(t * S, 100.0) for t in (5, 6, 9)] == [100.0, 100.5, 102.0]
-    assert pace.stamp_at(101.0) == 7 * S
 
 
 def test_a_jump_back_and_a_late_maker_begin_anew():
@@ -26,6 +26,48 @@ def test_a_jump_back_and_a_late_maker_begin_anew():
     assert pace.due_s(11 * S, 1.0) == 2.0
     assert pace.due_s(12 * S, 7.0) == 7.0
     assert pace.due_s(13 * S, 7.0) == 8.0
+
+
+def test_a_late_message_is_due_at_once_and_moves_nothing():
+    pace = Pace(1.0)
+    pace.due_s(10 * S, 0.0)
+    assert pace.due_s(12 * S, 2.0) == 2.0
+    assert pace.due_s(11_500_000_000, 2.0) == 1.5
+    assert pace.due_s(13 * S, 2.0) == 3.0
+
+
+class At(NamedTuple):
+    t_ns: int
+    what: str = ""
+
+
+def test_what_is_made_of_a_piece_goes_out_with_it_in_the_order_of_the_stamps():
+    order: StampOrder[At] = StampOrder()
+    out: list[list[int]] = []
+    for start in (0, 4, 8, 12):
+        out.append([message.t_ns for message in order.begin_piece(start, start + 3)])
+        order.hold([At(start + k) for k in range(4)])
+        order.hold([At(start + 1, "detection"), At(start + 3, "map")])
+    out.append([message.t_ns for message in order.finish()])
+    assert out == [[], [0, 1, 1, 2, 3, 3], [4, 5, 5, 6, 7, 7], [8, 9, 9, 10, 11, 11], [12, 13, 13, 14, 15, 15]]
+
+
+def test_nothing_flows_before_as_much_is_complete_as_the_longest_piece_spans():
+    order: StampOrder[At] = StampOrder()
+    out = []
+    for first, last in ((0, 9), (10, 59), (60, 109), (110, 159)):
+        out.append(len(order.begin_piece(first, last)))
+        order.hold([At(t_ns) for t_ns in range(first, last + 1)])
+    assert out == [0, 0, 60, 50]
+
+
+def test_a_step_back_ends_the_stretch_before_it():
+    order: StampOrder[At] = StampOrder()
+    order.begin_piece(50 * S, 51 * S)
+    order.hold([At(51 * S), At(50 * S)])
+    assert [message.t_ns for message in order.begin_piece(0, S)] == [50 * S, 51 * S]
+    order.hold([At(0)])
+    assert [message.t_ns for message in order.finish()] == [0]
 
 
 def test_a_leap_ahead_is_said_and_not_waited_for():

@@ -40,10 +40,10 @@ def path_of(t_ns: Times, states: Floats) -> Trajectory:
     return Trajectory(t_ns, states[:, :3], states[:, 3:7], states[:, 7:10], states[:, 10:])
 
 
-def frame_notes(frames: Frames, start: int) -> list[bytes]:
-    """RadarFrame of each frame, counted from `start`."""
+def frame_notes(frames: Frames, start: int, *, frame_id: str = "") -> list[bytes]:
+    """RadarFrame of each frame, counted from `start`; an empty `frame_id` is the sensor's name."""
     floats = frames.samples.view(np.float32)
-    layout = ros.frame_layout(frames.sensor.encode(), frames.sensor.encode(), floats.shape[1])
+    layout = ros.frame_layout((frame_id or frames.sensor).encode(), frames.sensor.encode(), floats.shape[1])
     axis = frames.range_m
     columns: dict[str, Any] = ros.stamps(frames.t_ns) | {
         "index": start + np.arange(len(frames)),
@@ -106,10 +106,10 @@ def text_in(data: bytes, index: int) -> str:
     return data[at + 4 : at + 3 + size].decode()
 
 
-def settings_note(frames: Frames) -> bytes:
-    """RadarSettings of these frames."""
+def settings_note(frames: Frames, *, frame_id: str = "") -> bytes:
+    """RadarSettings of these frames; an empty `frame_id` is the sensor's name."""
     calibration = "" if frames.calibration is None else json.dumps(asdict(frames.calibration))
-    head = ros.header(int(frames.t_ns[0]), frames.sensor)
+    head = ros.header(int(frames.t_ns[0]), frame_id or frames.sensor)
     values = (head, frames.sensor, frames.unit, frames.spec.model_dump_json(), calibration, frames.range_m)
     return ros.to_bytes(ros.SETTINGS, ros.make(ros.SETTINGS, *values))
 
@@ -155,11 +155,11 @@ def transform_notes(paths: dict[str, Trajectory], *, parent: str = WORLD) -> lis
     return layout.fill(len(first), **columns)
 
 
-def odometry_notes(path: Trajectory, *, parent: str = WORLD) -> list[bytes]:
+def odometry_notes(path: Trajectory, *, parent: str = WORLD, child: str = BODY) -> list[bytes]:
     """Odometry at each time; rates in the body's frame, as ROS has it."""
     velocity, spin = path.rates
     in_body = np.einsum("nij,ni->nj", quat_matrix(path.quat_xyzw), velocity)
-    return ros.odometry_layout(parent.encode(), BODY.encode()).fill(
+    return ros.odometry_layout(parent.encode(), child.encode()).fill(
         len(path),
         **ros.stamps(path.t_ns),
         pose=np.concatenate([path.position, path.quat_xyzw], axis=1),
@@ -183,13 +183,14 @@ def odometry_path(notes: Sequence[bytes]) -> Trajectory:
     return Trajectory(t_ns, pose[:, :3], pose[:, 3:], velocity, twist[:, 3:])
 
 
-def profile_notes(frames: Frames) -> list[bytes]:
-    """PointCloud2 of each frame's profile along the boresight, for eyes."""
+def profile_notes(frames: Frames, *, frame_id: str = "") -> list[bytes]:
+    """PointCloud2 of each frame's profile along the boresight; an empty `frame_id` is the sensor's name."""
     bins = len(frames.range_m)
     points = np.zeros((len(frames), bins), np.dtype(list(PROFILE)))
     points["x"], points["intensity"] = frames.range_m, frames.amplitude
     columns = ros.cloud_columns(PROFILE, bins) | ros.stamps(frames.t_ns)
-    return ros.cloud_layout(frames.sensor.encode(), PROFILE, bins).fill(len(frames), data=points, dense=1, **columns)
+    layout = ros.cloud_layout((frame_id or frames.sensor).encode(), PROFILE, bins)
+    return layout.fill(len(frames), data=points, dense=1, **columns)
 
 
 def detection_notes(found: Detections) -> list[tuple[int, bytes]]:

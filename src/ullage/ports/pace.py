@@ -1,19 +1,23 @@
-"""Giving things at the pace of their own clock."""
+"""Give messages in the order of their stamps, at the pace of their own clock."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from typing import Any, Generic, Protocol, TypeVar
 
 from ullage.errors import UllageWarning
 
 LATE_S = 1.0
-"""A maker that falls behind by more [s] is not made up for."""
+"""A source that falls behind by more [s] is not made up for."""
 LEAP_S = 10.0
-"""A silence of more than this [s of stream] is not waited for."""
+"""A gap of more than this [s of stream] is not waited for."""
+STEP_BACK_S = 1.0
+"""A stamp that lies behind the newest by more [s] is a step of the clock; by less, the message is late."""
 
 
 class Pace:
-    """When each stamp is due on this machine's clock.
+    """Tells when each stamp is due on this machine's clock.
 
     Args:
         rate: seconds of stream a second; 0: at once.
@@ -22,31 +26,97 @@ class Pace:
     def __init__(self, rate: float) -> None:
         self._rate = rate
         self._anchor: tuple[int, float] | None = None  # a stamp, and when it was due
-        self._last_ns = 0
+        self._newest_ns = 0
 
     def due_s(self, t_ns: int, now_s: float) -> float:
         """When a stamp is due [s, monotonic].
 
-        The pace starts anew after a jump back, after falling far behind, and where stamps leap far ahead, as where a
-        clock is set or recordings are strung together; the last is said.
+        The pace starts anew after a step back, after it falls far behind, and where stamps leap far ahead, as where a
+        clock is set or recordings are strung together; a leap is reported. A late message is due at once and moves
+        nothing.
         """
         if not self._rate:
             return now_s
         if self._anchor is not None:
-            ahead_s = (t_ns - self._last_ns) * 1e-9
+            ahead_s = (t_ns - self._newest_ns) * 1e-9
             due = self._anchor[1] + (t_ns - self._anchor[0]) * 1e-9 / self._rate
+            if -STEP_BACK_S <= ahead_s < 0:
+                return min(due, now_s)
             if ahead_s > LEAP_S:
                 warnings.warn(
                     f"the stamps leap {ahead_s:.3g} s ahead, which is not waited for", UllageWarning, stacklevel=2
                 )
-            elif t_ns >= self._anchor[0] and now_s - due <= LATE_S:
-                self._last_ns = t_ns
+            elif ahead_s >= 0 and now_s - due <= LATE_S:
+                self._newest_ns = t_ns
                 return due
-        self._anchor, self._last_ns = (t_ns, now_s), t_ns
+        self._anchor, self._newest_ns = (t_ns, now_s), t_ns
         return now_s
 
-    def stamp_at(self, now_s: float) -> int | None:
-        """The stamp that is due now [ns]."""
-        if self._anchor is None:
-            return None
-        return self._anchor[0] + round((now_s - self._anchor[1]) * 1e9 * self._rate)
+
+class HasStamp(Protocol):
+    """Anything with a time."""
+
+    @property
+    def t_ns(self) -> int:
+        """Its time [ns]."""
+
+
+Timed = TypeVar("Timed", bound=HasStamp)
+
+
+class StampOrder(Generic[Timed]):
+    """Holds messages until no older one can come, and gives them in the order of their stamps.
+
+    A source gives frames in pieces, and what is made of a piece, such as detections, comes after it. So when the next
+    piece begins, everything older than its first stamp is complete. Messages begin to flow once as much is complete
+    as the longest piece spans, so that a source which needs time for its pieces does not stall those who listen.
+
+    Args:
+        key: by which messages of one stamp are sorted too; it begins with the stamp.
+    """
+
+    def __init__(self, key: Callable[[Timed], Any] = lambda message: message.t_ns) -> None:
+        self._key = key
+        self._held: list[Timed] = []
+        self._ready: list[Timed] = []  # complete, while the flow has not begun
+        self._flows = False
+        self._newest_ns: int | None = None
+        self._longest_ns = 0
+
+    @property
+    def longest_s(self) -> float:
+        """Span of the longest piece so far [s]."""
+        return self._longest_ns * 1e-9
+
+    def begin_piece(self, first_ns: int, last_ns: int) -> list[Timed]:
+        """Give what is complete now that a piece of frames comes.
+
+        Args:
+            first_ns: the oldest stamp of the piece [ns].
+            last_ns: the newest [ns].
+        """
+        back = self._newest_ns is not None and first_ns < self._newest_ns - STEP_BACK_S * 1e9
+        done = self._held if back else [message for message in self._held if message.t_ns < first_ns]
+        self._held = [] if back else [message for message in self._held if message.t_ns >= first_ns]
+        self._ready += sorted(done, key=self._key)
+        self._longest_ns = max(self._longest_ns, last_ns - first_ns)
+        self._newest_ns = last_ns
+        span = self._ready[-1].t_ns - self._ready[0].t_ns if self._ready else 0
+        self._flows = self._flows or (bool(self._ready) and span >= self._longest_ns)
+        return self._release()
+
+    def hold(self, messages: list[Timed]) -> None:
+        """Take the messages of a piece, or of what was made of it."""
+        self._held += messages
+
+    def finish(self) -> list[Timed]:
+        """Give the rest."""
+        self._ready += sorted(self._held, key=self._key)
+        self._held, self._flows = [], True
+        return self._release()
+
+    def _release(self) -> list[Timed]:
+        if not self._flows:
+            return []
+        out, self._ready = self._ready, []
+        return out

@@ -13,7 +13,7 @@ import ullage as ul
 from ullage.geometry import rpy_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.ros2.outgoing import Note, Outgoing, body_path
+from ullage.ports.publisher import Message, Publisher, body_path
 
 S = 1_000_000_000
 
@@ -32,11 +32,11 @@ def flight() -> ul.Frames:
     )
 
 
-def notes_of(frames: ul.Frames, *endings: str) -> list[Note]:
-    return [note for note in Outgoing().notes({"left": frames}) if note.topic.endswith(endings)]
+def notes_of(frames: ul.Frames, *endings: str) -> list[Message]:
+    return [note for note in Publisher().messages({"left": frames}) if note.topic.endswith(endings)]
 
 
-def write_ros1(path: Path, notes: list[Note]) -> Path:
+def write_ros1(path: Path, notes: list[Message]) -> Path:
     """As a ROS 1 program would: every message made anew of ROS 1's own types, headers with their count."""
     from rosbags.rosbag1 import Writer
 
@@ -66,7 +66,7 @@ def old(store: Any, value: Any) -> Any:
     return store.types[name](**made)
 
 
-def write_sqlite(path: Path, notes: list[Note]) -> Path:
+def write_sqlite(path: Path, notes: list[Message]) -> Path:
     from rosbags.rosbag2 import Writer
 
     with Writer(path, version=9) as writer:
@@ -109,7 +109,7 @@ def test_frames_without_poses_get_those_of_the_transforms(tmp_path: Path, flight
 def test_a_ros1_bag_of_profiles_and_odometry_can_be_mapped(tmp_path: Path, flight: ul.Frames) -> None:
     body = body_path(flight, flight.poses)  # type: ignore[arg-type]
     odometry = [
-        Note(int(t), "/odom", ros.ODOMETRY, "stream", data)
+        Message(int(t), "/odom", ros.ODOMETRY, "stream", data)
         for t, data in zip(body.t_ns, conversions.odometry_notes(body), strict=True)
     ]
     notes = sorted(notes_of(flight, "/profile") + odometry, key=lambda note: note.t_ns)

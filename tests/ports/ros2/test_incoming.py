@@ -10,10 +10,10 @@ from ullage.errors import InputError
 from ullage.geometry import rpy_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.ros2.encode import fixed_note, range_layout
+from ullage.ports.encode import fixed_note, range_layout
+from ullage.ports.publisher import Publisher, body_path
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
-from ullage.ports.ros2.outgoing import Outgoing, body_path
 
 S = 1_000_000_000
 
@@ -174,7 +174,7 @@ def test_a_cloud_without_intensity_is_refused(flight: ul.Frames) -> None:
 
 def test_what_goes_out_comes_in_again(flight: ul.Frames) -> None:
     into, _ = incoming(poses="tf")
-    for note in Outgoing().notes({"left": flight}):
+    for note in Publisher().messages({"left": flight}):
         if note.topic in ("/tf", "/tf_static"):
             into.take_transforms(note.data, fixed=note.topic == "/tf_static")
         elif note.topic.endswith("/settings"):

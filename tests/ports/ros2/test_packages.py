@@ -18,8 +18,8 @@ from ullage.errors import MissingExtra
 from ullage.experiments.catalog import scenario_names
 from ullage.experiments.ros2_nodes import NODES
 from ullage.ports import messages as ros
+from ullage.ports.encode import CLOCK, DIAGNOSTICS, PATH, PICTURE, RANGE
 from ullage.ports.ros2.build import PARTS, build, foreign, main, package_files
-from ullage.ports.ros2.encode import CLOCK, DIAGNOSTICS, PATH, PICTURE, RANGE
 from ullage.world.library import WORLDS
 
 from .network import ROOT, Network, told

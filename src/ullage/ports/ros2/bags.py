@@ -11,10 +11,9 @@ from typing import Any
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
-from ullage.ports import conversions
+from ullage.ports import conversions, encode
 from ullage.ports import messages as ros
 from ullage.ports.protocol import one_or_all
-from ullage.ports.ros2 import encode
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
 

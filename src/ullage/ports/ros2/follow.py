@@ -13,10 +13,10 @@ from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
 from ullage.ports.following import PATIENCE_S, FollowSource, rig_of, world_of
+from ullage.ports.publisher import Publisher, shifted
 from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer, Say, tell
 from ullage.ports.ros2.options import SimulateOptions
-from ullage.ports.ros2.outgoing import Outgoing, shifted
 from ullage.ports.ros2.transforms import Transforms
 from ullage.ports.sightings import Note as Said
 from ullage.ports.sightings import Sighting
@@ -43,7 +43,7 @@ class PoseFeed:
         self._came: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._transforms = Transforms()
         self._waiting: list[Sighting] = []
-        self._outgoing = Outgoing()
+        self._publisher = Publisher(frame_prefix=options.frame_prefix)
         peer.claim(self._topic)
         self._scene: Scene | None = scene
         self._looked_s = 0.0
@@ -110,7 +110,7 @@ class PoseFeed:
     def _from_transforms(self, stamps: list[int]) -> list[Sighting]:
         out = []
         for t_ns in dict.fromkeys(stamps):
-            answer = self._transforms.at(self._options.map, self._options.body, t_ns)
+            answer = self._transforms.at(self._options.map, self._options.frame_prefix + self._options.body, t_ns)
             if answer.matrix is not None and t_ns > self.newest_ns:
                 x, y, z = answer.matrix[:3, 3].tolist()
                 out += self._sighted(t_ns, (x, y, z), tuple(matrix_quat(answer.matrix[:3, :3]).tolist()))
@@ -140,7 +140,7 @@ class PoseFeed:
         items: list[Any] = [parts] if self._scene is None else [parts, self._scene]
         self._scene = None
         for item in items:
-            for note in self._outgoing.notes(item):
+            for note in self._publisher.messages(item):
                 if note.topic in ("odom", "truth/odom", "path") or (note.topic == "/tf" and not self._moves()):
                     continue  # the robot's own say
                 if self._peer.send(note):

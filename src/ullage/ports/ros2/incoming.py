@@ -16,7 +16,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0, matrix_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.ros2.encode import RANGE, range_layout
+from ullage.ports.encode import RANGE, range_layout
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Answer, Transforms
 from ullage.specs import RadarSpec

@@ -10,13 +10,15 @@ import importlib
 import re
 import threading
 import warnings
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 from ullage.errors import InputError, UllageWarning, need
+from ullage.ports.publisher import Message, Quality
 from ullage.ports.ros2.options import NodeOptions
-from ullage.ports.ros2.outgoing import Note, Quality
+from ullage.ports.ros2.sharing import ONE_PUBLISHER, TRANSFORMS, Sharing
 
 Say = Callable[[str], None]
 HOW = {
@@ -28,10 +30,9 @@ HOW = {
 }
 TAKEN: set[str] = set()
 """Topics that something in this program listens to: what came in there must not go out there again."""
-OWN: set[str] = set()
-"""Topics that something in this program publishes: they are no news here."""
-ROBOTS_OWN = {"/tf", "/tf_static", "/clock", "odom", "truth/odom"}
-"""Topics left to others where ullage only listens to a robot and others already speak on them."""
+OWN: Counter[str] = Counter()
+"""Topics that this program publishes, with the number of its publishers."""
+REMAP = re.compile(r"[~/\w]+:=[~/\w]+")
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?")
 
 
@@ -68,11 +69,11 @@ class Peer:
 
     Args:
         namespace: of its topics.
-        options: domain and name.
+        options: domain, name and remappings.
         node: an rclpy node to use; whoever made it spins and destroys it.
 
     Raises:
-        InputError: the namespace is none.
+        InputError: the namespace or a remapping is none.
         MissingExtra: there is no rclpy.
     """
 
@@ -80,6 +81,9 @@ class Peer:
         rclpy = need("rclpy", extra="ros2")
         if not NAMESPACE.fullmatch(namespace):
             raise InputError(f"not a namespace {namespace!r}", where="ros2:", allowed="names and /, as in ros2:/drone1")
+        rules = [word for word in options.remap.split(",") if word]
+        if wrong := [rule for rule in rules if not REMAP.fullmatch(rule)]:
+            raise InputError(f"not a remapping {wrong[0]!r}", where="remap", allowed="FROM:=TO, with commas between")
         self._context = None
         self._prefix = namespace.strip("/") + "/" if node is not None and namespace.strip("/") else ""
         if node is None:
@@ -89,10 +93,14 @@ class Peer:
             quiet = SignalHandlerOptions.NO
             rclpy.init(context=self._context, domain_id=options.domain, signal_handler_options=quiet)
             above = "/" + namespace.strip("/")
-            node = rclpy.create_node(options.node, namespace=above, context=self._context, use_global_arguments=False)
+            words = ["--ros-args", *(word for rule in rules for word in ("-r", rule))] if rules else None
+            node = rclpy.create_node(
+                options.node, namespace=above, context=self._context, use_global_arguments=False, cli_args=words
+            )
         self.node = node
         self._publishers: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
+        self._sharing = Sharing(self)
         self._told: set[str] = set()
         self._claimed: set[str] = set()
         self._executor: Any = None
@@ -123,7 +131,7 @@ class Peer:
     def topics(self) -> dict[str, str]:
         """Topics on the network that somebody else publishes, with their types."""
         named = self.node.get_topic_names_and_types()
-        return {name: kinds[0] for name, kinds in named if name not in OWN and self.node.count_publishers(name)}
+        return {name: kinds[0] for name, kinds in named if not OWN[name] and self.node.count_publishers(name)}
 
     def resolved(self, topic: str) -> str:
         """The full name of a topic."""
@@ -149,33 +157,40 @@ class Peer:
     def publisher(self, topic: str, kind: str, quality: Quality, *, reliable: bool | None = None) -> Any:
         """The publisher of a topic, made when first asked for; None where its type is missing."""
         if topic not in self._publishers:
-            found = None if self._left_to_others(topic) else self.class_of(kind, topic)
+            found = self.class_of(kind, topic)
             how = profile(quality, reliable=reliable)
             self._publishers[topic] = self.node.create_publisher(found, self._named(topic), how) if found else None
-            if found:
-                OWN.add(self.resolved(topic))
+            OWN[self.resolved(topic)] += found is not None
         return self._publishers[topic]
 
-    def _left_to_others(self, topic: str) -> bool:
-        if self.resolved(topic) in TAKEN:
-            return True
-        if not TAKEN or topic not in ROBOTS_OWN or not self.others(topic):
-            return False
-        if topic != "/clock":
-            warnings.warn(f"others publish {topic} already; it is left to them", UllageWarning, stacklevel=4)
-        return True
+    def withdraw(self, topic: str) -> None:
+        """Stop publishing a topic."""
+        out = self._publishers.pop(topic, None)
+        if out is not None:
+            OWN[self.resolved(topic)] -= 1
+            self.node.destroy_publisher(out)
 
     def others(self, topic: str) -> bool:
-        """Whether somebody else publishes on a topic."""
-        ours = self._publishers.get(topic) is not None
-        return int(self.node.count_publishers(self.resolved(topic))) > ours
+        """Whether another program publishes a topic."""
+        name = self.resolved(topic)
+        return int(self.node.count_publishers(name)) > OWN[name]
 
-    def send(self, note: Note, *, reliable: bool | None = None) -> bool:
-        """Publish one message; whether there was a way to."""
-        out = self.publisher(note.topic, note.kind, note.quality, reliable=reliable)
-        if out is not None:
-            out.publish(note.data)
-        return out is not None
+    def send(self, message: Message, *, reliable: bool | None = None) -> bool:
+        """Publish one message; False where its type is missing, or others publish the same."""
+        topic = message.topic
+        if self._publishers.get(topic) is None and self.resolved(topic) in TAKEN:
+            return False
+        if topic in ONE_PUBLISHER and not self._sharing.allows(topic):
+            return False
+        if topic in TRANSFORMS and TAKEN and self.others(topic):
+            return False  # we listen to a robot that has a tree of its own
+        sent = False
+        for found in self._sharing.transforms(message) if topic in TRANSFORMS else [message]:
+            out = self.publisher(found.topic, found.kind, found.quality, reliable=reliable)
+            if out is not None:
+                out.publish(found.data)
+            sent = out is not None
+        return sent
 
     def listeners(self, topic: str) -> int:
         """How many listen to a topic of ours."""
@@ -204,7 +219,7 @@ class Peer:
         """Leave the network; a given node stays, without what was made on it."""
         TAKEN.difference_update(self._claimed)
         if self._context is None or self._context.ok():
-            OWN.difference_update(self.resolved(topic) for topic in self._publishers)
+            OWN.subtract(self.resolved(topic) for topic, out in self._publishers.items() if out is not None)
         if self._context is None:
             for out in filter(None, self._publishers.values()):
                 self.node.destroy_publisher(out)

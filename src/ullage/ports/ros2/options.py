@@ -15,14 +15,20 @@ class NodeOptions(Spec):
 
     domain: int | None = Field(None, ge=0, le=232, description="ROS domain; none: ROS_DOMAIN_ID")
     node: str = Field("ullage", pattern=r"^[A-Za-z_]\w*$", description="name of the node")
+    remap: str = Field("", description="topics under other names: FROM:=TO, with commas between")
+    frame_prefix: str = Field(
+        "", pattern=r"^([A-Za-z_][\w/]*)?$", description="before every frame of reference but map, as drone1/"
+    )
 
 
 class SinkOptions(NodeOptions):
     """What `--to ros2:` is told."""
 
     pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as it comes")
-    clock: Literal["auto", "on", "off"] = Field("auto", description="publish /clock; auto: when the stamps are not now")
-    clock_hz: float = Field(100.0, gt=0, le=1000, description="rate of /clock while time passes evenly")
+    clock: Literal["auto", "on", "off"] = Field(
+        "auto", description="publish /clock; auto: unless the stamps are of now"
+    )
+    clock_hz: float = Field(40.0, gt=0, le=1000, description="rate of /clock, beside the times of the frames")
     map_full_s: float = Field(10.0, gt=0, description="seconds between whole maps; in between come updates")
     linger_s: float = Field(0.0, ge=0, le=86400, description="stay after the end, for those who come late")
     reliable: bool = Field(False, description="frames and profiles reliable instead of best effort")

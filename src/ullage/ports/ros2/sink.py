@@ -1,4 +1,4 @@
-"""What flows, as ROS 2 topics: `--to ros2:`."""
+"""Publish what a run gives as ROS 2 topics: `--to ros2:`."""
 
 from __future__ import annotations
 
@@ -6,27 +6,32 @@ import queue
 import threading
 import time
 import warnings
+from collections.abc import Mapping
 from typing import Self
 
+from ullage.data import Frames, sensors_of
 from ullage.errors import InputError, UllageWarning
+from ullage.ports import encode
 from ullage.ports import messages as ros
-from ullage.ports.pace import LATE_S, Pace
+from ullage.ports.pace import LATE_S, Pace, StampOrder
 from ullage.ports.protocol import Item
-from ullage.ports.ros2 import encode
+from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
-from ullage.ports.ros2.outgoing import Note, Outgoing
 
 AHEAD_S = 2.0
-"""How far the maker of frames may run ahead of what was published [s of stream]."""
-NOW_S = 86400.0
-"""Stamps nearer to the present than this [s] are a real clock's, which needs no /clock."""
+"""How far the source may run ahead of what was published [s of stream]; at least two of its pieces."""
 SETTLE_S = 0.5
-"""Between finding a listener and its having found every topic [s]."""
+"""Between finding a subscriber and its having found every topic [s]."""
+STEP_S = 0.02
+"""Longest sleep [s], so that closing does not wait."""
 
 
 class Ros2Sink:
     """Publishes everything that flows, at the pace of its own clock, from a thread of its own.
+
+    Messages leave in the order of their stamps: those of a piece of frames wait until what was made of the piece, such
+    as detections, is there too. A stream of the present is sent as it comes, and so is any stream with pace=0.
 
     Args:
         namespace: of the topics.
@@ -34,24 +39,26 @@ class Ros2Sink:
         peer: the node to use; None: one of its own.
 
     Raises:
-        InputError: the namespace is none.
+        InputError: the namespace or a remapping is none.
         MissingExtra: there is no rclpy.
     """
 
     def __init__(self, namespace: str, options: SinkOptions, *, peer: Peer | None = None) -> None:
         self._options = options
         self._peer = peer or Peer(namespace, options)
-        self._outgoing = Outgoing(map_full_s=options.map_full_s)
-        self._notes: queue.Queue[Note | None] = queue.Queue()
+        self._peer.spin()
+        clock = Clock({"on": True, "off": False}.get(options.clock), rate_hz=options.clock_hz)
+        self._publisher = Publisher(map_full_s=options.map_full_s, frame_prefix=options.frame_prefix, clock=clock)
+        self._order: StampOrder[Message] = StampOrder(in_order)
         self._pace = Pace(options.pace)
-        self._clock: bool | None = {"on": True, "off": False}.get(options.clock)
-        self._clock_ns = -1
-        self._spoken_ns: int | None = None
-        self._spoken = threading.Condition()
+        self._at_once: bool | None = None if options.pace else True  # None: the first frames will tell
+        self._messages: queue.Queue[Message | None] = queue.Queue()
+        self._sent_ns: int | None = None
+        self._progress = threading.Condition()
         self._error: BaseException | None = None
-        self._map_listeners, self._sent, self._late_s, self._told_s = 0, 0, 0.0, time.monotonic()
+        self._map_subscribers, self._sent, self._late_s, self._reported_s = 0, 0, 0.0, time.monotonic()
         self._closing = threading.Event()
-        self._thread: threading.Thread | None = threading.Thread(target=self._speak, name="ullage ros2", daemon=True)
+        self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage ros2", daemon=True)
         self._thread.start()
 
     def write(self, item: Item) -> None:
@@ -62,88 +69,89 @@ class Ros2Sink:
         """
         if self._thread is None:
             raise InputError("the sink is closed", where="ros2:")
-        self._put(self._outgoing.notes(item))
+        found = self._publisher.messages(item)
+        parts = sensors_of(item) if isinstance(item, Frames | Mapping) else []
+        if self._at_once is None and parts:
+            self._at_once = is_present(min(int(part.t_ns[0]) for part in parts))
+        if self._at_once or (found and found[0].quality == "relayed"):  # what is passed on has no pace
+            self._put(found)
+            return
+        if parts:
+            first, last = min(int(part.t_ns[0]) for part in parts), max(int(part.t_ns[-1]) for part in parts)
+            self._put(self._order.begin_piece(first, last))
+        self._order.hold(found)
 
-    def _put(self, notes: list[Note]) -> None:
-        for note in notes:
-            self._notes.put(note)
-        if notes and notes[-1].quality != "relayed":
-            with self._spoken:
-                self._spoken.wait_for(lambda: self._near(notes[-1].t_ns))
+    def _put(self, messages: list[Message]) -> None:
+        for message in messages:
+            self._messages.put(message)
+        if messages and messages[-1].quality != "relayed":
+            with self._progress:
+                self._progress.wait_for(lambda: self._near(messages[-1].t_ns))
         if self._error is not None:
             raise self._error
 
     def _near(self, t_ns: int) -> bool:
-        spoken = self._spoken_ns
-        return self._error is not None or (spoken is not None and t_ns - spoken <= AHEAD_S * 1e9)
+        ahead_s = max(AHEAD_S, 2 * self._order.longest_s)
+        sent = self._sent_ns
+        return self._error is not None or (sent is not None and t_ns - sent <= ahead_s * 1e9)
 
-    def _speak(self) -> None:
+    def _run(self) -> None:
         try:
-            self._await_listeners()
-            while (note := self._notes.get()) is not None:
-                if note.quality == "relayed":  # has no pace of its own
-                    self._sent += self._peer.send(note)
+            self._await_subscribers()
+            while (message := self._messages.get()) is not None:
+                if message.quality == "relayed":
+                    self._sent += self._peer.send(message)
                     continue
-                self._wait(note.t_ns)
-                self._tick(note.t_ns)
-                self._sent += self._peer.send(note, reliable=self._options.reliable or None)
-                self._look_around(note.t_ns)
-                with self._spoken:
-                    self._spoken_ns = note.t_ns
-                    self._spoken.notify_all()
+                self._wait(message.t_ns)
+                self._sent += self._peer.send(message, reliable=self._options.reliable or None)
+                self._report(message.t_ns)
+                with self._progress:
+                    self._sent_ns = message.t_ns
+                    self._progress.notify_all()
         except BaseException as error:
-            with self._spoken:
+            with self._progress:
                 self._error = error
-                self._spoken.notify_all()
+                self._progress.notify_all()
 
-    def _await_listeners(self) -> None:
+    def _await_subscribers(self) -> None:
         """As `ros2 topic pub --wait-matching-subscriptions`; who subscribes to /tf subscribes to the rest with it."""
         wanted = self._options.listeners
         if not wanted:
             return
         self._peer.publisher("/tf", ros.TRANSFORMS, "transforms")
         self._peer.publisher("map", ros.GRID, "latched")
-        said = time.monotonic()
+        reported = time.monotonic()
         while (found := self._peer.listeners("/tf")) < wanted and not self._closing.wait(0.05):
-            if time.monotonic() - said > 10.0:
+            if time.monotonic() - reported > 10.0:
                 warnings.warn(f"waiting for subscribers of /tf: {found} of {wanted}", UllageWarning, stacklevel=2)
-                said = time.monotonic()
+                reported = time.monotonic()
         self._closing.wait(SETTLE_S)
-        self._map_listeners = self._peer.listeners("map")  # they are no newcomers: the first map goes to them whole
+        self._map_subscribers = self._peer.listeners("map")  # not new: the first map goes to them whole
 
     def _wait(self, t_ns: int) -> None:
-        """Until the stamp is due; meanwhile the clock goes on."""
-        step = 1 / self._options.clock_hz
+        """Until the stamp is due."""
+        if self._at_once:
+            return
         due = self._pace.due_s(t_ns, time.monotonic())
-        while (left := due - (now := time.monotonic())) > 0:
-            stamp = self._pace.stamp_at(now)
-            if stamp is not None and self._spoken_ns is not None and stamp < t_ns:
-                self._tick(stamp)
-            time.sleep(min(left, step))
+        while (left := due - time.monotonic()) > 0:
+            time.sleep(min(left, STEP_S))
         self._late_s = max(self._late_s, -left)
 
-    def _tick(self, t_ns: int) -> None:
-        if self._clock is None:
-            self._clock = abs(time.time() - t_ns * 1e-9) > NOW_S
-        if self._clock and t_ns != self._clock_ns:
-            self._clock_ns = t_ns
-            self._peer.send(Note(t_ns, "/clock", encode.CLOCK, "stream", encode.clock_note(t_ns)))
-
-    def _look_around(self, t_ns: int) -> None:
-        """Once a second: who came, and how it goes."""
+    def _report(self, t_ns: int) -> None:
+        """Once a second: new subscribers of the map, and diagnostics."""
         now = time.monotonic()
-        if now - self._told_s < 1.0:
+        if now - self._reported_s < 1.0:
             return
-        listeners = self._peer.listeners("map")
-        self._outgoing.changes.wanted |= listeners > self._map_listeners
-        self._map_listeners = listeners
-        late, rate = self._late_s, self._sent / (now - self._told_s)
+        subscribers = self._peer.listeners("map")
+        self._publisher.map_changes.wanted |= subscribers > self._map_subscribers
+        self._map_subscribers = subscribers
+        late, rate = self._late_s, self._sent / (now - self._reported_s)
         text = "publishing" if late < LATE_S else f"{late:.1f} s behind its pace"
         values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
-        values += [("waiting messages", str(self._notes.qsize()))]
+        values += [("waiting messages", str(self._messages.qsize()))]
         data = encode.diagnostics_note(t_ns, int(late >= LATE_S), f"{self._options.node}: sink", text, values)
-        self._peer.send(Note(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
-        self._sent, self._late_s, self._told_s = 0, 0.0, now
+        self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
+        self._sent, self._late_s, self._reported_s = 0, 0.0, now
 
     def close(self) -> None:
         """Publish what waits, stay as long as asked for, and leave."""
@@ -152,9 +160,10 @@ class Ros2Sink:
             return
         self._closing.set()
         try:
-            for note in self._outgoing.rest():
-                self._notes.put(note)
-            self._notes.put(None)
+            self._order.hold(self._publisher.finish())
+            for message in self._order.finish():
+                self._messages.put(message)
+            self._messages.put(None)
             thread.join()
             self._peer.settle(1.0)
             time.sleep(self._options.linger_s)

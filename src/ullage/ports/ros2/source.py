@@ -10,13 +10,13 @@ from typing import Any, Self
 
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
+from ullage.ports import encode
 from ullage.ports import messages as ros
 from ullage.ports.protocol import Passed, Passing, one_or_all
-from ullage.ports.ros2 import encode
+from ullage.ports.publisher import Message
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.middleware import Peer, Say, tell
 from ullage.ports.ros2.options import SourceOptions
-from ullage.ports.ros2.outgoing import Note
 from ullage.world.scene import Scene
 
 LOOK_S = 0.5
@@ -229,7 +229,7 @@ class Ros2Source:
         values += [(name, str(count)) for name, count in sorted(self._incoming.count.items())]
         t_ns = time.time_ns()
         data = encode.diagnostics_note(t_ns, level, f"{self._options.node}: source", text, values)
-        self._peer.send(Note(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
+        self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
 
     def _tell(self, text: str) -> None:
         """Say it, but the same no more often than every few seconds."""

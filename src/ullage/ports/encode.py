@@ -1,4 +1,4 @@
-"""Messages that only live ROS 2 needs, as CDR: what recordings hold besides is in `ports.conversions`."""
+"""ROS 2 messages that ullage only writes, as CDR; those that it reads back are in `ports.conversions`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ullage.data import Detections, Floats, Frames, Trajectory
 from ullage.geometry import matrix_quat
 from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
+from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.conversions import WORLD
 
@@ -33,15 +34,20 @@ def range_layout(frame_id: bytes) -> ros.Layout:
     )  # fmt: skip
 
 
-def range_notes(frames: Frames, found: Detections) -> list[bytes]:
+def range_notes(frames: Frames, found: Detections, *, frame_id: str = "") -> list[bytes]:
     """Range of the nearest detection in each frame; +inf where there is none (REP-117).
 
     ROS knows ultrasound and infrared only; the field of view is the antenna's.
+
+    Args:
+        frames: n frames of one sensor.
+        found: the detections in them.
+        frame_id: of the sensor; empty: its name.
     """
     nearest = np.full(len(frames), np.inf, np.float32)
     np.minimum.at(nearest, found.frame, found.range_m.astype(np.float32))
     step = float(frames.range_m[-1] - frames.range_m[0]) / max(len(frames.range_m) - 1, 1)
-    return range_layout(frames.sensor.encode()).fill(
+    return range_layout((frame_id or frames.sensor).encode()).fill(
         len(frames),
         **ros.stamps(frames.t_ns),
         fov=np.radians(frames.spec.thesis.fov_deg),
@@ -101,9 +107,7 @@ def cubes_note(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
     colours = np.stack([share, 0.4 + 0 * share, 1 - share, 1 + 0 * share], axis=1)
     point, colour = (ros.typestore().types[name] for name in ("geometry_msgs/msg/Point", "std_msgs/msg/ColorRGBA"))
     step = omap.grid.step_m
-    from ullage.ports.conversions import marker
-
-    shown = marker(
+    shown = conversions.marker(
         t_ns, "map", 6, 0, [point(*p) for p in places.tolist()], (step, step, step), colour(0.5, 0.5, 0.5, 1.0),
         [colour(*c) for c in colours.tolist()],
     )  # fmt: skip

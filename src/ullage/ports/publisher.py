@@ -1,0 +1,354 @@
+"""What a run gives, as ROS 2 messages with topics and times: one list for recordings and for live topics.
+
+No middleware is needed here. `ports.bag` writes the messages to an MCAP file, `ports.ros2` sends them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Detections, Floats, Frames, Trajectory, sensors_of, strung
+from ullage.geometry import invert
+from ullage.grids import Image, OccupancyMap
+from ullage.ports import conversions, encode
+from ullage.ports import messages as ros
+from ullage.ports.conversions import BODY, WORLD
+from ullage.ports.messages import topic_name
+from ullage.ports.pace import LEAP_S, STEP_BACK_S
+from ullage.ports.protocol import Item, Passed
+from ullage.world.scene import Scene
+
+ODOM = "odom"
+Quality = Literal["sensor", "stream", "transforms", "latched", "relayed"]
+"""How a topic is sent: best effort; reliable; reliable and deep; reliable and kept for late subscribers; deeper."""
+Role = Literal["believed", "truth"]
+PATH_STEP_M, PATH_POINTS = 0.05, 4000
+PATH_POINTS_PER_S = 100
+"""The path is published so rarely that it costs no more points a second than this, and at most once a second."""
+PRESENT_S = 60.0
+"""Stamps nearer to the present than this [s] come from a real clock."""
+
+
+class Message(NamedTuple):
+    """One message."""
+
+    t_ns: int
+    topic: str  # without the namespace, unless it begins with /
+    kind: str  # `package/msg/Name`
+    quality: Quality
+    data: bytes  # CDR
+
+
+def in_order(message: Message) -> tuple[int, bool]:
+    """Sort by time, the clock before the messages of its time."""
+    return message.t_ns, message.topic != "/clock"
+
+
+def stamps_of(parts: list[Frames]) -> list[int]:
+    """Every time of some frames, once, in order [ns]."""
+    times: list[int] = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
+    return times
+
+
+def is_present(t_ns: int) -> bool:
+    """Whether a stamp is of the present: such a stream needs no /clock, and nothing waits for its stamps."""
+    return abs(time.time() - t_ns * 1e-9) < PRESENT_S
+
+
+class Clock:
+    """Gives /clock: evenly, and at the stamp of each frame.
+
+    It falls only where the stamps step back by more than `STEP_BACK_S`, as where a recording starts over.
+
+    Args:
+        wanted: whether there is a /clock; None: where the stamps are not of the present.
+        rate_hz: messages a second of stream beside those of the frames; 40 as by `ros2 bag play --clock`.
+    """
+
+    def __init__(self, wanted: bool | None = None, *, rate_hz: float = 40.0) -> None:
+        self._wanted, self._step_ns = wanted, round(1e9 / rate_hz)
+        self._origin_ns = 0
+        self._last_ns: int | None = None
+
+    def until(self, t_ns: int) -> list[Message]:
+        """The clock's messages from the last stamp to this one; none where this one came late."""
+        if self._wanted is None:
+            self._wanted = not is_present(t_ns)
+        if not self._wanted:
+            return []
+        last_ns = self._last_ns
+        if last_ns is None or t_ns < last_ns - STEP_BACK_S * 1e9 or t_ns > last_ns + LEAP_S * 1e9:
+            times = []
+            self._origin_ns = t_ns
+        elif t_ns <= last_ns:
+            return []
+        else:
+            first = (last_ns - self._origin_ns) // self._step_ns + 1
+            times = list(range(self._origin_ns + first * self._step_ns, t_ns, self._step_ns))
+        self._last_ns = t_ns
+        return [Message(at, "/clock", encode.CLOCK, "stream", encode.clock_note(at)) for at in [*times, t_ns]]
+
+
+@dataclass
+class MapChanges:
+    """Gives a plane map whole now and then, and in between the box of cells that changed."""
+
+    full_ns: int  # whole maps at least this often
+    last: OccupancyMap | None = None
+    sent_ns: int = 0
+    wanted: bool = False  # a new subscriber: the next map is whole
+
+    def messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
+        """The map whole, or the box of what changed; nothing where nothing did."""
+        cells, before = encode.known_percent(omap), self.last
+        box = None if before is None or before.grid != omap.grid else changed(encode.known_percent(before), cells)
+        due = t_ns - self.sent_ns >= self.full_ns or t_ns < self.sent_ns or self.wanted
+        self.last = omap
+        if box is None or due or 2 * (box[1] - box[0]) * (box[3] - box[2]) > cells.size:
+            self.sent_ns, self.wanted = t_ns, False
+            yield Message(t_ns, "map", ros.GRID, "latched", conversions.grid_note(omap, t_ns))
+            yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_note(omap, t_ns))
+        elif box[1] > box[0]:
+            y0, y1, x0, x1 = box
+            update = encode.update_note(t_ns, x0, y0, cells[y0:y1, x0:x1])
+            yield Message(t_ns, "map_updates", ros.UPDATE, "stream", update)
+
+
+def changed(before: NDArray[np.int8], now: NDArray[np.int8]) -> tuple[int, int, int, int]:
+    """Rows from and to, columns from and to, that hold all differences; empty where there are none."""
+    differ = before != now
+    rows, columns = np.flatnonzero(differ.any(axis=1)), np.flatnonzero(differ.any(axis=0))
+    if not rows.size:
+        return 0, 0, 0, 0
+    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+
+
+class PathFlown:
+    """The body's path, thinned; where it grows too long every second point goes."""
+
+    def __init__(self) -> None:
+        self._points: list[Trajectory] = []
+        self._step_m = PATH_STEP_M
+        self._sent_ns: int | None = None
+
+    def add(self, path: Trajectory) -> None:
+        """Add what was flown since."""
+        for row in range(len(path)):
+            last = self._points[-1] if self._points else None
+            if last is not None and path.t_ns[row] <= last.t_ns[0]:  # the clock stepped back: a new flight
+                self._points, last, self._step_m = [], None, PATH_STEP_M
+            if last is None or np.linalg.norm(path.position[row] - last.position[0]) >= self._step_m:
+                self._points.append(path[row : row + 1])
+        if len(self._points) > PATH_POINTS:
+            self._points, self._step_m = self._points[::2], 2 * self._step_m
+
+    def messages(self, t_ns: int, *, final: bool = False) -> Iterator[Message]:
+        """The path, where it is due."""
+        wait_s = max(1.0, len(self._points) / PATH_POINTS_PER_S)
+        due = self._sent_ns is None or abs(t_ns - self._sent_ns) >= wait_s * 1e9 or final
+        if due and t_ns != self._sent_ns and self._points and (flown := strung(self._points)) is not None:
+            self._sent_ns = t_ns
+            yield Message(t_ns, "path", encode.PATH, "latched", encode.path_note(flown))
+
+
+class Publisher:
+    """Turns items into messages, and remembers what the next ones need.
+
+    Frames of reference follow REP-105: map, odom, base_link, then each sensor by its name. map and odom are one, since
+    the poses that frames carry are already believed in the map.
+
+    Args:
+        map_full_s: seconds between whole maps.
+        frame_prefix: goes before the names of all frames of reference but map, as for one of several drones.
+        profile: also give each profile as a PointCloud2, which viewers show without knowing ullage.
+        clock: gives /clock with the frames.
+    """
+
+    def __init__(
+        self, *, map_full_s: float = 10.0, frame_prefix: str = "", profile: bool = True, clock: Clock | None = None
+    ) -> None:
+        self._clock = clock or Clock()
+        self.map_changes = MapChanges(round(map_full_s * 1e9))
+        self._prefix, self._profile = frame_prefix, profile
+        self._odom, self._body = frame_prefix + ODOM, frame_prefix + BODY
+        self._fixed: dict[tuple[str, str], Floats] = {(WORLD, self._odom): np.eye(4)}
+        self._settings: dict[str, tuple[object, ...]] = {}
+        self._counts: dict[str, int] = {}
+        self._roles: set[Role] = set()  # of paths of the body that were handed in as such
+        self._path = PathFlown()
+        self._volume: OccupancyMap | None = None
+        self._volume_ns: int | None = None
+        self._last_ns = 0
+        self._waiting: list[tuple[Item, Role]] = []  # items without a time of their own, until frames come
+        self._begun = False
+
+    def messages(self, item: Item, *, role: Role = "believed") -> list[Message]:
+        """Messages of one item, in order of their stamps.
+
+        Args:
+            item: frames, detections, a map, an image, the scene, or the body's path.
+            role: what a path is.
+        """
+        if isinstance(item, Passed):
+            return [Message(item.t_ns, item.topic, item.kind, "relayed", item.data)]
+        if isinstance(item, Frames | Mapping):
+            parts = sensors_of(item)
+            found = self._of_frames(parts)
+            found += [tick for t_ns in stamps_of(parts) for tick in self._clock.until(t_ns)]
+        elif isinstance(item, Trajectory):
+            self._roles.add(role)
+            found = self._begin(int(item.t_ns[0])) + list(self._of_body(item, role))
+        elif not self._begun:
+            self._waiting.append((item, role))
+            return []
+        else:
+            found = list(self._of_other(item))
+        return sorted(found, key=in_order)
+
+    def finish(self) -> list[Message]:
+        """What still waits for a time, at the end; and the map and path as they are then."""
+        out = self._begin(self._last_ns)
+        changes = self.map_changes
+        if changes.last is not None and changes.sent_ns != self._last_ns:
+            changes.wanted = True
+            out += changes.messages(changes.last, self._last_ns)
+        if self._volume is not None and self._volume_ns != self._last_ns:
+            out += self._whole_volume(self._volume, self._last_ns)
+        return [*out, *self._path.messages(self._last_ns, final=True)]
+
+    def _begin(self, t_ns: int) -> list[Message]:
+        """Give what waited for a first stamp."""
+        if self._begun:
+            return []
+        self._last_ns, self._begun = t_ns, True
+        early, self._waiting = self._waiting, []
+        return [message for item, _ in early for message in self._of_other(item)]
+
+    def _of_frames(self, parts: list[Frames]) -> list[Message]:
+        first_ns = min(int(part.t_ns[0]) for part in parts)
+        out = list(self._fixed_messages(parts, first_ns))
+        out += self._begin(first_ns)
+        for part in parts:
+            out += self._of_radar(part)
+            self._last_ns = max(self._last_ns, int(part.t_ns[-1]))
+        for role in ("believed", "truth"):
+            paths = [(part, part.poses if role == "believed" else part.truth) for part in parts]
+            body = merged([body_path(part, path) for part, path in paths if path is not None])
+            if body is not None and role not in self._roles:
+                out += self._of_body(body, role)
+        return out
+
+    def _fixed_messages(self, parts: list[Frames], t_ns: int) -> Iterator[Message]:
+        mounts = {
+            (self._body, self._prefix + part.sensor): part.spec.mount.body_from_sensor() for part in parts
+        }  # fmt: skip
+        same = all(key in self._fixed and np.array_equal(self._fixed[key], value) for key, value in mounts.items())
+        if self._begun and same:
+            return
+        self._fixed |= mounts
+        yield Message(t_ns, "/tf_static", ros.TRANSFORMS, "latched", encode.fixed_note(t_ns, self._fixed))
+
+    def _of_radar(self, frames: Frames) -> Iterator[Message]:
+        from ullage.processing.detect import detect
+
+        topic, frame_id = f"radar/{topic_name(frames.sensor)}", self._prefix + frames.sensor
+        yield from self._settings_messages(frames, topic, frame_id)
+        start = self._counts.get(topic, 0)
+        self._counts[topic] = start + len(frames)
+        found = [
+            ("frame", ros.FRAME, conversions.frame_notes(frames, start, frame_id=frame_id)),
+            ("range", encode.RANGE, encode.range_notes(frames, detect(frames), frame_id=frame_id)),
+        ]
+        if self._profile:
+            found.append(("profile", ros.CLOUD, conversions.profile_notes(frames, frame_id=frame_id)))
+        for name, kind, notes in found:
+            for t_ns, note in zip(frames.t_ns.tolist(), notes, strict=True):
+                yield Message(t_ns, f"{topic}/{name}", kind, "sensor", note)
+
+    def _settings_messages(self, frames: Frames, topic: str, frame_id: str) -> Iterator[Message]:
+        """Settings and track of a radar, where they are new."""
+        known = (frames.spec, frames.unit, frames.calibration, frames.range_m.tobytes())
+        before, t_ns = self._settings.get(topic, (None, None)), int(frames.t_ns[0])
+        if before[0] != known:
+            note = conversions.settings_note(frames, frame_id=frame_id)
+            yield Message(t_ns, f"{topic}/settings", ros.SETTINGS, "latched", note)
+        if frames.track is not None and before[1] is not frames.track:
+            note = conversions.track_note(frames.track, frames.sensor, t_ns)
+            yield Message(t_ns, f"{topic}/track", ros.TRACK, "latched", note)
+        self._settings[topic] = (known, frames.track)
+
+    def _of_body(self, body: Trajectory, role: Role) -> Iterator[Message]:
+        """Odometry of the body; of what is believed also its transforms and its path."""
+        parent, topic = (self._odom, "odom") if role == "believed" else (WORLD, "truth/odom")
+        for t_ns, note in _timed(body, conversions.odometry_notes(body, parent=parent, child=self._body)):
+            yield Message(t_ns, topic, ros.ODOMETRY, "stream", note)
+        if role != "believed":
+            return
+        for t_ns, note in _timed(body, conversions.transform_notes({self._body: body}, parent=self._odom)):
+            yield Message(t_ns, "/tf", ros.TRANSFORMS, "transforms", note)
+        self._path.add(body)
+        yield from self._path.messages(int(body.t_ns[-1]))
+
+    def _of_other(self, item: Item) -> Iterator[Message]:
+        t_ns = self._last_ns
+        if isinstance(item, OccupancyMap) and item.grid.dims == 2:
+            yield from self.map_changes.messages(item, t_ns)
+        elif isinstance(item, OccupancyMap):
+            yield from self._volume_messages(item, t_ns)
+        elif isinstance(item, Detections):
+            topic = f"radar/{topic_name(item.sensor)}/detections"
+            for at, data in conversions.detection_notes(item):
+                yield Message(at, topic, ros.CLOUD, "sensor", data)
+        elif isinstance(item, Scene):
+            yield Message(t_ns, "world", ros.MARKERS, "latched", conversions.scene_note(item, t_ns))
+        elif isinstance(item, Image):
+            grey, exact = encode.picture_notes(item, t_ns)
+            yield Message(t_ns, "image", encode.PICTURE, "latched", grey)
+            yield Message(t_ns, "image/amplitude", encode.PICTURE, "latched", exact)
+
+    def _volume_messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
+        """A volume's occupied cells; the cells without loss and the cubes as often as whole maps."""
+        self._volume = omap
+        if self._volume_ns is None or abs(t_ns - self._volume_ns) >= self.map_changes.full_ns:
+            yield from self._whole_volume(omap, t_ns)
+        else:
+            yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_note(omap, t_ns))
+
+    def _whole_volume(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
+        self._volume_ns = t_ns
+        yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_note(omap, t_ns))
+        yield Message(t_ns, "map/cubes", ros.MARKERS, "latched", encode.cubes_note(omap, t_ns))
+        yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_note(omap, t_ns))
+
+
+def body_path(frames: Frames, path: Trajectory) -> Trajectory:
+    """The body's path from that of a sensor on it."""
+    return path.mounted(invert(frames.spec.mount.body_from_sensor()))
+
+
+def merged(paths: list[Trajectory]) -> Trajectory | None:
+    """Paths of one body by several sensors, each time once."""
+    if len(paths) < 2 or all(np.array_equal(path.t_ns, paths[0].t_ns) for path in paths):
+        return paths[0] if paths else None
+    t_ns, row = np.unique(np.concatenate([path.t_ns for path in paths]), return_index=True)
+    columns = np.concatenate([conversions.state_columns(path) for path in paths])[row]
+    return conversions.path_of(t_ns, columns)
+
+
+def _timed(path: Trajectory, notes: list[bytes]) -> Iterator[tuple[int, bytes]]:
+    return zip(path.t_ns.tolist(), notes, strict=True)
+
+
+def shifted(frames: Frames, by_ns: int) -> Frames:
+    """The same frames at other times."""
+    if not by_ns:
+        return frames
+    t_ns = frames.t_ns + by_ns
+    poses, truth = (None if p is None else replace(p, t_ns=t_ns) for p in (frames.poses, frames.truth))
+    return replace(frames, t_ns=t_ns, poses=poses, truth=truth)
