@@ -102,6 +102,7 @@ def run(
     trust_xacro: Trust = False,
 ) -> None:
     """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
+    repair(source)
     from ullage.experiments.runner import execute
     from ullage.experiments.targets import make_run, record, tasks_of
     from ullage.pipeline import check_sink
@@ -118,6 +119,16 @@ def run(
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
         report = execute(job, sinks=[recording], progress=tell, say=tell.say, under_way=under_way)
     _tell(report)
+
+
+def repair(source: str) -> bool:
+    """Finish a recording that a kill left unfinished; whether there was one."""
+    from ullage.ports.repair import repair_bag
+    from ullage.view.progress import say
+
+    if done := repair_bag(source):
+        say(done)
+    return bool(done)
 
 
 def warm_up(source: str, options: list[str]) -> Compiling | None:
@@ -389,11 +400,20 @@ def _tabulate(done: Sweep, metrics: list[str]) -> None:
 
 
 @app.command()
-def doctor() -> None:
-    """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong."""
+def doctor(
+    bag: Annotated[str, typer.Argument(help="Recording to repair: a run's or rosbag2 folder that a kill left.")] = "",
+) -> None:
+    """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong. Or repair a BAG."""
+    from ullage.errors import InputError
     from ullage.experiments.doctor import checks
     from ullage.view.progress import say
 
+    if bag:
+        if not Path(bag).exists():
+            raise InputError("no such file or folder", where=bag, allowed="a recording, or its folder")
+        if not repair(bag):
+            say(f"{bag}: nothing to repair")
+        return
     sound = True
     for check in checks():
         sound &= check.sound or check.optional

@@ -194,7 +194,7 @@ def test_maps_as_ros_has_them(tmp_path: Path) -> None:
 
 def test_clock_that_jumps_back_keeps_every_frame(tmp_path: Path, frames: ul.Frames) -> None:
     path = record(tmp_path / "a.mcap", frames[:30], replace(frames, poses=None, truth=None)[:25])
-    with pytest.warns(ul.UllageWarning, match="clock jumps back"):
+    with pytest.warns(ul.UllageWarning, match="time jumped back"):
         parts = list(ul.open(path).stream(10))
     t_ns = np.concatenate([part["front"].t_ns for part in parts])
     assert len(t_ns) == 55
@@ -232,6 +232,24 @@ def test_unwritable_places_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ul.InputError, match="cannot write"):
         ul.sink(tmp_path / "file" / "a.mcap")
+
+
+def test_a_damaged_message_costs_only_itself(tmp_path: Path, frames: ul.Frames) -> None:
+    notes = conversions.frame_notes(frames, 0)
+    size = ros.frame_layout(b"front", b"front", 48).dtype.fields["believed"][1]  # type: ignore[index]
+    notes[7] = notes[7][: size + 24] + bytes(32) + notes[7][size + 56 :]  # a quaternion of length 0
+    notes[20] = notes[20][:4] + (10**9).to_bytes(4, "little") + notes[20][8:]  # a stamp of another year
+    path = tmp_path / "a.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        for kind, data in [(ros.SETTINGS, conversions.settings_note(frames)), *((ros.FRAME, n) for n in notes)]:
+            schema = writer.register_schema(kind, "ros2msg", ros.schema_text(kind).encode())
+            writer.add_message(writer.register_channel(f"/{kind}", "cdr", schema), 0, data, 0)
+        writer.finish()
+    with pytest.warns(ul.UllageWarning, match=r"a\.mcap: front: dropped 2 bad"):
+        got = ul.open(path).frames()
+    assert_same(got, frames[np.delete(np.arange(len(frames)), [7, 20])])
 
 
 def test_times_that_ros_cannot_say_are_refused(tmp_path: Path, frames: ul.Frames) -> None:

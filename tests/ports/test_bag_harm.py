@@ -23,10 +23,12 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
+from rosbags.highlevel import AnyReader, AnyReaderError
 
 import ullage as ul
 from ullage.ports import Sink
 from ullage.ports.bag import McapSink
+from ullage.ports.repair import repair_bag
 
 
 def record(path: Path, *items: object) -> Path:
@@ -83,6 +85,35 @@ def test_killed_recording_is_readable_to_the_last_second(tmp_path: Path) -> None
                 if isinstance(found, Message) and len(found.data) > 400:
                     index += 1
     assert index + 1 >= len(got)
+
+
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+def test_a_killed_bag_gets_its_index_and_its_metadata_back(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    process, _ = writing(folder / "frames.mcap")
+    assert repair_bag(folder) == ""  # its writer lives
+    assert not (folder / "metadata.yaml").exists()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    before = ul.open(folder).frames()
+    with pytest.raises((AnyReaderError, FileNotFoundError)):
+        AnyReader([folder])
+    said = repair_bag(folder)
+    assert "has its index and metadata.yaml now" in said
+    assert "\n" not in said
+    with AnyReader([folder]) as reader:
+        assert reader.message_count == sum(1 for _ in reader.messages())
+        assert reader.message_count > 2 * len(before)
+        assert {c.topic for c in reader.connections} >= {"/radar/front/frame", "/clock", "/tf_static"}
+    with (folder / "frames.mcap").open("rb") as file:
+        assert make_reader(file, validate_crcs=True).get_summary() is not None
+    assert_same(ul.open(folder).frames(), before)
+    assert repair_bag(folder) == ""
+    (folder / "metadata.yaml").unlink()
+    bits = (folder / "frames.mcap").read_bytes()
+    assert "it has metadata.yaml now" in repair_bag(folder / "frames.mcap")
+    assert (folder / "frames.mcap").read_bytes() == bits
+    assert sorted(file.name for file in folder.iterdir()) == ["frames.mcap", "metadata.yaml"]
 
 
 @pytest.fixture

@@ -5,12 +5,13 @@ What is written follows the data's clock: a chunk goes to the file at least ever
 
 from __future__ import annotations
 
+import fcntl
 import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -49,10 +50,12 @@ CHUNK_BYTES = 4 << 20
 
 
 class Drain:
-    """A file that is written at once and remembers what arrived whole."""
+    """A file that is written at once, remembers what arrived whole, and is locked while its writer lives."""
 
     def __init__(self, path: Path) -> None:
         self._raw = open(path, "wb", buffering=0)  # noqa: SIM115 (closed by close)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.size = self.whole = 0
 
     def write(self, data: bytes) -> int:

@@ -106,6 +106,15 @@ def text_in(data: bytes, index: int) -> str:
     return data[at + 4 : at + 3 + size].decode()
 
 
+def index_in(data: bytes) -> int:
+    """The number of a RadarFrame, which follows its two strings."""
+    at = 12
+    for _ in range(2):
+        at += 4 + int.from_bytes(data[at : at + 4], "little")
+        at += -at % 4
+    return int.from_bytes(data[at : at + 4], "little")
+
+
 def settings_note(frames: Frames, *, frame_id: str = "") -> bytes:
     """RadarSettings of these frames; an empty `frame_id` is the sensor's name."""
     calibration = "" if frames.calibration is None else json.dumps(asdict(frames.calibration))

@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Frames, Trajectory, gathered
+from ullage.data import Frames, Trajectory, gathered, joined
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.protocol import mend_clock, one_or_all
+from ullage.ports.intake import Clock, Counters, Stamped, Stream
+from ullage.ports.protocol import one_or_all
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -29,10 +30,9 @@ MAGIC = b"\x89MCAP0\r\n"
 class Waiting:
     """Messages of one sensor that are to become Frames, and what holds for them."""
 
+    stream: Stream[bytes]
     settings: dict[str, Any] = field(default_factory=dict)
-    notes: list[bytes] = field(default_factory=list)
-    last_ns: int | None = None
-    shift_ns: int = 0  # added since the clock jumped back
+    notes: list[Stamped[bytes]] = field(default_factory=list)
 
 
 class McapSource:
@@ -82,37 +82,58 @@ class McapSource:
         Raises:
             InputError: what was recorded makes no frames.
         """
+        counters = Counters(self._warn)
         waiting: dict[str, Waiting] = {}
         for kind, data in self._messages(ros.FRAME, ros.SETTINGS, ros.TRACK):
-            mine = waiting.setdefault(conversions.text_in(data, 1), Waiting())
-            full = len(mine.notes) >= chunk or (mine.notes and len(mine.notes[0]) != len(data))
+            mine = self._sensor(data, waiting, counters)
+            if mine is None:
+                continue
+            full = len(mine.notes) >= chunk or (mine.notes and len(mine.notes[0].item) != len(data))
             if mine.notes and (full or kind != ros.FRAME):
-                yield self._made(waiting)
+                yield from self._made(waiting, counters)
             if kind == ros.FRAME:
-                mine.notes.append(data)
-            elif kind == ros.SETTINGS:
-                mine.settings = {**mine.settings, **conversions.settings_of(data)}
+                mine.notes += mine.stream.take(int(conversions.times_in([data])[0]), data)
             else:
-                mine.settings["track"] = conversions.track_of(data)
-        if any(mine.notes for mine in waiting.values()):
-            yield self._made(waiting)
+                self._set(mine, kind, data, counters)
+        for mine in waiting.values():
+            mine.stream.finish()
+        yield from self._made(waiting, counters)
+        for line in counters.lines():
+            self._warn(line)
 
-    def _made(self, waiting: dict[str, Waiting]) -> dict[str, Frames]:
+    def _warn(self, text: str) -> None:
+        warnings.warn(f"{self.path}: {text}", UllageWarning, stacklevel=3)
+
+    def _sensor(self, data: bytes, waiting: dict[str, Waiting], counters: Counters) -> Waiting | None:
+        """What waits of the sensor that a message names; None where it cannot be read."""
+        try:
+            name = conversions.text_in(data, 1)
+        except ValueError:  # no text
+            counters.drop("messages", "bad", "they name no sensor")
+            return None
+        counters.receive(name)
+        if name not in waiting:  # each sensor has a clock of its own: a file may hold one after the other
+            waiting[name] = Waiting(Clock(counters).stream(name))
+        return waiting[name]
+
+    def _set(self, mine: Waiting, kind: str, data: bytes, counters: Counters) -> None:
+        """Take settings or a track."""
+        try:
+            known = conversions.settings_of(data) if kind == ros.SETTINGS else {"track": conversions.track_of(data)}
+        except Exception as error:  # whatever a damaged message makes the decoders raise
+            counters.drop(mine.stream.topic, "bad", f"{kind}: {type(error).__name__}")
+            return
+        mine.settings = {**mine.settings, **known}
+
+    def _made(self, waiting: dict[str, Waiting], counters: Counters) -> Iterator[dict[str, Frames]]:
+        """One piece of the frames that wait, if there are any."""
         out = {}
         for name, mine in waiting.items():
-            if mine.notes:
-                out[name] = self._frames(name, mine)
-                mine.notes = []
-        return out
-
-    def _frames(self, name: str, mine: Waiting) -> Frames:
-        raw = conversions.times_in(mine.notes)
-        t_ns = raw + mine.shift_ns
-        if mine.last_ns is not None:
-            t_ns = np.concatenate([[mine.last_ns], t_ns])
-        t_ns = mend_clock(t_ns, where=f"{self.path} ({name})")[-len(raw) :]
-        mine.shift_ns, mine.last_ns = int(t_ns[-1] - raw[-1]), int(t_ns[-1])
-        return conversions.frames_of(mine.notes, name, mine.settings, t_ns)
+            notes, mine.notes = mine.notes, []
+            if notes and (frames := _frames(name, mine.settings, notes, counters)) is not None:
+                out[name] = frames
+        if out:
+            yield out
 
     def trajectory(self) -> Trajectory | None:
         """The path of the body as it was believed, where it is known."""
@@ -132,7 +153,7 @@ class McapSource:
 
         names: dict[int, str] = {}
         channels: dict[int, str] = {}
-        for number, record in enumerate(self._records()):
+        for number, record in enumerate(self.records()):
             if isinstance(record, Schema):
                 names[record.id] = record.name
             elif isinstance(record, Channel):
@@ -144,7 +165,7 @@ class McapSource:
                 self.place = f"record {number}"
                 yield channels[record.channel_id], record.data
 
-    def _records(self) -> Iterator[Any]:
+    def records(self) -> Iterator[Any]:
         """Records in and outside chunks; damaged chunks are left out, with one warning at the end."""
         from mcap.exceptions import EndOfFile
         from mcap.records import Chunk
@@ -176,6 +197,21 @@ class McapSource:
         if broken:
             what = "; ".join(f"{count} {why}" if count > 1 else why for why, count in broken.items())
             warnings.warn(f"{self.path}: {what}; all that can be read is used", UllageWarning, stacklevel=2)
+
+
+def _frames(
+    name: str, settings: dict[str, Any], notes: list[Stamped[bytes]], counters: Counters
+) -> Frames | None:  # fmt: skip
+    """Frames of messages; those that cannot be read are counted and left out."""
+    try:
+        t_ns = np.array([note.t_ns for note in notes])
+        return conversions.frames_of([note.item for note in notes], name, settings, t_ns)
+    except Exception as error:  # whatever damaged messages make the decoders raise
+        if len(notes) == 1:
+            counters.drop(name, "bad", str(error).partition("\n")[0] or type(error).__name__)
+            return None
+    parts = [frames for note in notes if (frames := _frames(name, settings, [note], counters)) is not None]
+    return joined(parts) if parts else None
 
 
 def unreadable() -> tuple[type[Exception], ...]:

@@ -11,7 +11,7 @@ from ullage.geometry import rpy_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.encode import fixed_note, range_layout
-from ullage.ports.publisher import Publisher, body_path
+from ullage.ports.publisher import Publisher, body_path, shifted
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
 
@@ -76,8 +76,8 @@ def test_frames_wait_for_the_transform_after_them_and_no_longer_than_asked(fligh
     posed(into, flight[:10])
     hear(into, flight)
     assert len(into.ready()["left"]) == 10
-    assert into.count["frames without pose"] == 20
-    assert "no pose for its frames (map to base_link)" in said[0]
+    assert into.counters.dropped("no pose") == 20
+    assert into.counters.lines() == ["/radar/left: dropped 20 no pose (map to base_link), of 30 received"]
     patient, said = incoming(poses="tf", patience_s=60)
     posed(patient, flight[:10])
     hear(patient, flight)
@@ -152,7 +152,7 @@ def test_frames_that_overtook_each_other_are_left_out(flight: ul.Frames) -> None
     for k in (0, 2, 1, 3):
         into.take_frame("/radar/left/frame", notes[k])
     assert into.ready()["left"].t_ns.tolist() == flight.t_ns[[0, 2, 3]].tolist()
-    assert into.count["frames out of order"] == 1
+    assert into.counters.dropped("late") == 1
 
 
 def test_a_broken_transform_changes_nothing() -> None:
@@ -161,7 +161,7 @@ def test_a_broken_transform_changes_nothing() -> None:
     record = bytearray(fixed_note(0, {("map", "b"): np.eye(4)}))
     record[-32:] = np.full(4, np.nan).tobytes()
     into.take_transforms(bytes(record))
-    assert into.count["poses that are none"] == 1
+    assert into.counters.dropped("bad") == 1
 
 
 def test_a_cloud_without_intensity_is_refused(flight: ul.Frames) -> None:
@@ -184,3 +184,101 @@ def test_what_goes_out_comes_in_again(flight: ul.Frames) -> None:
     frames = into.ready()["left"]
     assert np.array_equal(frames.samples, flight.samples)
     np.testing.assert_allclose(frames.poses.world_from_body, flight.poses.world_from_body, atol=1e-9)
+
+
+def broken(note: bytes, sensor: str, what: str) -> bytes:
+    """A RadarFrame with a pose or samples that cannot be."""
+    layout = ros.frame_layout(sensor.encode(), sensor.encode(), 376)
+    record = np.frombuffer(bytearray(note), layout.dtype)
+    if what == "quaternion":
+        record["believed"][0, 3:7] = 0.3, 0, 0, 0
+    elif what == "position":
+        record["believed"][0, 0] = np.nan
+    else:
+        record["count"] = 10**9
+    return record.tobytes()
+
+
+@pytest.mark.parametrize("what", ["quaternion", "position", "samples"])
+def test_a_frame_that_cannot_be_is_counted_and_the_others_go_on(flight: ul.Frames, what: str) -> None:
+    into, _ = incoming()
+    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
+    for k, note in enumerate(conversions.frame_notes(flight, 0)):
+        into.take_frame("/radar/left/frame", broken(note, "left", what) if k == 7 else note)
+    frames = into.ready()["left"]
+    assert np.array_equal(frames.t_ns, np.delete(flight.t_ns, 7))
+    assert into.counters.dropped("bad") == 1
+    assert dict(into.counters.values())["/radar/left: bad"] == "1"
+
+
+@pytest.mark.parametrize("junk", [b"", b"\0\1\0\0", b"\xff" * 60, b"\0\1\0\0" + b"\xff" * 400])
+def test_bytes_that_are_no_message_are_counted(flight: ul.Frames, junk: bytes) -> None:
+    into, _ = incoming()
+    takers = (into.take_settings, into.take_frame, into.take_profile, into.take_range)
+    for take in takers:
+        into.take("/radar/left/frame", take, "/radar/left/frame", junk)
+    into.take("/tf", into.take_transforms, junk)
+    into.take("/odom", into.take_odometry, junk)
+    hear(into, flight)
+    assert len(into.ready(1000)["left"]) == len(flight)
+    assert into.counters.dropped("bad") >= len(takers)
+
+
+def test_transforms_that_are_not_numbers_give_no_frozen_pose(flight: ul.Frames) -> None:
+    into, _ = incoming(poses="tf", patience_s=60)
+    body = body_path(flight, flight.poses)
+    layout = ros.transform_layout(b"odom", (b"base_link",))
+    mount = {("base_link", "left"): flight.spec.mount.body_from_sensor()}
+    into.take_transforms(fixed_note(0, mount), fixed=True)
+    for note in conversions.transform_notes({"base_link": body}, parent="odom"):
+        record = np.frombuffer(bytearray(note), layout.dtype)
+        record["pose0"][0, 0] = np.nan
+        into.take_transforms(record.tobytes())
+    hear(into, flight)
+    assert into.ready() == {}
+    assert "nothing tells where base_link is" in into.waits_for
+    assert into.counters.dropped("bad", topic="pose of base_link") == len(flight)
+    for note in conversions.transform_notes({"base_link": body}, parent="odom"):
+        into.take_transforms(note)
+    np.testing.assert_allclose(into.ready()["left"].poses.position, flight.poses.position, atol=1e-9)
+
+
+@pytest.mark.parametrize("away_s", [1000, -3, 3600])
+def test_one_stamp_far_off_is_dropped_and_a_step_of_the_clock_begins_a_track(flight: ul.Frames, away_s: int) -> None:
+    into, said = incoming()
+    notes = conversions.frame_notes(flight, 0)
+    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
+    stepped = conversions.frame_notes(shifted(flight, away_s * S), 0)
+    for note in [*notes[:10], stepped[10], *notes[11:]]:
+        into.take_frame("/radar/left/frame", note)
+    frames = into.ready()["left"]
+    assert np.array_equal(frames.t_ns, np.delete(flight.t_ns, 10))
+    assert into.counters.dropped("bad") + into.counters.dropped("late") == 1
+    assert into.counters.steps == 0
+    for note in stepped:
+        into.take_frame("/radar/left/frame", note)
+    later = into.ready()["left"]
+    assert np.array_equal(later.samples, flight.samples)
+    assert later.t_ns[0] > frames.t_ns[-1]
+    assert np.array_equal(np.diff(later.t_ns), np.diff(flight.t_ns))
+    assert sum("a new track begins" in text for text in said) == 1
+
+
+def test_frames_that_never_came_are_counted_by_their_numbers(flight: ul.Frames) -> None:
+    into, _ = incoming()
+    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
+    for k, note in enumerate(conversions.frame_notes(flight, 0)):
+        if not 5 <= k < 12:
+            into.take_frame("/radar/left/frame", note)
+    assert into.counters.dropped("lost") == 7
+
+
+def test_a_vehicle_with_a_prefix_is_found(flight: ul.Frames) -> None:
+    into, _ = incoming(poses="tf", frame_prefix="drone2/")
+    body = body_path(flight, flight.poses)
+    for note in conversions.transform_notes({"drone2/base_link": body}):
+        into.take_transforms(note)
+    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
+    for note in conversions.frame_notes(flight, 0, frame_id="drone2/left"):
+        into.take_frame("/radar/left/frame", note)
+    np.testing.assert_allclose(into.ready()["left"].poses.position, flight.poses.position, atol=1e-9)

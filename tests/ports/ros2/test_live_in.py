@@ -115,7 +115,7 @@ def test_a_listener_outlives_the_one_it_listens_to(network: Network) -> None:
     first.kill()
     network.start("speak.py", SPEAK)
     before = lines[-1]["t_ns"]
-    lines = lines_until(listener, lambda line: "starting anew" in line.get("said", ""))
+    lines = lines_until(listener, lambda line: "a new track begins" in line.get("said", ""))
     lines = lines_until(listener, lambda line: line.get("sensor") == "front")
     assert lines[-1]["t_ns"] > before
     assert lines[-1]["at"] is not None

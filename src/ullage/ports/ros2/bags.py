@@ -106,13 +106,14 @@ class RosbagSource:
         into = Incoming(self._options, partial(warnings.warn, category=UllageWarning, stacklevel=4))
         takers = self._takers(into)
         for number, (topic, data) in enumerate(self._messages(takers)):
-            takers[topic](data)
+            into.take(topic, takers[topic], data)
             if number % BATCH == BATCH - 1 and (found := into.ready(chunk)):
                 yield found
         while found := into.ready(chunk):
             yield found
-        if left := into.count["frames"] - into.count["frames given"] - into.count["frames out of order"]:
-            warnings.warn(f"{self.path}: {left} frames have no pose and are left out", UllageWarning, stacklevel=2)
+        into.finish()
+        for line in into.counters.lines():
+            warnings.warn(f"{self.path}: {line}", UllageWarning, stacklevel=2)
 
     def _takers(self, into: Incoming) -> dict[str, Callable[[bytes], None]]:
         """What to do with the messages of each topic."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import queue
 import time
+from contextlib import suppress
 from typing import Any
-
-import numpy as np
 
 from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
 from ullage.ports.following import PATIENCE_S, FollowSource, rig_of, world_of
+from ullage.ports.intake import Counters, Inbox, checked_pose
 from ullage.ports.publisher import Publisher, shifted
 from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer, Say, tell
@@ -40,7 +39,8 @@ class PoseFeed:
         self._peer, self._options = peer, options
         self._topic = peer.resolved(options.pose)
         self._kind = ""
-        self._came: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self.counters = Counters()
+        self._inbox: Inbox[bytes] = Inbox(self.counters)
         self._transforms = Transforms()
         self._waiting: list[Sighting] = []
         self._publisher = Publisher(frame_prefix=options.frame_prefix)
@@ -60,14 +60,13 @@ class PoseFeed:
             if self._waiting:
                 return self._waiting.pop(0)
             left = end - time.monotonic()
-            try:
-                data = self._came.get(timeout=max(0.0, min(left, 0.1))) if left > 0 else self._came.get_nowait()
-            except queue.Empty:
+            data = self._inbox.get(max(0.0, min(left, 0.1)))
+            if data is None:
                 if left <= 0:
                     return self._silence() if timeout_s else None
                 continue
             self._last_s = time.monotonic()
-            self._waiting += self._read(data)
+            self._waiting += self._taken(data)
 
     def _look(self) -> Said | None:
         """Listen once the topic is there."""
@@ -81,20 +80,35 @@ class PoseFeed:
             raise InputError(f"{self._topic} carries {kind}", where="pose", allowed=", ".join(KINDS))
         self._kind = kind
         quality: Any = "transforms" if kind == ros.TRANSFORMS else "sensor"
-        self._peer.listen(self._topic, kind, quality, self._came.put, depth=500)
+        self._peer.listen(self._topic, kind, quality, self._put, depth=500)
         if kind == ros.TRANSFORMS:
             self._peer.listen("/tf_static", kind, "latched", self._fixed, depth=100)
         return Said(f"poses come on {self._topic}")
 
+    def _put(self, data: bytes) -> None:
+        self._inbox.put(data, topic=self._topic, size=len(data))
+
+    def _taken(self, data: bytes) -> list[Sighting]:
+        """The poses in a message; none where it cannot be read."""
+        try:
+            return self._read(data)
+        except Exception as error:  # whatever a damaged message makes the decoder raise
+            self.counters.drop(self._topic, "bad", f"cannot be read: {type(error).__name__}")
+            return []
+
     def _fixed(self, data: bytes) -> None:
-        self._add(data, fixed=True)
+        with suppress(Exception):
+            self._add(data, fixed=True)
 
     def _add(self, data: bytes, *, fixed: bool = False) -> list[int]:
         stamps = []
         for note in ros.from_bytes(ros.TRANSFORMS, data).transforms:
             at, turn = note.transform.translation, note.transform.rotation
-            place = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-            self._transforms.add(note.header.frame_id, note.child_frame_id, stamp_ns(note.header), *place, fixed=fixed)
+            pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+            if isinstance(pose, str):
+                self.counters.drop(f"pose of {note.child_frame_id}", "bad", pose)
+                continue
+            self._transforms.add(note.header.frame_id, note.child_frame_id, stamp_ns(note.header), *pose, fixed=fixed)
             stamps.append(stamp_ns(note.header))
         return stamps
 
@@ -111,17 +125,18 @@ class PoseFeed:
         out = []
         for t_ns in dict.fromkeys(stamps):
             answer = self._transforms.at(self._options.map, self._options.frame_prefix + self._options.body, t_ns)
-            if answer.matrix is not None and t_ns > self.newest_ns:
+            if answer.matrix is not None:
                 x, y, z = answer.matrix[:3, 3].tolist()
                 out += self._sighted(t_ns, (x, y, z), tuple(matrix_quat(answer.matrix[:3, :3]).tolist()))
         return out
 
     def _sighted(self, t_ns: int, at: tuple[float, float, float], turn: Any) -> list[Sighting]:
-        norm = float(np.linalg.norm(turn))
-        if not (np.isfinite([*at, norm]).all() and abs(norm - 1) < 0.1):
+        pose = checked_pose(at, turn)
+        if isinstance(pose, str):
+            self.counters.drop(self._topic, "bad", pose)
             return []
         self.newest_ns = t_ns
-        x, y, z, w = (float(k) / norm for k in turn)
+        x, y, z, w = pose[1].tolist()
         return [Sighting(t_ns, at, (x, y, z, w))]
 
     def _silence(self) -> Said | None:
@@ -150,8 +165,8 @@ class PoseFeed:
 
     def _moves(self) -> bool:
         """Whether to tell where the body is."""
-        if self._options.tf == "auto":
-            return self._kind != ros.TRANSFORMS and not self._peer.others("/tf")
+        if self._options.tf == "auto":  # a frame that others place is left to them in any case
+            return self._kind != ros.TRANSFORMS
         return self._options.tf == "on"
 
     def close(self) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from itertools import islice
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,13 +19,19 @@ from ullage.geometry import C0, matrix_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.encode import RANGE, range_layout
+from ullage.ports.intake import LATE_NS, Clock, Counters, Place, PoseQueue, Stamped, Stream, checked_pose
+from ullage.ports.publisher import shifted
 from ullage.ports.ros2.options import SourceOptions
-from ullage.ports.ros2.transforms import Answer, Transforms
+from ullage.ports.ros2.transforms import Transforms
 from ullage.specs import RadarSpec
 
-JUMP_NS = 1_000_000_000
+Held = TypeVar("Held")
 SETTINGS_S = 2.0
 """How long frames wait for their radar's settings [s]."""
+MOST_WAITING = 4096
+"""Frames of one radar that wait for settings or poses."""
+MOST_FRAMES_OF_REFERENCE = 256
+"""Moving frames of reference that are followed."""
 
 
 @dataclass
@@ -31,42 +39,66 @@ class Radar:
     """What is known of one radar, and its frames that wait."""
 
     sensor: str
+    stream: Stream[bytes | Frames]
+    queue: PoseQueue[Stamped[Frames]]
     fields: dict[str, Any] = field(default_factory=dict)  # of Frames, once known
     frame_id: str = ""
-    raw: deque[tuple[float, bytes]] = field(default_factory=deque)  # when it came [s], a frame without settings
-    waiting: deque[tuple[float, Frames]] = field(default_factory=deque)  # when it came [s], a frame without pose
-    heard_ns: int | None = None  # the newest stamp
-    given_ns: int = 0  # the last time given
-    offset_ns: int = 0  # from stamp to time given, which rises also where the clock jumped back
-    last: tuple[int, Floats] | None = None  # stamp and pose given last, for the speed of the next
+    index: int | None = None  # of the last RadarFrame
+    raw: deque[tuple[float, Stamped[bytes]]] = field(default_factory=deque)  # when it came [s], a RadarFrame
+    placed: deque[tuple[Stamped[Frames], Floats | None]] = field(default_factory=deque)
+    last: tuple[int, int, Floats] | None = None  # track, time and pose given last, for the speed of the next
 
 
 class Incoming:
-    """Takes messages as they come and gives frames whose poses are known.
+    """Takes messages as they come and gives frames whose poses are known; `intake` says what becomes of the others.
 
     Args:
         options: where poses come from, and how long to wait for them.
-        say: told what a person should know.
+        say: takes one line for a person.
+        now: gives the time that limits how long frames wait [s].
     """
 
-    def __init__(self, options: SourceOptions, say: Callable[[str], None]) -> None:
-        self._options, self._say = options, say
+    def __init__(
+        self, options: SourceOptions, say: Callable[[str], None], *, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._options, self._say, self._now = options, say, now
         self.transforms = Transforms()
-        self.count: Counter[str] = Counter()
+        self.counters = Counters(say)
+        self._clock = Clock(self.counters)
         self.waits_for = ""
         self._radars: dict[str, Radar] = {}
+        self._moving: dict[str, Stream[tuple[str, Floats, Floats]]] = {}  # poses by their frame of reference
         self._spec = RadarSpec.preset(options.radar)
         self._joined_to: set[str] = set()
+        self._body = options.frame_prefix + options.body
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the radars heard so far."""
         return tuple(radar.sensor for radar in self._radars.values())
 
+    def take(self, topic: str, take: Callable[..., None], *what: Any) -> None:
+        """Hand a message to one of the methods here; one that cannot be read is counted and dropped.
+
+        Args:
+            topic: where it came.
+            take: the method.
+            *what: its arguments.
+        """
+        try:
+            take(*what)
+        except Exception as error:  # whatever a damaged message makes the decoders raise
+            self.counters.drop(topic, "bad", _cause(error))
+
     def _radar(self, topic: str) -> Radar:
         """The radar whose topics begin so."""
         base = topic.rpartition("/")[0]
-        return self._radars.setdefault(base, Radar(base.rpartition("/")[2] or "radar"))
+        if base not in self._radars:
+            queue: PoseQueue[Stamped[Frames]] = PoseQueue(
+                self.counters, base, patience_s=self._options.patience_s, most=MOST_WAITING
+            )
+            self._radars[base] = Radar(base.rpartition("/")[2] or "radar", self._clock.stream(base), queue)
+        return self._radars[base]
 
     def take_settings(self, topic: str, data: bytes) -> None:
         """RadarSettings."""
@@ -75,9 +107,26 @@ class Incoming:
 
     def take_frame(self, topic: str, data: bytes) -> None:
         """RadarFrame."""
+        sensor, index = conversions.text_in(data, 1), conversions.index_in(data)
         radar = self._radar(topic)
-        radar.sensor = conversions.text_in(data, 1)
-        radar.raw.append((time.monotonic(), data))
+        radar.sensor = sensor
+        if radar.index is not None and index > radar.index + 1:
+            self.counters.drop(radar.stream.topic, "lost", "numbers of its frames are missing",
+                               count=index - radar.index - 1)  # fmt: skip
+        radar.index = index
+        self._stamp(radar, int(conversions.times_in([data])[0]), data)
+
+    def _stamp(self, radar: Radar, t_ns: int, what: bytes | Frames) -> None:
+        """Give a message its time; it then waits for settings or for its pose."""
+        self.counters.receive(radar.stream.topic)
+        for found in radar.stream.take(t_ns, what):
+            if isinstance(found.item, Frames):
+                self._queue(radar, with_item(found, found.item), self._now())
+            else:
+                radar.raw.append((self._now(), with_item(found, found.item)))
+        if len(radar.raw) > MOST_WAITING:
+            radar.raw.popleft()
+            self.counters.drop(radar.stream.topic, "lost", "no settings came")
 
     def take_profile(self, topic: str, data: bytes) -> None:
         """PointCloud2 of a profile: distance from the sensor, and intensity.
@@ -110,7 +159,8 @@ class Incoming:
             radar.fields = {"spec": spec, "range_m": range_m, "unit": "normalised"}
         t_ns = stamp_ns(header)
         made = Frames(np.asarray(level, np.complex64)[None], t_ns=np.array([t_ns]), sensor=radar.sensor, **radar.fields)
-        self._queue(radar, header.frame_id, made, time.monotonic())
+        radar.frame_id = header.frame_id.lstrip("/")
+        self._stamp(radar, t_ns, made)
 
     def take_transforms(self, data: bytes, *, fixed: bool = False) -> None:
         """TFMessage."""
@@ -122,119 +172,146 @@ class Incoming:
         """Odometry."""
         note = ros.from_bytes(ros.ODOMETRY, data)
         pose = note.pose.pose
-        self._place(note.header, note.child_frame_id or self._options.body, pose.position, pose.orientation)
+        self._place(note.header, note.child_frame_id or self._body, pose.position, pose.orientation)
 
     def take_pose(self, data: bytes) -> None:
         """PoseStamped of the body."""
         note = ros.from_bytes("geometry_msgs/msg/PoseStamped", data)
-        self._place(note.header, self._options.body, note.pose.position, note.pose.orientation)
+        self._place(note.header, self._body, note.pose.position, note.pose.orientation)
 
     def _place(self, header: Any, child: str, at: Any, turn: Any, *, fixed: bool = False) -> None:
-        position, quat = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-        norm = float(np.linalg.norm(quat))
-        if not (np.isfinite(position).all() and abs(norm - 1) < 0.1):
-            self.count["poses that are none"] += 1
+        child, parent = child.lstrip("/"), (header.frame_id or self._options.map).lstrip("/")
+        pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        if isinstance(pose, str):
+            self.counters.drop(f"pose of {child}", "bad", pose)
+        elif fixed:
+            self.transforms.add(parent, child, stamp_ns(header), *pose, fixed=True)
+        else:
+            self._move(child, stamp_ns(header), (parent, *pose))
+
+    def _move(self, child: str, t_ns: int, placed: tuple[str, Floats, Floats]) -> None:
+        """Take the pose of a frame of reference that moves."""
+        stream = self._moving.get(child)
+        if stream is None:
+            if len(self._moving) >= MOST_FRAMES_OF_REFERENCE:
+                self.counters.drop("/tf", "lost", f"more than {MOST_FRAMES_OF_REFERENCE} frames of reference")
+                return
+            stream = self._moving[child] = self._clock.stream(f"pose of {child}")
+        if t_ns == stream.last_ns:
+            return  # published once more
+        if stream.last_ns is not None and 0 < stream.last_ns - t_ns < LATE_NS:
+            self.transforms.add(placed[0], child, t_ns, *placed[1:])  # a late pose is of use between two others
             return
-        parent = (header.frame_id or self._options.map).lstrip("/")
-        jumped = self.transforms.add(parent, child.lstrip("/"), stamp_ns(header), position, quat / norm, fixed=fixed)
-        self.count["jumps of the poses' clock"] += jumped
+        for found in stream.take(t_ns, placed):
+            if found.starts:
+                self.transforms.forget(child)
+            parent, position, quat = found.item
+            self.transforms.add(parent, child, found.stamp_ns, position, quat)
 
     def _understand(self, radar: Radar, now_s: float) -> None:
         """Frames of the messages whose settings are known, or were waited for long enough."""
         while radar.raw and (radar.fields or now_s - radar.raw[0][0] > SETTINGS_S):
-            came_s, data = radar.raw.popleft()
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                made = conversions.frames_of([data], radar.sensor, radar.fields, conversions.times_in([data]))
-            for note in caught:
-                self._say(str(note.message))
-            radar.fields = {"spec": made.spec, "range_m": made.range_m, "unit": made.unit} | radar.fields
-            self._queue(radar, conversions.text_in(data, 0), replace(made, truth=None), came_s)
+            came_s, stamped = radar.raw.popleft()
+            self.take(radar.stream.topic, self._understand_one, radar, came_s, stamped)
 
-    def _queue(self, radar: Radar, frame_id: str, made: Frames, came_s: float) -> None:
-        self.count["frames"] += 1
-        t_ns, before = int(made.t_ns[0]), radar.heard_ns
-        if before is not None and before - JUMP_NS < t_ns <= before:
-            self.count["frames out of order"] += 1
-            return
-        if before is not None and t_ns < before:
-            self._say(f"{radar.sensor}: time jumped back {(before - t_ns) * 1e-9:.3g} s: starting anew")
-            radar.waiting.clear()
-            radar.last = None
-            radar.offset_ns = radar.given_ns + round(1e9 / made.spec.fps) - t_ns
-        radar.frame_id, radar.heard_ns = frame_id.lstrip("/"), t_ns
-        radar.waiting.append((came_s, made))
+    def _understand_one(self, radar: Radar, came_s: float, stamped: Stamped[bytes]) -> None:
+        data = stamped.item
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            made = conversions.frames_of([data], radar.sensor, radar.fields, conversions.times_in([data]))
+        for note in caught:
+            self._say(str(note.message))
+        radar.fields = {"spec": made.spec, "range_m": made.range_m, "unit": made.unit} | radar.fields
+        radar.frame_id = conversions.text_in(data, 0).lstrip("/")
+        self._queue(radar, with_item(stamped, replace(made, truth=None)), came_s)
+
+    def _queue(self, radar: Radar, stamped: Stamped[Frames], came_s: float) -> None:
+        on_our_clock = shifted(stamped.item, stamped.t_ns - stamped.stamp_ns)
+        radar.queue.put(stamped._replace(item=on_our_clock), came_s)
+
+    def finish(self) -> None:
+        """Count as dropped what still waits, when nothing more will come."""
+        for radar in self._radars.values():
+            radar.stream.finish()
+            radar.queue.clear()
 
     def ready(self, most: int = 64) -> dict[str, Frames]:
         """Frames of each radar, at most so many, whose poses are known by now."""
-        now_s, out = time.monotonic(), {}
-        self.waits_for = ""
+        now_s, out = self._now(), {}
         for radar in self._radars.values():
             self._understand(radar, now_s)
-            if frames := self._placed(radar, now_s, most):
+            place = partial(self._where, radar)
+            room = most - len(radar.placed)
+            radar.placed.extend(islice(radar.queue.ready(place, now_s), max(room, 0)))
+            if frames := self._placed(radar, most):
                 out[radar.sensor] = frames
+        self.waits_for = next((radar.queue.waits_for for radar in self._radars.values() if radar.queue.waits_for), "")
         return out
 
-    def _placed(self, radar: Radar, now_s: float, most: int) -> Frames | None:
-        found: list[tuple[Frames, Floats | None]] = []
-        while radar.waiting and len(found) < most:
-            came_s, made = radar.waiting[0]
-            if found and not alike(found[0][0], made):
+    def _placed(self, radar: Radar, most: int) -> Frames | None:
+        """The next frames that can stand in one Frames."""
+        found: list[tuple[Stamped[Frames], Floats | None]] = []
+        while radar.placed and len(found) < most:
+            stamped, _ = radar.placed[0]
+            if found and not (alike(found[0][0].item, stamped.item) and found[0][0].track == stamped.track):
                 break
-            answer = self._where(radar, made)
-            if answer.status != "ok":
-                late = now_s - came_s > self._options.patience_s
-                if answer.status != "lost" and not late:
-                    self.waits_for = answer.what
-                    break
-                self.count["frames without pose"] += 1
-                self._say(f"{radar.sensor}: no pose for its frames ({answer.what}); they are left out")
-                radar.waiting.popleft()
-                continue
-            radar.waiting.popleft()
-            found.append((made, answer.matrix))
+            found.append(radar.placed.popleft())
         return self._together(radar, found) if found else None
 
-    def _where(self, radar: Radar, made: Frames) -> Answer:
+    def _where(self, radar: Radar, stamped: Stamped[Frames]) -> Place[Floats]:
         """World from sensor at a frame's time; no matrix where the message holds the pose, or none is wanted."""
-        wanted = self._options.poses
+        wanted, made = self._options.poses, stamped.item
         if wanted in ("none", "message") or (wanted == "auto" and made.poses is not None):
-            return Answer("ok")
-        name = radar.frame_id if self.transforms.knows(radar.frame_id) else self._options.body
-        root, target = self.transforms.root(name), self._options.map
-        if root != target and self.transforms.knows(name) and root not in self._joined_to:
-            self._joined_to.add(root)
-            self._say(f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes")
-        answer = self.transforms.at(target if root == target else root, name, int(made.t_ns[0]))
+            return Place("known")
+        name = radar.frame_id if self.transforms.knows(radar.frame_id) else self._body
         if not self.transforms.knows(name):
-            return Answer("unknown", what=f"nothing tells where {radar.frame_id or 'the radar'} or {name} is")
-        if answer.matrix is None or name == radar.frame_id:
-            return answer
-        return Answer("ok", answer.matrix @ made.spec.mount.body_from_sensor())
+            return Place("wait", missing=f"nothing tells where {radar.frame_id or 'the radar'} or {name} is")
+        root, target = self.transforms.root(name), self._options.map
+        if root != target:
+            if not self.transforms.moves(name):
+                return Place("wait", missing=f"nothing tells where {root} is")
+            if root not in self._joined_to:
+                self._joined_to.add(root)
+                self._say(f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes")
+        answer = self.transforms.at(root if root != target else target, name, stamped.stamp_ns)
+        if answer.status != "ok" or answer.matrix is None:
+            return Place("never" if answer.status == "lost" else "wait", missing=answer.what)
+        if name == radar.frame_id:
+            return Place("known", answer.matrix)
+        return Place("known", answer.matrix @ made.spec.mount.body_from_sensor())
 
-    def _together(self, radar: Radar, found: list[tuple[Frames, Floats | None]]) -> Frames:
-        parts = [made for made, _ in found]
-        stamps = np.concatenate([part.t_ns for part in parts])
-        frames = joined([part if matrix is None else replace(part, poses=None) for part, matrix in found])
+    def _together(self, radar: Radar, found: list[tuple[Stamped[Frames], Floats | None]]) -> Frames:
+        parts = [stamped.item for stamped, _ in found]
+        frames = joined([part if matrix is None else replace(part, poses=None)
+                         for part, (_, matrix) in zip(parts, found, strict=True)])  # fmt: skip
         if self._options.poses == "none":
             frames = replace(frames, poses=None)
         elif found[0][1] is not None:
-            frames = replace(frames, poses=self._path(radar, stamps, [matrix for _, matrix in found]))
-        self.count["frames given"] += len(parts)
-        t_ns = stamps + radar.offset_ns
-        radar.given_ns = int(t_ns[-1])
-        poses = None if frames.poses is None else replace(frames.poses, t_ns=t_ns)
-        return replace(frames, t_ns=t_ns, poses=poses, sensor=radar.sensor)
+            frames = replace(frames, poses=self._path(radar, found))
+        return replace(frames, sensor=radar.sensor)
 
-    def _path(self, radar: Radar, stamps: Any, matrices: list[Floats | None]) -> Trajectory:
-        """Poses with their speeds, which follow from the one before as well."""
-        known = [matrix for matrix in matrices if matrix is not None]
-        before = radar.last is not None and radar.last[0] < stamps[0]
-        times = np.concatenate([[radar.last[0]], stamps]) if before and radar.last else stamps
-        stack = np.stack([radar.last[1], *known] if before and radar.last else known)
-        radar.last = (int(stamps[-1]), known[-1])
-        path = Trajectory(times, stack[:, :3, 3], matrix_quat(stack[:, :3, :3]))
-        return path[int(before) :]
+    def _path(self, radar: Radar, found: list[tuple[Stamped[Frames], Floats | None]]) -> Trajectory:
+        """Poses with their speeds, which follow from the one before as well, unless a track begins."""
+        times = [stamped.t_ns for stamped, _ in found]
+        known = [matrix for _, matrix in found if matrix is not None]
+        before = radar.last if radar.last is not None and radar.last[0] == found[0][0].track else None
+        radar.last = found[-1][0].track, times[-1], known[-1]
+        if before is not None:
+            times, known = [before[1], *times], [before[2], *known]
+        stack = np.stack(known)
+        path = Trajectory(np.array(times), stack[:, :3, 3], matrix_quat(stack[:, :3, :3]))
+        return path[int(before is not None) :]
+
+
+def with_item(stamped: Stamped[Any], item: Held) -> Stamped[Held]:
+    """The same time with something else."""
+    return Stamped(item, stamped.t_ns, stamped.stamp_ns, stamped.track, stamped.starts)
+
+
+def _cause(error: Exception) -> str:
+    """What is wrong with a message, in one line."""
+    text = str(error).splitlines()[0] if str(error) else ""
+    return text if isinstance(error, InputError) and text else f"cannot be read: {type(error).__name__} {text}".strip()
 
 
 def alike(a: Frames, b: Frames) -> bool:

@@ -197,13 +197,23 @@ class Peer:
         out = self._publishers.get(topic)
         return out.get_subscription_count() if out is not None else 0
 
-    def listen(self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], **how: Any) -> None:
-        """Call `take` with each message as bytes."""
+    def listen(
+        self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], *, depth: int | None = None,
+        lost: Callable[[int], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Call `take` with each message as bytes, and `lost` with the number of those that the middleware lost."""
         found = self.class_of(kind, topic)
-        if found is not None:
-            how_ = profile(quality, **how)
-            heard = self.node.create_subscription(found, self._named(topic), take, how_, raw=True)
-            self._subscriptions.append(heard)
+        if found is None:
+            return
+        from rclpy.event_handler import SubscriptionEventCallbacks
+
+        how = profile(quality, depth=depth)
+        events = SubscriptionEventCallbacks(
+            message_lost=None if lost is None else lambda event: lost(event.total_count_change),
+            use_default_callbacks=False,
+        )
+        heard = self.node.create_subscription(found, self._named(topic), take, how, raw=True, event_callbacks=events)
+        self._subscriptions.append(heard)
 
     def settle(self, timeout_s: float) -> None:
         """Wait until what was sent reliably has arrived; not where whoever made the node has ended its context."""

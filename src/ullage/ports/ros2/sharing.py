@@ -7,6 +7,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from ullage.errors import UllageWarning
@@ -33,7 +34,9 @@ class Publishing(Protocol):
     def withdraw(self, topic: str) -> None:
         """Stop publishing a topic."""
 
-    def listen(self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], *, depth: int) -> None:
+    def listen(
+        self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], *, depth: int | None = None
+    ) -> None:
         """Call `take` with each message of a topic."""
 
 
@@ -108,7 +111,10 @@ class Sharing:
         """Take a message of /tf or /tf_static by whomever."""
         if hash(data) in SENT:
             return
-        children = {found.child_frame_id for found in ros.from_bytes(ros.TRANSFORMS, data).transforms}
+        with suppress(Exception):  # a damaged message says nothing
+            self._add(topic, {found.child_frame_id for found in ros.from_bytes(ros.TRANSFORMS, data).transforms})
+
+    def _add(self, topic: str, children: set[str]) -> None:
         for child in sorted(children - self._foreign[topic]):
             self._report(f"frame {child}", f"others publish the transform of {child}; it is left to them")
         self._foreign[topic] = self._foreign[topic] | children

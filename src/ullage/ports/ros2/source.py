@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -12,6 +11,7 @@ from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.ports import encode
 from ullage.ports import messages as ros
+from ullage.ports.intake import Inbox
 from ullage.ports.protocol import Passed, Passing, one_or_all
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.incoming import Incoming
@@ -21,6 +21,8 @@ from ullage.world.scene import Scene
 
 LOOK_S = 0.5
 """How often the graph is asked for new topics [s]."""
+DEPTH = 2000
+"""Messages that rclpy keeps of a radar, so that a burst finds room."""
 PATIENCE_S = 5.0
 """Time between two complaints of the same kind [s]."""
 RELAYED = ("imc/", "desired/")
@@ -51,16 +53,16 @@ class Ros2Source:
         self._incoming = Incoming(options, self._tell)
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
-        self._messages: queue.SimpleQueue[tuple[Callable[..., None], tuple[Any, ...]]] = queue.SimpleQueue()
+        self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self._incoming.counters)
         self._heard: set[str] = set()
         self._closed = self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
         self._looked_s = self._reported_s = 0.0
         self._given_s = time.monotonic()
-        self._peer.listen("/tf", ros.TRANSFORMS, "transforms", self._taker(self._incoming.take_transforms))
+        self._peer.listen("/tf", ros.TRANSFORMS, "transforms", self._taker("/tf", self._incoming.take_transforms))
         fixed = partial(self._incoming.take_transforms, fixed=True)
-        self._peer.listen("/tf_static", ros.TRANSFORMS, "latched", self._taker(fixed), depth=100)
+        self._peer.listen("/tf_static", ros.TRANSFORMS, "latched", self._taker("/tf_static", fixed), depth=100)
         self._peer.spin()
 
     @property
@@ -85,6 +87,9 @@ class Ros2Source:
                 elif time.monotonic() - self._given_s > PATIENCE_S:
                     self._tell(self._why_nothing())
         finally:
+            self._incoming.finish()
+            for line in self._incoming.counters.lines():
+                self._say(line)
             self.close()
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
@@ -123,21 +128,16 @@ class Ros2Source:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _taker(self, take: Callable[..., None], *first: Any) -> Callable[[bytes], None]:
+    def _taker(self, topic: str, take: Callable[..., None], *first: Any) -> Callable[[bytes], None]:
         """Hands messages from rclpy's thread to the stream's."""
-        return lambda data: self._messages.put((take, (*first, data)))
+        return lambda data: self._inbox.put((topic, take, (*first, data)), topic=topic, size=len(data))
 
     def _take(self, timeout_s: float) -> None:
-        try:
-            take, what = self._messages.get(timeout=timeout_s)
-            while True:
-                try:
-                    take(*what)
-                except (InputError, ValueError) as error:  # somebody's broken message must not end a flight
-                    self._tell(f"a message that cannot be used: {error}")
-                take, what = self._messages.get_nowait()
-        except queue.Empty:
-            return
+        found = self._inbox.get(timeout_s)
+        while found is not None:
+            topic, take, what = found
+            self._incoming.take(topic, take, *what)
+            found = self._inbox.get(0.0)
 
     def _look(self) -> None:
         """Find topics that were not there before."""
@@ -152,7 +152,7 @@ class Ros2Source:
         for topic in there if self._options.relay else ():
             if topic.startswith(above) and topic[len(above) :].startswith(RELAYED) and topic not in self._heard:
                 self._heard.add(topic)
-                taker = self._taker(self._pass, topic[len(above) :], there[topic])
+                taker = self._taker(topic, self._pass, topic[len(above) :], there[topic])
                 self._peer.listen(topic, there[topic], "relayed", taker)
         odom = self._options.odom and self._peer.resolved(self._options.odom)
         if odom in there and odom not in self._heard:
@@ -161,7 +161,7 @@ class Ros2Source:
             takers = {ros.ODOMETRY: self._incoming.take_odometry, POSE: self._incoming.take_pose}
             if there[odom] not in takers:
                 raise InputError(f"{odom} carries {there[odom]}", where="odom", allowed=", ".join(takers))
-            self._peer.listen(odom, there[odom], "sensor", self._taker(takers[there[odom]]), depth=200)
+            self._peer.listen(odom, there[odom], "sensor", self._taker(odom, takers[there[odom]]), depth=200)
 
     def _pass(self, topic: str, kind: str, data: bytes) -> None:
         self._given_s = time.monotonic()
@@ -192,10 +192,17 @@ class Ros2Source:
             raise InputError(f"{topic} carries {kind}", where="topics", allowed=", ".join(takers))
         if kind == ros.FRAME:
             settings = f"{base}/settings"
-            taker = self._taker(self._incoming.take_settings, settings)
+            taker = self._taker(settings, self._incoming.take_settings, settings)
             self._peer.listen(settings, ros.SETTINGS, "latched", taker)
-        self._peer.listen(topic, kind, "sensor", self._taker(takers[kind], topic), depth=200)
+        self._peer.listen(
+            topic, kind, "sensor", self._taker(topic, takers[kind], topic), depth=DEPTH, lost=partial(self._lost, topic)
+        )
         self._say(f"listening to {topic}")
+
+    def _lost(self, topic: str, count: int) -> None:
+        """The middleware has lost messages; of frames their numbers tell it."""
+        if not topic.endswith("/frame"):
+            self._incoming.counters.drop(topic, "lost", "the network or its queues", count=count)
 
     def _over(self) -> bool:
         length, idle = self._options.duration_s, self._options.idle_s
@@ -226,7 +233,8 @@ class Ros2Source:
         level = 0 if idle < 1.0 + self._options.patience_s else 1 if self._incoming.sensors else 3
         text = "frames come" if level == 0 else self._why_nothing()
         values = [("radars", ", ".join(self.sensors)), ("seconds since the last frame", f"{idle:.1f}")]
-        values += [(name, str(count)) for name, count in sorted(self._incoming.count.items())]
+        values += self._incoming.counters.values()
+        self._incoming.counters.report()
         t_ns = time.time_ns()
         data = encode.diagnostics_note(t_ns, level, f"{self._options.node}: source", text, values)
         self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))

@@ -93,9 +93,9 @@ class Transforms:
             edge = self._edges[child] = Edge(parent, fixed)
         return edge.add(t_ns, position, quat_xyzw)
 
-    def forget(self) -> None:
-        """Drop what moves, as after a clock that jumped."""
-        self._edges = {child: edge for child, edge in self._edges.items() if edge.fixed}
+    def forget(self, child: str) -> None:
+        """Drop the poses of a frame, as after a step of its clock."""
+        self._edges.pop(child, None)
 
     def root(self, name: str) -> str:
         """The frame that this one hangs on in the end."""
@@ -104,6 +104,16 @@ class Transforms:
             name = self._edges[name].parent
             seen.add(name)
         return name
+
+    def moves(self, name: str) -> bool:
+        """Whether a frame hangs on its root by a transform that is not fixed."""
+        seen: set[str] = set()
+        while name in self._edges and name not in seen:
+            if not self._edges[name].fixed:
+                return True
+            seen.add(name)
+            name = self._edges[name].parent
+        return False
 
     def knows(self, name: str) -> bool:
         """Whether a frame hangs on another."""
