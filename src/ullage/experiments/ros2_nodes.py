@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
+from ullage.config import MapMethod
 from ullage.data import Frames
 from ullage.errors import InputError, UllageError, need
 from ullage.grids import Grid
@@ -24,11 +26,15 @@ from ullage.specs import Spec
 
 
 class MappingOptions(SourceOptions):
-    """What `radar_mapping` is told beside what every source is told."""
+    """Options of `radar_mapping` beside those of every source."""
 
-    step_m: float = 0.1
-    reach_m: float = 10.0  # how far around the first pose the map goes
-    margin_m: float = 0.0
+    step_m: float = Field(0.1, gt=0, description="edge of a cell")
+    reach_m: float = Field(10.0, gt=0, description="how far around the first pose the map goes")
+    margin_m: float = Field(0.0, ge=0, description="added to reach_m")
+    method: MapMethod = Field("ullage", description="ullage, or elfes as the thesis had it")
+    threshold: float | None = Field(None, gt=0, description="lowest amplitude of an echo; none: the method's own")
+    every_s: float = Field(0.2, ge=0.2, le=3600, description="time between two maps, where something has changed")
+    batch_s: float = Field(0.1, ge=0, le=10, description="how long frames are gathered before they are mapped")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +65,14 @@ def map_frames(source: Any, peer: Peer, options: Spec) -> None:
     first = next(pieces, None)
     if not first:
         return
-    stages: list[Stage] = [DetectStage()]
+    stages: list[Stage] = [DetectStage(threshold=options.threshold)]
     placed = [part.poses.position[0] for part in first.values() if part.poses is not None]
     if placed:
         reach = options.reach_m + options.margin_m
         grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
-        stages.append(MapStage(grid, live=True))
-    sink: Sink = Ros2Sink("", SinkOptions(pace=0, clock="off", node=options.node), peer=peer)
+        stages.append(MapStage(grid, options.method, options.threshold, every_s=options.every_s, live=True))
+    how = SinkOptions(pace=0, clock="off", node=options.node, frame_prefix=options.frame_prefix)
+    sink: Sink = Ros2Sink("", how, peer=peer)
     resumed: Source = Resumed(first, pieces)
     run(resumed, stages=stages, sinks=[sink])
 
@@ -88,7 +95,7 @@ NODES: dict[str, tuple[type[NodeOptions], Callable[..., Any], Callable[..., None
     "radar_simulator": (SimulateOptions, open_radars, simulate),
     "radar_mapping": (MappingOptions, open_topics, map_frames),
 }
-NOT_PARAMETERS = {"domain", "node", "host"}
+NOT_PARAMETERS = {"domain", "node", "host", "remap"}  # ROS has its own words for these
 
 
 class Work:

@@ -34,7 +34,7 @@ LOGS = (".lsf", ".lsf.gz")
 NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf")}
 """Libraries of live ports beyond those of every installation, in the extra of the port's name."""
 FILES = {
-    ".mcap": ("replay", "McapSource"),
+    ".mcap": ("ros2.bags", "open_mcap"),
     ".zarr": ("store", "ZarrSource"),
     ".dat": ("x4", "X4Source"),
     ".bag": ("ros2.bags", "RosbagSource"),
@@ -252,17 +252,17 @@ class RailSource(WholeSource):
 
 
 def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
-    from ullage.ports.replay import McapSource
+    from ullage.ports.ros2.bags import open_mcap
 
     if (folder / "radar.out").exists():
         return with_options(_open_rail, folder, options)
     if (folder / "frames.mcap").exists():
-        return with_options(McapSource, folder / "frames.mcap", options)
+        return with_options(open_mcap, folder / "frames.mcap", options)
     if any(folder.glob("*.db3")):
         return _open_file(next(iter(folder.glob("*.db3"))), options)
     bags = sorted(folder.glob("*.mcap"))
     if len(bags) == 1:
-        return with_options(McapSource, bags[0], options)
+        return with_options(open_mcap, bags[0], options)
     raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
 
 

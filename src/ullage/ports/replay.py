@@ -147,23 +147,39 @@ class McapSource:
             return conversions.cells_of(last[ros.CELLS])
         return conversions.grid_of(last[ros.GRID]) if last else None
 
+    def has_frames(self) -> bool:
+        """Whether a RadarFrame is in it."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said when it is read
+            return any(True for _ in self._messages(ros.FRAME))
+
+    def topics(self) -> dict[str, str]:
+        """Topics that have messages, with their types."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return {topic: kind for topic, kind, _ in self.messages()}
+
     def _messages(self, *kinds: str, topic: str = "") -> Iterator[tuple[str, bytes]]:
         """Messages of these kinds, as far as the file can be read."""
+        return ((kind, data) for name, kind, data in self.messages() if kind in kinds and topic in ("", name))
+
+    def messages(self) -> Iterator[tuple[str, str, bytes]]:
+        """Topic, type and CDR bytes of each message, as far as the file can be read."""
         from mcap.records import Channel, Message, Schema
 
         names: dict[int, str] = {}
-        channels: dict[int, str] = {}
+        channels: dict[int, tuple[str, str]] = {}
         for number, record in enumerate(self.records()):
             if isinstance(record, Schema):
                 names[record.id] = record.name
             elif isinstance(record, Channel):
-                mine = names.get(record.schema_id, "") if topic in ("", record.topic) else ""
-                channels[record.id] = mine if record.message_encoding == "cdr" else ""
-            elif isinstance(record, Message) and channels.get(record.channel_id) in kinds:
+                if record.message_encoding == "cdr":
+                    channels[record.id] = record.topic, names.get(record.schema_id, "")
+            elif isinstance(record, Message) and record.channel_id in channels:
                 if record.data[:2] != b"\0\1":
                     continue  # big endian: no ROS 2 machine of today writes it
                 self.place = f"record {number}"
-                yield channels[record.channel_id], record.data
+                yield *channels[record.channel_id], record.data
 
     def records(self) -> Iterator[Any]:
         """Records in and outside chunks; damaged chunks are left out, with one warning at the end."""

@@ -124,6 +124,29 @@ def test_a_ros1_bag_of_ranges(tmp_path: Path, flight: ul.Frames) -> None:
     assert frames.poses is None
 
 
+def write_mcap(path: Path, notes: list[Message]) -> Path:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+        for note in notes:
+            if note.topic not in connections:
+                topic = "/" + note.topic.lstrip("/")
+                connections[note.topic] = writer.add_connection(topic, note.kind, typestore=ros.typestore())
+            writer.write(connections[note.topic], note.t_ns, note.data)
+    return path
+
+
+@pytest.mark.parametrize("write", [write_mcap, write_sqlite, write_ros1])
+def test_a_bag_of_ranges_and_transforms_has_the_poses_of_the_radar(
+    tmp_path: Path, flight: ul.Frames, write: Any
+) -> None:
+    notes = notes_of(flight, "/range", "/tf", "/tf_static")
+    frames = ul.open(write(tmp_path / ("a.bag" if write is write_ros1 else "a"), notes)).frames()
+    assert np.array_equal(frames.t_ns, flight.t_ns)
+    np.testing.assert_allclose(frames.poses.position, flight.poses.position, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "words"), [("broken.bag", "not a bag"), ("empty.db3", "not a bag")]
 )  # fmt: skip

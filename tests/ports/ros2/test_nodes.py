@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from .network import Network, told
@@ -38,6 +40,37 @@ def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> 
     _, err = node.communicate(timeout=120)
     assert node.returncode == 0, err
     assert speaker.poll() in (None, 0)
+
+
+def test_the_mapping_node_maps_as_the_thesis_did_and_publishes_often(network: Network) -> None:
+    words = ("reach_m:=5.0", "method:=elfes", "threshold:=0.05", "every_s:=0.2")
+    node = network.start(
+        "-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-r", "map_updates:=updates",
+        *(word for text in words for word in ("-p", text)),
+    )  # fmt: skip
+    listener = network.ready(
+        "hear.py", "/map=nav_msgs/msg/OccupancyGrid:latched", "/updates=map_msgs/msg/OccupancyGridUpdate:stream",
+        "/map/cells=ullage_msgs/msg/CellMap:latched",
+    )  # fmt: skip
+    speaker = network.start("fly.py", "8", "ros2:/flying?node=speaker&listeners=1")
+    assert speaker.wait(120) == 0, speaker.communicate()
+    time.sleep(1.0)
+    got = told(listener, stop=True)
+    assert got["last"]["/map/cells"]["method"] == "elfes"
+    assert got["count"]["/map"] + got["count"]["/updates"] > 12  # one a second would be 8
+    node.send_signal(2)
+    _, err = node.communicate(timeout=120)
+    assert node.returncode == 0, err
+
+
+def test_a_parameter_that_cannot_be_is_refused_in_one_line(network: Network) -> None:
+    node = network.start("-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-p", "method:=magic")
+    assert node.stderr is not None
+    line = node.stderr.readline()
+    assert "method" in line
+    assert "elfes" in line
+    node.send_signal(2)
+    assert node.wait(60) == 0
 
 
 @pytest.mark.slow

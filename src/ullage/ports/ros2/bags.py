@@ -1,4 +1,4 @@
-"""Bags that others wrote: ROS 1's `.bag` and rosbag2's sqlite3, read by `rosbags`; no ROS is needed."""
+"""Bags of others: ROS 1's `.bag` and rosbag2's sqlite3, read by `rosbags`, and MCAP without ullage's frames."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ullage.grids import OccupancyMap
 from ullage.ports import conversions, encode
 from ullage.ports import messages as ros
 from ullage.ports.protocol import one_or_all
+from ullage.ports.replay import McapSource
 from ullage.ports.ros2.incoming import Incoming
 from ullage.ports.ros2.options import SourceOptions
 
@@ -43,8 +44,7 @@ class RosbagSource:
         body: str = "base_link",
     ) -> None:  # fmt: skip
         self.path = path.parent if path.suffix == ".db3" and (path.parent / "metadata.yaml").exists() else path
-        with self._opened() as reader:
-            self._kinds = {c.topic: OLD_NAMES.get(c.msgtype, c.msgtype) for c in reader.connections}
+        self._kinds = self._listed_kinds()
         self._radars = self._wanted(topics)
         odometry = [name for name, kind in self._kinds.items() if kind == ros.ODOMETRY]
         placed = ros.TRANSFORMS in self._kinds.values()
@@ -54,6 +54,11 @@ class RosbagSource:
         poses: Any = "auto" if placed or self._odom else "message"
         self._options = SourceOptions(radar=radar, map=world, body=body, poses=poses, patience_s=60)
         self._sensors: tuple[str, ...] | None = None
+
+    def _listed_kinds(self) -> dict[str, str]:
+        """The topics in the bag, with their types."""
+        with self._opened() as reader:
+            return {c.topic: OLD_NAMES.get(c.msgtype, c.msgtype) for c in reader.connections}
 
     def _wanted(self, topics: str) -> list[str]:
         """Topics of radars, by what was asked for or by type."""
@@ -154,6 +159,40 @@ class RosbagSource:
         for _, data in self._messages(grids):
             last = data
         return None if last is None else conversions.grid_of(last)
+
+
+class McapBagSource(RosbagSource):
+    """The same from an MCAP file, finished or cut."""
+
+    def _listed_kinds(self) -> dict[str, str]:
+        return McapSource(self.path).topics()
+
+    def _messages(self, topics: Any) -> Iterator[tuple[str, bytes]]:
+        chosen = set(topics)
+        return ((topic, data) for topic, _, data in McapSource(self.path).messages() if topic in chosen)
+
+
+def open_mcap(
+    path: Path, *, topics: str = "", odom: str = "", radar: str = "x4m05", world: str = "map", body: str = "base_link"
+) -> McapSource | RosbagSource:
+    """A recording of ullage; or a bag of profiles or ranges, with poses from its transforms or odometry.
+
+    Args:
+        path: of the MCAP file.
+        topics: of frames, profiles or ranges, with commas; none: RadarFrame, else */profile, else Range.
+        odom: topic of Odometry to take the body's pose from; none: the first, where there is no /tf.
+        radar: preset of radars whose topics do not say what they are.
+        world: frame of reference that the map stands in.
+        body: frame of reference of the vehicle.
+
+    Raises:
+        InputError: it is no recording, or there is no such topic or preset.
+    """
+    source = McapSource(path)
+    kinds = {} if topics or odom or source.has_frames() else source.topics()
+    if (topics or odom) or any(kind == encode.RANGE or name.endswith("/profile") for name, kind in kinds.items()):
+        return McapBagSource(path, topics=topics, odom=odom, radar=radar, world=world, body=body)
+    return source
 
 
 def renewed(message: Any, kind: str) -> Any:
