@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -19,6 +20,7 @@ from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 WORLD, BODY = "map", "base_link"  # as REP-105 has them
+STAMP = struct.Struct("<iI")
 MOST_TRIANGLES = 50_000
 PROFILE = (("x", "float32"), ("y", "float32"), ("z", "float32"), ("intensity", "float32"))
 HIT = (*PROFILE, ("range", "float32"), ("snr_db", "float32"))
@@ -63,6 +65,18 @@ def times_in(notes: Sequence[bytes]) -> Times:
     """Times of messages that begin with a header."""
     stamps = np.frombuffer(b"".join(note[4:12] for note in notes), [("sec", "<i4"), ("nanosec", "<u4")])
     return np.asarray(stamps["sec"].astype(np.int64) * 1_000_000_000 + stamps["nanosec"])
+
+
+def time_in(data: bytes) -> int:
+    """Time of one message that begins with a header [ns].
+
+    Raises:
+        InputError: it is too short for one.
+    """
+    if len(data) < 12:
+        raise InputError(f"a message of {len(data)} bytes", where="header", allowed="12 or more")
+    sec, nanosec = STAMP.unpack_from(data, 4)
+    return int(sec) * 1_000_000_000 + int(nanosec)
 
 
 def frames_of(notes: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Times) -> Frames:

@@ -23,6 +23,8 @@ from ullage.ports import messages as ros
 from ullage.ports.intake import Clock, Counters, Stamped, Stream
 from ullage.ports.protocol import one_or_all
 
+SHORTEST = 20
+"""A message with a header and a name is longer [bytes]."""
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -84,15 +86,16 @@ class McapSource:
         """
         counters = Counters(self._warn)
         waiting: dict[str, Waiting] = {}
-        for kind, data in self._messages(ros.FRAME, ros.SETTINGS, ros.TRACK):
-            mine = self._sensor(data, waiting, counters)
+        for _, kind, data in self.messages(ros.FRAME, ros.SETTINGS, ros.TRACK):
+            mine = self._sensor(data, waiting, counters) if len(data) > SHORTEST else None
             if mine is None:
+                counters.drop("messages", "bad", "they name no sensor")
                 continue
             full = len(mine.notes) >= chunk or (mine.notes and len(mine.notes[0].item) != len(data))
             if mine.notes and (full or kind != ros.FRAME):
                 yield from self._made(waiting, counters)
             if kind == ros.FRAME:
-                mine.notes += mine.stream.take(int(conversions.times_in([data])[0]), data)
+                mine.notes += mine.stream.take(conversions.time_in(data), data)
             else:
                 self._set(mine, kind, data, counters)
         for mine in waiting.values():
@@ -109,9 +112,7 @@ class McapSource:
         try:
             name = conversions.text_in(data, 1)
         except ValueError:  # no text
-            counters.drop("messages", "bad", "they name no sensor")
             return None
-        counters.receive(name)
         if name not in waiting:  # each sensor has a clock of its own: a file may hold one after the other
             waiting[name] = Waiting(Clock(counters).stream(name))
         return waiting[name]
@@ -130,6 +131,7 @@ class McapSource:
         out = {}
         for name, mine in waiting.items():
             notes, mine.notes = mine.notes, []
+            counters.receive(name, len(notes))
             if notes and (frames := _frames(name, mine.settings, notes, counters)) is not None:
                 out[name] = frames
         if out:
@@ -161,10 +163,12 @@ class McapSource:
 
     def _messages(self, *kinds: str, topic: str = "") -> Iterator[tuple[str, bytes]]:
         """Messages of these kinds, as far as the file can be read."""
-        return ((kind, data) for name, kind, data in self.messages() if kind in kinds and topic in ("", name))
+        for name, kind, data in self.messages(*kinds):
+            if topic in ("", name):
+                yield kind, data
 
-    def messages(self) -> Iterator[tuple[str, str, bytes]]:
-        """Topic, type and CDR bytes of each message, as far as the file can be read."""
+    def messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
+        """Topic, type and CDR bytes of each message of these kinds, or of all, as far as the file can be read."""
         from mcap.records import Channel, Message, Schema
 
         names: dict[int, str] = {}
@@ -173,8 +177,9 @@ class McapSource:
             if isinstance(record, Schema):
                 names[record.id] = record.name
             elif isinstance(record, Channel):
-                if record.message_encoding == "cdr":
-                    channels[record.id] = record.topic, names.get(record.schema_id, "")
+                kind = names.get(record.schema_id, "")
+                if record.message_encoding == "cdr" and (not kinds or kind in kinds):
+                    channels[record.id] = record.topic, kind
             elif isinstance(record, Message) and record.channel_id in channels:
                 if record.data[:2] != b"\0\1":
                     continue  # big endian: no ROS 2 machine of today writes it

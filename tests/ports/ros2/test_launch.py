@@ -14,6 +14,9 @@ from typing import Any
 
 import pytest
 
+from ullage.ports.live import Address
+from ullage.ports.ros2.options import SinkOptions
+
 from .network import ROOT, Network, interpreter, told
 
 pytestmark = pytest.mark.ros2
@@ -116,7 +119,9 @@ def test_every_launch_file_starts_what_it_says(network: Network, installed: dict
     assert started.pop("radars.launch.py") == [["ullage_ros", "radar_simulator"], ["ullage_ros", "radar_mapping"]]
     for name, commands in started.items():
         scenario = name.partition(".")[0].replace("_", "-")
-        assert commands == [["ullage", "run", scenario, "--force", "--to", "ros2:?linger_s=60&pace=1"]]
+        address = "ros2:?linger_s=60&pace=1&frame_prefix=&remap="
+        assert commands == [["ullage", "run", scenario, "--force", "--out", "runs", "--to", address]]
+        assert SinkOptions(**Address.of(address).options).frame_prefix == ""
 
 
 def end(launched: subprocess.Popen[str]) -> str:

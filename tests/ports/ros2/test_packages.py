@@ -51,6 +51,25 @@ def test_the_manifest_is_sound(name: str) -> None:
     assert re.fullmatch(r"[^@\s]+@[^@\s]+\.[a-z]+", address or "")
 
 
+def test_the_manifest_names_every_package_that_is_used() -> None:
+    """Those of the messages that ullage speaks, and those that the launch files import and start."""
+    tree = ET.parse(PACKAGES / "ullage_ros/package.xml").getroot()
+    named = {element.text for element in tree.iter() if element.tag.endswith("depend")}
+    sources = [*(ROOT / "src/ullage/ports").glob("*.py"), *(ROOT / "src/ullage/ports/ros2").glob("*.py")]
+    spoken = {
+        found for file in sources for found in re.findall(r'"(\w+_msgs|builtin_interfaces)/msg/\w+"', file.read_text())
+    }
+    launched = {
+        found
+        for file in (PACKAGES / "ullage_ros").rglob("*.py")
+        for found in re.findall(r'package="(\w+)"|from (launch\w*)', file.read_text())
+        for found in found
+        if found and found != "ullage_ros"
+    }
+    nodes = (ROOT / "src/ullage/experiments/ros2_nodes.py").read_text()
+    assert named >= spoken | launched | set(re.findall(r"from (rcl\w+)[. ]", nodes))
+
+
 def test_launch_files_start_what_there_is() -> None:
     for file in sorted((PACKAGES / "ullage_ros/launch").glob("*.launch.py")):
         tree = ast.parse(file.read_text())
@@ -74,6 +93,7 @@ def test_the_launched_nodes_know_their_parameters() -> None:
         for key, value in zip(assigned["simulator"].keys, assigned["simulator"].values, strict=True)
     }  # type: ignore[attr-defined]
     assert told_.keys() <= NODES["radar_simulator"][0].model_fields.keys()
+    assert {key.value for key in assigned["mapping"].keys} <= NODES["radar_mapping"][0].model_fields.keys()  # type: ignore[attr-defined]
     used = {n.args[0].value for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "of"}  # type: ignore[attr-defined]
     assert used == arguments
     started = [

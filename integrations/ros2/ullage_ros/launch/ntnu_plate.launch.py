@@ -1,4 +1,4 @@
-"""The scenario ntnu-plate: pace:=1 rviz:=false."""
+"""The scenario ntnu-plate: pace:=1 namespace:=/drone1 frame_prefix:=drone1/ rviz:=false."""
 
 from launch import LaunchDescription
 from ullage_ros.scenario import describe

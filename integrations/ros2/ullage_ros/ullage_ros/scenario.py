@@ -7,6 +7,15 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+ARGUMENTS = {
+    "pace": ("1", "times real time"),
+    "namespace": ("", "of the topics, as /drone2"),
+    "frame_prefix": ("", "before all frames of reference but map, as drone2/"),
+    "remap": ("", "topics under other names: FROM:=TO, with commas between"),
+    "out": ("runs", "folder for the run; each of two drones needs its own"),
+    "rviz": ("false", "also show"),
+}
+
 
 def describe(scenario: str) -> LaunchDescription:
     """A scenario that ullage flies by itself, published in real time.
@@ -15,18 +24,20 @@ def describe(scenario: str) -> LaunchDescription:
         scenario: its name, as `ullage list` tells it.
     """
     rviz = PathJoinSubstitution([FindPackageShare("ullage_ros"), "config", "ullage.rviz"])
-    sink = ["ros2:?linger_s=60&pace=", LaunchConfiguration("pace")]
+    of = LaunchConfiguration
+    sink = ["ros2:", of("namespace"), "?linger_s=60&pace=", of("pace")]
+    sink += ["&frame_prefix=", of("frame_prefix"), "&remap=", of("remap")]
+    command = ["ullage", "run", scenario, "--force", "--out", of("out"), "--to", sink]
     return LaunchDescription(
         [
-            DeclareLaunchArgument("pace", default_value="1", description="times real time"),
-            DeclareLaunchArgument("rviz", default_value="false", description="also show"),
-            ExecuteProcess(cmd=["ullage", "run", scenario, "--force", "--to", sink], output="screen"),
+            *(DeclareLaunchArgument(name, default_value=v, description=d) for name, (v, d) in ARGUMENTS.items()),
+            ExecuteProcess(cmd=command, output="screen"),
             Node(
                 package="rviz2",
                 executable="rviz2",
                 arguments=["-d", rviz],
                 parameters=[{"use_sim_time": True}],
-                condition=IfCondition(LaunchConfiguration("rviz")),
+                condition=IfCondition(of("rviz")),
             ),
         ]
     )

@@ -114,7 +114,7 @@ class Incoming:
             self.counters.drop(radar.stream.topic, "lost", "numbers of its frames are missing",
                                count=index - radar.index - 1)  # fmt: skip
         radar.index = index
-        self._stamp(radar, int(conversions.times_in([data])[0]), data)
+        self._stamp(radar, conversions.time_in(data), data)
 
     def _stamp(self, radar: Radar, t_ns: int, what: bytes | Frames) -> None:
         """Give a message its time; it then waits for settings or for its pose."""
