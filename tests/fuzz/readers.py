@@ -184,11 +184,11 @@ def _db3(folder: Path) -> list[bytes]:
     from rosbags.rosbag2 import Writer
 
     from ullage.ports import messages as ros
-    from ullage.ports.ros2.outgoing import Outgoing
+    from ullage.ports.publisher import Publisher
 
     with Writer(folder / "bag", version=9) as writer:
         connections: dict[str, Any] = {}
-        for note in Outgoing().notes({"front": small_frames()}):
+        for note in Publisher().messages({"front": small_frames()}):
             topic = "/" + note.topic.lstrip("/")
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, note.kind, typestore=ros.typestore())

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ullage.ports.bag import Topics, mcap_writer, write_metadata
-from ullage.ports.protocol import write_whole
+from ullage.files import write_whole
 from ullage.ports.replay import MAGIC, McapSource
 
 TAIL = 8
