@@ -14,6 +14,7 @@ from pathlib import Path
 import ullage as ul
 from ullage import ports
 from ullage.config import make_scenario
+from ullage.errors import DamageWarning
 from ullage.experiments.catalog import find_scenario
 
 
@@ -34,7 +35,7 @@ def read_recording(path: Path) -> None:
     for part in (source.frames, source.trajectory, source.map):
         try:
             part()
-        except ul.InputError as error:
+        except (ul.InputError, DamageWarning) as error:
             errors.append(error)
     if errors:
         raise errors[0]
@@ -67,13 +68,14 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 def main() -> None:
     warnings.simplefilter("ignore")
+    warnings.simplefilter("error", DamageWarning)  # damaged messages are left out, and one line says so
     reader = READERS[sys.argv[1]]
     for name in sys.stdin.read().splitlines():
         begun = time.process_time()
         said, trouble = "", ""
         try:
             reader(Path(name))
-        except ul.InputError as error:
+        except (ul.InputError, DamageWarning) as error:
             said = str(error)
         except Exception:
             trouble = traceback.format_exc()

@@ -7,6 +7,7 @@ import os
 import struct
 import subprocess
 import sys
+import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,7 @@ import pytest
 
 import ullage as ul
 from ullage import ports
-from ullage.errors import one_line, shown
+from ullage.errors import DamageWarning, one_line, shown
 from ullage.experiments.catalog import find_scenario
 from ullage.untrusted import load_yaml, reading, regular_size
 
@@ -282,10 +283,12 @@ def kind_of(name: str, folder: Path) -> str:
 
 
 def refused(work: Callable[[], object], *words: str) -> bool:
-    """Whether it is refused, in one line with these words."""
+    """Whether it is refused, or its damaged messages are reported, in one line with these words."""
     try:
-        work()
-    except ul.InputError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DamageWarning)
+            work()
+    except (ul.InputError, DamageWarning) as error:
         return str(error).isprintable() and all(word in str(error) for word in words)
     return False
 

@@ -39,15 +39,19 @@ Trust = Annotated[bool, typer.Option("--trust-xacro", callback=_trust, help="Exp
 
 def main() -> None:
     """Run the command; what ullage refuses is one line and exit 2, unless --debug asks for the traceback."""
-    from ullage.errors import UllageError
+    from ullage.errors import DamageWarning, UllageError
     from ullage.experiments.stop_signals import stop_as_ctrl_c
 
     debug = "--debug" in sys.argv
     sys.argv = [word for word in sys.argv if word != "--debug"]
-    _quiet_warnings()
+    warned = _quiet_warnings()
     try:
         with stop_as_ctrl_c():
             app(standalone_mode=True)
+    except SystemExit as done:
+        if not done.code and any(issubclass(category, DamageWarning) for category in warned.values()):
+            sys.exit(2)
+        raise
     except UllageError as error:
         if debug:
             raise
@@ -60,15 +64,20 @@ def main() -> None:
         sys.exit(130)
 
 
-def _quiet_warnings() -> None:
+def _quiet_warnings() -> dict[str, type[Warning]]:
+    """Show each warning as one line, once; give those shown so far."""
     import warnings
 
+    shown: dict[str, type[Warning]] = {}
+
     def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        typer.echo(
-            f"{'warning' if category.__module__.startswith('ullage') else category.__name__}: {message}", err=True
-        )
+        kind = "warning" if category.__module__.startswith("ullage") else category.__name__
+        if str(message) not in shown:
+            typer.echo(f"{kind}: {message}", err=True)
+        shown[str(message)] = category
 
     warnings.showwarning = show
+    return shown
 
 
 def _version(wanted: bool) -> None:

@@ -64,6 +64,10 @@ class UllageWarning(UserWarning):
     """Something was ignored or assumed; the work goes on."""
 
 
+class DamageWarning(UllageWarning):
+    """Messages of a recording were damaged and left out; the rest is used, and the command ends with exit code 2."""
+
+
 def need(module: str, *, extra: str) -> ModuleType:
     """Import an optional library, or say in one line how to get it.
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ullage.ports.bag import Topics, mcap_writer, write_metadata
 from ullage.files import write_whole
+from ullage.ports.bag import Topics, mcap_writer, write_metadata
 from ullage.ports.replay import MAGIC, McapSource
 
 TAIL = 8

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ullage.data import Frames, Trajectory, gathered, joined
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import messages as ros
@@ -101,8 +101,9 @@ class McapSource:
         for mine in waiting.values():
             mine.stream.finish()
         yield from self._made(waiting, counters)
+        damaged = counters.dropped("bad") > 0
         for line in counters.lines():
-            self._warn(line)
+            warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
 
     def _warn(self, text: str) -> None:
         warnings.warn(f"{self.path}: {text}", UllageWarning, stacklevel=3)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ullage.data import Frames, Trajectory, gathered
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import DamageWarning, InputError, UllageWarning
 from ullage.grids import OccupancyMap
 from ullage.ports import conversions, encode
 from ullage.ports import messages as ros
@@ -117,8 +117,9 @@ class RosbagSource:
         while found := into.ready(chunk):
             yield found
         into.finish()
+        damaged = into.counters.dropped("bad") > 0
         for line in into.counters.lines():
-            warnings.warn(f"{self.path}: {line}", UllageWarning, stacklevel=2)
+            warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
 
     def _takers(self, into: Incoming) -> dict[str, Callable[[bytes], None]]:
         """What to do with the messages of each topic."""
