@@ -216,7 +216,7 @@ def list_(out: Out = None) -> None:
     for world in WORLDS.values():
         table.add_row(world.name, world.title)
     console.print(table)
-    say(f"\nRadars: {', '.join(RadarSpec.presets)}\nRigs: {', '.join(Rig.presets)}")
+    say(f"\nRadars: {', '.join(RadarSpec.names())}\nRigs: {', '.join(Rig.presets)}")
     if runs := folders.runs_in(out or folders.RUNS):
         table = Table("run", "state", box=None, title="\nRuns: ullage show RUN", title_justify="left")
         for place in runs:

@@ -59,7 +59,7 @@ class SensingSpec(Spec):
     """Which radars, and which law their echoes follow."""
 
     rig: str = Field("thesis-4", description="thesis-4 or single")
-    preset: str = Field("x4m05", description="x4m05, x4m05-8ghz, x4m300 or pulson440")
+    preset: str = Field("x4m05", description="a radar as `ullage list` names them, or a YAML file of one")
     changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")
     fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=3)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from contextvars import ContextVar
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
@@ -16,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ullage.errors import InputError, shown
 from ullage.geometry import C0, transform
+from ullage.untrusted import read_yaml
 
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> InputError:
@@ -43,6 +45,22 @@ def _settings(model: type[BaseModel], path: tuple[str | int, ...]) -> str:
         kinds = (field.annotation, *get_args(field.annotation)) if field else ()
         model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), model)
     return ", ".join(model.model_fields)
+
+
+DEVICES = Path(__file__).parent / "devices"
+"""A YAML file for each device whose receiver was measured."""
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The fields of a radar in a YAML file.
+
+    Raises:
+        InputError: it is missing, or no group of settings.
+    """
+    tree, _ = read_yaml(path)
+    if not isinstance(tree, dict) or not all(isinstance(key, str) for key in tree):
+        raise InputError("not the settings of a radar", where=path, allowed="a YAML file as Receiver.write makes it")
+    return tree
 
 
 _nested: ContextVar[bool] = ContextVar("nested", default=False)
@@ -252,29 +270,32 @@ class RadarSpec(Spec):
         "x4m05": {},
         "x4m05-8ghz": {"name": "x4m05-8ghz", "center_hz": 8.748e9, "bandwidth_hz": 1.5e9},
         "x4m300": {"name": "x4m300", "frame_area_offset_m": 0.18},
-        "pulson440": {
-            "name": "pulson440", "center_hz": 3.95e9, "bandwidth_hz": 1.7e9, "sampling_hz": 1 / 61e-12,
-            "decimation": 1, "output": "rf", "bins": 1152, "prf_div": 24,
-            "antenna": {"kind": "cosine", "gain_dbi": 2.0, "azimuth_deg": 100, "elevation_deg": 100},
-            "own_echo_m": 2.5,  # ring-down of the recordings: docs/imaging.md
-            "range_zero_m": 0.45, "range_zero_sigma_m": 0.02,  # from surveyed reflectors of one rail: docs/imaging.md
-            "iterations": 1, "pulses_per_step": 2048,  # pulse integration index 11
-            # from the same rail's frames at rest, by Receiver.fit; unit_gain from a link budget: docs/receiver.md
-            "noise": {"thermal": 7.86e3, "unit_gain": 1e8, "phase_rad": 0.0, "phase_thermal_rad": 0.0,
-                      "amplitude": 6.4e-4, "clip": False, "lattice": False},
-        },
     }  # fmt: skip
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of the presets: those of data sheets, then the devices that were measured."""
+        return (*cls.presets, *sorted(file.stem for file in DEVICES.glob("*.yaml")))
 
     @classmethod
     def preset(cls, name: str, /, **changes: Any) -> RadarSpec:
         """A known radar, with some fields changed: `preset("x4m05", noise=None)`.
 
+        Args:
+            name: one of `names()`, or a YAML file as `Receiver.write` makes it.
+            **changes: fields, by name.
+
         Raises:
             InputError: the name or a field is unknown, or a value is out of bounds.
         """
-        if name not in cls.presets:
-            raise InputError(f"no radar preset {name!r}", where="preset", allowed=", ".join(cls.presets))
-        return cls(**_over(cls.presets[name], changes))
+        if name in cls.presets:
+            return cls(**_over(cls.presets[name], changes))
+        if name.endswith((".yaml", ".yml")):
+            return cls(**_over(_read(Path(name)), changes))
+        if name not in cls.names():
+            raise InputError(f"no radar preset {name!r}", where="preset",
+                             allowed=f"{', '.join(cls.names())}, or a YAML file")  # fmt: skip
+        return cls(**_over(_read(DEVICES / f"{name}.yaml"), changes))
 
     def but(self, /, **changes: Any) -> Self:
         """A checked copy with some fields changed."""

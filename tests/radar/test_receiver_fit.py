@@ -126,3 +126,30 @@ def test_what_cannot_be_fitted_is_refused_in_one_line(still: ul.Frames, kind: st
     with pytest.raises(InputError, match=words) as refused:
         ul.Receiver.fit(frames)
     assert "\n" not in str(refused.value)
+
+
+def test_a_fitted_radar_is_written_and_read_as_a_preset(still: ul.Frames, tmp_path: Path) -> None:
+    found = ul.Receiver.fit(still, counts=(16, 8))
+    found.write(tmp_path / "mine.yaml")
+    again = ul.RadarSpec.preset(str(tmp_path / "mine.yaml"))
+    assert again == found.radar
+    assert ul.RadarSpec.preset(str(tmp_path / "mine.yaml"), bins=50).bins == 50
+    text = (tmp_path / "mine.yaml").read_text()
+    assert text.startswith("# Measured on 800 frames at rest.")
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("- 1\n- 2\n", "not the settings of a radar"), ("thermal: 3\n", "no such setting"), ("bins: 3\n", "bins"),
+])  # fmt: skip
+def test_a_file_that_is_no_radar_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(InputError, match=words):
+        ul.RadarSpec.preset(str(tmp_path / "mine.yaml"))
+
+
+def test_every_measured_device_says_what_it_was_measured_on() -> None:
+    devices = set(ul.RadarSpec.names()) - set(ul.RadarSpec.presets)
+    assert {"x4-2019", "x4m300-2017", "pulson440"} <= devices
+    for name in devices:
+        assert ul.RadarSpec.preset(name).name == name
+        assert "at rest" in (Path(ul.__file__).parent / "devices" / f"{name}.yaml").read_text()

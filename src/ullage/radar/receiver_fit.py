@@ -19,14 +19,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from scipy.signal import hilbert
 
 from ullage.data import Frames, Metric
 from ullage.errors import InputError
+from ullage.files import write_whole
 from ullage.geometry import C0
 from ullage.radar.receiver import FILTER_SCALE, SIGMA_RATIO, dac_limit, noise_sigma, receive, unit
 from ullage.specs import DirectPathSpec, NoiseSpec, RadarSpec
@@ -93,7 +96,19 @@ class Receiver:
         own, notes = _own_response(profiles, still, moving, frames)
         noise = _noise(spec, measured, own, frames)
         radar = spec.but(noise=noise)
-        return cls(radar, _misfit(radar, measured, int(still.sum()), own), still, moving, notes)
+        return cls(radar, _misfit(radar, measured, frames, own), still, moving, notes)
+
+    def write(self, path: str | Path) -> None:
+        """Write the radar as YAML: `RadarSpec.preset(path)` and `sensing.preset` of a scenario read it.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        fields = self.radar.model_dump(mode="json", exclude_defaults=True)
+        lines = [f"Measured on {int(self.still.sum())} frames at rest.", *self.notes, "Simulated less recorded:"]
+        lines += [f"  {row.name} {row.value:.3g} {row.unit}".rstrip() for row in self.misfit.values()]
+        text = "".join(f"# {line}\n" for line in lines) + yaml.safe_dump(fields, sort_keys=False, width=110)
+        write_whole(Path(path), lambda file: file.write(text.encode()))
 
 
 def _only(recording: Frames | Mapping[str, Frames]) -> Frames:
@@ -125,7 +140,7 @@ def _baseband(frames: Frames) -> Complexes:
     """Complex envelopes (n, b); of RF samples the analytic signal, mixed down."""
     if np.iscomplexobj(frames.samples):
         return frames.samples.astype(np.complex128)
-    carrier = np.exp(-2j * np.pi * frames.spec.center_hz * (2 / C0) * frames.range_m)
+    carrier = np.exp(-2j * np.pi * frames.spec.center_hz * (2 / C0) * (frames.range_m - _zero_m(frames)))
     return np.asarray(hilbert(frames.samples.astype(np.float64), axis=1) * carrier, np.complex128)
 
 
@@ -269,11 +284,16 @@ def _own_response(
                  "standing echoes of the place may be in it",)  # fmt: skip
     values = _in_band(mean, frames)[: max(last + 1, 4 * every) : every]
     return DirectPathSpec(
-        range_start_m=float(frames.range_m[0] + frames.spec.frame_area_offset_m),
+        range_start_m=float(frames.range_m[0] + frames.spec.frame_area_offset_m - _zero_m(frames)),
         step_m=every * frames.spec.bin_m,
-        in_phase=tuple(values.real.tolist()),
-        quadrature=tuple(values.imag.tolist()),
+        in_phase=_rounded(values.real),
+        quadrature=_rounded(values.imag),
     ), notes
+
+
+def _zero_m(frames: Frames) -> float:
+    """What cables and antennas add to the ranges of a recording that is not calibrated; simulated ranges are true."""
+    return 0.0 if frames.calibration is not None else frames.spec.range_zero_m or 0.0
 
 
 def _in_band(profile: Complexes, frames: Frames) -> Complexes:
@@ -354,12 +374,20 @@ def _noise(spec: RadarSpec, rest: _Rest, own: DirectPathSpec, frames: Frames) ->
 
 def _before_gain(own: DirectPathSpec, gain: float) -> DirectPathSpec:
     """The response at RF of one that was recorded at baseband."""
-    return own.but(in_phase=tuple(v / gain for v in own.in_phase), quadrature=tuple(v / gain for v in own.quadrature))
+    return own.but(
+        in_phase=_rounded(np.array(own.in_phase) / gain), quadrature=_rounded(np.array(own.quadrature) / gain)
+    )
 
 
-def _misfit(radar: RadarSpec, recorded: _Rest, count: int, own: DirectPathSpec) -> dict[str, Metric]:
+def _rounded(values: Floats) -> tuple[float, ...]:
+    """Values to five digits, which is beyond what is measured."""
+    return tuple(float(f"{value:.5g}") for value in values)
+
+
+def _misfit(radar: RadarSpec, recorded: _Rest, recording: Frames, own: DirectPathSpec) -> dict[str, Metric]:
     """Frames at rest simulated with the fitted receiver, beside the recorded ones: simulated less or over recorded."""
-    count = min(count, 4000)
+    radar = radar.but(range_start_m=float(recording.range_m[0]) - _zero_m(recording))
+    count = min(len(recording), 4000)
     empty = np.zeros((count, radar.bins), np.float32 if radar.output == "rf" else np.complex64)
     samples = receive(empty, radar, seed=1) * unit(radar)
     frames = Frames(samples, radar.range_m, np.arange(count, dtype=np.int64) * 1_000_000, radar, unit="normalised")

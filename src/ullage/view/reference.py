@@ -59,7 +59,7 @@ For `sensing.changes`, and for `ul.RadarSpec.preset("x4m05", ...)` in Python. Ot
 
 def scenario_page() -> str:
     """The page on scenario files, as Markdown."""
-    others = ", ".join(name for name in RadarSpec.presets if name != "x4m05")
+    others = ", ".join(name for name in RadarSpec.names() if name != "x4m05")
     return SCENARIOS.format(
         scenario=scenario_text(Scenario(name="mine")), radar=scenario_text(RadarSpec()), presets=others
     )
