@@ -210,14 +210,21 @@ Unit = Literal["path_gain", "normalised", "thesis"]
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Offsets found by focus: what was added to the radar's clock and to its range axis, and how sure that is."""
+    """Offsets of a radar against a track: what was added to its clock and to its range axis, and how sure that is."""
 
     t_offset_s: float  # pose clock minus radar clock [s]
     range_offset_m: float  # added to range_m [m]
     t_sigma_s: float  # one sigma [s]
     range_sigma_m: float  # one sigma [m]
-    gain_db: float  # sharpness gained over the frames as they came [dB]
-    method: str = ""  # which means found it, and what it could not tell
+    gain_db: float  # coherence of the strongest scatterers gained over the frames as they came [dB]
+    method: str = ""  # what the offsets were found from
+    probability: float = float("nan")  # posterior probability of this candidate
+    modes: tuple[tuple[float, float, float], ...] = ()  # candidates: clock [s], range [m], probability; best first
+    clock_posterior: tuple[tuple[float, float], ...] = ()  # clock offset [s], log density below its greatest value
+
+    def __post_init__(self) -> None:
+        for name in ("modes", "clock_posterior"):  # JSON gives lists
+            object.__setattr__(self, name, tuple(tuple(row) for row in getattr(self, name)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,9 @@ def shown(value: Any, *, most: int = 80) -> str:
 
 
 class UllageError(Exception):
-    """Anything ullage refuses; the command line prints it as one line and exits 2."""
+    """Anything ullage refuses; the command line prints it as one line and exits with `exit_code`."""
+
+    exit_code = 2
 
 
 class InputError(UllageError):
@@ -54,6 +56,12 @@ class InputError(UllageError):
         place = "" if where is None else f"{where}:{line}: " if line is not None else f"{where}: "
         super().__init__(one_line(f"{place}{what}" + (f" (allowed: {allowed})" if allowed else "")))
         self.what, self.where, self.line, self.allowed, self.field = what, where, line, allowed, field
+
+
+class CalibrationError(InputError):
+    """A recording that does not decide where its clock and range zero are; nothing is guessed."""
+
+    exit_code = 1
 
 
 class MissingExtra(UllageError):

@@ -308,6 +308,11 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
             out.append(_explained(folder / "explain.png", *next(iter(frames.items())), index, job))
     if job.scene is None and (still := job.rest.frames()):
         out.append(rest_figure(folder / "rest.png", still, title=job.title))
+    found = {name: one.calibration for name, one in frames.items() if one.calibration is not None}
+    if found:
+        from ullage.view.calibration_figure import calibration_figure
+
+        out.append(calibration_figure(folder / "calibration.png", found, title=job.title))
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
             out.append(figures.map_figure(folder / "map.png", item, title=job.title, walls=walls, flown=job.flown))

@@ -230,15 +230,29 @@ def _on_one_clock(source: Any, say: Callable[[str], None]) -> dict[str, Frames]:
     from ullage.data import sensors_of
     from ullage.processing.calibrate import calibrate
 
-    say("finding clock and range offsets by focus")
-    parts = [calibrate(part) for part in sensors_of(source.frames())]
+    say("finding clock and range offsets")
+    parts = [calibrate(part, progress=_every_tenth(say)) for part in sensors_of(source.frames())]
     for part in parts:
         if (found := part.calibration) is not None:
             say(
                 f"{part.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
-                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f})"
+                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
+                f"probability {found.probability:.3f}"
             )
     return {part.sensor: part for part in parts}
+
+
+def _every_tenth(say: Callable[[str], None]) -> Callable[[float], None]:
+    """Reports a share of the work at every tenth."""
+    last = 0
+
+    def report(done: float) -> None:
+        nonlocal last
+        if int(10 * done) > last:
+            last = int(10 * done)
+            say(f"finding clock and range offsets: {100 * done:.0f} %")
+
+    return report
 
 
 def _track(source: Any) -> Trajectory | None:

@@ -27,7 +27,7 @@ __all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 Made = TypeVar("Made")
 SOURCES = (
     ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, "
-    "or a folder with frames.mcap, metadata.yaml, or radar.out and mocap.csv"
+    "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and mocap.csv"
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 LOGS = (".lsf", ".lsf.gz")
@@ -54,7 +54,7 @@ def open(target: str | Path, **options: Any) -> Source:
 
     Args:
         target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, a folder with
-            radar.out and mocap.csv, or a live port as `scheme:place?key=value`.
+            radar.out or radar.npz and mocap.csv, or a live port as `scheme:place?key=value`.
         **options: of that kind: X4 takes fps and range_start_m; a PulsON folder takes mount (a MountSpec).
 
     Raises:
@@ -254,7 +254,7 @@ class RailSource(WholeSource):
 def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
     from ullage.ports.ros2.bags import open_mcap
 
-    if (folder / "radar.out").exists():
+    if (folder / "radar.out").exists() or (folder / "radar.npz").exists():
         return with_options(_open_rail, folder, options)
     if (folder / "frames.mcap").exists():
         return with_options(open_mcap, folder / "frames.mcap", options)
@@ -277,9 +277,12 @@ def _open_file(path: Path, options: dict[str, Any]) -> Source:
 def _open_rail(folder: Path, *, mount: MountSpec | None = None) -> RailSource:
     """Scans with poses from motion capture, as if both clocks had started together; `calibrate` finds the rest."""
     from ullage.ports.motive import read_tracks
-    from ullage.ports.pulson import read_log
+    from ullage.ports.pulson import read_arrays, read_log
 
-    log = read_log(folder / "radar.out")
+    both = [name for name in ("radar.out", "radar.npz") if (folder / name).exists()]
+    if len(both) > 1:
+        raise InputError("two radar recordings", where=folder, allowed="radar.out or radar.npz, not both")
+    log = read_log(folder / "radar.out") if both == ["radar.out"] else read_arrays(folder / "radar.npz")
     spec = log.spec.but(mount=mount) if mount else log.spec
     tracks = read_tracks(folder / "mocap.csv")
     name = _radar_body(tracks)

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import struct
 import warnings
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +37,7 @@ PACKET = np.dtype({
 class Log:
     """A decoded PulsON log."""
 
-    scans: NDArray[np.int32]  # (n, b) in the radar's counts
+    scans: NDArray[Any]  # (n, b) in the radar's counts
     t_ns: Times  # (n) from the first scan on
     range_m: Floats  # (b) [m]
     spec: RadarSpec
@@ -67,16 +70,52 @@ def read_log(path: str | Path) -> Log:
     scans, t_ms = _assemble(packets, path)
     t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
     range_m = C0 / 2 * (start_ps * 1e-12 - LEAD_S) + C0 / 2 * STEP_S * np.arange(scans.shape[1])
+    return Log(scans, t_ns, range_m, _spec(range_m, t_ns, integration))
+
+
+ARRAYS = ("scans", "t_ms", "range_m", "scan_start_ps", "scan_stop_ps", "scan_res", "pii")
+
+
+def read_arrays(path: str | Path) -> Log:
+    """Read a PulsON log that was saved as plain arrays (`.npz`): no pickled object in it is opened.
+
+    Keys: `scans` (n, b) in the radar's counts, `t_ms` (n) radar clock [ms], `range_m` (b) [m], and the scalars
+    `scan_start_ps`, `scan_stop_ps` [ps], `scan_res` (in steps of 1.907 ps) and `pii` (pulse integration index).
+
+    Raises:
+        InputError: a key is missing, or shapes and values do not fit together.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            if missing := [name for name in ARRAYS if name not in stored]:
+                raise InputError(f"no {', '.join(missing)}", where=path, allowed=", ".join(ARRAYS))
+            scans, t_ms, range_m, _, _, _, pii = (np.asarray(stored[name]) for name in ARRAYS)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"cannot be read: {error}", where=path, allowed="plain arrays in a .npz file") from None
+    if scans.ndim != 2 or scans.dtype.kind not in "iuf" or scans.shape != (t_ms.size, range_m.size) or not scans.size:
+        shapes = f"scans {scans.shape}, t_ms {t_ms.shape}, range_m {range_m.shape}"
+        raise InputError(shapes, where=path, allowed="scans (n, b) of numbers, t_ms (n), range_m (b)")
+    if pii.size != 1 or not 6 <= int(pii.ravel()[0]) <= 15:
+        raise InputError(f"pii is {pii.tolist()}", where=path, allowed="6 .. 15")
+    range_m = range_m.astype(float)
+    if range_m.size < 8 or not np.isfinite(range_m).all() or np.any(np.diff(range_m) <= 0):
+        raise InputError("range_m does not rise", where=path, allowed="at least 8 rising, finite ranges [m]")
+    ticks = t_ms.astype(np.int64)
+    t_ns = mend_clock((ticks - ticks[0]) * 1_000_000, where=path)
+    return Log(scans, t_ns, range_m, _spec(range_m, t_ns, int(pii.ravel()[0])))
+
+
+def _spec(range_m: Floats, t_ns: Times, integration: int) -> RadarSpec:
     fps = 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 46.0
-    spec = RadarSpec.preset(
+    return RadarSpec.preset(
         "pulson440",
-        bins=scans.shape[1],
+        bins=len(range_m),
         range_start_m=float(range_m[0]),
         fps=fps,
         pulses_per_step=2**integration,
         iterations=1,
     )
-    return Log(scans, t_ns, range_m, spec)
 
 
 def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Times]:

@@ -18,6 +18,7 @@ CAPTIONS = {
     "map": "Occupancy map over the true walls (red) and the flown path (blue).",
     "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
     "own_echo": "Power received over range, the radar's own echo that was removed, and what remains.",
+    "calibration": "Posterior of the clock offset between radar and track, and the offsets that were applied.",
     "range_time": "Amplitude of every range bin over time, one panel a radar.",
     "rest": "Mean profile, noise and its correlation while the radar stood still.",
     "explain": "Where the strongest echoes of a frame in the middle of the run came from, and a plan at its height.",

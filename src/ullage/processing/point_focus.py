@@ -1,0 +1,249 @@
+"""Clock and range offset from scatterers that stay coherent along a track.
+
+Strong scatterers are found by back-projecting short parts of the aperture. Each is then followed along all of the
+track. Its place is fitted anew for every value of the offsets, so that no value gains from where the place was drawn.
+With coherence g over n independent samples its log-likelihood is -n log(1 - g): a steady point in white noise of
+unknown power, with both amplitudes at their maximum likelihood [Kay1998].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Trajectory
+from ullage.processing.backprojection import oversampled, oversampling
+from ullage.processing.baseband import to_baseband
+from ullage.processing.motion_match import whole_frames
+
+Floats = NDArray[np.float64]
+
+SEGMENT_WAVELENGTHS = 20.0  # part of the track that one seed is drawn from: a range offset hardly defocuses it
+CELLS = 1.5e8  # cell times frames over all segments, which bounds the time
+REACH_M, LEAST_RANGE_M = 6.0, 0.5
+SEED_COHERENCE = 0.35
+SEEDS_PER_SEGMENT, MOST_SEEDS, MOST_POINTS = 12, 40, 16
+SAME_M = 0.06  # two places whose ranges differ by less than this are one echo
+VISIBLE_M = 0.35  # length of track over which the amplitude of an echo is taken as steady
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Point:
+    """A scatterer, and how its amplitude varies along the track."""
+
+    place: Floats  # (3) world [m]
+    amplitude: Floats  # (n) relative, 0 where it is not seen
+    gain: float  # log-likelihood over noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where to look for a scatterer: as the radar measured it, whatever the offsets."""
+
+    ray: Floats  # (3) direction from the track, world
+    bin_m: float  # range on the frames' own axis [m]
+    along_m: float  # travelled distance at which it was found [m]
+
+
+class PointFocus:
+    """Scatterers of one recording, and how well they focus.
+
+    Args:
+        frames: of one radar.
+        track: world_from_sensor in its own clock.
+        offset_s: clock offset that is nearly right: it says which frames stand still.
+    """
+
+    def __init__(self, frames: Frames, track: Trajectory, offset_s: float) -> None:
+        self.wave_m = frames.spec.wavelength_m
+        self.known_s, self.position = track.t_ns * 1e-9, track.position
+        self.t_s = t_s = frames.t_ns * 1e-9
+        values, good, place = to_baseband(frames), whole_frames(frames), self.path(offset_s)
+        inside = (t_s + offset_s >= self.known_s[0]) & (t_s + offset_s <= self.known_s[-1])
+        step = np.r_[0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)]
+        along = np.cumsum(step)
+        moved = np.minimum(np.gradient(along), self.wave_m / 2) * (good & inside)
+        kept = np.flatnonzero(np.r_[True, np.diff(np.floor(along / (self.wave_m / 6))) > 0] & good & inside)
+        if moved.sum() > 0:
+            values = values - (moved @ values / moved.sum()).astype(np.complex64)
+        bin_m = float(np.diff(frames.range_m).mean())
+        factor = oversampling(frames.spec, bin_m)
+        fine = oversampled(np.ascontiguousarray(values[kept]), factor) if len(kept) else values[:0]
+        self.fine = fine / np.maximum(np.sqrt((np.abs(fine) ** 2).sum(0) / max(len(fine), 1)), 1e-30)
+        self.per_m, self.first_m, self.last_m = factor / bin_m, float(frames.range_m[0]), float(frames.range_m[-1])
+        self.t_s, self.along = t_s[kept], along[kept]
+        self.weight = np.minimum(np.gradient(self.along), self.wave_m) if len(kept) > 2 else np.ones(len(kept))
+
+    def path(self, offset_s: float) -> Floats:
+        """Positions (n, 3) of the sensor under a clock offset, held beyond the ends of the track."""
+        when = self.t_s + offset_s
+        return np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
+
+    def seeds(self, offset_s: float, range_m: float) -> list[tuple[float, Floats, float]]:
+        """Coherence, place and position along the track of what focuses over parts of the track, best first."""
+        path = self.path(offset_s)
+        length = float(self.along[-1] - self.along[0]) if len(self.along) else 0.0
+        if length < 2 * self.wave_m:
+            return []
+        part = min(SEGMENT_WAVELENGTHS * self.wave_m, length)
+        centres = self.along[0] + part / 2 + (length - part) * np.linspace(0, 1, max(1, int(np.ceil(length / part))))
+        spread = np.linalg.svd(path - path.mean(0), compute_uv=False) / np.sqrt(len(path))
+        flat = spread[1] < self.wave_m  # a straight track sees the same from every height
+        out: list[tuple[float, Floats, float]] = []
+        for centre in centres:
+            use = np.flatnonzero(abs(self.along - centre) < part / 2)
+            use = use[:: max(1, len(use) // 45)]
+            if len(use) >= 8:
+                taper = np.cos(np.pi * (self.along[use] - centre) / part) ** 2 * self.weight[use]
+                out += [
+                    (g, c, float(centre)) for g, c in self._segment(path[use], use, taper, range_m, flat, len(centres))
+                ]
+        return sorted(out, key=lambda one: -one[0])[:MOST_SEEDS]
+
+    def _segment(
+        self, path: Floats, use: NDArray[np.int64], taper: Floats, range_m: float, flat: bool, segments: int
+    ) -> list[tuple[float, Floats]]:
+        """Peaks of coherence in a box around a part of the track."""
+        from ullage.kernels.backprojection import backproject_rows
+
+        cell, middle = 0.8 * self.wave_m, path.mean(0)
+        heights = np.zeros(1) if flat else np.arange(-5, 6) * 5.0 * cell
+        reach = min(REACH_M, self.last_m + range_m)
+        most = np.sqrt(CELLS / (segments * len(use) * len(heights))) * cell / 2
+        half = np.arange(-min(reach, most), min(reach, most) + cell, cell)
+        y, z = (a.ravel() for a in np.meshgrid(half + middle[1], heights + middle[2]))
+        sums = np.zeros((len(y), 5, len(half)), np.float32)
+        axis = np.array([self.per_m, (self.first_m + range_m) * self.per_m, 2 / self.wave_m], np.float32)
+        turn = np.tile(np.eye(3), (len(use), 1, 1))
+        profile = self.fine[use]
+        backproject_rows(
+            y, z, float(half[0] + middle[0]), cell, np.ascontiguousarray(profile.real),
+            np.ascontiguousarray(profile.imag), axis, np.zeros(3, np.float32), np.ascontiguousarray(path), turn,
+            (taper / taper.sum()).astype(np.float32), sums,
+        )  # fmt: skip
+        coherence = (sums[:, 0] ** 2 + sums[:, 1] ** 2) / np.maximum(sums[:, 2] * sums[:, 3], 1e-12)
+        x = half + middle[0]
+        near = np.sqrt((x[None] - middle[0]) ** 2 + (y[:, None] - middle[1]) ** 2 + (z[:, None] - middle[2]) ** 2)
+        coherence[(sums[:, 3] < 0.9) | (near < LEAST_RANGE_M)] = 0
+        out: list[tuple[float, Floats]] = []
+        while len(out) < SEEDS_PER_SEGMENT and coherence.max() > SEED_COHERENCE:
+            row, col = np.unravel_index(int(coherence.argmax()), coherence.shape)
+            place = np.array([x[col], y[row], z[row]])
+            out.append((float(coherence[row, col]), place))
+            gone = (x[None] - x[col]) ** 2 + (y[:, None] - y[row]) ** 2 + (z[:, None] - z[row]) ** 2 < 0.25
+            coherence[gone] = 0
+        return out
+
+    def _along_point(self, place: Floats, path: Floats, range_m: float) -> tuple[NDArray[np.complex128], Floats]:
+        """Echoes (n) of a place with their propagation phase taken off, and ranges (n) [m]."""
+        distance = np.linalg.norm(path - place, axis=1)
+        at = (distance - range_m - self.first_m) * self.per_m
+        seen = (at >= 0) & (at < self.fine.shape[1] - 1.001)
+        at = np.where(seen, at, 0)
+        low = at.astype(int)
+        row = np.arange(len(at))
+        share = at - low
+        value = self.fine[row, low] * (1 - share) + self.fine[row, low + 1] * share
+        return value * np.exp(4j * np.pi / self.wave_m * distance) * seen, distance
+
+    def gain(self, place: Floats, amplitude: Floats, path: Floats, range_m: float) -> float:
+        """Log-likelihood of a steady scatterer at a place, over noise."""
+        value, _ = self._along_point(place, path, range_m)
+        weight = amplitude * self.weight
+        energy = (amplitude * weight).sum() * (self.weight * np.abs(value) ** 2)[amplitude > 0].sum()
+        coherence = min(float(abs((weight * value).sum()) ** 2 / max(energy, 1e-30)), 0.9999)
+        samples = weight.sum() ** 2 / max((amplitude * weight).sum(), 1e-30) / (self.wave_m / 2)
+        return float(-samples * np.log(1 - coherence))
+
+    def placed(
+        self, place: Floats, amplitude: Floats, path: Floats, range_m: float, *, steps: int = 5
+    ) -> tuple[Floats, float]:
+        """The place near this one at which the phases agree best, by Gauss-Newton, and its log-likelihood."""
+        per_m = 4 * np.pi / self.wave_m
+        best, damping = self.gain(place, amplitude, path, range_m), 1e-4
+        for _ in range(steps):
+            value, distance = self._along_point(place, path, range_m)
+            weight = amplitude * self.weight
+            phase = np.angle(value * np.conj((weight * value).sum()))
+            weight = weight * np.abs(value) * (np.cos(phase) > -0.3)
+            design = np.c_[per_m * (place - path) / distance[:, None], np.ones(len(path))]
+            normal = (design * weight[:, None]).T @ design
+            normal[:3, :3] += damping * np.trace(normal[:3, :3]) * np.eye(3)
+            move = -np.linalg.solve(normal + 1e-12 * np.eye(4), (design * weight[:, None]).T @ phase)[:3]
+            size = float(np.linalg.norm(move))
+            move = move * min(1.0, 0.66 * self.wave_m / max(size, 1e-9))
+            found = self.gain(place + move, amplitude, path, range_m)
+            damping = damping * 10 if found < best else damping
+            if found >= best:
+                place, best = place + move, found
+            if size < 0.006 * self.wave_m:
+                break
+        return place, best
+
+    def _amplitude(self, place: Floats, path: Floats, range_m: float) -> Floats:
+        """Amplitude (n) of a scatterer along the track over the noise around it; 0 where it is not seen."""
+        value, _ = self._along_point(place, path, range_m)
+        window = np.exp(-(((self.along[:, None] - self.along) / (VISIBLE_M / 2)) ** 2)) * self.weight
+        window = window / window.sum(1, keepdims=True)
+        steady, power = np.abs(window @ value) ** 2, window @ np.abs(value) ** 2
+        noise = np.maximum(power - steady, 1e-3 * power) * self.wave_m / (2 * 0.9 * VISIBLE_M)
+        return np.where(steady > 3 * noise, np.sqrt(np.maximum(steady - noise, 0)), 0.0)
+
+    def starts(self, offset_s: float, range_m: float) -> list[Start]:
+        """Scatterers to start from, each seen from the middle of its part of the track."""
+        path = self.path(offset_s)
+        out = []
+        for _, place, along in self.seeds(offset_s, range_m):
+            ray = place - path[np.argmin(np.abs(self.along - along))]
+            distance = float(np.linalg.norm(ray))
+            out.append(Start(ray / distance, distance - range_m, along))
+        return out
+
+    def drawn(self, starts: Sequence[Start], offset_s: float, range_m: float) -> list[Point]:
+        """The scatterer of each start under these offsets, with the part of the track from which it is seen."""
+        path, out = self.path(offset_s), []
+        for start in starts:
+            middle = path[np.argmin(np.abs(self.along - start.along_m))]
+            place = middle + start.ray * (start.bin_m + range_m)
+            near = np.exp(-(((self.along - start.along_m) / 0.5) ** 2))
+            place, _ = self.placed(place, near, path, range_m, steps=8)
+            gain, amplitude = 0.0, np.zeros(len(path))
+            for _ in range(2):
+                amplitude = self._amplitude(place, path, range_m)
+                if not amplitude.any():
+                    break
+                place, gain = self.placed(place, amplitude, path, range_m, steps=8)
+            out.append(Point(place, amplitude, gain))
+        return out
+
+    def distinct(self, points: Sequence[Point], offset_s: float) -> list[int]:
+        """Indices of the scatterers of highest likelihood, each echo once."""
+        path = self.path(offset_s)
+        out: list[int] = []
+        for k in np.argsort([-one.gain for one in points]):
+            one = points[int(k)]
+            if one.amplitude.any() and not any(self._same(one, points[other], path) for other in out):
+                out.append(int(k))
+            if len(out) == MOST_POINTS:
+                break
+        return out
+
+    def _same(self, one: Point, other: Point, path: Floats) -> bool:
+        """Whether two places explain the same echo."""
+        weight = one.amplitude * self.weight * (other.amplitude > 0)
+        if not weight.any():
+            return False
+        apart = np.linalg.norm(path - one.place, axis=1) - np.linalg.norm(path - other.place, axis=1)
+        return float(np.sqrt((weight * apart**2).sum() / weight.sum())) < SAME_M
+
+    def surveyed(self, places: Floats, offset_s: float, range_m: float) -> list[Point]:
+        """Points whose places are known."""
+        path, out = self.path(offset_s), []
+        for place in places:
+            amplitude = self._amplitude(place, path, range_m)
+            gain = self.gain(place, amplitude, path, range_m) if amplitude.any() else 0.0
+            out.append(Point(place, amplitude, gain))
+        return out
