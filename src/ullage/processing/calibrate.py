@@ -14,7 +14,7 @@ from ullage.data import Calibration, Frames, Trajectory
 from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.processing.baseband import checked
 from ullage.processing.motion_match import Gains, MotionMatch
-from ullage.processing.point_focus import Point, PointFocus
+from ullage.processing.point_focus import PointFocus
 from ullage.specs import RadarSpec
 
 Floats = NDArray[np.float64]
@@ -27,12 +27,13 @@ COARSE_S, FINE_S, MODE_S = 0.1, 0.02, 0.15  # steps of the clock search, and hal
 LEAST_OVERLAP = 0.2  # of the shorter of track and recording
 DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
-RANGE_SPREAD = 2.5  # by which points err together in range beyond what they disagree: benchmarks/calibrate_offsets.py
+RANGE_SPREAD = 2.0  # by which points err together in range beyond what they disagree: benchmarks/calibrate_offsets.py
+SURVEY_S = 0.15  # search for surveyed places around the clock that motion says [s]
 CLOCK_STEP_S, CLOCK_HALVES_S = 0.02, (0.08, 0.03, 0.01)
 RANGE_STEP_M = 0.06
-TAIL, TAIL_M = 0.02, 0.5  # share and width of the range prior's tail: cables get exchanged
+TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
-LEAST_GAIN = 240.0  # of the three most coherent points: 299 to 545 on real recordings, 175 with the track of another
+LEAST_GAIN = 200.0  # of the three most coherent points: 227 to 545 on real recordings, 175 with the track of another
 
 
 @overload
@@ -103,7 +104,7 @@ def calibrate(
     _check_track(track, frames.sensor)
     prior = _Prior.of(guess, frames, range_span_m)
     places = None if reflectors is None else _places(reflectors)
-    if places is not None and (guess is None or not isinstance(guess, Calibration) and len(guess) < 4):
+    if places is not None and (guess is None or (not isinstance(guess, Calibration) and len(guess) < 4)):
         prior = replace(prior, range_m=0.0, range_sigma_m=np.inf)  # the survey takes the place of the radar's own zero
     match = MotionMatch(checked(frames), track)
     clock = _ClockSearch.over(match, _clock_range(frames, track, t_span_s), prior, progress)
@@ -178,7 +179,7 @@ class _Prior:
 
     def with_range(self, range_m: float, sigma_m: float) -> tuple[float, float]:
         """Posterior mean and sigma of the range offset; the prior has wide tails, since cables get exchanged."""
-        at = np.linspace(-1, 1, 2001) * self.span_m
+        at = np.linspace(-1, 1, 20001) * self.span_m
         log_density = -0.5 * ((at - range_m) / sigma_m) ** 2
         if np.isfinite(self.range_sigma_m):
             away = at - self.range_m
@@ -188,6 +189,10 @@ class _Prior:
         density /= density.sum()
         mean = float(density @ at)
         return mean, float(np.sqrt(density @ (at - mean) ** 2))
+
+    def of_range(self, range_m: Floats) -> Floats:
+        """Logarithm of the normal prior of range offsets."""
+        return np.asarray(-0.5 * ((range_m - self.range_m) / self.range_sigma_m) ** 2)
 
     def ranges(self) -> Floats:
         """Range offsets to start from [m]."""
@@ -297,7 +302,7 @@ def _settle(
             allowed="reflectors that the radar sees, in the track's frame of reference",
         )
     gains = clock.match.gains(float(best.mean[0]))
-    _refuse(frames.sensor, gains, modes, probability, best.strongest if places is None else np.inf)
+    _refuse(frames.sensor, gains, modes, probability, best.strongest)
     return Calibration(
         float(best.mean[0]),
         float(best.mean[1]),
@@ -323,13 +328,13 @@ def _refuse(
 ) -> None:
     """Raise where no mode is probable enough, or where echoes do not follow the track at the best one."""
     moving = gains.total.sum(0)[gains.moving]
-    if len(moving) < 20 or moving.sum() <= 0 or strongest < LEAST_GAIN:
+    if len(moving) < 20 or strongest < LEAST_GAIN:
         raise CalibrationError(
             f"the echoes do not follow the track at any clock offset: at the best, {modes[0][0]:+.2f} s, it explains "
             f"{int((moving > 0).sum())} of {len(moving)} frames in motion, and its three most coherent points have a "
             f"log-likelihood of {strongest:.0f}",
             where=sensor,
-            allowed=f"at least {LEAST_GAIN:.0f}: a track of the same flight, with the radar in motion while both record",
+            allowed=f"at least {LEAST_GAIN:.0f}; a track of the same flight, in motion while both record",
         )
     if probability < LEAST_PROBABILITY:
         others = ", ".join(f"{t:+.2f} s ({100 * p:.0f} %)" for t, _, p in modes[:3])
@@ -350,38 +355,54 @@ def _thinned(offset_s: Floats, log_posterior: Floats) -> tuple[tuple[float, floa
 def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, places: Floats | None) -> _Focus:
     """The posterior around one mode: range and clock profiles, with each scatterer placed anew at every value."""
     focus = PointFocus(frames, track, mode_s)
+    if places is not None:
+        return _surveyed(focus, mode_s, prior, places)
     ranges = prior.ranges()
     centre = float(np.median(ranges))
-    if places is None:
-        starts = focus.starts(mode_s, centre)
-        kept = [starts[k] for k in focus.distinct(focus.drawn(starts, mode_s, centre), mode_s)]
-
-    def points(clock_s: float, range_m: float) -> list[Point]:
-        return focus.drawn(kept, clock_s, range_m) if places is None else focus.surveyed(places, clock_s, range_m)
+    starts = focus.starts(mode_s, centre)
+    kept = [starts[k] for k in focus.distinct(focus.drawn(starts, mode_s, centre), mode_s)]
 
     def gains(clock_s: float, range_m: float) -> list[float]:
-        return [one.gain for one in points(clock_s, range_m)]
+        return [one.gain for one in focus.drawn(kept, clock_s, range_m)]
 
-    clock_s, sigma_s, range_m, sigma_m, best = mode_s, CLOCK_STEP_S, centre, np.inf, 0.0
-    spread = RANGE_SPREAD if places is None else 1.0  # a surveyed place leaves no geometry to err in
-    steps = 9 if places is None else 17
-    for half_s in CLOCK_HALVES_S if places is None else (CLOCK_HALVES_S[0], *CLOCK_HALVES_S):
+    clock_s, sigma_s, range_m, sigma_m, best = mode_s, CLOCK_STEP_S, centre, prior.span_m, 0.0
+    for half_s in CLOCK_HALVES_S:
         by_range = np.array([gains(clock_s, float(r)) for r in ranges])
         if not by_range.any():
             break
         focused_m, spread_m = _resampled(ranges, by_range)
-        range_m, sigma_m = prior.with_range(focused_m, spread * spread_m)
-        clocks = clock_s + half_s * np.linspace(-1, 1, steps)
+        range_m, sigma_m = prior.with_range(focused_m, RANGE_SPREAD * spread_m)
+        clocks = clock_s + half_s * np.linspace(-1, 1, 9)
         by_clock = np.array([gains(float(t), range_m) for t in clocks])
         clock_s, sigma_s = _resampled(clocks, by_clock)
         best = float(by_clock.sum(1).max())
-    raw = sum(gains(0.0, 0.0))
-    found = [one for one in points(clock_s, range_m) if one.gain > 0]
+    found = [one for one in focus.drawn(kept, clock_s, range_m) if one.gain > 0]
     samples = sum((focus.weight * (one.amplitude > 0)).sum() for one in found) / (focus.wave_m / 2)
-    gain = float((sum(one.gain for one in found) - raw) / max(samples, 1e-9))
+    gain = float((sum(one.gain for one in found) - sum(gains(0.0, 0.0))) / max(samples, 1e-9))
     mean, sigma = np.array([clock_s, range_m]), np.array([sigma_s, sigma_m])
     strongest = float(sum(sorted(one.gain for one in found)[-3:]))
     return _Focus(mean, sigma, best / POINT_DISPERSION, gain, len(found), strongest)
+
+
+def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -> _Focus:
+    """The posterior from places that are known: all offsets near the mode are tried, then those near the best."""
+    clocks, ranges = mode_s + SURVEY_S * np.linspace(-1, 1, 41), prior.ranges()
+    for _ in range(3):
+        each = np.array([focus.brightness(places, float(t), ranges) for t in clocks])  # (clocks, ranges, places)
+        value = each.sum(2) / POINT_DISPERSION + prior.of_range(ranges)
+        density = np.exp(value - value.max())
+        density /= density.sum()
+        by_clock, by_range = density.sum(1), density.sum(0)
+        mean = np.array([by_clock @ clocks, by_range @ ranges])
+        best = np.array(np.unravel_index(int(value.argmax()), value.shape))
+        top = np.array([clocks[best[0]], ranges[best[1]]])
+        sigma = np.sqrt([by_clock @ (clocks - mean[0]) ** 2, by_range @ (ranges - mean[1]) ** 2])
+        half = np.maximum(3 * sigma, 2 * np.array([clocks[1] - clocks[0], ranges[1] - ranges[0]]))
+        clocks, ranges = (top[k] + half[k] * np.linspace(-1, 1, 25) for k in range(2))
+    seen = int((each[best[0], best[1]] > 0).sum())
+    raw = float(focus.brightness(places, 0.0, np.zeros(1)).sum())
+    gain = np.log(max(float(each[best[0], best[1]].sum()), 1e-9) / max(raw, 1e-9))
+    return _Focus(mean, np.maximum(sigma, half / 25), float(value.max()), float(gain), seen, np.inf)
 
 
 def _resampled(at: Floats, gains: Floats, *, draws: int = 200) -> tuple[float, float]:

@@ -239,11 +239,12 @@ class PointFocus:
         apart = np.linalg.norm(path - one.place, axis=1) - np.linalg.norm(path - other.place, axis=1)
         return float(np.sqrt((weight * apart**2).sum() / weight.sum())) < SAME_M
 
-    def surveyed(self, places: Floats, offset_s: float, range_m: float) -> list[Point]:
-        """Points whose places are known."""
-        path, out = self.path(offset_s), []
-        for place in places:
-            amplitude = self._amplitude(place, path, range_m)
-            gain = self.gain(place, amplitude, path, range_m) if amplitude.any() else 0.0
-            out.append(Point(place, amplitude, gain))
+    def brightness(self, places: Floats, offset_s: float, ranges_m: Floats) -> Floats:
+        """Log-likelihood (k, places) of steady echoes at surveyed places, over noise of unit power, by range offset."""
+        path, total = self.path(offset_s), max(float(self.weight.sum()), 1e-9)
+        out = np.zeros((len(ranges_m), len(places)))
+        for row, range_m in enumerate(ranges_m):
+            for column, place in enumerate(places):
+                value, _ = self._along_point(place, path, float(range_m))
+                out[row, column] = abs((self.weight * value).sum()) ** 2 / total / (self.wave_m / 2)
         return out
