@@ -256,3 +256,57 @@ def test_half_a_rail_is_refused(rail: Path, missing: str) -> None:
     (rail / missing).unlink()
     with pytest.raises(ul.InputError, match=r"mocap\.csv"):
         ul.open(rail)
+
+
+def arrays(scans: np.ndarray, **changes: object) -> dict[str, object]:
+    """The documented keys of a log saved as plain arrays."""
+    n, bins = scans.shape
+    return {
+        "scans": scans, "t_ms": 5000 + 21 * np.arange(n), "range_m": 1 + 0.009 * np.arange(bins), "scan_start_ps": 16670,
+        "scan_stop_ps": 86982, "scan_res": 32, "pii": 11,
+    } | changes  # fmt: skip
+
+
+def test_a_log_saved_as_arrays_opens_like_a_log(rail: Path) -> None:
+    scans = np.random.default_rng(0).integers(-999, 999, (40, 400))
+    (rail / "radar.out").unlink()
+    np.savez(rail / "radar.npz", **arrays(scans))
+    frames = ul.open(rail).frames()
+    assert isinstance(frames, ul.Frames)
+    np.testing.assert_array_equal(frames.samples, scans)
+    np.testing.assert_array_equal(np.diff(frames.t_ns), 21_000_000)
+    assert frames.track is not None
+    assert frames.spec.counts == 2**11
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"pii": None}, "no pii"),
+        ({"t_ms": np.arange(3)}, r"t_ms \(3,\).*allowed: scans \(n, b\)"),
+        ({"range_m": np.zeros(400)}, "range_m does not rise"),
+        ({"pii": 99}, "pii is 99"),
+        ({"scans": np.array([[object()]])}, "cannot be read"),
+    ],
+)
+def test_arrays_that_are_no_log_are_refused(rail: Path, changes: dict[str, object], words: str) -> None:
+    (rail / "radar.out").unlink()
+    kept = {name: value for name, value in (arrays(np.ones((40, 400), int)) | changes).items() if value is not None}
+    np.savez(rail / "radar.npz", **kept)
+    with pytest.raises(ul.InputError, match=words):
+        ul.open(rail)
+
+
+def test_two_radar_recordings_in_one_folder_are_refused(rail: Path) -> None:
+    np.savez(rail / "radar.npz", **arrays(np.ones((40, 400), int)))
+    with pytest.raises(ul.InputError, match="two radar recordings"):
+        ul.open(rail)
+
+
+@needs_data
+def test_the_real_flight_opens_with_its_track() -> None:
+    frames = ul.open(DATA / "flight_a").frames()
+    assert isinstance(frames, ul.Frames)
+    assert frames.samples.shape == (800, 1152)
+    assert frames.track is not None
+    assert np.ptp(frames.track.position, axis=0).max() > 5
