@@ -218,7 +218,7 @@ class Calibration:
     range_sigma_m: float  # one sigma [m]
     gain_db: float  # coherence of the strongest scatterers gained over the frames as they came [dB]
     method: str = ""  # what the offsets were found from
-    probability: float = float("nan")  # posterior probability of this candidate
+    probability: float = 0.0  # posterior probability of this candidate; 0: not estimated
     modes: tuple[tuple[float, float, float], ...] = ()  # candidates: clock [s], range [m], probability; best first
     clock_posterior: tuple[tuple[float, float], ...] = ()  # clock offset [s], log density below its greatest value
 

@@ -262,8 +262,8 @@ def arrays(scans: np.ndarray, **changes: object) -> dict[str, object]:
     """The documented keys of a log saved as plain arrays."""
     n, bins = scans.shape
     return {
-        "scans": scans, "t_ms": 5000 + 21 * np.arange(n), "range_m": 1 + 0.009 * np.arange(bins), "scan_start_ps": 16670,
-        "scan_stop_ps": 86982, "scan_res": 32, "pii": 11,
+        "scans": scans, "t_ms": 5000 + 21 * np.arange(n), "range_m": 1 + 0.009 * np.arange(bins),
+        "scan_start_ps": 16670, "scan_stop_ps": 86982, "scan_res": 32, "pii": 11,
     } | changes  # fmt: skip
 
 
