@@ -29,6 +29,7 @@ DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
 RANGE_SPREAD = 2.0  # by which points err together in range beyond what they disagree: benchmarks/calibrate_offsets.py
 SURVEY_S = 0.15  # search for surveyed places around the clock that motion says [s]
+LEAST_PER_SAMPLE = 1.2  # the same per independent sample, on tracks so long that chance finds more
 CLOCK_STEP_S, CLOCK_HALVES_S = 0.02, (0.08, 0.03, 0.01)
 RANGE_STEP_M = 0.06
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
@@ -380,7 +381,8 @@ def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, plac
     samples = sum((focus.weight * (one.amplitude > 0)).sum() for one in found) / (focus.wave_m / 2)
     gain = float((sum(one.gain for one in found) - sum(gains(0.0, 0.0))) / max(samples, 1e-9))
     mean, sigma = np.array([clock_s, range_m]), np.array([sigma_s, sigma_m])
-    strongest = float(sum(sorted(one.gain for one in found)[-3:]))
+    whole = float(focus.weight.sum()) / (focus.wave_m / 2)  # independent samples of the track
+    strongest = float(sum(sorted(one.gain for one in found)[-3:])) / max(1.0, LEAST_PER_SAMPLE * whole / LEAST_GAIN)
     return _Focus(mean, sigma, best / POINT_DISPERSION, gain, len(found), strongest)
 
 
