@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo test slow bounds fuzz gazebo-classic lint docs bench check env dev lock ros2 clean
+.PHONY: help demo test slow bounds mutants fuzz gazebo-classic lint docs bench check env dev lock ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make slow   the slower tests"
 	@echo "make bounds the tests of radar and processing once more, every index of every kernel checked"
 	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
+	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
 	@echo "make docs   build the documentation into site/"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
 	@echo "make bench  ratios of speed and memory, measured side by side"
@@ -34,6 +35,9 @@ bounds: $(VENV)/.dev
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow" -n 2 \
 	  --dist loadfile --no-loadscope-reorder tests/physics tests/processing tests/radar
 
+mutants: $(VENV)/.dev
+	$(BIN)/python tools/mutants.py $(MUTANTS)
+
 # an exception, a hang or runaway memory is a finding: its input lies in fuzz-findings/, and make fails
 SECONDS ?= 3600
 fuzz: $(VENV)/.fuzz
@@ -44,8 +48,8 @@ $(VENV)/.fuzz: $(VENV)/.dev requirements-fuzz.lock
 	@touch $@
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff format --check src tests benchmarks examples
-	$(BIN)/ruff check src tests benchmarks examples
+	$(BIN)/ruff format --check src tests tools benchmarks examples
+	$(BIN)/ruff check src tests tools benchmarks examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 

@@ -113,7 +113,8 @@ wait
     flown = ul.open(next(tmp_path.glob("imc-*/frames.mcap"))).frames()
     n = sum(map(len, flown.values()))
     assert n >= 4 * (2 * 17 - 2)
-    assert (told["count"]["Distance"], told["count"]["SonarData"], told["count"]["DevDataBinary"]) == (n, n, n + 4)
+    for kind, sent in (("Distance", n), ("SonarData", n), ("DevDataBinary", n + 4)):
+        assert 0 < told["count"][kind] <= sent  # a busy machine loses datagrams; over TCP another test counts each
     assert "EstimatedState" not in told["count"]  # what it said itself is not said to it again
     front = flown["front"]
     speed = np.diff(front.poses.position[[0, -1]], axis=0)[0] / (np.ptp(front.t_ns) * 1e-9)
