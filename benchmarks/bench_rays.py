@@ -8,7 +8,8 @@ import time
 import numpy as np
 
 import ullage as ul
-from ullage.radar.rays import echoes_thesis, ray_fan
+from ullage.fan import ray_fan
+from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
 from ullage.radar.simulate import simulate_stream
 from ullage.world.raycast import Raycaster

@@ -5,7 +5,7 @@ Eq. 4.5 is misprinted: with 0.4 in place of 0.2 and without the + 1 it would giv
 
 import math
 
-from ullage.radar.rays import ray_spacing_m, rays_for
+from ullage.fan import ray_spacing_m, rays_for
 
 
 def main() -> None:

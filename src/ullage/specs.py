@@ -169,7 +169,9 @@ class ThesisSpec(Spec):
 
     rays_per_side: int = Field(30, ge=2, le=1000, description="n of the n x n fan; 58 gives 0.2 m at 10 m (eq. 4.5)")
     fov_deg: float = Field(65.0, gt=0, lt=180)
-    max_range_m: float = Field(10.0, gt=0, le=1000)
+    max_range_m: float = Field(
+        10.0, gt=0, le=1000, description="R_max; the ray model's range axis reaches at least this far"
+    )
     min_range_m: float = Field(0.2, ge=0)
     noise_sigma: float = Field(0.002, ge=0, description="white noise on each range bin")
     smoothing_bins: int = Field(

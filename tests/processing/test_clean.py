@@ -9,6 +9,7 @@ import pytest
 from ideal_points import frames_of_points
 
 import ullage as ul
+from ullage.geometry import rpy_quat
 from ullage.processing import clean
 
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
@@ -75,6 +76,44 @@ def test_floor_is_pressed_down_at_the_height_and_nowhere_else():
     drop = 20 * np.log10(abs(kept.samples[row, down]) / abs(frames.samples[row, down]))
     assert drop == pytest.approx(-30, abs=1)
     assert abs(kept.samples[row, ahead]) == pytest.approx(abs(frames.samples[row, ahead]), rel=1e-3)
+
+
+def received_over(scene: ul.Scene, path: ul.Trajectory, fidelity: str) -> ul.Frames:
+    return ul.simulate(scene, path, ul.RadarSpec.preset("x4m05", noise=None), fidelity=fidelity)
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 4.0])
+def test_rays_off_the_floor_go_at_every_range_and_a_plate_stays(roll_deg):
+    flown = ul.Trajectory.line((0, -1, 1.1), (0, 1, 1.1), 0.5, 10)
+    tilted = rpy_quat(np.full(len(flown), np.radians(roll_deg)), 0.03 * np.ones(len(flown)), np.zeros(len(flown)))
+    path = replace(flown, quat_xyzw=tilted)
+    ground = ul.scenes.floor((30.0, 30.0), 0.0)
+    plate = ul.scenes.plate(width_m=0.5, height_m=0.5, distance_m=3.0)
+    plate = replace(plate, vertices=plate.vertices + np.array([0, 0, 1.1]))
+    both = received_over(ul.Scene.union([plate, ground]), path, "thesis")
+    bare, alone = (received_over(thing, path, "thesis") for thing in (ground, plate))
+    assert energy(clean.suppress_floor(bare), 2.0, 10.0) < 10 ** (-25 / 10) * energy(bare, 2.0, 10.0)
+    kept = clean.suppress_floor(both)
+    at_plate = abs(both.range_m - 3.0) < 0.06
+    ratio = kept.samples[:, at_plate].max(1) / alone.samples[:, at_plate].max(1)
+    assert 0.7 < np.median(ratio) < 1.3
+    beside = (both.range_m > 3.6) & (both.range_m < 5.5)  # farther the plate's shadow lies on the floor
+    assert kept.samples[:, beside].mean() < 0.3 * both.samples[:, beside].mean()
+
+
+def test_a_rough_floor_goes_beyond_its_foot_too():
+    path = ul.Trajectory.line((0, -1, 1.1), (0, 1, 1.1), 0.5, 10)
+    frames = frames_of_points([(4.0, 0.0, 1.1)], path, spec=SPEC)
+    trace = clean.floor_trace(frames)
+    rng = np.random.default_rng(3)
+    speckle = trace * (rng.standard_normal(trace.shape) + 1j * rng.standard_normal(trace.shape)) / np.sqrt(2)
+    level = 0.1 * abs(frames.samples).max() / trace.max()
+    rough = replace(frames, samples=(frames.samples + level * speckle).astype(np.complex64))
+    kept = clean.suppress_floor(rough)
+    assert energy(kept, 1.5, 3.0) < 0.2 * energy(rough, 1.5, 3.0)
+    peak = int(np.argmin(abs(frames.range_m - 4.0)))
+    assert abs(kept.samples[10, peak]) == pytest.approx(abs(frames.samples[10, peak]), rel=0.1)
+    assert frames.range_m[np.argmax(trace[0])] == pytest.approx(1.15, abs=0.2)
 
 
 def test_smoothing_is_the_mean_of_neighbours():

@@ -76,6 +76,35 @@ def test_hovering_makes_ghosts_along_the_arc_as_the_thesis_reports():
     np.testing.assert_allclose(np.hypot(GRID.x_m[columns], GRID.y_m[rows]), 3.0, atol=0.2)
 
 
+def test_eight_bits_a_value_take_a_quarter_of_the_memory_and_keep_the_wall():
+    path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=10, yaw_deg=90)
+    frames = echoes(path, np.full(len(path), 3.0))
+    small, large = (Mapper(GRID, method="elfes", bits=bits) for bits in (8, 32))
+    for mapper in (small, large):
+        mapper.update(frames)
+    assert (small.nbytes, large.nbytes) == (2 * GRID.size, 8 * GRID.size)
+    rows, _ = np.nonzero(small.map().occupied)
+    assert len(rows) > 20
+    assert abs(np.median(GRID.y_m[rows]) - 3.0) < 0.1
+    known = ~large.map().unknown & ~small.map().unknown
+    differ = abs(small.map().percent[known].astype(int) - large.map().percent[known])
+    assert np.median(differ) <= 2
+    assert small.traversed == large.traversed
+
+
+def test_eight_bits_stop_growing_where_each_reading_is_weak():
+    still = Trajectory.stationary(yaw_deg=90, n=2000)
+    frames = echoes(still, np.full(2000, 3.0))
+    small, large = (ul.map_occupancy(frames, GRID, method="elfes", bits=bits) for bits in (8, 32))
+    assert large.percent.max() == 100
+    assert small.percent.max() < 90
+
+
+def test_other_numbers_of_bits_are_refused():
+    with pytest.raises(ul.InputError, match=r"bits is 16.*8 or 32"):
+        Mapper(GRID, method="elfes", bits=16)
+
+
 def test_no_echo_frees_to_the_end_of_the_range_axis():
     still = Trajectory.stationary(yaw_deg=90)
     omap = ul.map_occupancy(echoes(still, [3.0], height=0.0), GRID, method="elfes")

@@ -24,6 +24,15 @@ def test_the_hyperbolas_top_is_the_object(yaw, start, end, target):
     assert apex(image, look_deg=yaw) == pytest.approx(np.array(target), abs=0.1)
 
 
+@pytest.mark.parametrize("at_m", [1.0, 1.6])
+def test_the_apex_is_that_of_a_hyperbola_and_not_of_a_parabola(at_m):
+    grid = ul.Grid((0, -4, 0), 0.05, (160, 160))
+    reach = np.hypot(at_m, grid.y_m - 0.3)
+    ridge = np.exp(-(((grid.x_m[None, :] - reach[:, None]) / 0.06) ** 2)) / reach[:, None]
+    found = apex(ul.Image(grid, ridge.astype(np.float32), None, "summation"), look_deg=0)
+    assert found[:2] == pytest.approx([at_m, 0.3], abs=0.02)
+
+
 def test_summation_adds_amplitude_straight_ahead():
     path = ul.Trajectory.stationary(n=4)
     frames = frames_of_points([(2.0, 1.0, 0)], path, spec=SPEC)

@@ -8,8 +8,9 @@ import pytest
 import ullage as ul
 from ullage.data import Trajectory
 from ullage.errors import InputError
+from ullage.fan import ray_area, ray_fan, ray_spacing_m, rays_for, reaching_max_range, smoothed, window
 from ullage.geometry import quat_matrix, rpy_quat
-from ullage.radar.rays import echoes_thesis, ray_area, ray_fan, ray_spacing_m, rays_for, smoothed, window
+from ullage.radar.rays import echoes_thesis
 from ullage.specs import RadarSpec, ThesisSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -111,7 +112,38 @@ def test_a_facing_wall_and_a_half_metre_plate_stand_out_at_the_thesis_threshold(
     for distance in (1.0, 2.0, 3.0, 4.0, 5.0):
         plate = echoes_thesis(ul.scenes.plate(width_m=0.5, height_m=0.5, distance_m=distance), HERE, X4)
         assert plate.max() > 0.038
-    assert 0.036 < ray_area(ThesisSpec()) * 0.25 < 0.040  # a ray's footprint at 5 m is the threshold
+
+
+def test_one_ray_alone_passes_the_threshold_beyond_8_6_m_only():
+    per_bin = ray_area(ThesisSpec()) / X4.thesis.smoothing_bins
+    assert per_bin * 0.5**2 == pytest.approx(0.0127, abs=2e-4)  # at 5 m: three rays in three bins make 0.038
+    assert math.sqrt(0.038 / per_bin) * 10 == pytest.approx(8.63, abs=0.02)
+    for distance, passes in ((5.0, False), (8.4, False), (8.8, True)):
+        one = ul.scenes.plate(width_m=0.5 * distance / 29, height_m=0.5 * distance / 29, distance_m=distance)
+        turned = Trajectory.stationary(yaw_deg=32.5 / 29)
+        up = np.array([0, 0, distance * math.tan(math.radians(32.5 / 29))])
+        shifted = Scene(one.vertices + up, one.faces, one.face_object, one.objects)
+        hit = echoes_thesis(shifted, turned, X4)
+        assert np.count_nonzero(hit) == 3
+        assert (hit.max() > 0.038) == passes
+
+
+@pytest.mark.parametrize("distance", [9.55, 9.7, 9.95])
+def test_a_plate_anywhere_up_to_the_maximum_range_is_a_local_maximum(distance):
+    plate = ul.scenes.plate(width_m=2.0, height_m=2.0, distance_m=distance)
+    frames = ul.simulate(plate, HERE, X4.but(noise=None), fidelity="thesis")
+    assert frames.range_m[-1] > X4.thesis.max_range_m
+    assert frames.spec.range_m == pytest.approx(frames.range_m)
+    found = ul.detect(frames, method="first_peak")
+    assert found.range_m == pytest.approx([distance], abs=0.1)
+    assert not ul.simulate(ul.scenes.plate(2, 2, 10.2), HERE, X4.but(noise=None), fidelity="thesis").samples.any()
+
+
+def test_the_axis_is_made_longer_for_rays_only_and_never_shorter():
+    plate = ul.scenes.plate(1, 1, 3.0)
+    assert ul.simulate(plate, HERE, X4).samples.shape[1] == X4.bins
+    assert reaching_max_range(X4.but(bins=400)).bins == 400
+    assert reaching_max_range(with_thesis(max_range_m=5.0)).bins == X4.bins
 
 
 def test_reflection_coefficient_and_distance_limits():

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.fan import ray_fan
 from ullage.geometry import quat_matrix
-from ullage.radar.rays import echoes_thesis, ray_fan
+from ullage.radar.rays import echoes_thesis
 from ullage.radar.scan import echoes_of_scans, facing
 from ullage.world.raycast import Raycaster
 

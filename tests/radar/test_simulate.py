@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import ullage as ul
 from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
+from ullage.fan import reaching_max_range
 from ullage.geometry import rpy_quat
 from ullage.radar.simulate import LEAD, sensor_seed, simulate, simulate_stream
 from ullage.specs import RadarSpec, Rig, ThesisSpec
@@ -48,8 +49,9 @@ def test_what_the_frames_say_of_themselves():
     for frames in WHOLE.values():
         assert frames.sensor == "radar"
         assert np.array_equal(frames.t_ns, PATH.t_ns)
-        assert np.array_equal(frames.range_m, X4.range_m)
+        assert np.array_equal(frames.range_m, frames.spec.range_m)
         assert np.array_equal(frames.truth.position, PATH.position)
+    assert (thesis.spec, physical.spec) == (reaching_max_range(X4), X4)
 
 
 def test_a_rig_gives_each_sensor_its_own_rays_and_its_own_noise():
@@ -99,9 +101,9 @@ def test_a_stream_can_be_left_early_and_starts_at_once():
 
 def test_rf_output_of_both_models():
     rf = X4.but(output="rf", bins=1504)
-    for fidelity in ("thesis", "physical"):
+    for fidelity, spec in (("thesis", reaching_max_range(rf)), ("physical", rf)):
         frames = simulate(ROOM, PATH[:2], rf, fidelity=fidelity)
-        assert frames.samples.shape == (2, 1504)
+        assert frames.samples.shape == (2, spec.bins)
         assert frames.samples.dtype == np.float32
         assert np.isfinite(frames.samples).all()
 

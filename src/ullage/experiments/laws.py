@@ -61,6 +61,12 @@ def alone(scene: Scene, name: str) -> Scene:
     return Scene(scene.vertices, faces, np.zeros(len(faces), np.int32), (scene.objects[index],), kept, name)
 
 
+def without(scene: Scene, name: str) -> Scene:
+    """A scene less one object that has faces."""
+    kept = scene.face_object != scene.object(name)
+    return Scene(scene.vertices, scene.faces[kept], scene.face_object[kept], scene.objects, scene.wires, scene.name)
+
+
 def radars() -> tuple[RadarSpec, RadarSpec]:
     """The same front radar with and without noise (the ray law's own noise too)."""
     loud = RadarSpec.preset("x4m05")

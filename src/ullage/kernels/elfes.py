@@ -31,12 +31,8 @@ def insert_reading(
     Without an echo only emptiness up to `reach` is added. `column0`, `row0` are the lower corner of cell (0, 0).
     """
     far = reach + spread if echo else reach
-    low_x, high_x, low_y, high_y = _lobe_square(x, y, yaw, half, far)
     rows, columns = empty.shape
-    box[0] = max(0, math.floor((low_y - row0) / step))
-    box[1] = min(rows, math.floor((high_y - row0) / step) + 1)
-    box[2] = max(0, math.floor((low_x - column0) / step))
-    box[3] = min(columns, math.floor((high_x - column0) / step) + 1)
+    box[0], box[1], box[2], box[3] = _lobe_cells(column0, row0, step, x, y, yaw, far, half, rows, columns)
     corner = column0 - x, row0 - y, step
     lobe = math.cos(yaw), math.sin(yaw), math.cos(half), half
     clear = max(reach - spread, near) if echo else reach
@@ -122,6 +118,30 @@ def _seen(
     if distance < low or distance > high or along < lobe[2] * distance:
         return distance, 2.0
     return distance, abs(math.atan2(dy * lobe[0] - dx * lobe[1], along)) / lobe[3]
+
+
+@inner()
+def _lobe_cells(
+    column0: float, row0: float, step: float, x: float, y: float, yaw: float, far: float, half: float, rows: int,
+    columns: int,
+) -> tuple[int, int, int, int]:  # fmt: skip
+    """First and last row, first and last column of the square about a lobe that reaches to `far`."""
+    low_x, high_x, low_y, high_y = _lobe_square(x, y, yaw, half, far)
+    return (
+        min(rows, max(0, math.floor((low_y - row0) / step))),
+        max(0, min(rows, math.floor((high_y - row0) / step) + 1)),
+        min(columns, max(0, math.floor((low_x - column0) / step))),
+        max(0, min(columns, math.floor((high_x - column0) / step) + 1)),
+    )
+
+
+@loop()
+def lobe_box(
+    column0: float, row0: float, step: float, x: float, y: float, yaw: float, far: float, half: float, rows: int,
+    columns: int, box: np.ndarray,
+) -> None:  # fmt: skip
+    """The rows and columns that a reading up to `far` can change, as `insert_reading` finds them, into `box`."""
+    box[0], box[1], box[2], box[3] = _lobe_cells(column0, row0, step, x, y, yaw, far, half, rows, columns)
 
 
 @inner()

@@ -11,6 +11,7 @@ import numpy as np
 
 from ullage.data import Floats, Frames, Trajectory
 from ullage.errors import InputError
+from ullage.fan import reaching_max_range
 from ullage.ports.following import Endless, FollowOptions, Say
 from ullage.ports.intake import Counters, Stamped, checked_pose
 from ullage.ports.sightings import Note, Pose, stamp_ns
@@ -87,7 +88,7 @@ def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
         noise_sigma=radar.thesis.noise_sigma, smoothing_bins=radar.thesis.smoothing_bins,
         threshold=radar.thesis.threshold,
     )  # fmt: skip
-    return radar.but(thesis=fan)
+    return reaching_max_range(radar.but(thesis=fan))
 
 
 class ScanSource(Endless):

@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames
 from ullage.errors import InputError
+from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import C0, quat_matrix
-from ullage.processing.baseband import is_amplitude, to_baseband
+from ullage.processing.baseband import envelope, is_amplitude, to_baseband
+from ullage.processing.inverse_sensor import OFF_DBI, OFF_DEG
+from ullage.specs import AntennaSpec
 
 Floats = NDArray[np.float64]
 
@@ -98,15 +101,18 @@ def reference_to_direct_path(frames: Frames, *, until_m: float = 0.45) -> Frames
 
 
 def suppress_floor(frames: Frames, *, floor_m: float = 0.0, depth_db: float = 30.0) -> Frames:
-    """Frames whose echo from straight below is weakened, at the range the known height says.
+    """Remove the echo of a flat floor, whose place follows from the height, the attitude and the antenna.
 
-    The floor's echo comes from the foot of the perpendicular, whatever the attitude; a notch as wide as the pulse
-    moves with the height. What else lies at that range is weakened with it.
+    The floor answers twice. Straight below is its mirror echo, in any attitude: a notch as wide as the pulse follows
+    the height. Beyond, each range has a ring of floor in the lobe, and the ring scatters back. `floor_trace` predicts
+    the shape of that second part. Its strength is the median ratio of received to predicted amplitude, one number for
+    all frames. The prediction is subtracted from the amplitude, and the phase is kept. Objects at the same range lose
+    as much amplitude as the floor has there, and no more.
 
     Args:
         frames: frames with poses.
         floor_m: height of the floor [m].
-        depth_db: how far the centre of the notch is pressed down [dB].
+        depth_db: no amplitude is lowered by more than this [dB].
 
     Raises:
         InputError: no poses, or a sensor under the floor.
@@ -114,10 +120,71 @@ def suppress_floor(frames: Frames, *, floor_m: float = 0.0, depth_db: float = 30
     height = frames.believed.position[:, 2] - floor_m
     if np.any(height <= 0):
         raise InputError(f"sensor {float(-height.min()):.2f} m under the floor", where="suppress_floor")
-    width = 2 * frames.spec.pulse_sigma_s * C0 / 2
-    shape = np.exp(-(((frames.range_m[None, :] - height[:, None]) / width) ** 2) / 2)
-    gain = 10 ** (-depth_db / 20 * np.minimum(1.5 * shape, 1.0))
+    trace, least = floor_trace(frames, floor_m=floor_m), 10 ** (-depth_db / 20)
+    received = envelope(frames).astype(np.float64)
+    clear = trace > 0.05 * trace.max(initial=0.0)
+    strength = float(np.median(received[clear] / trace[clear])) if clear.any() else 0.0
+    gain = np.maximum(1 - strength * trace / np.maximum(received, 1e-30), least)
+    if not is_amplitude(frames):
+        width = 2 * frames.spec.pulse_sigma_s * C0 / 2
+        shape = np.exp(-(((frames.range_m[None, :] - height[:, None]) / width) ** 2) / 2)
+        gain = np.minimum(gain, least ** np.minimum(1.5 * shape, 1.0))
     return _with(frames, frames.samples * gain)
+
+
+def floor_trace(frames: Frames, *, floor_m: float = 0.0) -> Floats:
+    """Amplitude (n, b) of a flat floor in each frame, without its mirror echo, for a reflection coefficient of one.
+
+    Amplitudes of the ray model are those of its own fan: the rays that go down meet the floor where they must, with the
+    intensity of eq. 4.2. Coherent frames take the radar equation of a floor that scatters by Lambert's law: a solid
+    angle dO at range r and incidence t returns the power G^2 cos(t) dO / r^2. There the values are relative.
+
+    Args:
+        frames: frames with poses.
+        floor_m: height of the floor [m].
+    """
+    rays = is_amplitude(frames)
+    thesis = frames.spec.thesis
+    fan = ray_fan(thesis if rays else thesis.but(fov_deg=HEMISPHERE_DEG, rays_per_side=90))
+    path, out = frames.believed, np.zeros((len(frames), len(frames.range_m)))
+    step = (frames.range_m[-1] - frames.range_m[0]) / (len(frames.range_m) - 1)
+    for i, rotation in enumerate(quat_matrix(path.quat_xyzw)):
+        down = -(fan @ rotation[2])
+        with np.errstate(divide="ignore"):
+            reach = np.where(down > 1e-6, (path.position[i, 2] - floor_m) / down, np.inf)
+        bins = np.floor((np.where(np.isfinite(reach), reach, -1e6) - frames.range_m[0]) / step + 0.5).astype(np.int64)
+        met = (bins >= 0) & (bins < out.shape[1])
+        if rays:
+            met &= (reach >= thesis.min_range_m) & (reach <= thesis.max_range_m)
+            weight = ray_area(thesis) * down[met] * (reach[met] / thesis.max_range_m) ** 2
+        else:
+            area = np.hypot(fan[met, 0], fan[met, 1])  # of the cell of directions, even in both angles
+            weight = area * _lobe(frames.spec.antenna, fan[met, 0]) ** 2 * down[met] / reach[met] ** 2
+        out[i] = np.bincount(bins[met], weight, minlength=out.shape[1])
+    return smoothed(out, frames.spec) if rays else np.sqrt(_blurred(out, frames))
+
+
+HEMISPHERE_DEG = 179.0
+"""Opening over which a coherent frame's floor is summed: the antenna weighs the directions [deg]."""
+
+
+def _lobe(antenna: AntennaSpec, cosine: Floats) -> Floats:
+    """One-way power gain over the peak's, by the cosine to boresight."""
+    if antenna.kind == "isotropic":
+        return np.ones(len(cosine))
+    if antenna.kind == "x4a02":
+        return np.asarray(10 ** ((np.interp(np.degrees(np.arccos(cosine)), OFF_DEG, OFF_DBI) - OFF_DBI[0]) / 10))
+    half = np.radians(min(antenna.azimuth_deg, antenna.elevation_deg, 179.0) / 2)
+    power = np.log(0.5) / np.log((1 + np.cos(half)) / 2)
+    return np.asarray(np.clip((1 + cosine) / 2, 0, 1) ** power)
+
+
+def _blurred(power: Floats, frames: Frames) -> Floats:
+    """Power over range, seen through the pulse."""
+    from scipy.ndimage import gaussian_filter1d
+
+    width = frames.spec.pulse_sigma_s * C0 / 2 / np.sqrt(2) / float(np.diff(frames.range_m).mean())
+    return np.asarray(gaussian_filter1d(power, max(width, 1.0), axis=1, mode="constant"))
 
 
 def looks_down(frames: Frames, opening_deg: float = 65.0) -> NDArray[np.bool_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from ullage.data import Frames, Recording
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
 from ullage.grids import UNKNOWN, Changes, Grid, OccupancyMap
-from ullage.kernels.elfes import insert_reading
+from ullage.kernels.elfes import insert_reading, lobe_box
 from ullage.processing.echoes import first_echo
 from ullage.processing.mapper_door import in_order, plane_of
 
@@ -30,11 +32,25 @@ class ElfesMapper:
         threshold: amplitude of the first peak; None: 0.038 for frames of the thesis model, else over the noise.
         lobe_deg: full opening of the lobe.
         spread_m: half thickness of the arc; at least one cell.
+        bits: of each of a cell's two values, emptiness and occupancy: 32 (float32), or 8 as thesis 5.3.1 asks. In 8
+            bits a value is a whole number of percent, rounded after every reading. A change of less than half a percent
+            is lost, so a value stops growing while readings are weak.
+
+    Raises:
+        InputError: the grid is a volume, or no such number of bits.
     """
 
     def __init__(
-        self, grid: Grid, *, threshold: float | None = None, lobe_deg: float = LOBE_DEG, spread_m: float = SPREAD_M
+        self,
+        grid: Grid,
+        *,
+        threshold: float | None = None,
+        lobe_deg: float = LOBE_DEG,
+        spread_m: float = SPREAD_M,
+        bits: float = 32,
     ) -> None:
+        if bits not in (8, 32):
+            raise InputError(f"bits is {bits:g}", where="elfes", allowed="8 or 32")
         if grid.dims != 2:
             raise InputError(
                 "the Elfes grid is a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
@@ -42,10 +58,16 @@ class ElfesMapper:
         self.grid = grid
         self._threshold, self._half = threshold, np.radians(lobe_deg) / 2
         self._spread = max(spread_m, grid.step_m)
-        self._empty = np.zeros(grid.shape, np.float32)
-        self._occupied = np.zeros(grid.shape, np.float32)
+        kind = np.int8 if bits == 8 else np.float32
+        self._empty = np.zeros(grid.shape, kind)
+        self._occupied = np.zeros(grid.shape, kind)
         self.traversed: tuple[slice, slice] | None = None  # square of cells that the last reading looked at
         self._published: OccupancyMap | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of both layers [byte]."""
+        return self._empty.nbytes + self._occupied.nbytes
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -61,7 +83,7 @@ class ElfesMapper:
     def _insert(self, frames: Frames) -> None:
         reach, found = first_echo(frames, threshold=self._threshold)
         near = max(frames.spec.thesis.min_range_m, float(frames.range_m[0]))
-        last = float(frames.range_m[-1])
+        last = min(float(frames.range_m[-1]), frames.spec.thesis.max_range_m if frames.unit == "thesis" else np.inf)
         path = frames.believed
         ahead = quat_matrix(path.quat_xyzw)[:, :2, 0]
         box = np.zeros(4, np.int64)
@@ -69,18 +91,43 @@ class ElfesMapper:
             level = float(np.hypot(*ahead[i]))
             if level < np.sin(np.radians(20)) or (found[i] and not near < reach[i] < last):
                 continue
-            insert_reading(
-                self._empty, self._occupied, *self.grid.origin_m[:2], self.grid.step_m, *path.position[i, :2],
-                float(np.arctan2(ahead[i, 1], ahead[i, 0])), near, float(reach[i]) if found[i] else last,
-                self._spread, bool(found[i]), self._half, box,
-            )  # fmt: skip
+            self._blend(path.position[i, :2], float(np.arctan2(ahead[i, 1], ahead[i, 0])), near,
+                        (float(reach[i]) if found[i] else last, bool(found[i])), box)  # fmt: skip
             self.traversed = slice(int(box[0]), int(box[1])), slice(int(box[2]), int(box[3]))
+
+    def _blend(self, at: Floats, yaw: float, near: float, echo: tuple[float, bool], box: NDArray[np.int64]) -> None:
+        """Add one reading: `echo` holds its range and whether there was one; `box` takes the cells that it reached."""
+        if self._empty.dtype != np.int8:
+            self._insert_into(self._empty, self._occupied, (0, 0), (at, yaw, near, echo), box)
+            return
+        lobe_box(*self.grid.origin_m[:2], self.grid.step_m, at[0], at[1], yaw, echo[0] + self._spread, self._half,
+                 *self._empty.shape, box)  # fmt: skip
+        square = slice(box[0], box[1]), slice(box[2], box[3])  # only what the lobe can reach is unpacked
+        empty, occupied = (layer[square].astype(np.float32) / 100 for layer in (self._empty, self._occupied))
+        self._insert_into(empty, occupied, (int(box[0]), int(box[2])), (at, yaw, near, echo), np.zeros(4, np.int64))
+        self._empty[square], self._occupied[square] = (np.rint(100 * a).astype(np.int8) for a in (empty, occupied))
+
+    def _insert_into(
+        self,
+        empty: NDArray[Any],
+        occupied: NDArray[Any],
+        first: tuple[int, int],
+        reading: tuple[Floats, float, float, tuple[float, bool]],
+        box: NDArray[np.int64],
+    ) -> None:
+        """Run the kernel on layers whose first cell is row and column `first` of the grid."""
+        at, yaw, near, (reach, found) = reading
+        step, (x0, y0) = self.grid.step_m, self.grid.origin_m[:2]
+        insert_reading(empty, occupied, x0 + first[1] * step, y0 + first[0] * step, step, at[0], at[1], yaw, near,
+                       reach, self._spread, found, self._half, box)  # fmt: skip
 
     def map(self) -> OccupancyMap:
         """The map so far: 50 + 50 Occ where Occ >= Emp, else 50 - 50 Emp, unknown where neither is known."""
-        signed = np.where(self._occupied >= self._empty, self._occupied, -self._empty)
+        unit = 100.0 if self._empty.dtype == np.int8 else 1.0
+        occupied, empty = (layer.astype(np.float32) / unit for layer in (self._occupied, self._empty))
+        signed = np.where(occupied >= empty, occupied, -empty)
         percent = np.rint(50 + 50 * signed).astype(np.int8)
-        percent[(self._occupied == 0) & (self._empty == 0)] = UNKNOWN
+        percent[(occupied == 0) & (empty == 0)] = UNKNOWN
         return OccupancyMap(self.grid, percent, "elfes")
 
     def changed(self) -> Changes:

@@ -52,8 +52,9 @@ def _at(profiles: NDArray[np.float32], range_m: Floats, wanted: Floats) -> Float
 def apex(image: Image, *, look_deg: float | None = None) -> Floats:
     """The flat top of the brightest hyperbola (3) [m], which the thesis takes as the object's place.
 
-    The ridge is followed from the brightest cell to either side while it stays above a quarter of its brightness, and
-    a hyperbola r^2 = r0^2 + k (s - s0)^2 is fitted across the look direction; its vertex is the answer.
+    The ridge is followed from the brightest cell to either side while it stays above a quarter of its brightness. The
+    hyperbola of a point, r(s) = sqrt(r0^2 + (s - s0)^2), is fitted to it; its vertex is the answer. The track need not
+    be known: range counts from a line at any distance r0 before the vertex.
 
     Args:
         image: an image by summation.
@@ -81,14 +82,33 @@ def _fit(image: Image, turn: int) -> tuple[float, Floats]:
             rows.append(k)
             cols.append(c)
     across, along = np.array(rows, float), np.array(cols, float)
-    bend = np.polyfit(across, along, 2) if len(rows) >= 5 else np.array([0.0, 0.0, col])
-    if not bend[0] > 1e-9:  # opens the wrong way, or is flat: the brightest cell is the best there is
-        place, misfit = (float(row), float(col)), np.inf
-    else:
-        top = float(np.clip(-bend[1] / (2 * bend[0]), min(rows), max(rows)))
-        place = (top, float(np.polyval(bend, top)))
-        misfit = float(np.abs(np.polyval(bend, across) - along).mean() / len(rows))
+    vertex, misfit = _hyperbola(across, along) if len(rows) >= 5 else (None, np.inf)
+    place = (float(row), float(col)) if vertex is None else vertex
     return misfit, _place(image, turn, place)
+
+
+FLATTEST = 1e-3
+"""Curvature 1 / r0 at the vertex below which a ridge is a line [1/cell]: no track is so many cells away."""
+
+
+def _hyperbola(across: Floats, along: Floats) -> tuple[tuple[float, float] | None, float]:
+    """Vertex (across, along) of the hyperbola of a point through a ridge [cells], and the misfit.
+
+    The vertex is None, and the misfit infinite, where the ridge is straight or opens towards the track.
+    """
+    from scipy.optimize import least_squares
+
+    def off(p: Floats) -> Floats:
+        return np.asarray(p[0] + (np.sqrt(1 + (p[2] * (across - p[1])) ** 2) - 1) / p[2] - along)
+
+    ends = float(across.min()), float(across.max())
+    start = [along.min(), float(across[int(np.argmin(along))]), 0.03]
+    start[1] = float(np.clip(start[1], ends[0] + 1e-3, ends[1] - 1e-3))
+    low, high = [-np.inf, ends[0], 0.5 * FLATTEST], [np.inf, ends[1], 1.0]
+    fit = least_squares(off, start, bounds=(low, high), loss="soft_l1")
+    if fit.x[2] < FLATTEST:
+        return None, np.inf
+    return (float(fit.x[1]), float(fit.x[0])), float(np.abs(off(fit.x)).mean() / len(across))
 
 
 def _place(image: Image, turn: int, at: tuple[float, float]) -> Floats:

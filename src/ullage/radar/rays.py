@@ -7,81 +7,29 @@ range, white noise and a moving average make a profile of it.
 The equation grows with range. It makes sense once the rays are summed: neighbouring rays stand x_n = 2 tan(fov / 2 /
 (n - 1)) |v_r| apart (eq. 4.3), so (|v_r| / R_max)^2 is the area across the ray that it stands for, as a share of a
 ray's footprint at R_max. The thesis does not print how its amplitudes were scaled. Here they are multiplied by that
-footprint, which makes a bin's amplitude the lit area in it [m2], as seen from the radar, times cos(theta) and I_m,
-averaged over `smoothing_bins`: it depends neither on the number of rays nor on R_max, and the thesis' threshold of
-0.038 is then the footprint of a single ray of 30 x 30 at 5 m (0.195 m squared), the range at which the thesis calls
-the resolution acceptable. A facing wall of I_m = 1 gives about 0.32 per metre of distance, a 0.5 m plate 0.08.
+footprint. A bin's amplitude is then the lit area in it [m2], as seen from the radar, times cos(theta) and I_m, averaged
+over `smoothing_bins`. It depends neither on the number of rays nor on R_max. A facing wall of I_m = 1 gives about 0.32
+per metre of distance, a 0.5 m plate 0.08.
+
+The threshold of 0.038 is the thesis' own, found by testing. On this scale one ray of 30 x 30 gives its footprint over
+three bins: 0.0127 at 5 m, 0.051 at 10 m. So one ray alone passes the threshold beyond 8.6 m only; at 5 m it takes three
+rays within three bins. The range axis of a frame reaches R_max (`reaching_max_range`).
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Trajectory
-from ullage.errors import InputError
+from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import quat_matrix
-from ullage.kernels.rays import deposit, smooth, turn_fan
-from ullage.specs import RadarSpec, ThesisSpec
+from ullage.kernels.rays import deposit, turn_fan
+from ullage.specs import RadarSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
-
-
-def ray_spacing_m(azimuth_deg: float, n: int, range_m: float) -> float:
-    """Distance between neighbouring rays of n over an opening, at a range [m] (eq. 4.3).
-
-    Raises:
-        InputError: fewer than two rays.
-    """
-    if n < 2:
-        raise InputError(f"n is {n}", where="ray_spacing_m", allowed="n >= 2")
-    return 2 * math.tan(math.radians(azimuth_deg / 2) / (n - 1)) * range_m
-
-
-def rays_for(azimuth_deg: float, spacing_m: float, range_m: float) -> float:
-    """Rays over an opening that stand `spacing_m` apart at a range; round it up (eq. 4.4).
-
-    Eq. 4.5 evaluates it for 65 deg, 0.2 m at 10 m and finds 57.73, hence 58 x 58. It is misprinted there, with 0.4 in
-    the place of 0.2 and without the + 1: as printed it would give 28.4.
-
-    Raises:
-        InputError: spacing or range is not above zero.
-    """
-    if not (spacing_m > 0 and range_m > 0):
-        raise InputError(f"spacing_m {spacing_m}, range_m {range_m}", where="rays_for", allowed="> 0")
-    return math.radians(azimuth_deg / 2) / math.atan(spacing_m / (2 * range_m)) + 1
-
-
-def ray_fan(spec: ThesisSpec) -> Floats:
-    """Unit directions (n * n, 3) in the sensor frame, elevation slowest."""
-    angles = np.radians(np.linspace(-spec.fov_deg / 2, spec.fov_deg / 2, spec.rays_per_side))
-    up, left = (a.ravel() for a in np.meshgrid(angles, angles, indexing="ij"))
-    return np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=1)
-
-
-def ray_area(spec: ThesisSpec) -> float:
-    """Area that one ray stands for at the maximum range [m2]."""
-    return ray_spacing_m(spec.fov_deg, spec.rays_per_side, spec.max_range_m) ** 2
-
-
-def window(spec: RadarSpec) -> Floats:
-    """Weights of the moving average (odd length); on an RF axis it spans as many metres as on the baseband axis."""
-    width = spec.thesis.smoothing_bins * (1 if spec.output == "baseband" else spec.decimation)
-    weights = np.ones(width if width % 2 else width + 1)
-    if width % 2 == 0:
-        weights[[0, -1]] = 0.5  # an even window, kept centred
-    return weights / spec.thesis.smoothing_bins
-
-
-def smoothed(rows: Floats, spec: RadarSpec) -> Floats:
-    """The moving average of profiles (n, b)."""
-    out = np.empty_like(rows)
-    smooth(rows, window(spec), out)
-    return out
 
 
 def echoes_thesis(

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from ullage.data import Samples
 from ullage.errors import InputError
+from ullage.fan import smoothed
 from ullage.geometry import C0
 from ullage.kernels.receiver import limit_envelope
 from ullage.radar.leakage import leakage
-from ullage.radar.rays import smoothed
 from ullage.specs import NoiseSpec, RadarSpec
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError
+from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.kernels.rays import deposit
-from ullage.radar.rays import ray_area, ray_fan, smoothed
 from ullage.specs import RadarSpec
 
 Floats = NDArray[np.float64]

@@ -18,6 +18,7 @@ import numpy as np
 from ullage import kernels
 from ullage.data import Frames, Samples, SimulatedFrom, Trajectory, gathered
 from ullage.errors import InputError
+from ullage.fan import reaching_max_range
 from ullage.radar.copies import PAYS_S, Crew, cores
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.receiver import receive, receive_thesis
@@ -205,6 +206,8 @@ class Receiving:
     ) -> None:
         _check(scene, radar, fidelity, max_bounces, seed)
         self.sensors = dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
+        if fidelity == "thesis":
+            self.sensors = {name: reaching_max_range(spec) for name, spec in self.sensors.items()}
         self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
         self._made = SimulatedFrom(scene, max_bounces, seed)
         self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None

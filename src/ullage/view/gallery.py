@@ -75,7 +75,7 @@ def draw_smoothing(path: Path) -> Path:
 
 def draw_ray_spacing(path: Path) -> Path:
     """Distance between rays against their number (thesis eq. 4.3 to 4.5, fig. 4.4)."""
-    from ullage.radar.rays import ray_spacing_m, rays_for
+    from ullage.fan import ray_spacing_m, rays_for
 
     counts = np.arange(10, 101)
     with drawing(path, size_in=(7.0, 3.8)) as (_, axes):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ullage.config import Fidelity
-from ullage.data import Trajectory
-from ullage.experiments.laws import TAIL_M, TARGETS, alone, decibel, radars, strafe
+from ullage.data import Frames, Trajectory
+from ullage.experiments.laws import TAIL_M, TARGETS, alone, decibel, radars, strafe, without
 from ullage.experiments.reproduce.bench import Bench
 from ullage.processing.clean import suppress_floor
 from ullage.radar.simulate import simulate
@@ -62,10 +60,23 @@ def clutter(bench: Bench, scene: Scene, path: Trajectory, wire_m: Floats) -> Non
     there = np.where(abs(under.range_m - apart) < 0.3, under.amplitude, 0).max()
     hold("physical law: at the wire's own range it is the wire that is received, not the floor", "beyond",
          float(decibel(there / wires.amplitude.max())), "dB", high=-20)  # fmt: skip
-    left = suppress_floor(replace(under, poses=under.truth))
     below = abs(under.range_m - path.position[:, 2:3]) < 0.15
-    before, after = (float(np.sqrt(np.mean(f.amplitude[below] ** 2))) for f in (under, left))
-    hold("the floor's echo goes when the height is known", "7.1", float(decibel(after / before)), "dB", high=-15)
+    hold("physical law: the floor's echo goes when the height is known", "7.1",
+         _left(under, suppress_floor(under), below), "dB", high=-15)  # fmt: skip
+    whole = simulate(scene, path, quiet, fidelity="thesis")
+    bare = simulate(without(scene, "floor"), path, quiet, fidelity="thesis")
+    at_wire = abs(whole.range_m - apart) < 0.3
+    hold("ray law: the floor goes at the wire's range when the height and the antenna are known", "7.1",
+         _left(rays[0], suppress_floor(rays[0]), at_wire), "dB", high=-15)  # fmt: skip
+    hold("ray law: of all that the room adds to its echo there by its floor, so much is left", "7.1",
+         _left(whole, suppress_floor(whole), at_wire, less=bare), "dB", high=-6)  # fmt: skip
+
+
+def _left(before: Frames, after: Frames, where: NDArray[np.bool_], *, less: Frames | None = None) -> float:
+    """What suppression leaves within some bins, rms over rms [dB]; `less` holds what ought to be left."""
+    wanted = 0.0 if less is None else less.amplitude[where]
+    rms = [float(np.sqrt(np.mean((f.amplitude[where] - wanted) ** 2))) for f in (before, after)]
+    return float(decibel(rms[1] / rms[0]))
 
 
 def tail(bench: Bench, scene: Scene, path: Trajectory) -> None:
