@@ -27,6 +27,7 @@ The thesis' pictures are not copied here: hold it beside this page. Written by `
 ullage.experiments.reproduce.docs` from the results.
 """
 PICTURES = {
+    "baseline": (),
     "detection": ("ntnu-plate.png", "ntnu-plate_sar.png", "ntnu-plate45.png", "ntnu-wire.png", "ntnu-wire_sar.png"),
     "room": ("maps.png", "sar.png"),
     "hall": ("maps.png", "hover.png"),

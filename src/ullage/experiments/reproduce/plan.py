@@ -36,6 +36,7 @@ class Experiment:
 
 
 EXPERIMENTS: tuple[Experiment, ...] = (
+    Experiment("baseline", "The thesis' method, term by term", "4.2 to 5.3", weight=0.5, small=0.5),
     Experiment("detection", "Radar object detection", "6.1", weight=5, small=6),
     Experiment("room", "Mapping the NTNU room", "6.2", weight=4, small=7),
     Experiment("hall", "Mapping the cluttered room", "6.2", weight=8, small=1),
