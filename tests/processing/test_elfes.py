@@ -100,6 +100,21 @@ def test_eight_bits_stop_growing_where_each_reading_is_weak():
     assert small.percent.max() < 90
 
 
+def test_a_limit_to_certainty_lets_what_comes_later_fill_a_cell_seen_empty():
+    still = Trajectory.stationary(yaw_deg=90, n=1540, rate_hz=17)
+    near = abs(np.hypot(GRID.x_m[None, :], GRID.y_m[:, None]) - 3.0) < 0.15
+    grown = {}
+    for certain in (1.0, 0.99):
+        mapper = Mapper(GRID, method="elfes", certain=certain)
+        mapper.update(echoes(still[:1200], np.full(1200, 5.0)))
+        before = mapper.map().occupied[near].sum()
+        mapper.update(echoes(still[1200:], np.full(340, 3.0)))  # something comes between
+        grown[certain] = int(mapper.map().occupied[near].sum() - before)
+    assert grown[0.99] > 2 * grown[1.0]
+    with pytest.raises(ul.InputError, match=r"certain is 0\.2.*above 0\.5"):
+        Mapper(GRID, method="elfes", certain=0.2)
+
+
 def test_other_numbers_of_bits_are_refused():
     with pytest.raises(ul.InputError, match=r"bits is 16.*8 or 32"):
         Mapper(GRID, method="elfes", bits=16)

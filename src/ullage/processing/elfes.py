@@ -35,9 +35,11 @@ class ElfesMapper:
         bits: of each of a cell's two values, emptiness and occupancy: 32 (float32), or 8 as thesis 5.3.1 asks. In 8
             bits a value is a whole number of percent, rounded after every reading. A change of less than half a percent
             is lost, so a value stops growing while readings are weak.
+        certain: the most that emptiness and occupancy may reach. At 1, as in the formulas, a cell that was seen empty
+            often enough rounds to 1, and no later reading can make it occupied. At 0.99 some 200 readings can.
 
     Raises:
-        InputError: the grid is a volume, or no such number of bits.
+        InputError: the grid is a volume, no such number of bits, or `certain` out of bounds.
     """
 
     def __init__(
@@ -48,7 +50,10 @@ class ElfesMapper:
         lobe_deg: float = LOBE_DEG,
         spread_m: float = SPREAD_M,
         bits: float = 32,
+        certain: float = 1.0,
     ) -> None:
+        if not 0.5 < certain <= 1:
+            raise InputError(f"certain is {certain}", where="elfes", allowed="above 0.5, at most 1")
         if bits not in (8, 32):
             raise InputError(f"bits is {bits:g}", where="elfes", allowed="8 or 32")
         if grid.dims != 2:
@@ -58,6 +63,7 @@ class ElfesMapper:
         self.grid = grid
         self._threshold, self._half = threshold, np.radians(lobe_deg) / 2
         self._spread = max(spread_m, grid.step_m)
+        self._certain = certain
         kind = np.int8 if bits == 8 else np.float32
         self._empty = np.zeros(grid.shape, kind)
         self._occupied = np.zeros(grid.shape, kind)
@@ -99,13 +105,18 @@ class ElfesMapper:
         """Add one reading: `echo` holds its range and whether there was one; `box` takes the cells that it reached."""
         if self._empty.dtype != np.int8:
             self._insert_into(self._empty, self._occupied, (0, 0), (at, yaw, near, echo), box)
+            if self._certain < 1:
+                for layer in (self._empty, self._occupied):
+                    part = layer[box[0] : box[1], box[2] : box[3]]
+                    np.minimum(part, self._certain, out=part)
             return
         lobe_box(*self.grid.origin_m[:2], self.grid.step_m, at[0], at[1], yaw, echo[0] + self._spread, self._half,
                  *self._empty.shape, box)  # fmt: skip
         square = slice(box[0], box[1]), slice(box[2], box[3])  # only what the lobe can reach is unpacked
         empty, occupied = (layer[square].astype(np.float32) / 100 for layer in (self._empty, self._occupied))
         self._insert_into(empty, occupied, (int(box[0]), int(box[2])), (at, yaw, near, echo), np.zeros(4, np.int64))
-        self._empty[square], self._occupied[square] = (np.rint(100 * a).astype(np.int8) for a in (empty, occupied))
+        for layer, values in ((self._empty, empty), (self._occupied, occupied)):
+            layer[square] = np.rint(100 * np.minimum(values, self._certain)).astype(np.int8)
 
     def _insert_into(
         self,
