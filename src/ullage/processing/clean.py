@@ -8,13 +8,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.antenna import gain
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import C0, quat_matrix
 from ullage.processing.baseband import envelope, is_amplitude, to_baseband
-from ullage.processing.inverse_sensor import OFF_DBI, OFF_DEG
-from ullage.specs import AntennaSpec
 
 Floats = NDArray[np.float64]
 
@@ -124,12 +123,12 @@ def suppress_floor(frames: Frames, *, floor_m: float = 0.0, depth_db: float = 30
     received = envelope(frames).astype(np.float64)
     clear = trace > 0.05 * trace.max(initial=0.0)
     strength = float(np.median(received[clear] / trace[clear])) if clear.any() else 0.0
-    gain = np.maximum(1 - strength * trace / np.maximum(received, 1e-30), least)
+    kept = np.maximum(1 - strength * trace / np.maximum(received, 1e-30), least)
     if not is_amplitude(frames):
         width = 2 * frames.spec.pulse_sigma_s * C0 / 2
         shape = np.exp(-(((frames.range_m[None, :] - height[:, None]) / width) ** 2) / 2)
-        gain = np.minimum(gain, least ** np.minimum(1.5 * shape, 1.0))
-    return _with(frames, frames.samples * gain)
+        kept = np.minimum(kept, least ** np.minimum(1.5 * shape, 1.0))
+    return _with(frames, frames.samples * kept)
 
 
 def floor_trace(frames: Frames, *, floor_m: float = 0.0) -> Floats:
@@ -159,24 +158,13 @@ def floor_trace(frames: Frames, *, floor_m: float = 0.0) -> Floats:
             weight = ray_area(thesis) * down[met] * (reach[met] / thesis.max_range_m) ** 2
         else:
             area = np.hypot(fan[met, 0], fan[met, 1])  # of the cell of directions, even in both angles
-            weight = area * _lobe(frames.spec.antenna, fan[met, 0]) ** 2 * down[met] / reach[met] ** 2
+            weight = area * gain(frames.spec.antenna, fan[met]) ** 4 * down[met] / reach[met] ** 2
         out[i] = np.bincount(bins[met], weight, minlength=out.shape[1])
     return smoothed(out, frames.spec) if rays else np.sqrt(_blurred(out, frames))
 
 
 HEMISPHERE_DEG = 179.0
 """Opening over which a coherent frame's floor is summed: the antenna weighs the directions [deg]."""
-
-
-def _lobe(antenna: AntennaSpec, cosine: Floats) -> Floats:
-    """One-way power gain over the peak's, by the cosine to boresight."""
-    if antenna.kind == "isotropic":
-        return np.ones(len(cosine))
-    if antenna.kind == "x4a02":
-        return np.asarray(10 ** ((np.interp(np.degrees(np.arccos(cosine)), OFF_DEG, OFF_DBI) - OFF_DBI[0]) / 10))
-    half = np.radians(min(antenna.azimuth_deg, antenna.elevation_deg, 179.0) / 2)
-    power = np.log(0.5) / np.log((1 + np.cos(half)) / 2)
-    return np.asarray(np.clip((1 + cosine) / 2, 0, 1) ** power)
 
 
 def _blurred(power: Floats, frames: Frames) -> Floats:
