@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ullage.experiments.folder import read_json, write_text
 from ullage.experiments.reproduce.findings import Findings, Table, read_findings
+from ullage.experiments.reproduce.page import opening
 from ullage.experiments.reproduce.plan import EXPERIMENTS
 
 HEAD = """# The thesis, reproduced
@@ -28,7 +29,16 @@ ullage.experiments.reproduce.docs` from the results.
 """
 PICTURES = {
     "baseline": (),
-    "detection": ("ntnu-plate.png", "ntnu-plate_sar.png", "ntnu-plate45.png", "ntnu-wire.png", "ntnu-wire_sar.png"),
+    "detection": (
+        "ntnu-plate.png",
+        "ntnu-plate_sar.png",
+        "ntnu-plate45.png",
+        "ntnu-plate45_sar.png",
+        "ntnu-pole.png",
+        "ntnu-pole_sar.png",
+        "ntnu-wire.png",
+        "ntnu-wire_sar.png",
+    ),
     "room": ("maps.png", "sar.png"),
     "hall": ("maps.png", "hover.png"),
     "hold": ("maps.png",),
@@ -43,7 +53,7 @@ PICTURES = {
 def write_docs(root: Path, docs: Path) -> Path:
     """The page and its pictures, from a folder of results."""
     done = [experiment for experiment in EXPERIMENTS if (root / experiment.name / "findings.json").is_file()]
-    lines = [HEAD]
+    lines = [HEAD, *_opening([(e.title, read_findings(root / e.name / "findings.json")) for e in done])]
     for experiment in done:
         tree = read_json(root / experiment.name / "findings.json")
         size = "Small run (`--quick`)" if tree["quick"] else "Whole run"
@@ -56,6 +66,20 @@ def write_docs(root: Path, docs: Path) -> Path:
     page = docs / "reproduce.md"
     write_text(page, "\n".join(lines).rstrip("\n") + "\n")
     return page
+
+
+def _opening(chapters: Sequence[tuple[str, Findings]]) -> Iterator[str]:
+    found = opening(chapters)
+    yield "\n## What holds\n"
+    yield "\n".join(f"- {line}" for line in found["holds"]) + "\n"
+    yield "\n## Where this reproduction differs\n"
+    yield "| thesis | it says | here | cause |\n|---|---|---|---|"
+    yield "\n".join(f"| {d.where} | {d.thesis} | {d.here} | {d.cause} |" for d in found["differs"]) + "\n"
+    yield "\n## What could not be compared\n"
+    yield "\n".join(f"- {line}" for line in found["lacking"]) + "\n"
+    yield "\n## Figure beside figure\n"
+    yield "| thesis | shows | here |\n|---|---|---|"
+    yield "\n".join(f"| {f['number']} | {f['shows']} | {f['here']} |" for f in found["figures"]) + "\n"
 
 
 def _chapter(found: Findings, name: str, root: Path, docs: Path) -> Iterator[str]:

@@ -58,6 +58,16 @@ class Table:
     note: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A result of the thesis that comes out otherwise here, with its cause, or "unknown"."""
+
+    where: str  # section, figure or table of the thesis
+    thesis: str
+    here: str
+    cause: str
+
+
 @dataclass(slots=True)
 class Findings:
     """Everything one experiment found."""
@@ -68,6 +78,8 @@ class Findings:
     numbers: dict[str, float] = field(default_factory=dict)  # for the experiments that follow
     scenarios: list[str] = field(default_factory=list)  # folders of the runs, under the experiment's own
     notes: list[str] = field(default_factory=list)  # plain sentences for the report
+    differences: list[Difference] = field(default_factory=list)
+    not_compared: list[str] = field(default_factory=list)  # what of the thesis has nothing to be compared with, and why
     skipped: str = ""  # why there is nothing
 
     def hold(
@@ -82,6 +94,10 @@ class Findings:
     ) -> None:
         """Adds a statement."""
         self.statements.append(Statement(text, where, float(value), unit, low, high))
+
+    def differ(self, where: str, thesis: str, here: str, cause: str) -> None:
+        """Add a result that differs from the thesis'."""
+        self.differences.append(Difference(where, thesis, here, cause))
 
     def show(self, path: Path, figure: str, caption: str) -> None:
         """Adds a figure that lies in the experiment's folder."""
@@ -116,6 +132,8 @@ def read_findings(path: Path) -> Findings:
         {name: math.nan if value is None else value for name, value in tree["numbers"].items()},
         tree["scenarios"],
         tree["notes"],
+        [Difference(**row) for row in tree.get("differences", [])],
+        tree.get("not_compared", []),
         tree["skipped"],
     )
 

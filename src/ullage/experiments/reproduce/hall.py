@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
 from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.experiments.reproduce.maps import HEAD, false_cells, middle_of, row_of, show_world, walls_of
 from ullage.grids import OccupancyMap
-from ullage.processing.occupancy import Mapper
+from ullage.processing.metrics import cell_centres
+from ullage.processing.occupancy import Mapper, Method
 from ullage.radar.simulate import simulate
 from ullage.view.thesis_maps import Panel, draw_panels
+from ullage.world.scene import Scene
+from ullage.world.section import section
 
 SMALL_THINGS = ("postbox", "stop_sign")
-HOVER_S = 20.0
+THINGS = ("car", "postbox", "stop_sign", "person", "robot", "control_panel", "dumpster")
+HOVER_FRAMES, HOVER_HZ = 340, 17.0
+"""The hover: 20 s at the X4's own rate, the same for every mapper."""
+LIMITED = 0.99
+"""Emptiness and occupancy stay at or below this in the third row of the hover."""
+FOUND_M = 0.15
+"""An outline counts as mapped where an occupied cell's centre is this near [m]."""
 
 
 def run(bench: Bench) -> None:
@@ -41,6 +51,7 @@ def run(bench: Bench) -> None:
         "ullage's mapper on physical frames. Circled: postbox and stop sign.",
     )  # fmt: skip
     bench.findings.tabulate("Scores", HEAD, rows)
+    _things(bench, rays[0], waves[0] if waves else None)
     _smears(bench, rays, waves)
     _hovering(bench, rays[0], waves[0] if waves else None)
 
@@ -62,7 +73,6 @@ def _smears(bench: Bench, rays: list[Flown], waves: list[Flown]) -> None:
     if len(rays) > 1 and rays[0].omap is not None and rays[1].omap is not None:
         hold("Elfes: two runs with other noise differ (cells that are occupied in one of them only, share)", "7.2",
              _unlike(rays[0].omap, rays[1].omap), low=0.005)  # fmt: skip
-    hold("Elfes: cells held known over 0.3 m behind a surface (share)", "7.2", rays[0].number("known_behind"), high=1)
     if waves:
         hold(
             "ullage: cells held known over 0.3 m behind a surface (share)",
@@ -78,58 +88,126 @@ def _unlike(first: OccupancyMap, second: OccupancyMap) -> float:
     return float(np.sum(first.occupied ^ second.occupied) / max(either.sum(), 1))
 
 
+def _things(bench: Bench, rays: Flown, waves: Flown | None) -> None:
+    """How much of each thing's outline at the flight's height is on the map."""
+    rows, found = [], {}
+    for name in THINGS:
+        line = [on_map(flown, name) for flown in (rays, waves) if flown is not None]
+        found[name] = line[0]
+        rows.append((name.replace("_", " "), *(f"{100 * value:.0f} %" for value in line)))
+    head = ("thing", "Elfes, ray model", "ullage, physical")[: 2 if waves is None else 3]
+    bench.findings.tabulate("Outline of each thing that is mapped", head, rows)
+    hold = bench.findings.hold
+    for name in ("stop_sign", "robot", "control_panel"):
+        hold(f"Elfes: the {name.replace('_', ' ')} is on the map (share of its outline)", "7.2", found[name], low=0.7)
+    for name in ("postbox", "dumpster"):
+        hold(f"Elfes: part of the {name} is on the map (share of its outline)", "7.2", found[name], low=0.2)
+    bench.findings.differ(
+        "figure 6.14", "\"most of the features in the room was still mapped accurately\"",
+        f"stop sign, robot and panel are; of the car {100 * found['car']:.0f} %, of the person "
+        f"{100 * found['person']:.0f} % of the outline at the height of the flight",
+        "car: unknown; perhaps its lower, wider part, since only the first echo of a frame counts. Person: method, its "
+        "cells were seen empty until emptiness rounded to 1. Ours, fixed: flown at 1.3 m, above the postbox (1.2 m), "
+        "the map held nothing of postbox and dumpster.",
+    )  # fmt: skip
+
+
+def on_map(flown: Flown, name: str) -> float:
+    """Share of a thing's outline at the flight's height that has an occupied cell within FOUND_M; 0 without a map."""
+    from scipy.spatial import cKDTree
+
+    index = [i for i, thing in enumerate(flown.scene.objects) if thing.name.split("::")[0] == name]
+    kept = np.isin(flown.scene.face_object, index)
+    scene = flown.scene
+    lines = section(Scene(scene.vertices, scene.faces[kept], scene.face_object[kept], scene.objects), flown.height_m)
+    if flown.omap is None or not flown.omap.occupied.any() or not len(lines):
+        return 0.0
+    along = np.linspace(0, 1, 33)[None, :, None]
+    points = (lines[:, :1] + along * (lines[:, 1:] - lines[:, :1])).reshape(-1, 2)
+    weight = np.repeat(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1), 33)
+    near = cKDTree(_occupied(flown.omap, flown)).query(points)[0] < FOUND_M
+    return float(np.average(near, weights=weight))
+
+
+def _occupied(omap: OccupancyMap, flown: Flown) -> NDArray[np.float64]:
+    cells = np.flatnonzero(omap.occupied)
+    return np.asarray(cell_centres(omap.grid.at_height(flown.height_m), cells)[:, :2])
+
+
 def _hovering(bench: Bench, rays: Flown, waves: Flown | None) -> None:
     """The drone waits where the flight ends: what that does to the map already made."""
-    rows, panels = [], []
-    for method, flown in (("elfes", rays), ("ullage", waves)):
+    rows, panels, grown = [], [], {}
+    cases: list[tuple[str, Flown | None, Method, dict[str, float]]] = [
+        ("Elfes", rays, "elfes", {}),
+        (f"Elfes, limited to {LIMITED:g}", rays, "elfes", {"certain": LIMITED}),
+        ("ullage", waves, "ullage", {}),
+    ]
+    for name, flown, method, options in cases:
         if flown is None or flown.omap is None:
             continue
-        name = "Elfes" if method == "elfes" else "ullage"
         bench.say(f"hovering, {name}")
-        still = _at_end(flown, HOVER_S if method == "elfes" else 5.0)
-        mapper = Mapper(flown.omap.grid, method=method)  # type: ignore[arg-type]
-        mapper.update(flown.frames)
-        before = mapper.map()
-        mapper.update(still)
-        after = mapper.map()
-        grown = false_cells(after, flown) - false_cells(before, flown)
-        rows.append(
-            (
-                name,
-                f"{len(next(iter(still.values())))}",
-                str(false_cells(before, flown)),
-                str(false_cells(after, flown)),
-            )
+        before, after = hovered(flown, method, options)
+        wrong = [false_cells(omap, flown) for omap in (before, after)]
+        at_person = [_near(omap, flown, "person") for omap in (before, after)]
+        grown[name] = wrong[1] - wrong[0], at_person[1] - at_person[0]
+        rows.append((name, str(HOVER_FRAMES), *(str(count) for count in (*wrong, *at_person))))
+        panels.append(
+            [Panel(f"{name}, on arrival", before, flown.track), Panel(f"{name}, after hovering", after, flown.track)]
         )
-        panels += [
-            Panel(f"{name}, on arrival", before, flown.track),
-            Panel(f"{name}, after hovering", after, flown.track),
-        ]
-        if method == "elfes":
-            bench.findings.hold("Elfes: hovering makes false cells", "7.2", grown, "cells", low=1)
-        else:
-            bench.findings.hold("ullage: hovering makes no false cell", "beyond", grown, "cells", high=0)
     path = bench.folder / "hover.png"
-    pairs = [panels[k : k + 2] for k in range(0, len(panels), 2)]
-    draw_panels(path, pairs, walls=walls_of(rays), title="Waiting at the end of the flight", width_in=5.0)
+    draw_panels(path, panels, walls=walls_of(rays), title="Waiting at the end of the flight", width_in=5.0)
     bench.findings.show(
         path, "figure 6.14", "The same maps before and after the drone waits at the end of its path: the thesis "
         "reports cells along the lobe that become occupied.",
     )  # fmt: skip
     bench.findings.tabulate(
-        "Hovering", ("method", "frames of each radar", "false cells on arrival", "after hovering"), rows
-    )
+        "Hovering", ("method", "frames of each radar", "false cells on arrival", "after hovering",
+                     "cells within 1.2 m of the person on arrival", "after hovering"), rows,
+        note=f"All wait {HOVER_FRAMES / HOVER_HZ:.0f} s at {HOVER_HZ:g} frames a second.",
+    )  # fmt: skip
+    _ghosts(bench, grown)
 
 
-def _at_end(flown: Flown, hover_s: float) -> dict[str, Frames]:
+def _ghosts(bench: Bench, grown: dict[str, tuple[int, int]]) -> None:
+    hold, limited = bench.findings.hold, grown[f"Elfes, limited to {LIMITED:g}"]
+    hold("Elfes: hovering makes false cells", "7.2", grown["Elfes"][0], "cells", low=5)
+    hold(f"Elfes limited to {LIMITED:g}: hovering beside the person makes cells along the lobe", "figure 6.14",
+         limited[1], "cells", low=10)  # fmt: skip
+    if "ullage" in grown:
+        hold("ullage: hovering makes no false cell", "beyond", grown["ullage"][0], "cells", high=0)
+    bench.findings.differ(
+        "figure 6.14", "hovering marks cells along the lobe at the person",
+        f"{grown['Elfes'][1]} new cells within 1.2 m of the person by the formulas, {limited[1]} with both values "
+        f"limited to {LIMITED:g}",
+        "method: over there emptiness rounds to 1, and no reading can fill such a cell. The thesis "
+        "does not say how its node kept emptiness below 1. Whole percent (`bits=8`) alone does not do it.",
+    )  # fmt: skip
+
+
+def _near(omap: OccupancyMap, flown: Flown, name: str) -> int:
+    """Occupied cells within 1.2 m of the middle of a thing."""
+    away = np.linalg.norm(_occupied(omap, flown) - middle_of(flown.scene, name), axis=1)
+    return int(np.sum(away < 1.2))
+
+
+def hovered(flown: Flown, method: Method, options: dict[str, float]) -> tuple[OccupancyMap, OccupancyMap]:
+    """The map of a flight on arrival, and after the drone has waited."""
+    if flown.omap is None:
+        raise ValueError("a flight without a map")
+    mapper = Mapper(flown.omap.grid, method=method, **options)
+    mapper.update(flown.frames)
+    before = mapper.map()
+    mapper.update(_at_end(flown))
+    return before, mapper.map()
+
+
+def _at_end(flown: Flown) -> dict[str, Frames]:
     """Frames of a while of standing still at the end of a flight."""
-    rate = 1e9 / float(np.median(np.diff(flown.track.t_ns)))
-    count = round(hover_s * rate)
     end = flown.track[-1:]
-    spread = np.zeros((count, 3))
+    still = np.zeros((HOVER_FRAMES, 3))
     path = Trajectory(
-        end.t_ns[0] + (np.arange(1, count + 1) * 1e9 / rate).astype(np.int64), end.position + spread,
-        np.repeat(end.quat_xyzw, count, axis=0), spread, spread,
+        end.t_ns[0] + (np.arange(1, HOVER_FRAMES + 1) * 1e9 / HOVER_HZ).astype(np.int64), end.position + still,
+        np.repeat(end.quat_xyzw, HOVER_FRAMES, axis=0), still, still,
     )  # fmt: skip
     scenario = flown.simulated.scenario
     found = simulate(

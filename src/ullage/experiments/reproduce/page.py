@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from ullage.experiments.folder import provenance, write_text
 
 if TYPE_CHECKING:
+    from ullage.experiments.reproduce.findings import Findings
     from ullage.experiments.reproduce.loop import Reproduction
     from ullage.experiments.reproduce.task import Chapter
 
@@ -39,6 +42,16 @@ copied here, hold it beside this page.</p>
 <nav>{% for c in chapters %}<a href="#{{ c.name }}">{{ c.section }} {{ c.title }}</a>{% endfor %}</nav>
 {% if broken %}<h2 class="bad">Out of bounds</h2><ul>{% for line in broken %}<li>{{ line }}</li>{% endfor %}</ul>
 {% endif %}
+<h2>What holds</h2><ul>{% for line in holds %}<li>{{ line }}</li>{% endfor %}</ul>
+<h2>Where this reproduction differs</h2>
+<table><tr><th>thesis</th><th>it says</th><th>here</th><th>cause</th></tr>
+{% for d in differs %}<tr><td>{{ d.where }}</td><td>{{ d.thesis }}</td><td>{{ d.here }}</td><td>{{ d.cause }}</td></tr>
+{% endfor %}</table>
+<h2>What could not be compared</h2><ul>{% for line in lacking %}<li>{{ line }}</li>{% endfor %}</ul>
+<h2>Figure beside figure</h2>
+<table><tr><th>thesis</th><th>shows</th><th>here</th></tr>
+{% for f in figures %}<tr><td>{{ f.number }}</td><td>{{ f.shows }}</td><td>{{ f.here }}</td></tr>
+{% endfor %}</table>
 {% for c in chapters %}<h2 id="{{ c.name }}">{{ c.section }} {{ c.title }}</h2>
 {% for note in c.notes %}<p>{{ note }}</p>{% endfor %}
 {% if c.skipped %}<p class="bad">Not done: {{ c.skipped }}</p>{% endif %}
@@ -68,10 +81,57 @@ def write_page(done: Reproduction, *, quick: bool, wanted: int) -> Path:
     holding, total = done.counts
     write_text(done.report, page.render(
         origin=provenance(), quick=quick, wanted=wanted, interrupted=done.interrupted, broken=done.broken,
+        **opening([(c.experiment.title, c.findings) for c in done.chapters]),
         holding=holding, total=total, took=sum(c.cpu_s for c in done.chapters),
         chapters=[_chapter(c) for c in done.chapters],
     ))  # fmt: skip
     return done.report
+
+
+FIGURES = {
+    "6.1": "the targets, real and simulated", "6.2": "the drone passing them",
+    "6.3": "amplitudes of the plate", "6.4": "amplitudes of the turned plate", "6.5": "amplitudes of the square pole",
+    "6.6": "amplitudes of the wire", "6.7": "SAR images of the plate, facing and turned",
+    "6.8": "SAR images of pole and wire", "6.9": "SAR image of the NTNU room", "6.10": "the simulated NTNU room",
+    "6.11": "the cluttered room", "6.12": "the paths flown", "6.13": "maps of the NTNU room, four resolutions",
+    "6.14": "maps of the cluttered room, two runs", "6.15": "the ship's hold", "6.16": "the hold simplified",
+    "6.17": "the path in the hold", "6.18": "map of the hold",
+}  # fmt: skip
+"""Every figure of chapter 6 and what it shows."""
+ELSEWHERE = {
+    "6.1": "the worlds' pictures: docs, Worlds", "6.2": "photographs; not reproduced",
+    "6.10": "docs, Worlds", "6.11": "docs, Worlds", "6.12": "drawn into the maps of 6.13 and 6.14",
+    "6.15": "no ship's mesh is used: its licence is not known", "6.16": "docs, Worlds",
+    "6.17": "drawn into the map of 6.18",
+}  # fmt: skip
+
+
+def opening(chapters: Sequence[tuple[str, Findings]]) -> dict[str, Any]:
+    """How the page opens: what holds, what differs, what could not be compared, and every figure by its number."""
+    shown: dict[str, list[str]] = {}
+    for title, found in chapters:
+        for exhibit in found.exhibits:
+            for number in _numbers(exhibit.figure):
+                shown.setdefault(number, []).append(f"{title}: {exhibit.file}")
+    own = [(title, [s for s in found.statements if s.where not in ("beyond", "real")]) for title, found in chapters]
+    return {
+        "holds": [f"{title}: {sum(s.holds for s in mine)} of {len(mine)} statements about the thesis hold."
+                  for title, mine in own if mine],
+        "differs": [d for _, found in chapters for d in found.differences],
+        "lacking": [line for _, found in chapters for line in (*found.not_compared, *filter(None, [found.skipped]))],
+        "figures": [{"number": number, "shows": shows,
+                     "here": ", ".join(shown.get(number, [])) or ELSEWHERE.get(number, "not in this run")}
+                    for number, shows in FIGURES.items()],
+    }  # fmt: skip
+
+
+def _numbers(figure: str) -> list[str]:
+    """Numbers in "figure 6.3", "figures 6.15 to 6.17" or "figures 6.11 and 6.12b"."""
+    ends = re.findall(r"6\.\d+", figure)
+    if " to " in figure and len(ends) == 2:
+        first, last = (int(end[2:]) for end in ends)
+        return [f"6.{k}" for k in range(first, last + 1)]
+    return ends
 
 
 def _encoded(path: Path) -> str:
