@@ -55,6 +55,22 @@ def simulate(source: Any, peer: Peer, options: Spec) -> None:
     run(source)
 
 
+def mapping_stages(first: dict[str, Frames], options: MappingOptions) -> list[Stage]:
+    """Return the stages of `radar_mapping`: detections, and a map about the first pose.
+
+    Args:
+        first: the first piece of the stream; without poses there is no map.
+        options: of the node.
+    """
+    stages: list[Stage] = [DetectStage(threshold=options.threshold)]
+    placed = [part.poses.position[0] for part in first.values() if part.poses is not None]
+    if placed:
+        reach = options.reach_m + options.margin_m
+        grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
+        stages.append(MapStage(grid, options.method, options.threshold, every_s=options.every_s, live=True))
+    return stages
+
+
 def map_frames(source: Any, peer: Peer, options: Spec) -> None:
     """Detections and a map of frames that come on topics, published."""
     from ullage.ports.ros2.sink import Ros2Sink
@@ -65,12 +81,7 @@ def map_frames(source: Any, peer: Peer, options: Spec) -> None:
     first = next(pieces, None)
     if not first:
         return
-    stages: list[Stage] = [DetectStage(threshold=options.threshold)]
-    placed = [part.poses.position[0] for part in first.values() if part.poses is not None]
-    if placed:
-        reach = options.reach_m + options.margin_m
-        grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
-        stages.append(MapStage(grid, options.method, options.threshold, every_s=options.every_s, live=True))
+    stages = mapping_stages(first, options)
     how = SinkOptions(pace=0, clock="off", node=options.node, frame_prefix=options.frame_prefix)
     sink: Sink = Ros2Sink("", how, peer=peer)
     resumed: Source = Resumed(first, pieces)

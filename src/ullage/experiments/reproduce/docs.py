@@ -42,6 +42,7 @@ PICTURES = {
     "room": ("maps.png", "sar.png"),
     "hall": ("maps.png", "hover.png"),
     "hold": ("maps.png",),
+    "budget": ("budget.png",),
     "methods": ("maps.png",),
     "images": ("poles.png",),
     "rail": ("rail.png",),

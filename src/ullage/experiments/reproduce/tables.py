@@ -124,7 +124,7 @@ def measure(scenario: str, options: list[str], part_s: float | None) -> Spent:
     spent.flight_s = whole if part_s is None else min(part_s, whole)
     spent.cpu_s["simulation"] *= spent.flight_s / whole
     amplitudes, image, mapper = RangeTime(), *_stages(simulated)
-    frames = iter(_stream(simulated, spent.flight_s))
+    frames = iter(stream_part(simulated, spent.flight_s))
     while (chunk := spent.clocked("simulation", lambda: next(frames, None))) is not None:
         spent.clocked("amplitudes", partial(amplitudes.update, chunk))
         spent.clocked("image", partial(_all, image, chunk))
@@ -170,7 +170,8 @@ def _stages(simulated: Simulated) -> tuple[ImageStage, MapStage]:
     return image, MapStage(Grid.covering(box, plan.map.step_m, margin_m=1.0), plan.map.method)
 
 
-def _stream(simulated: Simulated, part_s: float) -> Iterator[dict[str, Frames]]:
+def stream_part(simulated: Simulated, part_s: float) -> Iterator[dict[str, Frames]]:
+    """Frames of the first seconds of a flight."""
     count = int(np.searchsorted(simulated.flown.t_ns, part_s * 1e9)) + 1
     sensing = simulated.scenario.sensing
     yield from simulate_stream(
