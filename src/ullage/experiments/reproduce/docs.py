@@ -43,6 +43,7 @@ PICTURES = {
     "hall": ("maps.png", "hover.png"),
     "hold": ("maps.png",),
     "budget": ("budget.png",),
+    "speeds": ("speeds.png",),
     "methods": ("maps.png",),
     "images": ("poles.png",),
     "rail": ("rail.png",),

@@ -43,6 +43,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment("hold", "The cargo hold", "6.3", weight=9, small=2),
     Experiment("tables", "Speed, CPU and memory", "tables 6.1 to 6.4", weight=4, small=5.5),
     Experiment("budget", "The mapping node on board", "table 5.1", weight=4, small=3),
+    Experiment("speeds", "Doppler, speed and frame rate", "7.1", weight=12, small=4),
     Experiment("methods", "Every way of mapping, five flights", "beyond", weight=16, small=1.5),
     Experiment("volumes", "Maps in three dimensions, five flights", "beyond", quick=False, weight=25),
     Experiment("images", "Every way of imaging, five flights", "beyond", weight=2, small=0.5),
