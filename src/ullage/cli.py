@@ -130,6 +130,36 @@ def run(
     _tell(report)
 
 
+@app.command()
+def fly(
+    target: Annotated[str, typer.Argument(help="World name or file, scenario name or scenario.yaml.")],
+    by: Annotated[str, typer.Option("--by", help="keys, or ros2:NAMESPACE for cmd_vel, set-points and joy.")] = "keys",
+    do: Annotated[str | None, typer.Option("--do", help="What to make of the frames: detect,image,map")] = None,
+    to: Annotated[
+        list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
+    ] = None,
+    option: Options = None,
+    duration_s: Annotated[float | None, typer.Option("--duration-s", min=0.1, help="End after so long.")] = None,
+    out: Out = None,
+) -> None:
+    """Fly a multirotor by hand while its radars measure and the map grows; Ctrl-C ends the flight."""
+    from ullage.experiments.runner import execute
+    from ullage.experiments.targets import flight_scenario, make_flight, record, tasks_of
+    from ullage.experiments.warmup import compile_kernels, compiled, parts_of
+    from ullage.view.progress import console, progress_bar, say
+
+    scenario = flight_scenario(target, tasks=tasks_of(do), options=option or [])
+    parts = tuple({*parts_of(scenario), "hector"})
+    if not compiled(parts):
+        with console.status("compiling kernels (once after installation)"):
+            compile_kernels(parts)
+    job = make_flight(scenario, by=by, duration_s=duration_s, out=out, say=say, to=to or [])
+    recording = record(job)
+    with progress_bar("flying", total=duration_s, unit="s of flight") as tell:
+        report = execute(job, sinks=[recording], progress=tell, say=tell.say)
+    _tell(report)
+
+
 def repair(source: str) -> bool:
     """Finish a recording that a kill left unfinished; whether there was one."""
     from ullage.ports.repair import repair_bag

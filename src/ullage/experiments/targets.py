@@ -1,4 +1,4 @@
-"""What `ullage run SOURCE` is given: a scenario by name or file, a recording, or a live port."""
+"""What `ullage run SOURCE` and `ullage fly` are given: a scenario or world by name or file, a recording, a port."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
-from ullage.config import Task, make_scenario
+from ullage.config import Scenario, Task, make_scenario
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario, scenario_names
@@ -20,6 +20,9 @@ from ullage.pipeline import Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Passing
+
+if TYPE_CHECKING:
+    from ullage.ports.by_hand import Controls
 
 
 def make_run(
@@ -204,25 +207,128 @@ def _of_live(
     """
     check_options(options)
     source: Any = address.source()
+    place = f"{address.scheme}:{address.place}"
+    say(f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {place} (Ctrl-C ends)")
+
+    def plan(usual: tuple[Task, ...]) -> Scenario:
+        tree: dict[str, Any] = {"name": _of_now(address.scheme), "do": usual, "title": f"Live from {place}"}
+        return make_scenario(tree, options=options)
+
+    return _begun(source, place, tasks, plan)
+
+
+def _of_now(kind: str) -> str:
+    """The name of a run that nobody named."""
+    return f"{kind}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
+
+
+def _begun(
+    source: Any, place: str, tasks: tuple[Task, ...] | None, plan: Callable[[tuple[Task, ...]], Scenario]
+) -> Run:
+    """A run of a live source, once its first frames have come.
+
+    Args:
+        source: closed here where it gives nothing.
+        place: for messages.
+        tasks: what to do with the frames; none: nothing, and no frames are waited for; None: what they allow.
+        plan: gives the scenario for what is to be done.
+    """
     try:
         wait = tasks != ()
-        what = "waiting for the first frames from" if wait else "passing on what comes from"
-        say(f"{what} {address.scheme}:{address.place} (Ctrl-C ends)")
         begun = _Begun(source, wait=wait)
         if wait and not begun.first:
-            raise InputError("no frames came", where=f"{address.scheme}:{address.place}")
+            raise InputError("no frames came", where=place)
         flown = next((part.poses for part in begun.first.values() if part.poses is not None), None)
         usual: tuple[Task, ...] = ("detect",) if flown is None else ("detect", "map")
-        usual = usual if tasks is None else tasks
-        now = datetime.now(UTC)
-        tree: dict[str, Any] = {"name": f"{address.scheme}-{now:%Y%m%d-%H%M%S}", "do": usual}
-        tree["title"] = f"Live from {address.scheme}:{address.place}"
-        scenario = make_scenario(tree, options=options)
+        scenario = plan(usual if tasks is None else tasks)
     except BaseException:
         source.close()
         raise
     scene = getattr(source, "scene", None)
     return Run(Path(), scenario, begun, scene, flown=flown, tasks=scenario.do, live=True)
+
+
+def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = ()) -> Scenario:
+    """The scenario of a flight by hand: one by name or file, or the defaults in a world by name or file.
+
+    Args:
+        target: world name, world file, scenario name, or scenario.yaml; a scenario goes before a world of its name.
+        tasks: what to do with the frames; None: detect and map, or what the scenario says.
+        options: `a.b=value` over the scenario.
+
+    Raises:
+        InputError: there is no such world or scenario, or an option is wrong.
+    """
+    from ullage.world.library import WORLDS
+
+    path = Path(target)
+    name = _of_now("fly-" + "".join(c if c.isalnum() or c in "_.-" else "-" for c in path.stem)[:30])
+    title = f"By hand in {path.stem}"
+    if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
+        found = find_scenario(target, options=options)
+        return found.but(name=name, title=title, do=found.do if tasks is None else tasks, expect={})
+    if target not in WORLDS and not path.suffix:
+        allowed = f"a scenario ({', '.join(scenario_names())}), a world ({', '.join(WORLDS)}), or a file of either"
+        raise InputError(f"no scenario or world {target!r}", where="fly", allowed=allowed)
+    world = {"name": target} if target in WORLDS else {"file": target}
+    tree = {"name": name, "title": title, "world": world, "do": ("detect", "map") if tasks is None else tasks}
+    return make_scenario(tree, options=options)
+
+
+def make_flight(
+    scenario: Scenario, *, by: str = "keys", duration_s: float | None = None,
+    out: Path | None = None, say: Callable[[str], None] = print, to: Sequence[str] = (),
+) -> Run:  # fmt: skip
+    """Get a flight by hand ready: the vehicle hovers at the scenario's first waypoint and waits for commands.
+
+    Args:
+        scenario: its world, radars, vehicle, and what to make of the frames.
+        by: keys, or a port that takes commands, as ros2:.
+        duration_s: ends after so long [s]; None: with Ctrl-C.
+        out: where run folders are made; None: ./runs.
+        say: takes what a person should know.
+        to: sinks beside the run's own files.
+
+    Raises:
+        InputError: the world, the start, a sink, or whatever gives commands cannot be used.
+    """
+    from ullage.experiments.simulated import load_world, waypoints_of
+    from ullage.ports.by_hand import FlyOptions, HandFlownSource
+
+    for sink in to:
+        check_sink(sink)
+    sensing, vehicle = scenario.sensing, scenario.flight.vehicle
+    scene = load_world(scenario.world)
+    start = tuple(float(value) for value in waypoints_of(scenario.flight, scenario.world)[0])
+    chosen = FlyOptions(
+        vehicle="hector" if vehicle == "ideal" else vehicle, fidelity=sensing.fidelity,
+        max_bounces=sensing.max_bounces, seed=scenario.seed, rate_hz=sensing.rate_hz, duration_s=duration_s,
+    )  # fmt: skip
+    rig = sensing.radars()
+    controls = _controls(by, scenario, say)
+    try:
+        source = HandFlownSource(scene, rig, chosen, controls, start=start, say=say)
+        job = _begun(source, f"fly {scenario.name}", scenario.do, lambda _: scenario)
+        return _begin(job, to, out)
+    except BaseException:
+        controls.close()
+        raise
+
+
+def _controls(by: str, scenario: Scenario, say: Callable[[str], None]) -> Controls:
+    """What gives commands."""
+    from ullage.ports.keyboard import HELP, Keyboard
+
+    if by == "keys":
+        keyboard = Keyboard(speed_m_s=scenario.flight.speed_m_s)
+        say(HELP)
+        return keyboard
+    address = Address.of(by)
+    door = getattr(address.port(), "open_controls", None) if address is not None and address.known else None
+    if address is None or door is None:
+        raise InputError(f"no commands come from {by!r}", where="--by", allowed="keys, ros2:NAMESPACE?key=value")
+    controls: Controls = door(address.place, address.options)
+    return controls
 
 
 def _on_one_clock(source: Any, say: Callable[[str], None]) -> dict[str, Frames]:

@@ -1,4 +1,4 @@
-"""A multirotor that is steered while it flies: by height, speed and heading, or by forces.
+"""A multirotor that is steered while it flies: by height, velocity and heading, by rates, to a position, or by forces.
 
 The body, its rotors, the air and what it can hit are those of `fly`; only the reference is made on the way, each
 control step, from what is asked for at that moment.
@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 
 _PULL_S = 1.2  # climb asked for per metre of height that is missing [1/s]
 _CLIMB_M_S, _ACCELERATION_M_S2 = 1.0, 1.5
+_GOAL_M_S = 1.0  # greatest level speed on the direct path to a position
 _SPEED_S, _SMOOTH_S = 0.35, 0.08  # time constants of the speed and of the acceleration that is asked for [s]
 _TURN_S, _TURN_RAD_S = 1.5, math.radians(60)
 
@@ -37,16 +38,27 @@ class Wish:
     velocity_m_s: tuple[float, float] | None = None  # forward and left, level
     heading_rad: float | None = None  # counter-clockwise from east
     force_n: tuple[float, float, float] | None = None  # forward, left, up; on top of what carries the weight
+    climb_m_s: float | None = None  # in place of a height
+    turn_rad_s: float | None = None  # counter-clockwise, in place of a heading
+    position_m: tuple[float, float, float] | None = None  # in the world, in place of height and velocity
 
     def then(self, later: Wish) -> Wish:
-        """This one with what a later one says."""
-        height_m, force_n = later.height_m, later.force_n
+        """This one with the changes of a later one: a command replaces those before it on the same axes."""
+        vertical = later.height_m is not None or later.climb_m_s is not None
+        level = later.velocity_m_s is not None
+        placed = later.position_m is not None
+        pushed = later.force_n is not None and not (vertical or level or placed)
+        turned = later.heading_rad is not None or later.turn_rad_s is not None
+        goal = self.position_m
+        kept_m = goal[2] if goal is not None and level and not vertical else self.height_m
         return Wish(
-            self.height_m if height_m is None else height_m,
-            self.velocity_m_s if later.velocity_m_s is None else later.velocity_m_s,
-            self.heading_rad if later.heading_rad is None else later.heading_rad,
-            # a height or a speed takes the place of a force, and a force that of both
-            None if height_m is not None or later.velocity_m_s is not None else force_n or self.force_n,
+            None if placed else later.height_m if vertical else kept_m,
+            None if placed else later.velocity_m_s if level else self.velocity_m_s,
+            later.heading_rad if turned else self.heading_rad,
+            later.force_n if pushed else None if vertical or level or placed else self.force_n,
+            None if placed else later.climb_m_s if vertical else self.climb_m_s,
+            later.turn_rad_s if turned else self.turn_rad_s,
+            later.position_m if placed else None if vertical or level or pushed else goal,
         )
 
 
@@ -153,8 +165,10 @@ class Steered:
     def _steer(self, dt: float) -> None:
         """Move the reference on by one control step."""
         row, wish, data = self._track[0], self.wish, self._around.data
-        turn = math.remainder((wish.heading_rad or 0.0) - row[12], math.tau)
-        row[13] = min(max(_TURN_S * turn, -_TURN_RAD_S), _TURN_RAD_S)
+        rate = wish.turn_rad_s
+        if rate is None:
+            rate = _TURN_S * math.remainder((wish.heading_rad or 0.0) - row[12], math.tau)
+        row[13] = min(max(rate, -_TURN_RAD_S), _TURN_RAD_S)
         row[12] += row[13] * dt
         cos, sin = math.cos(row[12]), math.sin(row[12])
         if wish.force_n is not None:
@@ -162,11 +176,26 @@ class Steered:
             row[0:3], row[3:6] = data.qpos[:3], data.qvel[:3]  # nothing to track: the force alone decides
             row[6:9] = forward * cos - left * sin, forward * sin + left * cos, up
             return
-        ahead, aside = wish.velocity_m_s or (0.0, 0.0)
-        climb = _PULL_S * ((wish.height_m if wish.height_m is not None else row[2]) - row[2])
-        wanted = (ahead * cos - aside * sin, ahead * sin + aside * cos, min(max(climb, -_CLIMB_M_S), _CLIMB_M_S))
+        wanted = self._wanted_velocity(cos, sin)
         for k in range(3):
             push = min(max((wanted[k] - row[3 + k]) / _SPEED_S, -_ACCELERATION_M_S2), _ACCELERATION_M_S2)
             row[6 + k] += (push - row[6 + k]) * dt / _SMOOTH_S
             row[k] += row[3 + k] * dt + 0.5 * row[6 + k] * dt * dt
             row[3 + k] += row[6 + k] * dt
+
+    def _wanted_velocity(self, cos: float, sin: float) -> tuple[float, float, float]:
+        """Velocity of the reference in the world [m/s] for a heading of this cosine and sine."""
+        row, wish = self._track[0], self.wish
+        if wish.position_m is not None:
+            east, north = (_PULL_S * (wish.position_m[k] - row[k]) for k in range(2))
+            share = min(1.0, _GOAL_M_S / max(math.hypot(east, north), 1e-12))
+            return east * share, north * share, _climb(_PULL_S * (wish.position_m[2] - row[2]))
+        ahead, aside = wish.velocity_m_s or (0.0, 0.0)
+        climb = wish.climb_m_s or 0.0
+        if wish.height_m is not None:
+            climb = _PULL_S * (wish.height_m - row[2])
+        return ahead * cos - aside * sin, ahead * sin + aside * cos, _climb(climb)
+
+
+def _climb(wanted_m_s: float) -> float:
+    return min(max(wanted_m_s, -_CLIMB_M_S), _CLIMB_M_S)

@@ -229,9 +229,24 @@ def _start(start: ArrayLike | None) -> tuple[Floats | None, float]:
     return place[:3], float(place[3]) if len(place) == 4 else 0.0
 
 
-def _clear(mission: Waypoints, place: Floats | None, frame: Airframe, scene: Scene, parts: list[Body]) -> None:
+def check_clear(start: ArrayLike, vehicle: str | Airframe, scene: Scene) -> None:
+    """Check that a vehicle can hover at its start.
+
+    Args:
+        start: x, y, z [m] and, if given, yaw [deg].
+        vehicle: name of a vehicle, or an `Airframe`.
+        scene: what it could hit.
+
+    Raises:
+        InputError: the start is inside a solid or nearer to a surface than the vehicle reaches, or the vehicle unknown.
+    """
+    _clear(None, _start(start)[0], airframe(vehicle), scene, bodies(scene))
+
+
+def _clear(mission: Waypoints | None, place: Floats | None, frame: Airframe, scene: Scene, parts: list[Body]) -> None:
     """Refuses a start or waypoint inside a solid or nearer to a surface than the vehicle reaches, level."""
-    spots = [(f"waypoint {i}", point) for i, point in enumerate(mission.points)]
+    points = () if mission is None else mission.points
+    spots = [(f"waypoint {i}", point) for i, point in enumerate(points)]
     if place is not None:
         spots.insert(0, ("the start", place))
     squash = frame.radius_m / frame.half_height_m

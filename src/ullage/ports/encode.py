@@ -21,6 +21,7 @@ PICTURE = "sensor_msgs/msg/Image"
 PATH = "nav_msgs/msg/Path"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+IMU = "sensor_msgs/msg/Imu"
 DEPTH_DB = 40.0
 """What a picture shows below its brightest cell [dB]."""
 
@@ -56,6 +57,39 @@ def range_notes(frames: Frames, found: Detections, *, frame_id: str = "") -> lis
         range=nearest,
         variance=step**2 / 12,
     )
+
+
+def range_note(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad: float, *, frame_id: str) -> bytes:
+    """One Range that is no radar's, as of a sonar."""
+    low, high = limits_m
+    return range_layout(frame_id.encode()).fill(
+        1, **ros.stamps(np.array([t_ns])), fov=fov_rad, min=low, max=high, range=range_m
+    )[0]
+
+
+@lru_cache(16)
+def imu_layout(frame_id: bytes) -> ros.Layout:
+    """Imu."""
+    return ros.Layout(
+        *ros.HEADER, ("frame_id", frame_id), ("orientation", ("<f8", 4)), ("orientation_covariance", ("<f8", 9)),
+        ("rate", ("<f8", 3)), ("rate_covariance", ("<f8", 9)), ("acceleration", ("<f8", 3)),
+        ("acceleration_covariance", ("<f8", 9)),
+    )  # fmt: skip
+
+
+def imu_note(t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str) -> bytes:
+    """Imu: attitude in the world, turn rate and specific force in the body; covariances of zero: unknown.
+
+    Args:
+        t_ns: when [ns].
+        quat_xyzw: world_from_body (4).
+        rate_rad_s: in the body (3).
+        acceleration_m_s2: acceleration less gravity in the body (3), +9.81 along z at rest as accelerometers give it.
+        frame_id: of the body.
+    """
+    return imu_layout(frame_id.encode()).fill(
+        1, **ros.stamps(np.array([t_ns])), orientation=quat_xyzw, rate=rate_rad_s, acceleration=acceleration_m_s2
+    )[0]
 
 
 def clock_note(t_ns: int) -> bytes:

@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ullage.ports.by_hand import Controls
     from ullage.ports.protocol import Sink, Source
 
-__all__ = ["open_sink", "open_source"]
+__all__ = ["open_controls", "open_sink", "open_source"]
 
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Frames from topics: `ros2:NAMESPACE?key=value`, or of radars simulated on a robot: `ros2:?simulate=WORLD`.
+    """Frames from topics: `ros2:NAMESPACE?key=value`; of radars on a robot: `?simulate=WORLD`; by hand: `?fly=WORLD`.
 
     Raises:
         InputError: an option is unknown or of no use.
@@ -24,6 +25,10 @@ def open_source(address: str, options: dict[str, Any]) -> Source:
     from ullage.ports.ros2.options import SimulateOptions, SourceOptions
 
     where = f"ros2:{address}"
+    if "fly" in options:
+        from ullage.ports.ros2.hand import TopicFlyOptions, open_flight
+
+        return open_flight(address, options_of(TopicFlyOptions, options, where))
     if "simulate" in options or "world" in options:
         from ullage.ports.ros2.follow import Ros2Radars
 
@@ -31,6 +36,21 @@ def open_source(address: str, options: dict[str, Any]) -> Source:
     from ullage.ports.ros2.source import Ros2Source
 
     return Ros2Source(address, options_of(SourceOptions, options, where))
+
+
+def open_controls(address: str, options: dict[str, Any]) -> Controls:
+    """Commands from topics: `ros2:NAMESPACE?key=value`.
+
+    Raises:
+        InputError: an option is unknown or of no use.
+        MissingExtra: there is no rclpy.
+    """
+    from ullage.ports.following import options_of
+    from ullage.ports.ros2.hand import ControlOptions, TopicControls
+    from ullage.ports.ros2.middleware import Peer
+
+    chosen = options_of(ControlOptions, options, f"ros2:{address}")
+    return TopicControls(Peer(address, chosen), chosen)
 
 
 def open_sink(address: str, options: dict[str, Any]) -> Sink:

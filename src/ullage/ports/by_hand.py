@@ -1,0 +1,308 @@
+"""The simulated multirotor flown by hand: commands come in, frames and the readings of its other sensors go out."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from ullage.data import Floats, Frames
+from ullage.errors import InputError
+from ullage.flight.airframe import GRAVITY_M_S2
+from ullage.flight.live import Steered
+from ullage.flight.pilot import Pilot, PilotOptions
+from ullage.flight.vehicle import check_clear
+from ullage.geometry import quat_matrix
+from ullage.ports import encode
+from ullage.ports.conversions import BODY
+from ullage.ports.following import Endless, Say
+from ullage.ports.intake import Counters
+from ullage.ports.protocol import Passed, Passing
+from ullage.specs import Rig
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+IMU_TOPIC, SONAR_TOPIC = "raw_imu", "sonar_height"
+"""Names of the Hector quadrotor's topics."""
+SONAR_M, SONAR_FOV_RAD, SONAR_HZ = (0.03, 3.0), math.radians(40), 10.0
+"""Limits, opening and rate of the sonar of [HectorQuadrotor]."""
+BATCH_S = 0.1
+"""Poses are gathered for so long before the radars are simulated along them."""
+BEHIND_S = 1.0
+"""How far the frames may fall behind the flight before that is reported."""
+STEP_S = 0.01
+
+
+class FlyOptions(PilotOptions):
+    """Settings of a flight by hand."""
+
+    fly: str = Field("", description="library world or file to fly in")
+    vehicle: str = Field("hector", description="the multirotor")
+    start: str = Field("", description="x,y,z [m] and, if given, yaw [deg]; none: the library world's own")
+    rig: str = Field(
+        "", description="rig preset, or SDF/URDF file with radars; none: as the world declares, or thesis-4"
+    )
+    fidelity: str = Field("physical", pattern="^(physical|thesis)$", description="physical or thesis")
+    max_bounces: int = Field(1, ge=1, le=3)
+    seed: int = Field(0, ge=0)
+    rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")
+    state_hz: float = Field(50.0, ge=10, le=250, description="poses and IMU readings a second")
+    pace: float = Field(1.0, gt=0, le=10, description="times real time")
+    duration_s: float | None = Field(None, gt=0, description="ends after so long a flight")
+
+    def place(self) -> tuple[float, ...] | None:
+        """Where the flight starts; None: not given.
+
+        Raises:
+            InputError: it is not three or four finite numbers.
+        """
+        if not self.start:
+            return None
+        try:
+            numbers = tuple(float(part) for part in self.start.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)):
+            raise InputError(
+                f"start is {self.start!r}", where="fly", allowed="X,Y,Z or X,Y,Z,YAW in metres and degrees"
+            )
+        return numbers
+
+
+class Controls(Protocol):
+    """Where commands come from: a keyboard, topics."""
+
+    counters: Counters  # of what could not be used
+
+    def update(self, pilot: Pilot, now_s: float) -> None:
+        """Hand all commands since the last call to the pilot."""
+
+    def close(self) -> None:
+        """Let go of the terminal or the network."""
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The vehicle at one time."""
+
+    t_ns: int  # of the flight, from 0
+    position: Floats  # (3) [m]
+    quat_xyzw: Floats  # (4)
+    spin: Floats  # (3) body [rad/s]
+    force_m_s2: Floats  # (3) specific force in the body: acceleration less gravity
+
+
+class HandFlight:
+    """A vehicle, its pilot and the commands, advanced to any time: no clock is read here.
+
+    Args:
+        vehicle: in the air.
+        pilot: takes the commands.
+        controls: give them.
+        state_hz: states a second of flight.
+    """
+
+    def __init__(self, vehicle: Steered, pilot: Pilot, controls: Controls, *, state_hz: float) -> None:
+        self.vehicle, self.pilot, self._controls = vehicle, pilot, controls
+        self._period_ns = round(1e9 / state_hz)
+        self._count = 0
+        self._velocity, self._last_ns = vehicle.velocity, vehicle.t_ns
+
+    def until(self, t_ns: int) -> list[State]:
+        """Fly on to a time of the flight [ns]; the states on the path."""
+        out = []
+        while (due_ns := (self._count + 1) * self._period_ns) <= t_ns:
+            self._count += 1
+            now_s = due_ns * 1e-9
+            self._controls.update(self.pilot, now_s)
+            if (wish := self.pilot.request(now_s)) is not None:
+                self.vehicle.ask(wish)
+            self.vehicle.advance(due_ns)
+            out.append(self._state(due_ns))
+        return out
+
+    def _state(self, t_ns: int) -> State:
+        vehicle = self.vehicle
+        velocity, step_s = vehicle.velocity, (vehicle.t_ns - self._last_ns) * 1e-9
+        change = (velocity - self._velocity) / step_s if step_s > 0 else np.zeros(3)
+        self._velocity, self._last_ns = velocity, vehicle.t_ns
+        turn = quat_matrix(vehicle.quat_xyzw)
+        force = turn.T @ (change + np.array([0.0, 0.0, GRAVITY_M_S2]))
+        return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force)
+
+
+class HandFlownSource(Endless):
+    """Frames of radars on a vehicle that somebody flies, in this machine's time.
+
+    A thread flies, so that no simulation of radars delays a command. Beside frames the source passes on the readings
+    of an IMU and of a sonar that points down, on the topics of the Hector quadrotor.
+
+    Args:
+        scene: the world.
+        rig: the radars.
+        options: how.
+        controls: where commands come from; closed with the source.
+        start: x, y, z [m] and, if given, yaw [deg].
+        say: takes what a person should know; None: it becomes a warning.
+        frame_prefix: goes before the names of frames of reference.
+
+    Raises:
+        InputError: the start is in or too near to something, or there is no such vehicle.
+    """
+
+    def __init__(
+        self, scene: Scene, rig: Rig, options: FlyOptions, controls: Controls, *, start: tuple[float, ...],
+        say: Say | None = None, frame_prefix: str = "",
+    ) -> None:  # fmt: skip
+        from ullage.radar.live import LiveRadars
+
+        super().__init__(options.duration_s, say, topic="flight")
+        self.scene: Scene | None = scene
+        self.passing = Passing()
+        self._options, self._controls, self._body = options, controls, frame_prefix + BODY
+        self._hear(controls.counters, "flight")
+        check_clear(start, options.vehicle, scene)
+        vehicle = Steered(options.vehicle, scene=scene, start=start)
+        self.flight = HandFlight(vehicle, Pilot(options), controls, state_hz=options.state_hz)
+        fidelity: Any = options.fidelity
+        self._radars = LiveRadars(
+            scene, rig, fidelity=fidelity, max_bounces=options.max_bounces, seed=options.seed, rate_hz=options.rate_hz
+        )
+        self._names = tuple(rig.sensors)
+        self._sonar = Sonar(scene)
+        self._epoch_ns = self._done_ns = self._touched = 0
+        self._states: list[State] = []
+        self._lock = threading.Condition()
+        self._ending = False
+        self._error: BaseException | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the radars."""
+        return self._names
+
+    def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
+        """Frames as they fall due, at most about `chunk` of each radar at a time, until Ctrl-C or the asked end."""
+        self._warm_up()
+        self._epoch_ns = time.time_ns()
+        self._thread = threading.Thread(target=self._fly, name="ullage flight", daemon=True)
+        self._thread.start()
+        most_s = chunk / max(self._options.rate_hz or spec.fps for spec in self._radars.sensors.values())
+        try:
+            while not self._over():
+                states = self._gathered(most_s)
+                if states:
+                    self._done_ns = states[-1].t_ns
+                    yield from self._made(states)
+                self._complain()
+        finally:
+            self._report()
+            self.close()
+
+    def _made(self, states: list[State]) -> Iterator[dict[str, Frames]]:
+        """The frames along some states; the readings of the other sensors go on."""
+        self.passing.give(lambda: [note for state in states for note in self._readings(state)])
+        found = self._radars.advance(
+            [self._epoch_ns + state.t_ns for state in states],
+            [state.position for state in states],
+            [state.quat_xyzw for state in states],
+        )
+        if found:
+            yield found
+
+    def _readings(self, state: State) -> Iterator[Passed]:
+        t_ns = self._epoch_ns + state.t_ns
+        imu = encode.imu_note(t_ns, state.quat_xyzw, state.spin, state.force_m_s2, frame_id=self._body)
+        yield Passed(t_ns, IMU_TOPIC, encode.IMU, imu)
+        if (range_m := self._sonar.reading(state)) is not None:
+            note = encode.range_note(t_ns, range_m, SONAR_M, SONAR_FOV_RAD, frame_id=self._body + "_sonar")
+            yield Passed(t_ns, SONAR_TOPIC, encode.RANGE, note)
+
+    def _warm_up(self) -> None:
+        """Load and compile while nobody flies."""
+        vehicle = self.flight.vehicle
+        self._radars.advance(0, vehicle.position, vehicle.quat_xyzw)
+        self._radars.reset()
+        self.flight.until(self.flight.vehicle.t_ns)
+
+    def _fly(self) -> None:
+        """The flight's thread: advance to the present, again and again."""
+        begun = time.monotonic()
+        try:
+            while not self._ending:
+                fresh = self.flight.until(int((time.monotonic() - begun) * self._options.pace * 1e9))
+                with self._lock:
+                    self._states += fresh
+                    if fresh:
+                        self._lock.notify_all()
+                time.sleep(STEP_S)
+        except BaseException as error:  # raised where frames are asked for
+            with self._lock:
+                self._error = error
+                self._lock.notify_all()
+
+    def _gathered(self, most_s: float) -> list[State]:
+        """States of about a tenth of a second, or as many as wait, at most those of `most_s`."""
+        enough = max(round(BATCH_S * self._options.state_hz), 1)
+        with self._lock:
+            self._lock.wait_for(lambda: len(self._states) >= enough or self._error is not None, 2 * BATCH_S)
+            if self._error is not None:
+                raise self._error
+            most = max(int(most_s * self._options.state_hz), 1)
+            found, self._states = self._states[:most], self._states[most:]
+        return found
+
+    def _over(self) -> bool:
+        return self._duration_s is not None and self._done_ns >= self._duration_s * 1e9
+
+    def _complain(self) -> None:
+        self.counters.report()
+        if (touched := self.flight.vehicle.touched) > self._touched:
+            self._touched = touched
+            self._tell("the vehicle touches something")
+        behind_s = len(self._states) / self._options.state_hz
+        if behind_s > BEHIND_S:
+            self._tell(
+                f"the radars are {behind_s:.1f} s behind the flight; give fidelity=thesis or rate_hz= to keep up",
+                kind="behind",
+            )
+
+    def close(self) -> None:
+        """Land: end the thread, let go of terminal and network."""
+        self._ending = True
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(3.0)
+        self._controls.close()
+        self._radars.close()
+
+
+class Sonar:
+    """The height over what lies below: the nearest hit of a cone of rays, ten times a second.
+
+    Args:
+        scene: the world.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        half = SONAR_FOV_RAD / 2
+        tilt = np.array([0.0, *[half / 2] * 6, *[half] * 12])
+        around = np.concatenate([[0.0], np.arange(6) * math.tau / 6, np.arange(12) * math.tau / 12])
+        self._rays = np.stack([np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), -np.cos(tilt)], axis=1)
+        self._caster = Raycaster(scene)
+        self._due_ns = 0
+
+    def reading(self, state: State) -> float | None:
+        """Range [m], +inf where nothing is within reach (REP-117); None where no reading is due."""
+        if state.t_ns < self._due_ns:
+            return None
+        self._due_ns = state.t_ns + round(1e9 / SONAR_HZ)
+        rays = self._rays @ quat_matrix(state.quat_xyzw).T
+        near = float(np.min(self._caster.distances(state.position, rays)))
+        return near if near <= SONAR_M[1] else math.inf

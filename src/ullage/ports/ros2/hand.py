@@ -1,0 +1,173 @@
+"""Fly the simulated multirotor by ROS 2 topics: velocities, set-points, a joystick."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from pydantic import Field
+
+from ullage.errors import InputError
+from ullage.flight.pilot import Pilot, Velocity
+from ullage.geometry import quat_rpy
+from ullage.ports import messages as ros
+from ullage.ports.by_hand import FlyOptions, HandFlownSource
+from ullage.ports.following import Say, rig_of, tell, world_of
+from ullage.ports.intake import Counters, Inbox, checked_pose
+from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.options import NodeOptions
+
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+POSE, JOY = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Joy"
+LOOK_S = 0.2
+"""How often the graph is asked for topics that somebody has begun to publish [s]."""
+
+
+class ControlOptions(NodeOptions):
+    """The topics of commands."""
+
+    cmd_vel: str = Field("cmd_vel", description="topic of velocities: Twist or TwistStamped")
+    pose: str = Field("command/pose", description="topic of set-points: PoseStamped in map or odom")
+    joy: str = Field("joy", description="topic of a joystick: Joy; none: not listened to")
+    joy_axes: str = Field("4,3,1,0", description="axes of forward, left, climb, turn; -1: none")
+    joy_button: int = Field(-1, ge=-1, le=63, description="button to hold while flying; -1: none")
+    joy_speed_m_s: float = Field(0.5, gt=0, le=10, description="speed and climb of a joystick at its stop")
+    joy_turn_rad_s: float = Field(1.0, gt=0, le=10, description="turn rate of a joystick at its stop")
+
+    def axes(self) -> tuple[int, ...]:
+        """The axes of the joystick.
+
+        Raises:
+            InputError: they are not four whole numbers.
+        """
+        words = [word.strip() for word in self.joy_axes.split(",")]
+        if len(words) != 4 or not all(word.removeprefix("-").isdecimal() for word in words):
+            raise InputError(f"joy_axes is {self.joy_axes!r}", where="ros2:", allowed="four axes, as 4,3,1,0")
+        return tuple(int(word) for word in words)
+
+
+class TopicFlyOptions(FlyOptions, ControlOptions):
+    """Settings of `ullage run 'ros2:?fly=WORLD'`."""
+
+
+class TopicControls:
+    """Takes commands from topics, once somebody publishes them.
+
+    Args:
+        peer: the node.
+        options: which topics.
+        say: takes what a person should know.
+
+    Raises:
+        InputError: an option cannot be used.
+    """
+
+    def __init__(self, peer: Peer, options: ControlOptions, *, say: Say | None = None) -> None:
+        self.counters = Counters()
+        self._peer, self._options, self._axes, self._say = peer, options, options.axes(), say or tell
+        self._inbox: Inbox[tuple[str, str, bytes]] = Inbox(self.counters)
+        self._topics = {
+            peer.resolved(name): kinds
+            for name, kinds in (
+                (options.cmd_vel, (TWIST, TWIST_STAMPED)), (options.pose, (POSE,)), (options.joy, (JOY,)),
+            )
+            if name
+        }  # fmt: skip
+        self._heard: set[str] = set()
+        self._looked_s = 0.0
+        self._peer.spin()
+
+    def update(self, pilot: Pilot, now_s: float) -> None:
+        """Hand the commands since the last call to the pilot."""
+        self._look()
+        while (found := self._inbox.get(0.0)) is not None:
+            topic, kind, data = found
+            try:
+                wrong = self._take(kind, ros.from_bytes(kind, data), pilot, now_s)
+            except Exception as error:  # whatever a damaged message makes the decoder raise
+                wrong = f"cannot be read: {type(error).__name__}"
+            if wrong:
+                self.counters.drop(topic, "bad", wrong)
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._peer.close()
+
+    def _look(self) -> None:
+        """Listen to the topics that somebody publishes now."""
+        if time.monotonic() - self._looked_s < LOOK_S:
+            return
+        self._looked_s = time.monotonic()
+        there = self._peer.topics()
+        for topic, kinds in self._topics.items():
+            kind = there.get(topic)
+            if kind is None or topic in self._heard:
+                continue
+            self._heard.add(topic)
+            if kind not in kinds:
+                self._say(f"{topic} carries {kind}, which is no command (allowed: {', '.join(kinds)})")
+                continue
+            self._peer.listen(topic, kind, "sensor", self._taker(topic, kind), depth=10)
+            self._say(f"commands come on {topic}")
+
+    def _taker(self, topic: str, kind: str) -> Any:
+        return lambda data: self._inbox.put((topic, kind, data), topic=topic, size=len(data))
+
+    def _take(self, kind: str, note: Any, pilot: Pilot, now_s: float) -> str:
+        """Hand one message to the pilot; what is wrong with it, or nothing."""
+        if kind == POSE:
+            return self._go_to(note, pilot)
+        if kind == JOY:
+            velocity = self._of_joystick(note)
+        else:
+            twist = note.twist if kind == TWIST_STAMPED else note
+            velocity = Velocity(twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z)
+        return "" if velocity is None or pilot.command(velocity, now_s) else "not finite"
+
+    def _go_to(self, note: Any, pilot: Pilot) -> str:
+        prefix = self._options.frame_prefix
+        frame = note.header.frame_id
+        if frame not in ("", "map", prefix + "odom"):
+            return f"in frame {frame!r}, not map or {prefix}odom"
+        at, turn = note.pose.position, note.pose.orientation
+        pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        if isinstance(pose, str):
+            return pose
+        pilot.go_to((at.x, at.y, at.z), float(quat_rpy(pose[1])[2]))
+        return ""
+
+    def _of_joystick(self, note: Any) -> Velocity | None:
+        """The velocity that the sticks ask for; None while the button is not held."""
+        button = self._options.joy_button
+        if button >= 0 and not (button < len(note.buttons) and note.buttons[button]):
+            return None
+        values = [float(note.axes[k]) if 0 <= k < len(note.axes) else 0.0 for k in self._axes]
+        v = self._options.joy_speed_m_s
+        return Velocity(values[0] * v, values[1] * v, values[2] * v, values[3] * self._options.joy_turn_rad_s)
+
+
+def open_flight(namespace: str, options: TopicFlyOptions, *, say: Say | None = None) -> HandFlownSource:
+    """The simulated multirotor in a world, flown by topics: `ros2:NAMESPACE?fly=WORLD`.
+
+    Raises:
+        InputError: there is no such world, rig or start, or an option is of no use.
+        MissingExtra: there is no rclpy.
+    """
+    from ullage.world.library import WORLDS
+
+    where = f"ros2:{namespace}"
+    scene = world_of(options.fly, where=where)
+    model = next(iter(scene.rigs), "")
+    rig = rig_of(options.rig, scene, model, where=where)
+    scene = scene.without(model) if model else scene
+    start = options.place() or (tuple(WORLDS[options.fly].start) if options.fly in WORLDS else None)
+    if start is None:
+        raise InputError("no start", where=where, allowed="start=X,Y,Z or start=X,Y,Z,YAW in metres and degrees")
+    controls = TopicControls(Peer(namespace, options), options, say=say)
+    try:
+        return HandFlownSource(
+            scene, rig, options, controls, start=start, say=say, frame_prefix=options.frame_prefix
+        )  # fmt: skip
+    except BaseException:
+        controls.close()
+        raise

@@ -1,0 +1,174 @@
+"""The multirotor flown by hand: keys become velocities, frames and the readings of IMU and sonar come out."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.cli import main
+from ullage.errors import InputError
+from ullage.flight.live import Steered
+from ullage.flight.pilot import Pilot, PilotOptions, Velocity
+from ullage.ports import messages as ros
+from ullage.ports.by_hand import IMU_TOPIC, SONAR_TOPIC, FlyOptions, HandFlight, HandFlownSource, Sonar
+from ullage.ports.intake import Counters
+from ullage.ports.keyboard import Keyboard, keys_in
+from ullage.ports.protocol import Passed
+
+
+class Script:
+    """Velocities by time: each holds from its time on."""
+
+    def __init__(self, *steps: tuple[float, Velocity]) -> None:
+        self.counters, self.steps, self.closed = Counters(), steps, False
+
+    def update(self, pilot: Pilot, now_s: float) -> None:
+        for start_s, velocity in reversed(self.steps):
+            if now_s >= start_s:
+                pilot.command(velocity, now_s)
+                return
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Once(Script):
+    """One velocity, once."""
+
+    def update(self, pilot: Pilot, now_s: float) -> None:
+        if self.steps:
+            pilot.command(self.steps[0][1], now_s)
+            self.steps = ()
+
+
+def test_a_repeated_command_flies_on_and_a_single_one_ends_in_a_hover() -> None:
+    far = {}
+    for controls in (Script((0.0, Velocity(0.5))), Once((0.0, Velocity(0.5)))):
+        flight = HandFlight(Steered(start=(0, 0, 2)), Pilot(PilotOptions()), controls, state_hz=50)
+        states = flight.until(6_000_000_000)
+        assert len(states) == 300
+        far[type(controls)] = states[-1].position[0]
+    assert far[Script] == pytest.approx(0.5 * 6, abs=0.4)
+    assert far[Once] == pytest.approx(0.5 * 0.5, abs=0.1)
+    assert flight.pilot.stale == 1
+
+
+def test_the_flight_does_not_depend_on_how_often_it_is_advanced() -> None:
+    whole, parts = (
+        HandFlight(Steered(start=(0, 0, 2)), Pilot(PilotOptions()), Script((0.2, Velocity(0.4, turn_rad_s=0.3))), state_hz=50)
+        for _ in range(2)
+    )  # fmt: skip
+    one = whole.until(2_000_000_000)
+    two = [state for k in range(1, 201) for state in parts.until(k * 10_000_000)]
+    assert np.array_equal([s.position for s in one], [s.position for s in two])
+
+
+def test_the_imu_reads_gravity_at_rest_and_the_push_of_a_take_off() -> None:
+    flight = HandFlight(
+        Steered(start=(0, 0, 2)), Pilot(PilotOptions()), Script((1.0, Velocity(up_m_s=0.5, turn_rad_s=0.4))), state_hz=100
+    )  # fmt: skip
+    states = flight.until(3_000_000_000)
+    assert states[50].force_m_s2 == pytest.approx([0, 0, 9.81], abs=1e-6)
+    assert states[-1].spin[2] == pytest.approx(0.4, abs=0.02)
+    climb = sum(state.force_m_s2[2] - 9.81 for state in states) / 100
+    assert climb == pytest.approx(flight.vehicle.velocity[2], abs=0.01)
+
+
+def test_the_sonar_gives_the_height_and_infinity_beyond_its_reach() -> None:
+    sonar = Sonar(ul.scenes.room(size_m=(6, 4, 8)))
+    low, high = (
+        HandFlight(Steered(start=(0, 0, z)), Pilot(PilotOptions()), Script(), state_hz=50).until(20_000_000)[0]
+        for z in (-2.8, 0)
+    )
+    assert sonar.reading(low) == pytest.approx(1.2, abs=0.001)
+    assert sonar.reading(low) is None  # ten readings a second
+    assert Sonar(ul.scenes.room(size_m=(6, 4, 8))).reading(high) == math.inf
+
+
+def test_frames_imu_and_sonar_come_out_and_the_controls_are_let_go() -> None:
+    controls, notes = Script((0.0, Velocity(0.3))), list[Passed]()
+    room = ul.scenes.room(size_m=(6, 4, 3))
+    source = HandFlownSource(
+        room, ul.Rig.preset("thesis-4"), FlyOptions(fidelity="thesis", duration_s=1.0), controls, start=(0, 0, 0)
+    )
+    source.passing.to(notes.append)
+    pieces = list(source.stream())
+    front = [piece["front"] for piece in pieces if "front" in piece]
+    assert sum(map(len, front)) >= 17
+    t_ns = np.concatenate([part.t_ns for part in front])
+    assert (np.diff(t_ns) > 0).all()
+    assert front[-1].believed.position[-1, 0] > 0.05
+    topics = [note.topic for note in notes]
+    assert topics.count(IMU_TOPIC) >= 50
+    assert topics.count(SONAR_TOPIC) >= 10
+    imu = ros.from_bytes(notes[0].kind, next(note.data for note in notes if note.topic == IMU_TOPIC))
+    assert imu.header.frame_id == "base_link"
+    assert imu.linear_acceleration.z == pytest.approx(9.81, abs=0.5)
+    assert controls.closed
+
+
+def test_a_start_in_or_near_something_is_refused() -> None:
+    room = ul.scenes.room(size_m=(6, 4, 3))
+    with pytest.raises(InputError, match=r"the start at \(2\.90, 0\.00, 0\.00\) m is .* from"):
+        HandFlownSource(room, ul.Rig.preset("thesis-4"), FlyOptions(), Script(), start=(2.9, 0, 0))
+    with pytest.raises(InputError, match=r"start is '1,2'.*X,Y,Z"):
+        FlyOptions(start="1,2").place()
+
+
+def test_keys_and_sequences_are_told_apart_also_where_one_comes_in_two_parts() -> None:
+    assert keys_in("i\x1b[A\x1bOBk\x1b[5~") == (["i", "up", "down", "k", "page up"], "")
+    keys, rest = keys_in("j\x1b[")
+    assert (keys, rest) == (["j"], "\x1b[")
+    assert keys_in(rest + "D") == (["left"], "")
+    assert keys_in("\x1b[1;5C") == ([""], "")
+
+
+def test_keys_of_a_terminal_become_velocities_and_the_terminal_is_given_back() -> None:
+    import pty
+    import termios
+
+    master, slave = pty.openpty()
+    before = termios.tcgetattr(slave)
+    keyboard, pilot = Keyboard(slave, speed_m_s=0.4, turn_rad_s=0.8), Pilot(PilotOptions())
+    cases = {b"\x1b[A": ((0.4, 0), 0, 0), b"\x1b[D": ((0, 0), 0, 0.8), b"t": ((0, 0), 0.4, 0), b"J": ((0, 0.4), 0, 0)}
+    for sent, (velocity, climb, turn) in cases.items():
+        os.write(master, sent)
+        keyboard.update(pilot, 1.0)
+        asked = pilot.request(1.0)
+        assert asked is not None
+        assert asked.velocity_m_s == pytest.approx(velocity)
+        assert (asked.climb_m_s, asked.turn_rad_s) == pytest.approx((climb, turn))
+    os.write(master, b"ww,")
+    keyboard.update(pilot, 1.0)
+    asked = pilot.request(1.0)
+    assert asked is not None
+    assert asked.velocity_m_s == pytest.approx((-0.4 * 1.1 * 1.1, 0))
+    keyboard.close()
+    assert termios.tcgetattr(slave)[3] == before[3]
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("fly", "nowhere"), "no scenario or world 'nowhere'"),
+        (("fly", "ntnu-room", "--by", "foo:"), "no commands come from 'foo:' (allowed: keys, ros2:"),
+        (("fly", "ntnu-room"), "the keyboard needs a terminal (allowed: a terminal, or --by ros2:"),
+    ],
+)
+def test_a_flight_that_cannot_be_is_refused_in_one_line(words, said, monkeypatch, capsys, tmp_path) -> None:
+    monkeypatch.setattr(sys, "argv", ["ullage", *words, "--out", str(tmp_path)])
+    monkeypatch.setattr(sys, "stdin", open(os.devnull))  # noqa: SIM115
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
