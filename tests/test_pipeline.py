@@ -10,7 +10,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.watch import Looks, RangeTime
-from ullage.pipeline import DetectStage, Held, MapStage
+from ullage.pipeline import DetectStage, Due, Held, ImageStage, MapStage
 
 
 def thesis_frames(n: int = 60) -> ul.Frames:
@@ -138,3 +138,50 @@ def test_a_threshold_for_detections_does_not_break_the_map() -> None:
     frames = ul.Frames(noise.astype(np.complex64), spec.range_m, path.t_ns, spec, poses=path)
     stage = MapStage(ul.Grid((-1, -1, 0), 0.1, (20, 20)), "ullage", threshold=0.1)
     assert len([*stage.update({"radar": frames}), *stage.finish()]) == 2
+
+
+def rig_frames(n: int = 120) -> dict[str, ul.Frames]:
+    """Two radars with direct path, past a wire."""
+    path = ul.Trajectory.line((-1, 0, 0), (1, 0, 0), 0.5, n / 4)[:n]
+    scene = ul.scenes.wire(radius_m=0.01, length_m=2.0, distance_m=2.0)
+    out = {}
+    for name, yaw in (("front", 0.0), ("left", 90.0)):
+        spec = ul.RadarSpec.preset("x4m05", mount={"yaw_deg": yaw})
+        frames = ul.simulate(scene, path, ul.Rig(sensors={name: spec}), seed=3)
+        out |= frames if isinstance(frames, dict) else {name: frames}
+    return out
+
+
+@pytest.mark.parametrize("held", [2048, 25])
+def test_an_image_grows_as_the_flight_goes_on_and_ends_as_the_whole_one(held: int, monkeypatch) -> None:
+    monkeypatch.setattr("ullage.pipeline.HELD_FRAMES", held)
+    frames = rig_frames()
+    grid = ul.Grid.covering([[-1, -1, 0], [3, 2, 0.1]], 0.05, z_m=0.0)
+    finals = {}
+    for every_s in (None, 0.2):
+        kept = Kept()
+        ul.run(Held(frames, size=4), stages=[ImageStage(grid, every_s=every_s)], sinks=[kept])
+        images = [item for item in kept.items if isinstance(item, ul.Image)]
+        finals[every_s] = images[-1]
+        assert len(images) == (1 if every_s is None else pytest.approx(4.0 / 0.2, abs=2))
+    strongest = np.abs(finals[None].values).max()
+    assert np.abs(finals[0.2].values - finals[None].values).max() < 1e-5 * strongest
+    early = images[-2].values  # without the last piece, and less sure of the own echo
+    assert np.abs(np.abs(early) - np.abs(finals[None].values)).max() < 0.2 * strongest
+    assert np.abs(images[1].values).max() > 0
+
+
+@pytest.mark.parametrize("period_s", [0.0588, 0.1, 0.13])
+def test_what_is_due_five_times_a_second_comes_five_times_a_second(period_s: float) -> None:
+    due = Due(0.2)
+    count = sum(due.reached(round(k * period_s * 1e9)) for k in range(round(20 / period_s)))
+    assert count == pytest.approx(100, abs=2)
+
+
+def test_what_is_due_comes_again_after_the_clock_steps_back() -> None:
+    due = Due(1.0)
+    assert due.reached(100_000_000_000)
+    assert not due.reached(100_500_000_000)
+    assert due.reached(3_000_000_000)
+    assert not due.reached(3_500_000_000)
+    assert due.reached(4_000_000_000)

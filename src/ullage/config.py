@@ -88,6 +88,9 @@ class MapSpec(Spec):
     step_m: float = Field(0.1, gt=0, le=10)
     dims: Literal[2, 3] = 2
     margin_m: float = Field(1.0, ge=0, le=100, description="room around the world")
+    every_s: float | None = Field(
+        None, ge=0.01, le=3600, description="between two maps, by the frames' clock; none: 0.2 live, else 1"
+    )
     reach_m: float = Field(
         6.0, gt=0, le=1000, description="room around the flight, or a live port's first pose, where no world is known"
     )
@@ -101,6 +104,12 @@ class ImageSpec(Spec):
     sensor: str = Field("", description="one sensor; none: all")
     z_m: float | None = Field(
         None, ge=-1000, le=1000, description="height of the plane; none: surveyed reflectors', else the flight's"
+    )
+    every_s: float | None = Field(
+        None,
+        ge=0.01,
+        le=3600,
+        description="between two images, by the frames' clock; none: 0.2 live, else the end only",
     )
     volume: tuple[float, float] | None = Field(None, description="lowest and highest z [m] of a volume, not a plane")
 

@@ -12,9 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, sensors_of
 from ullage.errors import InputError, UllageWarning, need
@@ -22,6 +19,7 @@ from ullage.grids import Grid, Image, OccupancyMap
 
 if TYPE_CHECKING:
     from ullage.ports.protocol import Sink as PortSink
+    from ullage.processing.image_sum import ImageSum
     from ullage.processing.own_echo import OwnEchoFilter
 
 Chunk = dict[str, Frames]
@@ -202,6 +200,23 @@ class Held:
 
 
 @dataclass(slots=True)
+class Due:
+    """Tells when something that comes every so often is due, at that mean rate however the pieces fall."""
+
+    every_s: float
+    _next_ns: int | None = None
+
+    def reached(self, now_ns: int) -> bool:
+        """Whether it is due now, by the clock of the frames; a clock that has stepped starts anew."""
+        period_ns, next_ns = round(self.every_s * 1e9), self._next_ns
+        if next_ns is not None and next_ns - period_ns <= now_ns < next_ns:
+            return False
+        on_time = next_ns is not None and 0 <= now_ns - next_ns < period_ns
+        self._next_ns = (next_ns if on_time and next_ns is not None else now_ns) + period_ns
+        return True
+
+
+@dataclass(slots=True)
 class DetectStage:
     """Detections, piece by piece."""
 
@@ -248,7 +263,7 @@ class MapStage:
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     _away: bool = False
     _mapper: Any = None
-    _given_ns: int | None = None
+    _due: Due | None = None
 
     def update(self, chunk: Chunk) -> Iterable[OccupancyMap]:
         """The map so far, once per `every_s` of recording."""
@@ -264,8 +279,8 @@ class MapStage:
             self._mapper = Mapper(self.grid, method=self.method, **options)
         self._mapper.update(chunk)
         now = max(int(p.t_ns[-1]) for p in chunk.values())
-        if self._given_ns is None or now - self._given_ns >= self.every_s * 1e9:
-            self._given_ns = now
+        self._due = self._due or Due(self.every_s)
+        if self._due.reached(now):
             yield self._mapper.map()
 
     def _inside(self, chunk: Chunk) -> Chunk:
@@ -293,34 +308,56 @@ class MapStage:
 
 @dataclass(slots=True)
 class ImageStage:
-    """A SAR image that grows with each piece, given at the end; its memory is the grid's, however long the flight.
+    """A SAR image that grows with each piece; its memory is the grid's, however long the flight.
 
-    Frames weigh by the way the sensor moved, so that standing still adds nothing; sensors add in power. Frames wait
-    until there are `HELD_FRAMES` of a sensor, so that its own echo is estimated from a long part of the track.
+    Frames wait until there are `HELD_FRAMES` of a sensor, so that its own echo is estimated from a long part of the
+    track. With `every_s` the image so far is given as well, once per so much of the recording. It has the frames that
+    wait without the own echo as known by then, so a frame is summed at most twice, and the final image is the same.
     """
 
     grid: Grid
     method: ImageMethod = "backprojection"
     sensor: str = ""  # one sensor; none: all
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
+    every_s: float | None = None  # None: at the end only
     _held: dict[str, list[Frames]] = field(default_factory=dict)
-    _sums: dict[str, Any] = field(default_factory=dict)
-    _summed: Any = None
-    _last_m: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    _sum: ImageSum | None = None
+    _early: ImageSum | None = None  # with the frames that wait
+    _early_echo: OwnEchoFilter = field(default_factory=_own_echo_filter)
+    _due: Due | None = None
 
-    def update(self, chunk: Chunk) -> Iterable[Any]:
-        """Adds this piece."""
+    def update(self, chunk: Chunk) -> Iterable[Image]:
+        """Adds this piece; the image so far, where one is due."""
+        chunk = {name: part for name, part in chunk.items() if self.sensor in ("", name)}
+        if self.every_s is not None and self.own_echo is not None:
+            early = self._early = self._early or self._empty()
+            for name, part in self._early_echo.clean(chunk).items():
+                early.add(name, part)
         for name, part in chunk.items():
-            if self.sensor and name != self.sensor:
-                continue
             if self.own_echo is None:
-                self._add(name, part)
+                self._exact().add(name, part)
                 continue
             held = self._held.setdefault(name, [])
             held.append(part)
             if sum(map(len, held)) >= HELD_FRAMES:
                 self._release(name)
-        return ()
+        if self.every_s is None or not chunk:
+            return ()
+        self._due = self._due or Due(self.every_s)
+        if not self._due.reached(max(int(part.t_ns[-1]) for part in chunk.values())):
+            return ()
+        image = (self._early or self._exact()).image()
+        return () if image is None else (image,)
+
+    def _empty(self) -> ImageSum:
+        from ullage.processing.image_sum import ImageSum
+
+        return ImageSum(self.grid, self.method)
+
+    def _exact(self) -> ImageSum:
+        """The sum that becomes the final image."""
+        self._sum = self._sum or self._empty()
+        return self._sum
 
     def _release(self, name: str) -> None:
         """Add the frames that waited, without their own echo."""
@@ -328,34 +365,13 @@ class ImageStage:
             for part in held:
                 self.own_echo.learn({name: part})
             for part in held:
-                self._add(name, self.own_echo.removed_from({name: part})[name])
-
-    def _add(self, name: str, part: Frames) -> None:
-        if self.method == "summation":
-            from ullage.processing.sar import focus
-
-            image = focus(part, self.grid, method="summation", remove_own_echo=False)
-            self.grid = image.grid
-            self._summed = image.values if self._summed is None else self._summed + image.values
-            return
-        from ullage.processing.backprojection import Backprojector
-
-        position = part.believed.position
-        before = self._last_m.get(name, position[0])
-        self._last_m[name] = position[-1]
-        moved = np.linalg.norm(np.diff(np.vstack([before, position]), axis=0), axis=1)
-        summing = self._sums.setdefault(name, Backprojector(self.grid))
-        summing.update(part, weights=np.minimum(moved, part.spec.wavelength_m / 2))
+                self._exact().add(name, self.own_echo.removed_from({name: part})[name])
+            if self._early is not None:
+                self._early.take_over(name, self._exact())
 
     def finish(self) -> Iterable[Image]:
         """The image."""
         for name in list(self._held):
             self._release(name)
-        if self._summed is not None:
-            return (Image(self.grid, self._summed, None, "summation"),)
-        images = [summing.image() for summing in self._sums.values()]
-        if len(images) < 2:
-            return images
-        power = np.sqrt(np.sum([np.abs(i.values) ** 2 for i in images], axis=0)).astype(np.float32)
-        coherence = np.max([i.coherence for i in images], axis=0)
-        return (Image(images[0].grid, power, coherence, "backprojection"),)
+        image = self._exact().image()
+        return () if image is None else (image,)

@@ -59,19 +59,16 @@ def test_a_repeated_command_flies_on_and_a_single_one_ends_in_a_hover() -> None:
 
 
 def test_the_flight_does_not_depend_on_how_often_it_is_advanced() -> None:
-    whole, parts = (
-        HandFlight(Steered(start=(0, 0, 2)), Pilot(PilotOptions()), Script((0.2, Velocity(0.4, turn_rad_s=0.3))), state_hz=50)
-        for _ in range(2)
-    )  # fmt: skip
+    script = Script((0.2, Velocity(0.4, turn_rad_s=0.3)))
+    whole, parts = (HandFlight(Steered(start=(0, 0, 2)), Pilot(PilotOptions()), script, state_hz=50) for _ in range(2))
     one = whole.until(2_000_000_000)
     two = [state for k in range(1, 201) for state in parts.until(k * 10_000_000)]
     assert np.array_equal([s.position for s in one], [s.position for s in two])
 
 
 def test_the_imu_reads_gravity_at_rest_and_the_push_of_a_take_off() -> None:
-    flight = HandFlight(
-        Steered(start=(0, 0, 2)), Pilot(PilotOptions()), Script((1.0, Velocity(up_m_s=0.5, turn_rad_s=0.4))), state_hz=100
-    )  # fmt: skip
+    script = Script((1.0, Velocity(up_m_s=0.5, turn_rad_s=0.4)))
+    flight = HandFlight(Steered(start=(0, 0, 2)), Pilot(PilotOptions()), script, state_hz=100)
     states = flight.until(3_000_000_000)
     assert states[50].force_m_s2 == pytest.approx([0, 0, 9.81], abs=1e-6)
     assert states[-1].spin[2] == pytest.approx(0.4, abs=0.02)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from ullage.config import MapMethod
+from ullage.config import ImageMethod, MapMethod
 from ullage.data import Frames
 from ullage.errors import InputError, UllageError, need
 from ullage.grids import Grid
-from ullage.pipeline import DetectStage, MapStage, Sink, Source, Stage, run
+from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, Stage, run
 from ullage.ports.following import options_of
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions
@@ -33,7 +33,10 @@ class MappingOptions(SourceOptions):
     margin_m: float = Field(0.0, ge=0, description="added to reach_m")
     method: MapMethod = Field("ullage", description="ullage, or elfes as the thesis had it")
     threshold: float | None = Field(None, gt=0, description="lowest amplitude of an echo; none: the method's own")
-    every_s: float = Field(0.2, ge=0.2, le=3600, description="time between two maps, where something has changed")
+    every_s: float = Field(0.2, ge=0.2, le=3600, description="time between two maps or images")
+    image: bool = Field(False, description="also focus a SAR image at the height of the first pose")
+    image_method: ImageMethod = Field("backprojection", description="backprojection, or summation as the thesis had it")
+    image_step_m: float = Field(0.1, gt=0, le=10, description="edge of a cell of the image")
     batch_s: float = Field(0.1, ge=0, le=10, description="how long frames are gathered before they are mapped")
 
 
@@ -56,7 +59,7 @@ def simulate(source: Any, peer: Peer, options: Spec) -> None:
 
 
 def mapping_stages(first: dict[str, Frames], options: MappingOptions) -> list[Stage]:
-    """Return the stages of `radar_mapping`: detections, and a map about the first pose.
+    """Return the stages of `radar_mapping`: detections, a map and, if asked for, an image about the first pose.
 
     Args:
         first: the first piece of the stream; without poses there is no map.
@@ -68,6 +71,10 @@ def mapping_stages(first: dict[str, Frames], options: MappingOptions) -> list[St
         reach = options.reach_m + options.margin_m
         grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
         stages.append(MapStage(grid, options.method, options.threshold, every_s=options.every_s, live=True))
+        if options.image:
+            box = np.stack([placed[0] - reach, placed[0] + reach])
+            plane = Grid.covering(box, options.image_step_m, z_m=float(placed[0][2]))
+            stages.append(ImageStage(plane, options.image_method, every_s=options.every_s))
     return stages
 
 

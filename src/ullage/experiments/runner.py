@@ -30,6 +30,8 @@ from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Say = Callable[[str], None]
+LIVE_S = 0.2
+"""Between two maps or images of a live run: five a second, as the nodes of the thesis [Billdal2018, appendix B]."""
 
 
 @dataclass(slots=True)
@@ -223,11 +225,17 @@ def _stages(job: Run) -> list[Stage]:
         out.append(job.detect)
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=plan.map.margin_m)
-        out.append(MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own))
+        out.append(
+            MapStage(
+                grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own,
+                every_s=plan.map.every_s or (LIVE_S if job.live else 1.0),
+            )
+        )  # fmt: skip
     if "image" in job.tasks:
         margin, height = plan.map.margin_m, _height(job)
         job.plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
-        out.append(ImageStage(job.plane.grid, plan.image.method, plan.image.sensor, own_echo=own))
+        every_s = plan.image.every_s or (LIVE_S if job.live else None)
+        out.append(ImageStage(job.plane.grid, plan.image.method, plan.image.sensor, own_echo=own, every_s=every_s))
     return out
 
 

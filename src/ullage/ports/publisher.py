@@ -184,6 +184,8 @@ class Publisher:
         self._path = PathFlown()
         self._volume: OccupancyMap | None = None
         self._volume_ns: int | None = None
+        self._image: Image | None = None  # whose amplitudes were not given
+        self._image_ns: int | None = None
         self._last_ns = 0
         self._waiting: list[tuple[Item, Role]] = []  # items without a time of their own, until frames come
         self._begun = False
@@ -220,6 +222,9 @@ class Publisher:
             out += changes.messages(changes.last, self._last_ns)
         if self._volume is not None and self._volume_ns != self._last_ns:
             out += self._whole_volume(self._volume, self._last_ns)
+        if self._image is not None:
+            exact = encode.picture_notes(self._image, self._last_ns)[1]
+            out.append(Message(self._last_ns, "image/amplitude", encode.PICTURE, "latched", exact))
         return [*out, *self._path.messages(self._last_ns, final=True)]
 
     def _begin(self, t_ns: int) -> list[Message]:
@@ -308,8 +313,15 @@ class Publisher:
         elif isinstance(item, Scene):
             yield Message(t_ns, "world", ros.MARKERS, "latched", conversions.scene_note(item, t_ns))
         elif isinstance(item, Image):
-            grey, exact = encode.picture_notes(item, t_ns)
-            yield Message(t_ns, "image", encode.PICTURE, "latched", grey)
+            yield from self._image_messages(item, t_ns)
+
+    def _image_messages(self, image: Image, t_ns: int) -> Iterator[Message]:
+        """The picture; the amplitudes, four times as large, as often as whole maps."""
+        grey, exact = encode.picture_notes(image, t_ns)
+        yield Message(t_ns, "image", encode.PICTURE, "latched", grey)
+        self._image = image
+        if self._image_ns is None or abs(t_ns - self._image_ns) >= self.map_changes.full_ns:
+            self._image, self._image_ns = None, t_ns
             yield Message(t_ns, "image/amplitude", encode.PICTURE, "latched", exact)
 
     def _volume_messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,6 +126,12 @@ class Backprojector:
             self._add(fine, axis, path.position[part], rotation[part], given[part], beam)
         self.frames += len(frames)
         self._weight += float(given.sum())
+
+    def copy(self) -> Self:
+        """A sum that goes on from here by itself."""
+        other = copy(self)
+        other._sums = self._sums.copy()
+        return other
 
     def _add(
         self,

@@ -1,4 +1,4 @@
-"""A real rclpy pilot that knows only Hector's topics: velocities, then silence, then a set-point; what it saw as JSON."""
+"""A real rclpy pilot that knows only Hector's topics: velocities, silence, a set-point; what it saw as JSON."""
 
 from __future__ import annotations
 
