@@ -19,6 +19,7 @@ Fidelity = Literal["physical", "thesis"]
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 MapMethod = Literal["ullage", "elfes"]
 ImageMethod = Literal["backprojection", "summation"]
+RIG_FILES = {".sdf", ".world", ".urdf", ".xacro"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 
@@ -58,15 +59,33 @@ class NavigationSpec(Spec):
 class SensingSpec(Spec):
     """Which radars, and which law their echoes follow."""
 
-    rig: str = Field("thesis-4", description="thesis-4 or single")
+    rig: str = Field(
+        "thesis-4",
+        description="thesis-4, thesis-4-down, single, declared (on a model of the world), or an SDF or URDF file",
+    )
     preset: str = Field("x4m05", description="a radar as `ullage list` names them, or a YAML file of one")
     changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")
     fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; none: the radar's own fps")
 
+    @property
+    def is_declared(self) -> bool:
+        """Whether the radars are those that a world or file declares."""
+        return self.rig == "declared" or Path(self.rig).suffix.lower() in RIG_FILES
+
+    def changed(self, rig: Rig) -> Rig:
+        """A declared rig with the changes of these settings on every radar.
+
+        Raises:
+            InputError: a field is unknown, or a value out of bounds.
+        """
+        if not self.changes:
+            return rig
+        return Rig(sensors={name: spec.but(**self.changes) for name, spec in rig.sensors.items()})
+
     def radars(self) -> Rig:
-        """The rig these settings describe.
+        """The rig these settings describe, if it is a preset.
 
         Raises:
             InputError: a preset or a field is unknown, or a value out of bounds.
@@ -211,7 +230,11 @@ def make_scenario(tree: dict[str, Any], *, options: Sequence[str] = (), where: s
     except InputError as error:
         raise InputError(error.what, where=where, allowed=error.allowed, field=error.field) from None
     try:
-        scenario.sensing.radars()
+        sensing = scenario.sensing
+        if sensing.is_declared:
+            RadarSpec.preset(sensing.preset, **sensing.changes)
+        else:
+            sensing.radars()
     except InputError as error:
         field = ("sensing", "changes", *error.field) if error.field else ("sensing",)
         what = ".".join(("sensing", "changes", error.what)) if error.field else f"sensing: {error.what}"

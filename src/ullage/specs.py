@@ -384,20 +384,23 @@ class Rig(Spec):
 
     sensors: dict[str, RadarSpec] = Field(min_length=1)
 
-    presets: ClassVar[tuple[str, ...]] = ("thesis-4", "single")
+    presets: ClassVar[tuple[str, ...]] = ("thesis-4", "thesis-4-down", "single")
 
     @classmethod
     def preset(cls, name: str, *, radar: RadarSpec | None = None, **changes: Any) -> Rig:
         """A known mount: "thesis-4" has four radars looking ahead, left, back and right [Billdal2018, fig. 4.6].
 
-        Four 65 deg openings cover 260 deg of the circle between them, not 360.
+        Four 65 deg openings cover 260 deg of the circle between them, not 360. "thesis-4-down" has one more below the
+        body that points down.
 
         Raises:
             InputError: the name is unknown.
         """
         base = (radar or RadarSpec.preset("x4m05")).but(**changes) if changes or radar else RadarSpec.preset("x4m05")
+        around = _ring(4, ("front", "left", "back", "right"), 0.10)
         mounts = {
-            "thesis-4": _ring(4, ("front", "left", "back", "right"), 0.10),
+            "thesis-4": around,
+            "thesis-4-down": around | {"down": MountSpec(position_m=(0.0, 0.0, -0.06), pitch_deg=90.0)},
             "single": {"front": MountSpec()},
         }
         if name not in mounts:

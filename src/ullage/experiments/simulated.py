@@ -54,13 +54,30 @@ def prepare(scenario: Scenario, *, progress: Progress | None = None) -> Simulate
     """
     from ullage.flight.navigation import navigate
 
-    rig = scenario.sensing.radars()
-    scene = load_world(scenario.world)
+    rig, scene = radars_and_world(scenario)
     rate_hz = scenario.sensing.rate_hz or next(iter(rig.sensors.values())).fps
     flown = fly_scenario(scenario, scene, rate_hz=rate_hz, progress=progress)
     nav = scenario.navigation
     believed = navigate(flown, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=scenario.seed)
     return Simulated(scenario, scene, flown, believed, rig)
+
+
+def radars_and_world(scenario: Scenario) -> tuple[Rig, Scene]:
+    """The radars of a scenario and its world; a model of the world that carries the radars is taken out of it.
+
+    Raises:
+        InputError: the world or the file of the radars cannot be read, or declares no radars.
+    """
+    from ullage.world.load import load_scene
+
+    sensing = scenario.sensing
+    if not sensing.is_declared:
+        return sensing.radars(), load_world(scenario.world)
+    scene = load_world(scenario.world)
+    if sensing.rig != "declared":
+        return sensing.changed(load_scene(sensing.rig).rig()), scene
+    rig = sensing.changed(scene.rig())
+    return rig, scene.without(next(iter(scene.rigs)))
 
 
 def load_world(spec: WorldSpec) -> Scene:

@@ -292,19 +292,18 @@ def make_flight(
     Raises:
         InputError: the world, the start, a sink, or whatever gives commands cannot be used.
     """
-    from ullage.experiments.simulated import load_world, waypoints_of
+    from ullage.experiments.simulated import radars_and_world, waypoints_of
     from ullage.ports.by_hand import FlyOptions, HandFlownSource
 
     for sink in to:
         check_sink(sink)
     sensing, vehicle = scenario.sensing, scenario.flight.vehicle
-    scene = load_world(scenario.world)
+    rig, scene = radars_and_world(scenario)
     start = tuple(float(value) for value in waypoints_of(scenario.flight, scenario.world)[0])
     chosen = FlyOptions(
         vehicle="hector" if vehicle == "ideal" else vehicle, fidelity=sensing.fidelity,
         max_bounces=sensing.max_bounces, seed=scenario.seed, rate_hz=sensing.rate_hz, duration_s=duration_s,
     )  # fmt: skip
-    rig = sensing.radars()
     controls = _controls(by, scenario, say)
     try:
         source = HandFlownSource(scene, rig, chosen, controls, start=start, say=say)
