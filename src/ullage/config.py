@@ -110,6 +110,13 @@ class MapSpec(Spec):
     every_s: float | None = Field(
         None, ge=0.01, le=3600, description="between two maps, by the frames' clock; none: 0.2 live, else 1"
     )
+    floor_z_m: float | None = Field(
+        None,
+        ge=-1e4,
+        le=1e4,
+        description="height of a level floor, whose echoes a plane leaves out; 0 for motion capture (Motive), whose "
+        "ground plane is the floor; none: only floors that show themselves",
+    )
     reach_m: float = Field(
         6.0, gt=0, le=1000, description="room around the flight, or a live port's first pose, where no world is known"
     )

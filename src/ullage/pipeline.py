@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ullage.config import DetectMethod, ImageMethod, MapMethod
-from ullage.data import Detections, Frames, Recording, sensors_of
+from ullage.data import Detections, Frames, Recording, joined, sensors_of
 from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ullage.ports.protocol import Sink as PortSink
     from ullage.processing.image_sum import ImageSum
     from ullage.processing.own_echo import OwnEchoFilter
+    from ullage.processing.scatterers import Scatterer
 
 Chunk = dict[str, Frames]
 HELD_FRAMES = 2048  # of a sensor that wait for an image
@@ -251,6 +252,8 @@ class DetectStage:
 class MapStage:
     """An occupancy map that grows with each piece, given whole every so often and at the end.
 
+    The last map of frames that `ul.calibrate` put on a track also holds the scatterers that stay coherent along it.
+
     A flight that leaves the grid is refused, unless it is told of as it happens: then the grid could not be chosen for
     it, and what is seen from outside is left out until it is back.
     """
@@ -261,6 +264,10 @@ class MapStage:
     every_s: float = 1.0
     live: bool = False
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
+    floor_z_m: float | None = None  # height of a level floor, whose echoes are left out of a plane [m]
+    target_z_m: float | None = None  # height of scatterers where the track is straight; None: that of the track [m]
+    scatterers: list[Scatterer] = field(default_factory=list)  # of calibrated frames, once finished
+    _calibrated: dict[str, list[Frames]] = field(default_factory=dict)
     _away: bool = False
     _mapper: Any = None
     _due: Due | None = None
@@ -274,10 +281,14 @@ class MapStage:
         if self.live and not (chunk := self._inside(chunk)):
             return
         if self._mapper is None:
-            own = self.threshold is not None and self.method == "elfes"  # the other has its own level for every profile
-            options = {"threshold": self.threshold} if own else {}
-            self._mapper = Mapper(self.grid, method=self.method, **options)
+            # the mapper "ullage" has its own level for every profile
+            options = {"floor_z_m": self.floor_z_m} if self.method == "ullage" else {"threshold": self.threshold}
+            known = {name: value for name, value in options.items() if value is not None}
+            self._mapper = Mapper(self.grid, method=self.method, **known)
         self._mapper.update(chunk)
+        for name, part in chunk.items():
+            if part.calibration is not None and self.method == "ullage":
+                self._calibrated.setdefault(name, []).append(part)
         now = max(int(p.t_ns[-1]) for p in chunk.values())
         self._due = self._due or Due(self.every_s)
         if self._due.reached(now):
@@ -303,7 +314,15 @@ class MapStage:
         if self._mapper is None:
             return ()
         self._mapper.finish()
-        return (self._mapper.map(),)
+        from ullage.processing.scatterers import find_scatterers, with_scatterers
+
+        omap = self._mapper.map()
+        for parts in self._calibrated.values():
+            whole = joined(parts)
+            found = find_scatterers(whole, z_m=self.target_z_m)
+            omap = with_scatterers(omap, found, whole.believed.position)
+            self.scatterers += found
+        return (omap,)
 
 
 @dataclass(slots=True)

@@ -21,6 +21,7 @@ from ullage.experiments.folder import metric_tree, provenance, write_json, write
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.simulated import Simulated
+from ullage.experiments.verdict import verdict
 from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
@@ -52,6 +53,8 @@ class Run:
     rest: Rest = field(default_factory=Rest)
     own_echo: OwnEchoFilter = field(default_factory=OwnEchoFilter)
     plane: ImagePlane | None = None
+    map: MapStage | None = None
+    findings: list[str] = field(default_factory=list)  # what the report says in words
     timing: dict[str, float] = field(default_factory=dict)
     draft: Draft | None = None  # that folder, if it is one to be swapped in
     sinks: list[Sink] = field(default_factory=list)  # those that were asked for, open
@@ -164,8 +167,12 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say |
         if isinstance(item, OccupancyMap):
             write_map_files(job.folder, item)
     metrics = _metrics(job, outcome)
+    if job.findings:
+        write_text(job.folder / "verdict.txt", "\n".join(job.findings) + "\n")
     write_json(job.folder / "metrics.json", metric_tree(metrics))
     if say is not None:
+        for sentence in job.findings:
+            say(sentence)
         say("drawing figures")
     figures = _draw(job, outcome) if say is not None else ()
     state = "interrupted" if outcome.interrupted else "complete"
@@ -223,19 +230,19 @@ def _stages(job: Run) -> list[Stage]:
     if "detect" in job.tasks:
         job.detect = DetectStage(plan.detect.method, plan.detect.threshold, own_echo=own)
         out.append(job.detect)
-    if "map" in job.tasks:
-        grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=plan.map.margin_m)
-        out.append(
-            MapStage(
-                grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own,
-                every_s=plan.map.every_s or (LIVE_S if job.live else 1.0),
-            )
-        )  # fmt: skip
+    margin, height = plan.map.margin_m, _height(job)
     if "image" in job.tasks:
-        margin, height = plan.map.margin_m, _height(job)
         job.plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
-        every_s = plan.image.every_s or (LIVE_S if job.live else None)
-        out.append(ImageStage(job.plane.grid, plan.image.method, plan.image.sensor, own_echo=own, every_s=every_s))
+    if "map" in job.tasks:
+        grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=margin)
+        plane_m = float(job.plane.grid.origin_m[2]) if job.plane is not None and job.plane.grid.dims == 2 else None
+        every_s = plan.map.every_s or (LIVE_S if job.live else 1.0)
+        job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
+                           floor_z_m=plan.map.floor_z_m, target_z_m=plane_m)  # fmt: skip
+        out.append(job.map)
+    if job.plane is not None:
+        image_s = plan.image.every_s or (LIVE_S if job.live else None)
+        out.append(ImageStage(job.plane.grid, plan.image.method, plan.image.sensor, own_echo=own, every_s=image_s))
     return out
 
 
@@ -277,14 +284,23 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
     maps = [item for item in outcome.results if isinstance(item, OccupancyMap)]
     if job.plane is not None and job.plane.grid.dims == 2:
         out["image_z"] = Metric("image_z", float(job.plane.grid.origin_m[2]), "m")
-    if found := [one for one in job.own_echo.found.values() if one.energy_share]:
-        out["own_echo_share"] = Metric("own_echo_share", 100 * max(one.energy_share for one in found), "%")
-        out["own_echo_extent"] = Metric("own_echo_extent", max(one.extent_m for one in found), "m")
+    if own := [one for one in job.own_echo.found.values() if one.energy_share]:
+        out["own_echo_share"] = Metric("own_echo_share", 100 * max(one.energy_share for one in own), "%")
+        out["own_echo_extent"] = Metric("own_echo_extent", max(one.extent_m for one in own), "m")
+    if (part := _calibrated(job)) is not None:
+        places = job.map.scatterers if job.map is not None else []
+        job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks)
+        out |= {one.name: one for one in found}
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality
 
         out |= map_quality(maps[-1], job.scene, job.looks.frames())
     return out
+
+
+def _calibrated(job: Run) -> Frames | None:
+    """Frames of the first sensor that was calibrated against a track."""
+    return next((part for part in job.looks.frames().values() if part.calibration is not None), None)
 
 
 def _place(image: Image) -> list[Metric]:
@@ -323,7 +339,11 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
         out.append(calibration_figure(folder / "calibration.png", found, title=job.title))
     for item in outcome.results:
         if isinstance(item, OccupancyMap):
-            out.append(figures.map_figure(folder / "map.png", item, title=job.title, walls=walls, flown=job.flown))
+            out.append(
+                figures.map_figure(
+                    folder / "map.png", item, title=job.title, walls=walls, flown=job.flown, marks=job.marks
+                )
+            )
         elif isinstance(item, Image):
             notes = _image_notes(job, item, frames)
             out.append(

@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
+import numpy as np
+
 from ullage.config import Scenario, Task, make_scenario
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
@@ -23,6 +25,9 @@ from ullage.ports.protocol import Passing
 
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
+
+CONTRADICTION = 3.0  # standard deviations between the floor's echo and a calibrated range axis
+FLOOR_CLOCK_S = 0.2  # sigma of the first clock offset where the range is calibrated again [s]
 
 
 def make_run(
@@ -157,8 +162,10 @@ def _of_recording(
     if not first:
         raise InputError("no frames", where=target)
     marks = source.reflectors() if isinstance(source, RailSource) else None
+    tree: dict[str, Any] = {"map": {"floor_z_m": 0.0}} if isinstance(source, RailSource) else {}
     if any(part.track is not None for part in first.values()):
-        source = Held(_on_one_clock(source, say))
+        floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
+        source = Held(_on_one_clock(source, say, floor_z_m))
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
     if tasks is None:
@@ -166,7 +173,7 @@ def _of_recording(
         tasks = ("detect", "image", "map") if placed and phase else ("detect", "map") if placed else ("detect",)
     name = Path(target.rstrip("/").replace(":", "_")).stem or "recording"
     name = name.lstrip(".") or "recording"
-    tree: dict[str, Any] = {"name": "".join(c if c.isalnum() or c in "_.-" else "-" for c in name)[:60], "do": tasks}
+    tree |= {"name": "".join(c if c.isalnum() or c in "_.-" else "-" for c in name)[:60], "do": tasks}
     tree["title"] = f"Recording {Path(target).name}"
     scenario = make_scenario(tree, options=options)
     flown = _track(source) if placed else None
@@ -330,21 +337,45 @@ def _controls(by: str, scenario: Scenario, say: Callable[[str], None]) -> Contro
     return controls
 
 
-def _on_one_clock(source: Any, say: Callable[[str], None]) -> dict[str, Frames]:
-    """The frames with the radar's clock and zero range found against the track, and what was found said."""
+def _on_one_clock(source: Any, report: Callable[[str], None], floor_z_m: float | None) -> dict[str, Frames]:
+    """The frames with the radar's clock and zero range found against the track; what was found is reported."""
     from ullage.data import sensors_of
-    from ullage.processing.calibrate import calibrate
 
-    say("finding clock and range offsets")
-    parts = [calibrate(part, progress=_every_tenth(say)) for part in sensors_of(source.frames())]
-    for part in parts:
-        if (found := part.calibration) is not None:
-            say(
-                f"{part.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
-                f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
-                f"probability {found.probability:.3f}"
-            )
+    report("finding clock and range offsets")
+    parts = [_calibrated(part, report, floor_z_m) for part in sensors_of(source.frames())]
     return {part.sensor: part for part in parts}
+
+
+def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | None) -> Frames:
+    """Calibrate one sensor; where the floor's echo contradicts the range offset, once more with the floor as prior."""
+    from ullage.processing.calibrate import calibrate
+    from ullage.processing.floor import floor_echo
+    from ullage.processing.own_echo import without_own_echo
+
+    out = calibrate(part, progress=_every_tenth(report))
+    _report_offsets(out, report)
+    floor = None if floor_z_m is None else floor_echo(without_own_echo(out)[0], floor_z_m)
+    found = out.calibration
+    if floor is None or found is None:
+        return out
+    report(f"{part.sensor}: the floor's echo reads {floor.long_m:+.2f} m from the height flown")
+    if abs(floor.long_m) < CONTRADICTION * float(np.hypot(floor.sigma_m, found.range_sigma_m)):
+        return out
+    report("calibrating again with the floor as the range's zero")
+    range_m = found.range_offset_m - floor.long_m
+    guess = (found.t_offset_s, FLOOR_CLOCK_S, range_m, floor.sigma_m)
+    out = calibrate(part, guess=guess, progress=_every_tenth(report))
+    _report_offsets(out, report)
+    return out
+
+
+def _report_offsets(frames: Frames, report: Callable[[str], None]) -> None:
+    if (found := frames.calibration) is not None:
+        report(
+            f"{frames.sensor}: clock {found.t_offset_s:+.4f} s (sigma {found.t_sigma_s:.4f}), "
+            f"range {found.range_offset_m:+.4f} m (sigma {found.range_sigma_m:.4f}), "
+            f"probability {found.probability:.3f}"
+        )
 
 
 def _every_tenth(say: Callable[[str], None]) -> Callable[[float], None]:

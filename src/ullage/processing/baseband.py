@@ -5,6 +5,7 @@ An echo of delay tau has phase -2 pi f_c tau at its bin, whatever the sensor's o
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,23 @@ def to_baseband(frames: Frames) -> Complexes:
             "amplitudes have no phase", where=frames.sensor, allowed='baseband or RF samples; method="summation" here'
         )
     return _mixed_down(np.asarray(frames.samples, np.float32), frames.range_m, frames.spec.center_hz)
+
+
+def as_baseband(frames: Frames) -> Frames:
+    """RF frames as complex baseband with two bins in c / (2 bandwidth); all other frames as they are.
+
+    A low-pass filter keeps noise from outside the radar's band out of the fewer bins. The range axis stays in place.
+    """
+    if np.iscomplexobj(frames.samples) or is_amplitude(frames) or len(frames.range_m) < 2:
+        return frames
+    from scipy.signal import resample_poly
+
+    bin_m = float(frames.range_m[-1] - frames.range_m[0]) / (len(frames.range_m) - 1)
+    every = max(1, int(C0 / (4 * frames.spec.bandwidth_hz) / bin_m))
+    values = resample_poly(to_baseband(frames), 1, every, axis=1).astype(np.complex64)
+    rate_hz = frames.spec.sampling_hz / every
+    spec = frames.spec.but(output="baseband", decimation=1, sampling_hz=rate_hz, bins=values.shape[1])
+    return replace(frames, samples=values, range_m=frames.range_m[::every], spec=spec)
 
 
 def _mixed_down(rf: Reals, range_m: NDArray[np.float64], center_hz: float) -> Complexes:

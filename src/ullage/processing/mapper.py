@@ -17,6 +17,7 @@ from ullage.grids import Changes, Grid, OccupancyMap, Tiles
 from ullage.kernels.occupancy import RING, TORN
 from ullage.kernels.occupancy_reach import Beam
 from ullage.kernels.occupancy_show import render_cells, thin_lines
+from ullage.processing.baseband import as_baseband
 from ullage.processing.blocks import FREE_NATS, PRIOR, Blocks
 from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
@@ -68,9 +69,10 @@ class UllageMapper:
     Args:
         grid: holds the flight; a plane without a height takes that of the first frames.
         phase: whether phase may be used; it is left aside anyway while echoes do not keep it along the track.
+        floor_z_m: height of a level floor [m]; a plane leaves its echoes out. None: only floors that show themselves.
     """
 
-    def __init__(self, grid: Grid, *, phase: bool = True) -> None:
+    def __init__(self, grid: Grid, *, phase: bool = True, floor_z_m: float | None = None) -> None:
         self.grid = grid
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
@@ -83,7 +85,7 @@ class UllageMapper:
         self._rays: ElfesMapper | None = None
         self._published: OccupancyMap | None = None
         self._reach, self._hush = np.zeros((2, *SECTORS[grid.dims]))
-        self._levels = LevelFinder()
+        self._levels = LevelFinder(() if floor_z_m is None else ((-1, floor_z_m),))
         self._lobes = LobeComparison()
         self._judge = EchoJudge(phase=phase)
         self._tracks = EchoTracks(self._may_be_folded)
@@ -103,7 +105,7 @@ class UllageMapper:
         Raises:
             InputError: no poses, a sample that is not finite, or a flight that leaves the grid.
         """
-        parts = in_order(frames, self.grid)
+        parts = [as_baseband(part) for part in in_order(frames, self.grid)]
         self.grid = self.blocks.grid = plane_of(self.grid, parts)
         if self._rays is not None or (self.grid.dims == 2 and all(part.unit == "thesis" for part in parts)):
             self._rays = self._rays or ElfesMapper(self.grid)

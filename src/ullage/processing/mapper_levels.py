@@ -38,11 +38,15 @@ class LevelFinder:
     that echoes nearly as well as the best that is heard is taken for that wall: a level does not, at the beam's rim.
     Nor does one echo better than a perfect mirror there (`rim_m`): one radar that follows walls hears them so.
 
+    Args:
+        known: levels that are there for certain: -1 for a floor or 1 for a ceiling, and its height [m].
+
     Attributes:
         rim_m: amplitude times range of a perfect mirror a quarter turn off boresight [m].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, known: tuple[tuple[int, float], ...] = ()) -> None:
+        self._known = known
         self.rim_m = np.inf
         self._votes = {sign: np.zeros((SECTORS, 2 * int(REACH_M / BIN_M))) for sign in (-1, 1)}
         self._flown = np.zeros(SECTORS)  # looks of each sector of headings, opposite ones alike
@@ -88,7 +92,9 @@ class LevelFinder:
                     often = votes[k] >= least * self._looks or self._alike(sign, height)
                     if often and not any(s == sign and abs(h - height) < 3 * BIN_M for s, h in out):
                         out.append((sign, float(height)))
-        return [level for level in out if not self._may_be_wall(*level)]
+        found = [level for level in out if not self._may_be_wall(*level)]
+        new = [(s, h) for s, h in found if all(s != t or abs(h - g) > NEAR_M for t, g in self._known)]
+        return [*self._known, *new]
 
     def _everywhere(self, votes: Floats) -> NDArray[np.bool_]:
         """Heights (h) that looks of every heading vote for (sectors, h), of those with enough of them."""

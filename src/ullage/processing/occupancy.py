@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Literal, Protocol
 
-from ullage.data import Recording
+from ullage.data import Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap
 from ullage.processing.own_echo import without_own_echo
+from ullage.processing.scatterers import find_scatterers, with_scatterers
 
 Method = Literal["ullage", "elfes"]
 
@@ -52,6 +53,7 @@ def map_occupancy(
     method: Method = "ullage",
     drift_m: float = 0.0,
     remove_own_echo: bool = True,
+    target_z_m: float | None = None,
     **options: float | None,
 ) -> OccupancyMap:
     """The occupancy map that a recording gives.
@@ -63,13 +65,17 @@ def map_occupancy(
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it,
             and a warning says where they do not (`processing.drift.correct_drift`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
-        options: those of the method's mapper, as `threshold`.
+        target_z_m: height of coherent scatterers on a straight track; None: that of the track. Frames that
+            `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
+        options: those of the method's mapper: `threshold` of "elfes"; `floor_z_m` of "ullage", a level floor's height
+            [m], whose echoes a plane leaves out.
 
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.
     """
     if remove_own_echo:
         frames = without_own_echo(frames)
+    calibrated = [part for part in sensors_of(frames) if part.calibration is not None and method == "ullage"]
     if drift_m:
         from ullage.processing.drift import correct_drift
 
@@ -77,4 +83,7 @@ def map_occupancy(
     mapper = Mapper(grid, method=method, **options)
     mapper.update(frames)
     mapper.finish()
-    return mapper.map()
+    omap = mapper.map()
+    for part in calibrated:
+        omap = with_scatterers(omap, find_scatterers(part, z_m=target_z_m), part.believed.position)
+    return omap

@@ -65,6 +65,7 @@ def draw_map(
     *,
     walls: Floats | None = None,
     path: Trajectory | None = None,
+    marks: Floats | None = None,
     level: int | None = None,
 ) -> Any:
     """An occupancy map: white free, black occupied, grey unknown, amber ambiguous; true walls and path over it.
@@ -74,6 +75,7 @@ def draw_map(
         omap: the map; of a volume one level is drawn, or the highest chance over all levels.
         walls: true outline as segments (s, 2, 2) [m].
         path: where the drone flew.
+        marks: (m, 2 or 3) surveyed places [m].
         level: index along z, of a volume.
     """
     from matplotlib.colors import ListedColormap
@@ -86,7 +88,7 @@ def draw_map(
     backdrop = np.where(percent == AMBIGUOUS, 1, 0)
     axes.imshow(backdrop, extent=extent, origin="lower", cmap=ListedColormap(["#c9ccd1", "#f2c14e"]), vmin=0, vmax=1)
     mesh = axes.imshow(shown, extent=extent, origin="lower", cmap="Greys", vmin=0, vmax=100, interpolation="nearest")
-    draw_plan(axes, walls=walls, path=path)
+    draw_plan(axes, walls=walls, path=path, marks=marks)
     known = np.argwhere(percent != UNKNOWN)
     if len(known):
         _zoom(axes, omap, known)
@@ -120,12 +122,18 @@ def draw_plan(
 
 
 def map_figure(
-    path: Path, omap: OccupancyMap, *, title: str, walls: Floats | None = None, flown: Trajectory | None = None
+    path: Path,
+    omap: OccupancyMap,
+    *,
+    title: str,
+    walls: Floats | None = None,
+    flown: Trajectory | None = None,
+    marks: Floats | None = None,
 ) -> Path:
     """The occupancy map with colour bar and legend, as a picture file."""
     ny, nx = omap.grid.shape[-2:]
     with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
-        mesh = draw_map(axes, omap, walls=walls, path=flown)
+        mesh = draw_map(axes, omap, walls=walls, path=flown, marks=marks)
         figure.colorbar(mesh, ax=axes, label="chance of being occupied [%]", shrink=0.8)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         figure.suptitle(title, fontsize=10)

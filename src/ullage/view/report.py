@@ -15,7 +15,7 @@ from ullage.files import write_whole
 from ullage.untrusted import load_yaml
 
 CAPTIONS = {
-    "map": "Occupancy map over the true walls (red) and the flown path (blue).",
+    "map": "Occupancy map over the flown path (blue); red: true walls; circles: surveyed reflectors.",
     "image": "Synthetic aperture image, amplitude in dB below its brightest cell.",
     "own_echo": "Power received over range, the radar's own echo that was removed, and what remains.",
     "calibration": "Posterior of the clock offset between radar and track, and the offsets that were applied.",
@@ -40,6 +40,7 @@ PAGE = """<!doctype html>
 <p>{{ name }}, run {{ provenance.started }} with ullage {{ provenance.ullage }}
 {%- if provenance.interrupted %} <span class="bad">interrupted: what had been received by then</span>{% endif %}
 {%- if unfinished %} <span class="bad">unfinished: {{ unfinished }}</span>{% endif %}</p>
+{% if verdict %}<h2>Verdict</h2><ul>{% for sentence in verdict %}<li>{{ sentence }}</li>{% endfor %}</ul>{% endif %}
 <h2>Figures</h2>
 {% for figure in figures %}<figure><img alt="{{ figure.caption }}" src="data:image/png;base64,{{ figure.data }}">
 <figcaption>{{ figure.caption }}</figcaption></figure>
@@ -77,6 +78,7 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
         title=plan.get("title") or plan["name"],
         provenance={"interrupted": False} | origin,
         unfinished=str(origin.get("refused", "its process was ended, or is still at work")) if unfinished else "",
+        verdict=_text(folder / "verdict.txt").splitlines() if (folder / "verdict.txt").exists() else [],
         figures=[_figure(path) for path in _pictures(folder)],
         metrics=[_row(name, m, plan.get("expect") or {}) for name, m in metrics.items()],
         settings=settings,

@@ -1,0 +1,91 @@
+"""What a run on a recording shows, in sentences and as metrics: for people who did not fly it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Metric
+from ullage.grids import OccupancyMap
+from ullage.processing.scatterers import CLEAR_M, Scatterer
+
+Floats = NDArray[np.float64]
+
+ON_MAP_M = 0.15  # a surveyed reflector this close to an occupied cell is on the map
+
+
+def verdict(
+    frames: Frames, omap: OccupancyMap | None, scatterers: Sequence[Scatterer], marks: Floats | None
+) -> tuple[list[str], list[Metric]]:
+    """Say how certain the offsets are, what reflects coherently, and whether the map agrees with what is known.
+
+    Args:
+        frames: calibrated, of one sensor.
+        omap: the last map, if one was made.
+        scatterers: found along the track.
+        marks: (m, 3) surveyed reflectors [m].
+    """
+    words, metrics = [_offsets(frames), _scatterers(scatterers)], [Metric("scatterers", len(scatterers))]
+    if omap is not None:
+        cells = np.argwhere(omap.occupied)[:, ::-1]
+        dims = omap.grid.dims
+        places = np.asarray(omap.grid.origin_m)[:dims] + (cells + 0.5) * omap.grid.step_m
+        near = _least(frames.believed.position[:, :dims], places)
+        metrics.append(Metric("occupied_to_path", near, "m"))
+        words.append(
+            f"Something is marked {near:.2f} m from the flown path, nearer than {CLEAR_M} m: the map is wrong there."
+            if near < CLEAR_M
+            else f"The nearest occupied cell is {near:.2f} m from the flown path."
+            if np.isfinite(near)
+            else "No cell is occupied."
+        )
+        for mark in marks if marks is not None else []:
+            off = _least(mark[None, :dims], places)
+            metrics.append(Metric("reflector_to_map", off, "m"))
+            words.append(_reflector(mark, off))
+    mount = frames.spec.mount
+    words.append(
+        f"The antenna is taken to point along the body's axis turned by yaw {mount.yaw_deg:g} deg and pitch "
+        f"{mount.pitch_deg:g} deg; this was not measured. Another mounting goes in by ul.open(..., mount=)."
+    )
+    return words, metrics
+
+
+def _offsets(frames: Frames) -> str:
+    found = frames.calibration
+    if found is None:
+        return "The frames were not calibrated against a track."
+    others = [t for t, _, share in found.modes[1:] if share > 1e-3]
+    rest = f"; other candidates: {', '.join(f'{t:+.2f} s' for t in others)}" if others else ""
+    return (
+        f"Clock offset {found.t_offset_s:+.3f} +- {found.t_sigma_s:.3f} s and range offset {found.range_offset_m:+.3f} "
+        f"+- {found.range_sigma_m:.3f} m, with a probability of {100 * found.probability:.1f} %{rest}."
+    )
+
+
+def _scatterers(found: Sequence[Scatterer]) -> str:
+    if not found:
+        return "No place reflects coherently along the track: the map holds echoes of single profiles only."
+    best = max(found, key=lambda one: one.gain)
+    x, y, z = best.place
+    height = "" if best.height_known else "; heights are assumed, since the track is straight"
+    place = f"({x:.2f}, {y:.2f}, {z:.2f}) m"
+    return f"{len(found)} places reflect coherently along the track, the clearest at {place}{height}."
+
+
+def _reflector(mark: Floats, off_m: float) -> str:
+    place = f"The surveyed reflector at ({mark[0]:.2f}, {mark[1]:.2f}, {mark[2]:.2f}) m"
+    if not np.isfinite(off_m):
+        return f"{place} is not on the map."
+    if off_m <= ON_MAP_M:
+        return f"{place} is on the map: the nearest occupied cell is {off_m:.2f} m away."
+    return f"{place} is not on the map at its survey: the nearest occupied cell is {off_m:.2f} m away."
+
+
+def _least(points: Floats, places: Floats) -> float:
+    """The least distance between two sets of points; infinite where one is empty."""
+    from scipy.spatial import cKDTree
+
+    return float(np.min(cKDTree(points).query(places)[0])) if len(points) and len(places) else float("inf")

@@ -1,0 +1,138 @@
+"""Maps of recordings: phase of RF samples, floors, coherent scatterers, and the surveyed reflectors of real flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.data import Calibration
+from ullage.processing.baseband import as_baseband, to_baseband
+from ullage.processing.floor import floor_echo
+from ullage.processing.own_echo import without_own_echo
+from ullage.processing.scatterers import find_scatterers
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "pulson440"
+OFFSETS = {"rail_a": (4.44, -0.425), "flight_a": (6.60, -0.30)}  # clock [s] and range [m], from the data's README
+KNOWN = Calibration(0.0, 0.0, 0.01, 0.01, 1.0)
+
+
+def path_of(position: np.ndarray) -> ul.Trajectory:
+    t_ns = (np.arange(len(position)) * 20_000_000).astype(np.int64)
+    return ul.Trajectory(t_ns, position, np.tile([0.0, 0, 0, 1], (len(position), 1)))
+
+
+def rf_frames(position: np.ndarray, distances: list[np.ndarray], *, noise: float = 0.05) -> ul.Frames:
+    """RF frames of a PulsON 440 with echoes of amplitude 1 at these distances (n) [m] in white noise."""
+    spec = ul.RadarSpec.preset("pulson440", bins=900, range_start_m=0.7)
+    sigma_m = 0.5 * 299_792_458 * spec.pulse_sigma_s
+    samples = np.random.default_rng(4).normal(0, noise, (len(position), 900))
+    for distance in distances:
+        away = spec.range_m - distance[:, None]
+        samples += np.exp(-0.5 * (away / sigma_m) ** 2) * np.cos(4 * np.pi / spec.wavelength_m * away)
+    path = path_of(position)
+    return ul.Frames(samples, spec.range_m, path.t_ns, spec, poses=path, sensor="pulson", unit="normalised")
+
+
+def curved(n: int = 300) -> np.ndarray:
+    s = np.linspace(0, 1, n)
+    return np.stack([0.5 * np.sin(3 * s), 4 * s, 1.2 + 0.5 * np.sin(5 * s)], axis=1)
+
+
+def test_baseband_keeps_range_phase_and_amplitude() -> None:
+    position = curved(40)
+    frames = rf_frames(position, [np.linalg.norm(position - (3, 2, 1), axis=1)], noise=0.0)
+    got = as_baseband(frames)
+    every = round(float(np.diff(got.range_m).mean() / np.diff(frames.range_m).mean()))
+    assert every >= 2
+    full = to_baseband(frames)[:, ::every]
+    assert abs(got.samples - full).max() < 0.03 * abs(full).max()
+    np.testing.assert_allclose(got.spec.range_m, got.range_m, atol=1e-6)
+    assert as_baseband(got) is got
+
+
+def test_a_reflector_under_the_noise_of_a_profile_is_found_from_the_track() -> None:
+    position, place = curved(), np.array([3.0, 2.0, 0.3])
+    frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=1.0)
+    found = find_scatterers(frames)
+    assert np.linalg.norm(found[0].place - place) < 0.05
+    assert found[0].height_known
+    assert find_scatterers(rf_frames(position, [], noise=1.0)) == []
+
+
+def test_a_straight_track_takes_the_height_that_is_given() -> None:
+    position, place = np.stack([np.zeros(300), np.linspace(0, 4, 300), np.full(300, 1.8)], axis=1), (4.0, 2.0, 0.1)
+    frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)])
+    best = find_scatterers(frames, z_m=0.1)[0]
+    assert not best.height_known
+    np.testing.assert_allclose(best.place, place, atol=0.06)
+
+
+def test_calibrated_frames_map_their_scatterers_and_keep_the_path_free() -> None:
+    position, place = curved(), np.array([3.0, 2.0, 0.3])
+    frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=1.0)
+    grid = ul.Grid.covering(np.array([[-2.0, -2, 0], [5, 6, 2]]), 0.1)
+    omap = ul.map_occupancy(replace(frames, calibration=KNOWN), grid, remove_own_echo=False)
+    assert to_nearest(omap, place[None]) < 0.15
+    assert to_nearest(omap, position) > 0.3
+
+
+def test_a_known_floor_is_no_wall_along_a_straight_track() -> None:
+    position = np.stack([np.zeros(300), np.linspace(0, 4, 300), np.full(300, 1.8)], axis=1)
+    frames = rf_frames(position, [np.full(300, 1.8)], noise=0.01)
+    grid = ul.Grid.covering(np.array([[-4.0, -2, 0], [4, 6, 2]]), 0.1)
+    assert ul.map_occupancy(frames, grid, remove_own_echo=False).occupied.any()
+    assert not ul.map_occupancy(frames, grid, remove_own_echo=False, floor_z_m=0.0).occupied.any()
+
+
+@pytest.mark.parametrize("long_m", [-0.15, 0.0, 0.2])
+def test_the_floor_shows_an_error_of_the_range_axis(long_m: float) -> None:
+    position = curved()
+    frames = rf_frames(position, [position[:, 2] + long_m], noise=0.5)
+    found = floor_echo(frames)
+    assert found is not None
+    assert abs(found.long_m - long_m) < 0.04
+    assert floor_echo(rf_frames(position, [], noise=0.5)) is None
+    level = position * [1, 1, 0] + [0, 0, 1.5]
+    assert floor_echo(rf_frames(level, [level[:, 2]])) is None
+
+
+def to_nearest(omap: ul.OccupancyMap, places: np.ndarray) -> float:
+    """Least distance in plan between occupied cells and places [m]."""
+    y, x = np.nonzero(omap.occupied)
+    cells = np.stack([omap.grid.x_m[x], omap.grid.y_m[y]], axis=1)
+    return float(np.linalg.norm(cells[:, None] - places[None, :, :2], axis=2).min(initial=np.inf))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
+@pytest.mark.parametrize("name", ["rail_a", "flight_a"])
+def test_the_surveyed_reflector_is_on_the_map_and_nothing_on_the_path(name: str) -> None:
+    """With the offsets that the data's README documents."""
+    if not (DATA / name).exists():
+        pytest.skip("the real recordings are not here")
+    source = ul.open(DATA / name)
+    raw, mark = source.frames(), source.reflectors()[0]
+    assert isinstance(raw, ul.Frames)
+    assert raw.track is not None
+    clock_s, range_m = OFFSETS[name]
+    t_ns = raw.t_ns + round(clock_s * 1e9)
+    inside = (t_ns >= raw.track.t_ns[0]) & (t_ns <= raw.track.t_ns[-1])
+    frames = replace(raw[inside], t_ns=t_ns[inside], poses=raw.track.at(t_ns[inside]), truth=None,
+                     range_m=raw.range_m + range_m, calibration=KNOWN)  # fmt: skip
+    position = frames.believed.position
+    bounds = np.stack([position.min(0) - 7, position.max(0) + 7])
+    omap = ul.map_occupancy(frames, ul.Grid.covering(bounds, 0.1), floor_z_m=0.0, target_z_m=float(mark[2]))
+    assert to_nearest(omap, mark[None]) < 0.15
+    assert to_nearest(omap, position) > 0.3
+    if name == "flight_a":
+        floor = floor_echo(without_own_echo(frames)[0])
+        assert floor is not None
+        assert abs(floor.long_m) < 0.05
+    else:  # the floor, 1.8 m under the rail, is no wall along it
+        _, x = np.nonzero(omap.occupied)
+        beside = abs(omap.grid.x_m[x] - (position[:, 0].mean() + 1.8)) < 0.2
+        assert beside.sum() <= 2
