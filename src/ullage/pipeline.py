@@ -92,7 +92,8 @@ def sink(target: str | Path, **options: Any) -> PortSink:
 
     Args:
         target: `viewer:` for a window, `viewer:FILE.rrd` to look at it later, `viewer:rerun+http://HOST:9876/proxy` for
-            a viewer that runs elsewhere; a `.mcap` recording, a folder for one, a `.zarr` store, or a map file:
+            a viewer that runs elsewhere; `window:` for the amplitudes in matplotlib; a `.mcap` recording, a folder for
+            one, a `.zarr` store, or a map file:
             `.yaml` or `.pgm` (map_server), `.bt` or `.ot` (OctoMap), `.ply`.
         **options: of that kind: files of a viewer, recordings and stores take overwrite, map_server takes mode.
 
@@ -101,6 +102,10 @@ def sink(target: str | Path, **options: Any) -> PortSink:
     """
     from ullage import ports
 
+    if str(target) == "window:":
+        from ullage.view.window import WindowSink
+
+        return WindowSink(**options)
     kind, colon, place = str(target).partition(":")
     if kind != "viewer" or not colon:
         return ports.sink(target, **options)
@@ -120,6 +125,11 @@ def check_sink(target: str | Path) -> None:
     """
     from ullage import ports
 
+    if str(target) == "window:":
+        from ullage.view.window import check_display
+
+        check_display()
+        return
     kind, colon, place = str(target).partition(":")
     if kind != "viewer" or not colon:
         ports.check_sink(target)
