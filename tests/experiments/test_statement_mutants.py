@@ -8,14 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ullage.experiments.reproduce.detection_laws
+import ullage.experiments.reproduce.hall
 import ullage.processing.elfes
 import ullage.processing.summation
 import ullage.radar.rays
 import ullage.radar.receiver
 import ullage.radar.simulate
-from ullage.experiments.reproduce import baseline
+from ullage.experiments.laws import strafe
+from ullage.experiments.reproduce import baseline, detection_laws, hall, room
 from ullage.experiments.reproduce.bench import Bench
 from ullage.fan import ray_fan, reaching_max_range
+from ullage.world.library import WORLDS
 
 Patch = pytest.MonkeyPatch
 
@@ -173,3 +177,53 @@ def test_every_statement_falls_to_a_mutant(sound):
     expected = [words for _, all_words in MUTANTS.values() for words in all_words]
     left = [text for text in sound if not any(words in text for words in expected)]
     assert not left
+
+
+def readings_too_far(patch: Patch) -> None:
+    kept = ullage.processing.elfes.first_echo
+
+    def farther(frames, **options):
+        reach, found = kept(frames, **options)
+        return reach + 0.25, found
+
+    patch.setattr(ullage.processing.elfes, "first_echo", farther)
+
+
+def unlimited(patch: Patch) -> None:
+    patch.setattr(ullage.experiments.reproduce.hall, "LIMITED", 1.0)
+
+
+def floor_stays(patch: Patch) -> None:
+    patch.setattr(ullage.experiments.reproduce.detection_laws, "suppress_floor", lambda frames: frames)
+
+
+def brightness(bench: Bench) -> None:
+    detection_laws.brightness(bench)
+
+
+def clutter(bench: Bench) -> None:
+    scene = WORLDS["ntnu-wire"].scene()
+    detection_laws.clutter(bench, scene, strafe("ntnu-wire"), np.array([0.0, 0.0, 1.1]))
+
+
+FLIGHTS: dict[str, tuple[Callable[[Bench], None], Callable[[Patch], None], tuple[str, ...]]] = {
+    "turned plate, eq. 4.2 without its cosine": (brightness, term(cosine=0.0), ("the same, summed over range",)),
+    "floor, not suppressed": (clutter, floor_stays, ("the floor goes at the wire's range", "so much is left")),
+    "cluttered room, readings 0.25 m too far": (hall.run, readings_too_far, ("is on the map",)),
+    "cluttered room, certainty without a limit": (hall.run, unlimited, ("hovering beside the person",)),
+    "NTNU room, readings 0.25 m too far": (room.run, readings_too_far, ("from the true surface, median",)),
+    "NTNU room, a lobe of 20 deg": (room.run, narrow_lobe, ("space behind walls",)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_a_broken_method_breaks_a_statement_about_the_flights(name, tmp_path, monkeypatch):
+    run, patch, expected = FLIGHTS[name]
+    patch(monkeypatch)
+    bench = Bench(tmp_path, True, lambda _: None, tmp_path)
+    run(bench)
+    fallen = [s.text for s in bench.findings.statements if not s.holds]
+    for words in expected:
+        assert any(words in text for text in fallen), (name, words, fallen)
