@@ -52,7 +52,7 @@ def run(bench: Bench) -> None:
     levels(bench, looks)
     shapes(bench, looks)
     bench.findings.not_compared += [
-        "Figures 6.3 to 6.8 a and b, the real radar: the recordings behind them were not published with the thesis, so "
+        "Figures 6.3 to 6.8 a and b, the real radar: the recordings behind them are not at hand, so "
         "amplitudes, local maxima and images of the real targets cannot be set beside ours.",
         "The speed of the real flights: the thesis says it was higher than in the simulator, and gives no number. Our "
         "flights by hand hold 0.5 m/s, the simulator's.",

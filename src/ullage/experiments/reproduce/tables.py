@@ -138,14 +138,14 @@ def measure(scenario: str, options: list[str], part_s: float | None) -> Spent:
 
 
 NODE = """
-import resource, sys
+import sys
 import numpy as np
 from ullage.grids import Grid
 from ullage.processing.elfes import ElfesMapper
 step, rows, columns = float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 mapper = ElfesMapper(Grid((0.0, 0.0, 0.0), step, (rows, columns)))
 mapper.map()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 """
 
 
