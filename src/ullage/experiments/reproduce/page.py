@@ -101,7 +101,7 @@ FIGURES = {
 ELSEWHERE = {
     "6.1": "the worlds' pictures: docs, Worlds", "6.2": "photographs; not reproduced",
     "6.10": "docs, Worlds", "6.11": "docs, Worlds", "6.12": "drawn into the maps of 6.13 and 6.14",
-    "6.15": "no ship's mesh is used: its licence is not known", "6.16": "docs, Worlds",
+    "6.15": "docs, Worlds", "6.16": "docs, Worlds",
     "6.17": "drawn into the map of 6.18",
 }  # fmt: skip
 
