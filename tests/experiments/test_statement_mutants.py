@@ -95,7 +95,9 @@ def dense_rays(patch: Patch) -> None:
     patch.setattr(ullage.radar.rays, "ray_fan", lambda spec: ray_fan(spec.but(rays_per_side=100)))
 
 
-def elfes_as(*, cancel: bool = True, normalise: bool = True, flat: bool = False) -> Callable[[Patch], None]:
+def elfes_as(
+    *, cancel: bool = True, normalise: bool = True, flat: bool = False, arc: bool = True
+) -> Callable[[Patch], None]:
     """Elfes' update with a density or a step changed."""
 
     def insert(empty, occupied, x0, y0, step, x, y, yaw, near, reach, spread, echo, half, box):
@@ -107,17 +109,13 @@ def elfes_as(*, cancel: bool = True, normalise: bool = True, flat: bool = False)
         clear = reach - spread if echo else reach
         part = np.where((d >= near) & (d < clear), 1 - ((d - near) / (clear - near)) ** 2, 0) * across
         empty += part - empty * part
-        if echo:
-            arc = np.where(abs(d - reach) <= spread, 1 - ((d - reach) / spread) ** 2, 0) * across
-            arc = arc * (1 - empty) if cancel else arc
-            arc = arc / max(arc.sum(), 1e-12) if normalise else arc
-            occupied += arc - occupied * arc
+        if echo and arc:
+            f_o = np.where(abs(d - reach) <= spread, 1 - ((d - reach) / spread) ** 2, 0) * across
+            f_o = f_o * (1 - empty) if cancel else f_o
+            f_o = f_o / max(f_o.sum(), 1e-12) if normalise else f_o
+            occupied += f_o - occupied * f_o
 
     return lambda patch: patch.setattr(ullage.processing.elfes, "insert_reading", insert)
-
-
-def no_arc(patch: Patch) -> None:
-    patch.setattr(baseline, "expected_percent", lambda grid, *_: np.zeros(grid.shape))
 
 
 def parabola(patch: Patch) -> None:
@@ -149,7 +147,7 @@ MUTANTS: dict[str, tuple[Callable[[Patch], None], tuple[str, ...]]] = {
     "no cancelling by emptiness": (elfes_as(cancel=False), ("cell by cell",)),
     "no normalising": (elfes_as(normalise=False), ("cell by cell",)),
     "densities flat across the lobe": (elfes_as(flat=True), ("cell by cell",)),
-    "nothing is ever occupied": (no_arc, ("more likely occupied",)),
+    "nothing is ever occupied": (elfes_as(arc=False), ("more likely occupied",)),
     "a parabola for the hyperbola": (parabola, ("the apex of the fitted hyperbola",)),
     "an apex 0.25 m too far": (nearest_edge, ("the apex of the fitted hyperbola",)),
 }

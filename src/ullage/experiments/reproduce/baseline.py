@@ -150,7 +150,7 @@ def readings(bench: Bench) -> None:
     bench.findings.hold("Elfes: three readings against f_e, f_o and the four steps, cell by cell (percent)", "5.2.2",
                         float(abs(got - want).max()), high=1.0)  # fmt: skip
     bench.findings.hold("Elfes: cells that the three readings make more likely occupied than empty", "5.2.2",
-                        float(np.sum(want > 50)), "cells", low=10)  # fmt: skip
+                        float(np.sum(got > 50)), "cells", low=10)  # fmt: skip
 
 
 def expected_percent(grid: Grid, path: Trajectory, reach_m: Floats, near_m: float) -> Floats:
