@@ -114,8 +114,8 @@ class MapSpec(Spec):
         None,
         ge=-1e4,
         le=1e4,
-        description="height of a level floor, whose echoes a plane leaves out; 0 for motion capture (Motive), whose "
-        "ground plane is the floor; none: only floors that show themselves",
+        description="height of a level floor, whose echoes a plane leaves out (0 for a Motive capture); none: only "
+        "floors that show themselves",
     )
     reach_m: float = Field(
         6.0, gt=0, le=1000, description="room around the flight, or a live port's first pose, where no world is known"

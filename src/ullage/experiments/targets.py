@@ -162,7 +162,7 @@ def _of_recording(
     if not first:
         raise InputError("no frames", where=target)
     marks = source.reflectors() if isinstance(source, RailSource) else None
-    tree: dict[str, Any] = {"map": {"floor_z_m": 0.0}} if isinstance(source, RailSource) else {}
+    tree: dict[str, Any] = {"map": {"floor_z_m": source.floor_z_m}} if isinstance(source, RailSource) else {}
     if any(part.track is not None for part in first.values()):
         floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
         source = Held(_on_one_clock(source, say, floor_z_m))

@@ -27,10 +27,14 @@ __all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
 Made = TypeVar("Made")
 SOURCES = (
     ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, "
-    "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and mocap.csv"
+    "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and a track (mocap.csv, track.csv, "
+    "track.txt)"
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 LOGS = (".lsf", ".lsf.gz")
+TRACKS = ("mocap.csv", "track.csv", "track.txt", "track.tum")
+"""Names of the radar's track in a folder with radar.out or radar.npz."""
+PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf")}
 """Libraries of live ports beyond those of every installation, in the extra of the port's name."""
 FILES = {
@@ -78,6 +82,7 @@ def _opened(path: Path, options: dict[str, Any]) -> Source:
             return _open_folder(path, options)
     else:
         regular_size(path, allowed=SOURCES)
+        _refuse_pickle(path)
     if path.name.lower().endswith(LOGS):
         from ullage.ports.imc import open_log
 
@@ -242,9 +247,10 @@ def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any])
 class RailSource(WholeSource):
     """A PulsON log beside the motion capture of the radar, with reflectors as truth where they were surveyed."""
 
-    def __init__(self, frames: Frames, *, path: Trajectory, reflectors: Floats) -> None:
+    def __init__(self, frames: Frames, *, path: Trajectory, reflectors: Floats, floor_z_m: float | None = None) -> None:
         super().__init__({frames.sensor: frames}, path=path)
         self._reflectors = reflectors
+        self.floor_z_m = floor_z_m  # height of the floor, where the track's kind says it [m]
 
     def reflectors(self) -> Floats:
         """Where the reflectors truly stood (r, 3), world ENU [m]; never handed to processing."""
@@ -260,10 +266,23 @@ def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
         return with_options(open_mcap, folder / "frames.mcap", options)
     if any(folder.glob("*.db3")):
         return _open_file(next(iter(folder.glob("*.db3"))), options)
+    for name in sorted([*folder.glob("*.pkl"), *folder.glob("*.pickle")]):
+        _refuse_pickle(name)
     bags = sorted(folder.glob("*.mcap"))
     if len(bags) == 1:
         return with_options(open_mcap, bags[0], options)
     raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
+
+
+def _refuse_pickle(path: Path) -> None:
+    with path.open("rb") as file:
+        start = file.read(2)
+    if start in PICKLES:
+        raise InputError(
+            "a Python pickle: not opened, because it can run code",
+            where=path,
+            allowed="a radar.npz: convert it with numpy.savez in a program that trusts the file; docs/recordings.md",
+        )
 
 
 def _open_file(path: Path, options: dict[str, Any]) -> Source:
@@ -278,13 +297,17 @@ def _open_rail(folder: Path, *, mount: MountSpec | None = None) -> RailSource:
     """Scans with poses from motion capture, as if both clocks had started together; `calibrate` finds the rest."""
     from ullage.ports.motive import read_tracks
     from ullage.ports.pulson import read_arrays, read_log
+    from ullage.ports.tracks import read_bodies
 
     both = [name for name in ("radar.out", "radar.npz") if (folder / name).exists()]
     if len(both) > 1:
         raise InputError("two radar recordings", where=folder, allowed="radar.out or radar.npz, not both")
     log = read_log(folder / "radar.out") if both == ["radar.out"] else read_arrays(folder / "radar.npz")
     spec = log.spec.but(mount=mount) if mount else log.spec
-    tracks = read_tracks(folder / "mocap.csv")
+    there = [name for name in TRACKS if (folder / name).exists()]
+    if len(there) > 1:
+        raise InputError(f"two tracks, {' and '.join(there)}", where=folder, allowed="one of " + ", ".join(TRACKS))
+    tracks = read_bodies(folder / (there[0] if there else TRACKS[0]))
     name = _radar_body(tracks)
     body = tracks[name]
     sensor = body.mounted(spec.mount.body_from_sensor())
@@ -302,7 +325,8 @@ def _open_rail(folder: Path, *, mount: MountSpec | None = None) -> RailSource:
     )
     surveyed = read_tracks(folder / "reflector.csv") if (folder / "reflector.csv").exists() else {}
     points = [np.median(track.position, axis=0) for key, track in surveyed.items() if key != name]
-    return RailSource(frames, path=body, reflectors=np.array(points).reshape(-1, 3))
+    floor_z_m = 0.0 if there == ["mocap.csv"] else None  # Motive's ground plane is set on the floor
+    return RailSource(frames, path=body, reflectors=np.array(points).reshape(-1, 3), floor_z_m=floor_z_m)
 
 
 def _held(track: Trajectory, t_ns: Times, folder: Path) -> Trajectory:

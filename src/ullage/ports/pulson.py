@@ -69,6 +69,7 @@ def read_log(path: str | Path) -> Log:
         _warn(path, f"cut within packet {whole}; the {whole} before are used")
     scans, t_ms = _assemble(packets, path)
     t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
+    _warn_of_saturation(scans, path)
     range_m = C0 / 2 * (start_ps * 1e-12 - LEAD_S) + C0 / 2 * STEP_S * np.arange(scans.shape[1])
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, integration))
 
@@ -103,6 +104,7 @@ def read_arrays(path: str | Path) -> Log:
         raise InputError("range_m does not rise", where=path, allowed="at least 8 rising, finite ranges [m]")
     ticks = t_ms.astype(np.int64)
     t_ns = mend_clock((ticks - ticks[0]) * 1_000_000, where=path)
+    _warn_of_saturation(scans, path)
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, int(pii.ravel()[0])))
 
 
@@ -148,6 +150,16 @@ def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32],
     if dropped > 0:
         _warn(path, f"{dropped} packets are missing; their samples are zero")
     return scans.reshape(len(scans), -1)[:, :bins], kept["t_ms"][new].astype(np.int64)
+
+
+def _warn_of_saturation(scans: NDArray[Any], path: Path) -> None:
+    """Warn where samples stay at the greatest value of the recording for three bins in a row: an echo never does."""
+    size = np.abs(scans)
+    full = (size == size.max()) & (size > 8 * np.median(size))
+    rows = (full[:, 2:] & full[:, 1:-1] & full[:, :-2]).any(axis=1)
+    if rows.any():
+        _warn(path, f"{int(rows.sum())} of {len(scans)} scans are saturated, first scan {int(np.argmax(rows))}; "
+                    "their strongest echoes are cut off")  # fmt: skip
 
 
 def _warn(path: Path, what: str) -> None:
