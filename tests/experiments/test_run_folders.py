@@ -37,7 +37,7 @@ sensing: {fidelity: thesis, rig: single, rate_hz: 10}
 do: [detect, map]
 map: {method: elfes}
 """
-LONG = ("-o", "sensing.rate_hz=400", "-o", "map.step_m=0.02", "-o", "flight.speed_m_s=0.02")
+LONG = ("-o", "sensing.rate_hz=400", "-o", "map.step_m=0.02", "-o", "flight.speed_m_s=0.005")
 
 
 @pytest.fixture

@@ -61,7 +61,7 @@ def test_a_stranger_hears_everything_with_ros_own_frames_and_units(heard: Any) -
     assert last["/radar/left/range"]["header"]["frame_id"] == "left"
     frame = last["/radar/front/frame"]
     assert frame["index"] == FRAMES - 1
-    assert last["/radar/front/profile"]["width"] == 188
+    assert last["/radar/front/profile"]["width"] == 198  # the ray model reaches 10 m
     assert last["/radar/front/profile"]["header"]["stamp"] == frame["header"]["stamp"]
 
 
