@@ -58,7 +58,4 @@ SLOW = ["ntnu-mapping-5cm", "ntnu-mapping-50cm", "ntnu-mapping-20cm", "cluttered
 @pytest.mark.parametrize("ruin", [None, too_long, shifted, deaf])
 def test_a_ruined_mapper_is_out_of_bounds_and_a_sound_one_within(name, ruin, tmp_path):
     found = outside(name, tmp_path, ruin)
-    if ruin is None:
-        assert not found
-    else:
-        assert any(text.startswith(("f1", "accuracy_median", "free_found", "completeness")) for text in found), found
+    assert bool(found) == (ruin is not None), found
