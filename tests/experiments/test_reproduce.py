@@ -204,7 +204,7 @@ def test_false_cells_are_those_far_from_everything_true():
 @pytest.mark.parametrize("name", scenario_names())
 def test_every_scenario_sets_bounds_on_metrics_that_runs_have(name: str) -> None:
     known = {"detections", "f1", "precision", "recall", "known_behind", "surface_declared_free"}
-    known |= {"accuracy_median", "completeness_p90", "free_found"}
+    known |= {"accuracy_median", "completeness_p90", "free_found", "f1_half_cell", "brier"}
     bounds = find_scenario(name).expect
     assert bounds
     assert set(bounds) <= known
