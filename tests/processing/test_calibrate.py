@@ -117,7 +117,7 @@ def test_surveyed_reflectors_settle_both_offsets(planted):
 
 
 @pytest.mark.slow
-def test_a_measured_zero_is_weighed_with_the_focus_and_left_out_where_they_contradict(planted, focused):
+def test_a_measured_zero_is_weighed_with_the_focus(planted, focused):
     focus = focused.calibration
     near = ul.calibrate(replace(planted, spec=SPEC.but(range_zero_m=0.32, range_zero_sigma_m=0.001))).calibration
     assert focus is not None
@@ -125,8 +125,6 @@ def test_a_measured_zero_is_weighed_with_the_focus_and_left_out_where_they_contr
     assert near.range_offset_m == pytest.approx(-0.32, abs=0.003)
     assert near.range_sigma_m <= 0.00101  # the prior has tails
     assert "range_zero_m" in near.method
-    far = ul.calibrate(replace(planted, spec=SPEC.but(range_zero_m=0.9, range_zero_sigma_m=0.02))).calibration
-    assert far.range_offset_m == pytest.approx(focus.range_offset_m, abs=0.05)
 
 
 @pytest.mark.parametrize("guess", [(1.0,), (1.0, 0.0), (1.0, 0.1, 0.2), (np.nan, 1.0)])
