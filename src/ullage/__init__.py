@@ -47,7 +47,7 @@ _HOMES = {
     "sink": "pipeline",
     "run": "pipeline",
 }
-_MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics"}
+_MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics", "worlds": "worlds"}
 
 __all__ = sorted([*_HOMES, *_MODULES])
 

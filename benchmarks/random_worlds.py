@@ -1,0 +1,127 @@
+"""Maps of random worlds by kind, judged by one evaluator: a row a flight, and a Markdown table at the end.
+
+    python benchmarks/random_worlds.py --kinds tuning --seeds 4 [--bounces 3] [--volume] [--drift 0.2] [--amplitude]
+
+Choose thresholds on the kinds "tuning" only. Run the kinds "testing" when a method stands, to judge it. Rows go to a
+CSV file; rows that it holds already are not made again, so the command goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import ullage as ul
+from ullage.data import Frames
+from ullage.world.scene import Scene
+
+STEP_M = {False: 0.1, True: 0.1}
+SCORES = (
+    "f1",
+    "precision",
+    "recall",
+    "recall_in_view",
+    "surface_declared_free",
+    "known_behind",
+    "flyable_found",
+    "flyable_false",
+    "free_found",
+    "ambiguous",
+    "accuracy_median",
+    "accuracy_p90",
+)
+COSTS = ("cpu_mean", "cpu_p99")
+KEY = ("kind", "seed", "dims", "bounces", "drift_m", "phase", "method")
+TABLE = ("f1", "precision", "recall_in_view", "surface_declared_free", "flyable_found", "flyable_false", *COSTS)
+
+
+def flown(kind: str, seed: int, given: argparse.Namespace) -> tuple[Scene, dict[str, Frames]]:
+    """The world and the frames of the flight through it; poses drift where that is asked for."""
+    scene, path = ul.worlds.random(kind, seed), ul.worlds.flight(kind, seed, volume=given.volume)
+    believed = ul.navigate(path, drift_m=given.drift, seed=seed) if given.drift else None
+    frames = ul.simulate(
+        scene, path, ul.worlds.rig(kind, seed), max_bounces=given.bounces, seed=seed, believed=believed
+    )
+    return scene, frames
+
+
+def grid_of(scene: Scene, frames: dict[str, Frames], volume: bool) -> ul.Grid:
+    """A grid that holds the world and the flight; open sides end at the radar's range."""
+    place = np.concatenate([part.believed.position for part in frames.values()])
+    box = np.stack([np.minimum(scene.bounds[0], place.min(0)), np.maximum(scene.bounds[1], place.max(0))])
+    return ul.Grid.covering(box, STEP_M[volume], dims=3 if volume else 2, margin_m=0.5)
+
+
+def row_of(kind: str, seed: int, given: argparse.Namespace) -> dict[str, str]:
+    """Fly, map and judge one flight."""
+    start = time.process_time()
+    scene, frames = flown(kind, seed, given)
+    simulated = time.process_time() - start
+    if given.amplitude:
+        frames = {name: replace(part, samples=part.amplitude) for name, part in frames.items()}
+    grid = grid_of(scene, frames, given.volume)
+    mapper = ul.metrics.map_cost if given.cost else None
+    omap = ul.map_occupancy(frames, grid, method=given.method, drift_m=given.drift)
+    got = {name: metric.value for name, metric in ul.metrics.map_quality(omap, scene, frames).items()}
+    if mapper is not None:
+        from ullage.processing.occupancy import Mapper
+
+        got |= {name: metric.value for name, metric in mapper(Mapper(grid, method=given.method), frames).items()}
+    whole = time.process_time() - start
+    key = (kind, seed, grid.dims, given.bounces, given.drift, not given.amplitude, given.method)
+    out = dict(zip(KEY, map(str, key), strict=True))
+    out |= {name: f"{got[name]:.4g}" for name in (*SCORES, *COSTS) if name in got}
+    return out | {"simulated_s": f"{simulated:.1f}", "whole_s": f"{whole:.1f}"}
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """Means by kind as Markdown."""
+    lines = ["| kind | flights | " + " | ".join(TABLE) + " |", "|---" * (len(TABLE) + 2) + "|"]
+    for kind in [kind for kind in ul.worlds.KINDS if any(row["kind"] == kind for row in rows)] + ["all"]:
+        mine = [row for row in rows if kind in (row["kind"], "all")]
+        values = [np.mean([float(row[name]) for row in mine]) if mine[0].get(name) else np.nan for name in TABLE]
+        lines.append(f"| {kind} | {len(mine)} | " + " | ".join(f"{value:.3f}" for value in values) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kinds", default="tuning", help="tuning, testing, or names with commas between them")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--bounces", type=int, default=1)
+    parser.add_argument("--volume", action="store_true")
+    parser.add_argument("--drift", type=float, default=0.0, help="rms of the poses' drift [m]")
+    parser.add_argument("--amplitude", action="store_true", help="drop the phase")
+    parser.add_argument("--method", default="ullage")
+    parser.add_argument("--cost", action="store_true", help="time each profile too")
+    parser.add_argument("--to", type=Path, default=Path("random_worlds.csv"))
+    given = parser.parse_args()
+    groups = {"tuning": ul.worlds.TUNING, "testing": ul.worlds.TESTING}
+    kinds = groups.get(given.kinds, tuple(given.kinds.split(",")))
+    fields = (*KEY, *SCORES, *COSTS, "simulated_s", "whole_s")
+    known = list(csv.DictReader(given.to.open())) if given.to.exists() else []
+    if not known:
+        given.to.write_text(",".join(fields) + "\n")
+    rows = []
+    for kind in kinds:
+        for seed in range(given.first, given.first + given.seeds):
+            dims = 3 if given.volume else 2
+            key = tuple(map(str, (kind, seed, dims, given.bounces, given.drift, not given.amplitude, given.method)))
+            row = next((row for row in known if tuple(row[name] for name in KEY) == key), None)
+            if row is None:
+                row = row_of(kind, seed, given)
+                with given.to.open("a") as file:
+                    csv.DictWriter(file, fields).writerow(row)
+            rows.append(row)
+            print(", ".join(f"{name} {row[name]}" for name in ("kind", "seed", *TABLE) if row.get(name)), flush=True)
+    print("\n" + table(rows))
+
+
+if __name__ == "__main__":
+    main()
