@@ -30,6 +30,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 GRID = "nav_msgs/msg/OccupancyGrid"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+RAW = "imc_msgs/msg/Raw"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 
@@ -78,6 +79,17 @@ uint32[] shape         # ny nx, or nz ny nx
 int8 occupied_from     # percent at and above which a cell counts as occupied
 int8 free_to           # percent at and below which it counts as free
 int8[] percent         # 0..100 occupied, -1 unknown, -2 ambiguous; x runs fastest
+""",
+    RAW: """\
+# One packet of IMC, the protocol of DUNE and Neptus, without loss.
+std_msgs/Header header  # time of the packet
+string name             # of its message; empty if unknown
+uint16 id               # number of its message
+uint16 src              # address of the system that sent it
+uint8 src_ent           # and number of the part of it
+uint16 dst              # address of the system that it is for; 65535: all
+uint8 dst_ent
+uint8[] data            # every byte, from sync to checksum
 """,
     # two of the public interfaces, for environments that lack their packages
     TRANSFORMS: "geometry_msgs/TransformStamped[] transforms\n",

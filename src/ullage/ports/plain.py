@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,7 +28,7 @@ def encoded(kind: str, fields: Mapping[str, Any], *, t_ns: int = 0, frame_id: st
         fields = {"header": header(max(t_ns, 0), frame_id), **fields}
     try:
         return to_bytes(kind, _made(kind, fields))
-    except (TypeError, ValueError, AttributeError, KeyError, OverflowError) as error:
+    except (TypeError, ValueError, AttributeError, KeyError, OverflowError, struct.error) as error:
         raise InputError(f"not a {kind}: {error}", where="fields") from None
 
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import random
+import re
+import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +17,16 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_imc_codec import PACKETS, messages_of
 
-from ullage.ports.imc.broker import PACKED, definition, to_imc, to_ros
-from ullage.ports.imc.codec import Message, Packet, make
-from ullage.ports.imc.interpreter import PAIRS, imc_of, interpreted
-from ullage.ports.imc.table import own
+from ullage.errors import InputError
+from ullage.ports.imc.broker import definition, main, of_raw, package_files, register, to_imc, to_raw, to_ros
+from ullage.ports.imc.codec import Message, Packet, decode, encode, make
+from ullage.ports.imc.interpreter import PAIRS, REASONS, imc_of, interpreted, rows_of
+from ullage.ports.imc.ros_page import page
+from ullage.ports.imc.table import NUMBERS, Field, Kind, own
+from ullage.ports.messages import RAW
+from ullage.ports.plain import decoded, encoded
+
+ROOT = Path(__file__).parents[3]
 
 
 @settings(max_examples=100, deadline=None)
@@ -30,18 +40,104 @@ def test_the_broker_loses_no_field_of_any_message(packet: Packet) -> None:
 
 
 def test_every_message_has_a_definition_that_ros_understands() -> None:
+    files = package_files()
+    texts = {path: text for path, text in files.items() if path.endswith(".msg")}
+    assert len(texts) == 349 + 2
     store = get_typestore(Stores.ROS2_JAZZY)
-    types = get_types_from_msg(PACKED, "imc_msgs/msg/Packed")
-    for name in own().by_name:
-        types |= get_types_from_msg(definition(name), f"imc_msgs/msg/{name}")
+    types: dict[str, Any] = {}
+    for path, text in texts.items():
+        types |= get_types_from_msg(text, f"imc_msgs/msg/{path[4:-4]}")
+        fields = [line.split()[1] for line in text.splitlines() if "=" not in line and not line.startswith("#")]
+        assert all(re.fullmatch(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", name) for name in fields), path
+        assert len(set(fields)) == len(fields)
     store.register(types)
     assert "imc_msgs/msg/Distance" in store.types
     assert [f for f in definition("DesiredZ").splitlines() if "z_units" in f] == ["uint8 z_units"]
+    assert "uint8 Z_UNITS_HEIGHT=3" in definition("DesiredZ")
+    assert "float64 value   # [rad]" in definition("DesiredHeading")
+    assert "string group_name" in definition("SystemGroup")  # GroupName in IMC, which ROS does not allow
+    assert all(f'"msg/{name}.msg"' in files["CMakeLists.txt"] for name in own().by_name)
+
+
+def test_the_package_of_all_messages_is_written_by_one_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(tmp_path)]) == 0
+    assert "wrote 351 messages" in capsys.readouterr().out
+    assert (tmp_path / "imc_msgs/msg/Goto.msg").read_text() == definition("Goto")
+    assert "<name>imc_msgs</name>" in (tmp_path / "imc_msgs/package.xml").read_text()
+    assert main([]) == 2
+    (tmp_path / "file").write_text("")
+    assert main([str(tmp_path / "file")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def random_message(kind: Kind, rng: random.Random, depth: int = 0) -> Message:
+    """A message of a kind with random values in every field."""
+    return Message(kind.name, {part.name: random_value(part, rng, depth) for part in kind.fields})
+
+
+def random_value(part: Field, rng: random.Random, depth: int) -> Any:
+    if part.kind == "text":
+        return "".join(rng.choices("aø÷ 9_", k=rng.randrange(9)))
+    if part.kind == "raw":
+        return rng.randbytes(rng.randrange(9))
+    if part.kind in ("message", "messages"):
+        names = [part.of] if part.of else ["Heartbeat", "DesiredZ", "EntityInfo", "PlanVariable"]
+        held = tuple(random_message(own().named(rng.choice(names)), rng, depth + 1) for _ in range(rng.randrange(3)))
+        held = () if depth > 2 else held
+        return held if part.kind == "messages" else held[0] if held else None
+    packer = struct.Struct("<" + NUMBERS[part.kind])
+    while (value := packer.unpack(rng.randbytes(packer.size))[0]) != value:
+        pass  # not a number differs from itself
+    return value
+
+
+def test_bytes_of_every_message_come_back_equal_from_ros() -> None:
+    """Through the serialised envelope, and through the serialised message with the same fields."""
+    rng = random.Random(5)
+    for kind in own().by_id.values():
+        full = register(kind.name)
+        for k in range(3):
+            head = [rng.randrange(65536), rng.randrange(256), rng.randrange(65536), rng.randrange(256)]
+            packet = Packet(random_message(kind, rng), rng.randrange(2**31) + k / 4, *head)
+            data = encode(packet)
+            envelope = decoded(RAW, encoded(RAW, to_raw(packet)))
+            assert encode(of_raw(envelope)) == data
+            assert (envelope["name"], envelope["id"]) == (kind.name, kind.id)
+            assert encode(to_imc(kind.name, decoded(full, encoded(full, to_ros(packet))))) == data
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_messages_that_no_table_knows_pass_in_either_byte_order(big: bool) -> None:
+    unknown = Message("", {"id": 60_000, "payload": b"\1\2\3", "big": big})
+    for packet in (Packet(unknown, 1.0, 5, 6, id=60_000), Packet(make("MsgList", msgs=(unknown,)), 1.0, 5, 6)):
+        data = encode(packet, big=big)
+        assert encode(of_raw(decoded(RAW, encoded(RAW, to_raw(decode(data))))), big=big) == data
+
+
+def test_each_message_has_a_ros_type_or_a_reason() -> None:
+    assert PAIRS.keys() | REASONS.keys() == own().by_name.keys()
+    assert not PAIRS.keys() & REASONS.keys()
+    assert sum(pair.both for pair in PAIRS.values()) >= 90
+    topics = [part.topic for pair in PAIRS.values() for row in pair.rows for part in row.parts]
+    assert len(set(topics)) == len(topics)
+    assert all(row.note for pair in PAIRS.values() for row in pair.rows if not row.both)
+    assert rows_of("temperature").name == "Temperature"
+    assert rows_of("colour") is None
+
+
+def test_the_documentation_has_the_table_of_the_program() -> None:
+    text = (ROOT / "docs/imc_messages.md").read_text()
+    assert text.endswith("\n\n" + page()), "run: python -m ullage.ports.imc.ros_page"
+    assert all(f"`{name}`" in page() for name in own().by_name)
 
 
 def sensible(name: str) -> st.SearchStrategy:
     """Messages with angles that a quaternion can tell: pitch within a quarter turn."""
-    angles = {"phi": math.pi, "theta": 1.5, "psi": math.pi, "lat": 1.5, "lon": math.pi}
+    angles = {"phi": math.pi, "theta": 1.5, "psi": math.pi, "lat": 1.5, "lon": math.pi, "base_lat": 1.5}
+    angles |= {"roll": math.pi, "pitch": 1.5, "yaw": math.pi}
+    positive = {"sog", "cog", "hacc", "vacc", "time", "htime"}
     near = st.floats(-1e4, 1e4, width=32)
 
     def tamed(message: Message) -> st.SearchStrategy:
@@ -50,6 +146,7 @@ def sensible(name: str) -> st.SearchStrategy:
             if isinstance(value, float):
                 bound = angles.get(key)
                 parts[key] = near if bound is None else st.floats(-bound * 0.999, bound * 0.999)
+                parts[key] = st.floats(0, 6) if key in positive else parts[key]
             elif isinstance(value, tuple):
                 parts[key] = st.tuples(*(tamed(one) if one else st.just(make("DeviceState")) for one in value))
             else:
@@ -99,7 +196,13 @@ def told(message: Any, like: Any) -> Any:
     return message.tobytes() if isinstance(like, bytes) else message
 
 
-@pytest.mark.parametrize("name", PAIRS)
+ELEVEN = (
+    "EstimatedState", "SimulatedState", "Distance", "SonarData", "DesiredZ", "DesiredSpeed", "DesiredHeading",
+    "DesiredVelocity", "DesiredControl", "EntityState", "VehicleState",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ELEVEN)
 def test_the_interpreter_loses_no_field(name: str) -> None:
     @settings(max_examples=40, deadline=None)
     @given(sensible(name))
@@ -118,6 +221,80 @@ def test_the_interpreter_loses_no_field(name: str) -> None:
     check()
 
 
+@pytest.mark.parametrize("name", PAIRS)
+def test_every_field_that_the_table_names_comes_back(name: str) -> None:
+    pair = PAIRS[name]
+
+    @settings(max_examples=20, deadline=None)
+    @given(sensible(name))
+    def check(message: Message) -> None:
+        notes = {}
+        for topic, fields in pair.to_ros(message.values).items():
+            kind = pair.ros[topic].replace("/", "/msg/")
+            notes[topic] = decoded(kind, encoded(kind, fields))
+        if not pair.both:
+            with pytest.raises(InputError, match="from IMC to ROS only"):
+                imc_of(name, notes)
+            return
+        if not notes:
+            assert not any(row.matches(message.values) for row in pair.rows)
+            return
+        row = next(row for row in pair.rows if row.matches(message.values))
+        back = pair.to_imc(notes)
+        assert row.values.keys() <= back.keys()
+        assert back.keys() - row.values.keys() or not message.values
+        for key in back.keys() - row.values.keys() - DISCRETE.get(name, set()):
+            value = message[key]
+            if key == "time":  # from the header, which is the packet's
+                continue
+            if isinstance(value, float):
+                assert back[key] == pytest.approx(value, rel=1e-6, abs=1e-6), key
+            elif isinstance(value, tuple):
+                for one, other in zip(value, back[key], strict=True):
+                    same_message(one, other)
+            else:
+                assert back[key] == value, key
+        encode(Packet(make(name, **back)))
+
+    check()
+
+
+DISCRETE = {"LogBookEntry": {"type"}, "ApmStatus": {"severity"}, "DataSanity": {"sane"}, "ArmingState": {"state"}}
+"""Numbers beyond those that IMC defines come back as the nearest that it does."""
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "topic", "path", "value"),
+    [
+        ("Pressure", {"value": 1013.25}, "pressure", "fluid_pressure", 101325.0),
+        ("MagneticField", {"y": 0.5}, "magnetic_field", "magnetic_field.y", -5e-5),
+        ("GpsFix", {"lat": math.pi / 4}, "gps", "latitude", 45.0),
+        ("GpsFix", {"sog": 2.0, "cog": math.pi / 2}, "gps/velocity", "twist.linear.x", 2.0),
+        ("GpsFix", {"validity": 4}, "gps", "status.status", 0),
+        ("GpsFix", {"validity": 0}, "gps", "status.status", -1),
+        ("FuelLevel", {"value": 50.0}, "fuel", "percentage", 0.5),
+        ("EulerAngles", {"psi": math.pi / 2}, "attitude", "quaternion.w", 1.0),
+        ("DesiredPitch", {"value": 0.25}, "desired/pitch", "data", -0.25),
+        ("DesiredHeadingRate", {"value": 0.25}, "desired/heading_rate", "data", -0.25),
+        ("LogBookEntry", {"type": 3}, "log", "level", 50),
+        ("EntityState", {"state": 2}, "diagnostics/entity", "level", 2),
+        ("ArmingState", {"state": 0}, "armed", "data", True),
+    ],
+)
+def test_units_and_axes(name: str, fields: dict[str, Any], topic: str, path: str, value: Any) -> None:
+    found: Any = interpreted(make(name, **fields))[topic]
+    for word in path.split("."):
+        found = found[word]
+    assert found == pytest.approx(value, abs=1e-12)
+
+
+def test_a_message_of_two_topics_needs_both() -> None:
+    notes = interpreted(make("EstimatedState", x=1.0))
+    del notes["origin"]
+    with pytest.raises(InputError, match="EstimatedState also needs origin"):
+        imc_of("EstimatedState", notes)
+
+
 def test_the_interpreter_turns_the_axes() -> None:
     state = make("EstimatedState", x=1.0, y=2.0, z=-3.0, psi=math.pi / 2, u=0.5, vy=0.5, q=0.1)
     notes = interpreted(state)
@@ -131,6 +308,6 @@ def test_the_interpreter_turns_the_axes() -> None:
     assert interpreted(make("DesiredHeading", value=0.0))["desired/heading"]["data"] == pytest.approx(math.pi / 2)
     force = interpreted(make("DesiredControl", z=-2.0, flags=4))
     assert force["desired/wrench"]["force"] == {"x": 0.0, "y": -0.0, "z": 2.0}
-    assert interpreted(make("Heartbeat")) is None
+    assert interpreted(make("Goto")) is None
     gone = interpreted(make("Distance", validity=0, value=3.0))
     assert gone["range"]["range"] == np.inf

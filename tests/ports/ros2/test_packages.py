@@ -32,16 +32,13 @@ TFMESSAGE = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020
 """The hash that real tf2 gives its TFMessage, in Iron and since."""
 
 
-def test_the_message_package_is_what_ullage_writes() -> None:
-    files = {
-        str(p.relative_to(PACKAGES / "ullage_msgs")): p.read_text()
-        for p in (PACKAGES / "ullage_msgs").rglob("*")
-        if p.is_file()
-    }
-    assert files == package_files("ullage_msgs")
+@pytest.mark.parametrize("name", ["ullage_msgs", "imc_msgs"])
+def test_the_message_package_is_what_ullage_writes(name: str) -> None:
+    files = {str(p.relative_to(PACKAGES / name)): p.read_text() for p in (PACKAGES / name).rglob("*") if p.is_file()}
+    assert files == package_files(name)
 
 
-@pytest.mark.parametrize("name", ["ullage_msgs", "ullage_ros"])
+@pytest.mark.parametrize("name", ["ullage_msgs", "imc_msgs", "ullage_ros"])
 def test_the_manifest_is_sound(name: str) -> None:
     tree = ET.parse(PACKAGES / name / "package.xml").getroot()
     assert tree.get("format") == "3"
@@ -156,7 +153,7 @@ def test_rclpy_knows_the_same_hashes_and_reads_our_recordings(network: Network, 
     assert all(count > 0 for count in got["count"].values())
     assert got["hashes"] == hashes
     assert got["same"], got["differ"]
-    assert set(PARTS) == {"ullage_msgs", "tf2_msgs", "map_msgs"}
+    assert set(PARTS) == {"ullage_msgs", "imc_msgs", "tf2_msgs", "map_msgs"}
 
 
 def test_a_folder_that_holds_no_package_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

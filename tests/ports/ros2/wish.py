@@ -16,7 +16,7 @@ def main() -> None:
     wishes = []
     for word in sys.argv[1:]:
         topic, _, value = word.partition("=")
-        kind = Float32 if topic.endswith("height") else Float64
+        kind = Float32 if topic.endswith(("height", "power")) else Float64
         wishes.append((node.create_publisher(kind, topic, 10), kind(data=float(value))))
     for _ in range(100):
         for publisher, message in wishes:

@@ -1,16 +1,25 @@
 """IMC messages as ROS messages of the same fields, as the broker of the thesis carried them [Billdal2018, 3.5.2].
 
-Every IMC message has such a ROS message (`definition`), and `to_ros` and `to_imc` lose nothing. ROS messages are plain
-dicts here, so that any binding can take them. What says the same in ROS' own words is in interpreter.py.
+`imc_msgs/Raw` holds any packet without loss. Beside it every IMC message has a ROS message of its own (`definition`),
+and `to_ros` and `to_imc` lose nothing. ROS messages are plain dicts here, so that any binding can take them. What says
+the same in ROS' own words is in interpreter.py. `python -m ullage.ports.imc.broker DIR` writes the ament package
+`imc_msgs` with all of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
 
-from ullage.ports.imc.codec import Message, Packet, body, encode
+from ullage.errors import InputError, UllageError
+from ullage.ports import ament
+from ullage.ports import messages as ros
+from ullage.ports.imc.codec import Message, Packet, body, decode, encode
 from ullage.ports.imc.table import Field, Kind, Table, own
 
 TYPES = {
@@ -18,6 +27,8 @@ TYPES = {
     "f32": "float32", "f64": "float64", "text": "string", "raw": "uint8[]",
 }  # fmt: skip
 PACKAGE = "imc_msgs"
+ABOUT = "The messages of IMC, the protocol of DUNE and Neptus, field by field."
+BUILT_ON = ("std_msgs",)
 HEADER = """\
 std_msgs/Header header   # time of the packet
 uint16 src               # system and part it came from
@@ -25,29 +36,95 @@ uint8 src_ent
 uint16 dst               # and that it goes to
 uint8 dst_ent
 """
+PACKED = "uint16 id      # number of the message\nuint8[] data   # its fields, little endian\n"
+"""`imc_msgs/Packed`: a message of any kind within another."""
+
+
+@cache
+def ros_name(name: str) -> str:
+    """The name of a field as ROS allows it: lower case with underscores."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def definition(name: str, *, table: Table | None = None) -> str:
     """The ROS message definition of an IMC message: its header, then its fields; what it holds by kind in text form."""
     kind = (table or own()).named(name)
-    return HEADER + "".join(_line(part) for part in kind.fields)
+    return HEADER + "".join(line for part in kind.fields for line in _lines(part))
 
 
-def _line(part: Field) -> str:
+def _lines(part: Field) -> Iterator[str]:
+    """The constants and the line of a field."""
+    unit = f"   # [{part.unit}]" if part.unit else ""
     if part.kind in TYPES:
-        return f"{TYPES[part.kind]} {part.name}\n"
-    of = f"{PACKAGE}/{part.of}" if part.of else f"{PACKAGE}/Packed"
-    return f"{of}[] {part.name}" + ("   # one or none\n" if part.kind == "message" else "\n")
+        if part.values is not None:
+            yield from _constants(part)
+        yield f"{TYPES[part.kind]} {ros_name(part.name)}{unit}\n"
+        return
+    of = part.of or "Packed"
+    yield f"{PACKAGE}/{of}[] {ros_name(part.name)}" + ("   # one or none\n" if part.kind == "message" else "\n")
 
 
-PACKED = "uint16 id      # number of the message\nuint8[] data   # its fields, little endian\n"
-"""`imc_msgs/Packed`: a message of any kind within another."""
+def _constants(part: Field) -> Iterator[str]:
+    values = part.values.numbers if part.values is not None else {}
+    for name, number in values.items():
+        word = re.sub(r"\W+", "_", name).strip("_").upper()
+        yield f"{TYPES[part.kind]} {ros_name(part.name).upper()}_{word}={number}\n"
+
+
+def package_files(*, table: Table | None = None) -> dict[str, str]:
+    """The files of the ament package `imc_msgs` with every message of the table, by their paths in it."""
+    table = table or own()
+    texts = {f"{PACKAGE}/msg/{name}": definition(name, table=table) for name in table.by_name}
+    texts |= {ros.RAW: ros.DEFINITIONS[ros.RAW], f"{PACKAGE}/msg/Packed": PACKED}
+    return ament.package_files(PACKAGE, texts, about=ABOUT, built_on=BUILT_ON)
+
+
+@cache
+def register(name: str) -> str:
+    """Make the message of an IMC message, and those within it, known to `ports.messages`; its type's full name."""
+    from rosbags.typesys import get_types_from_msg
+
+    kind, full = own().named(name), f"{PACKAGE}/msg/{name}"
+    for part in kind.fields:
+        if part.of:
+            register(part.of)
+    known = ros.typestore()
+    packed = f"{PACKAGE}/msg/Packed"
+    for text, one in ((PACKED, packed), (definition(name), full)):
+        if one not in known.types:
+            known.register(get_types_from_msg(text, one))
+    return full
+
+
+def to_raw(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
+    """`imc_msgs/Raw` of a packet, less its ROS header."""
+    data = _bytes(packet, table or own())
+    number = int.from_bytes(data[2:4], "big" if data[0] == 0xFE else "little")
+    where = {"src": packet.src, "src_ent": packet.src_ent, "dst": packet.dst, "dst_ent": packet.dst_ent}
+    return {"name": packet.name, "id": number, **where, "data": data}
+
+
+def _bytes(packet: Packet, table: Table) -> bytes:
+    """The packet in the byte order of the messages of unknown kind that it holds, if any; else little endian."""
+    try:
+        return encode(packet, table=table, big=not packet.name and bool(packet["big"]))
+    except InputError:
+        return encode(packet, table=table, big=True)
+
+
+def of_raw(note: Mapping[str, Any], *, table: Table | None = None) -> Packet:
+    """The packet in an `imc_msgs/Raw`.
+
+    Raises:
+        Malformed: its data are no packet.
+    """
+    return decode(bytes(note["data"]), table=table)
 
 
 def to_ros(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
     """The broker's message of a packet."""
     seconds = math.floor(packet.t_s)
-    stamp = {"sec": seconds, "nanosec": round((packet.t_s - seconds) * 1e9)}
+    stamp = {"sec": seconds, "nanosec": min(round((packet.t_s - seconds) * 1e9), 999_999_999)}
     head = {"header": {"stamp": stamp, "frame_id": ""}}
     where = {"src": packet.src, "src_ent": packet.src_ent, "dst": packet.dst, "dst_ent": packet.dst_ent}
     return head | where | _fields_out((table or own()).named(packet.name), packet.message.values, table or own())
@@ -56,12 +133,12 @@ def to_ros(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
 def _fields_out(kind: Kind, values: Mapping[str, Any], table: Table) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for part in kind.fields:
-        value = values[part.name]
+        value, name = values[part.name], ros_name(part.name)
         if part.kind in TYPES:
-            out[part.name] = value
+            out[name] = value
             continue
         held = [] if value is None else [value] if part.kind == "message" else list(value)
-        out[part.name] = [_held_out(part, one, table) for one in held]
+        out[name] = [_held_out(part, one, table) for one in held]
     return out
 
 
@@ -88,7 +165,7 @@ def to_imc(name: str, note: Mapping[str, Any], *, table: Table | None = None) ->
 def _fields_in(kind: Kind, note: Mapping[str, Any], table: Table) -> Message:
     values: dict[str, Any] = {}
     for part in kind.fields:
-        value = note[part.name]
+        value = note[ros_name(part.name)]
         if part.kind in TYPES:
             values[part.name] = value
             continue
@@ -101,3 +178,26 @@ def _held_in(part: Field, one: Mapping[str, Any], table: Table) -> Message | Non
     if part.of and set(one) != {"id", "data"}:
         return _fields_in(table.named(part.of), one, table)
     return None if one["id"] == 65535 else body(one["id"], bytes(one["data"]), False, table)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Write the package `imc_msgs` into a folder.
+
+    Args:
+        words: of the command line, one folder; None: this program's.
+    """
+    words = sys.argv[1:] if words is None else words
+    if len(words) != 1 or words[0].startswith("-"):
+        sys.stderr.write("usage: python -m ullage.ports.imc.broker DIR   (writes DIR/imc_msgs)\n")
+        return 2
+    try:
+        place = ament.write(package_files(), Path(words[0], PACKAGE))
+    except UllageError as error:
+        sys.stderr.write(f"ullage: {error}\n")
+        return 2
+    sys.stdout.write(f"wrote {len(own().by_id) + 2} messages: {place}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

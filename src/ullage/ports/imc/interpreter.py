@@ -1,250 +1,211 @@
-"""IMC in ROS' own words, as the interpreter of the thesis had it [Billdal2018, 3.5.2]: a table of pairs.
+"""IMC in ROS' own words, as the interpreter of the thesis had it [Billdal2018, 3.5.2]: one table and one converter.
 
-Each pair names one IMC message, the ROS messages that together hold every field of it, and the two conversions. ROS
-messages are plain dicts here, by topic, nested as the messages are, with those of their fields that are used. Axes are
-ENU and FLU on the ROS side.
+`ros_types.txt` is the table. A line such as `Temperature <> temperature sensor_msgs/Temperature: temperature = value`
+names an IMC message, the direction (`<>` both, `>` to ROS only), a topic, its ROS type, and the ROS fields with the
+conversion (ros_fields.py) and the IMC fields that each is made of. Indented lines belong to the message above:
+`+` another topic without which the message cannot be made, `?` one with more of its fields, `*` one whose last message
+holds for all that follow, `=` values of IMC fields that the topics do not give, `#` a note. `NAME[field=number]` limits
+a line to messages with that number. Lines with `!` give the reason why the messages they list have no ROS type.
+
+ROS messages are plain dicts here, by topic, nested as the messages are, with those of their fields that are used.
 """
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from ullage.data import Floats
-from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
+from ullage.errors import InputError
 from ullage.ports.imc.codec import Message, make
-from ullage.ports.imc.places import FLIP, SWAP
+from ullage.ports.imc.ros_fields import CONVERSIONS
+from ullage.ports.imc.table import own
 
 Ros = dict[str, dict[str, Any]]
 """ROS messages by topic."""
+TYPES = Path(__file__).with_name("ros_types.txt")
+HEAD = re.compile(r"(\w+)(?:\[(\w+)=(\d+)\])? (<>|>) (.*)")
+PART = re.compile(r"([\w/]+) (\w+/\w+):(.*)")
 
 
-class Pair(NamedTuple):
-    """One IMC message and the ROS messages that say the same."""
+class Entry(NamedTuple):
+    """One field of a ROS message, and what it is made of."""
 
-    ros: dict[str, str]  # topic: type
-    to_ros: Callable[[Mapping[str, Any]], Ros]
-    to_imc: Callable[[Ros], dict[str, Any]]
-
-
-def _point(values: Any) -> dict[str, float]:
-    x, y, z = (float(v) for v in values)
-    return {"x": x, "y": y, "z": z}
+    path: tuple[str, ...]  # to the field; empty: the whole message
+    how: str  # a key of CONVERSIONS, or `each`
+    args: tuple[str, ...]
 
 
-def _numbers(point: Mapping[str, float]) -> Floats:
-    return np.array([point["x"], point["y"], point["z"]])
+class Part(NamedTuple):
+    """One ROS message of a row."""
+
+    topic: str
+    kind: str  # package/Name
+    entries: tuple[Entry, ...]
+    needed: bool = True  # to make the IMC message
+    kept: bool = True  # for the messages that follow
 
 
-def _fields(m: Mapping[str, Any], names: str) -> Floats:
-    return np.array([m[name] for name in names.split()], float)
+@dataclass(slots=True)
+class Row:
+    """One IMC message, or those of it with a certain number in a field, and the ROS messages that say the same."""
+
+    name: str
+    both: bool  # directions; else to ROS only
+    parts: list[Part]
+    where: dict[str, int] = field(default_factory=dict)
+    values: dict[str, int] = field(default_factory=dict)  # of IMC fields that no topic gives
+    note: str = ""
+
+    def matches(self, values: Mapping[str, Any]) -> bool:
+        """Whether this row is for a message with these values."""
+        return all(values[key] == number for key, number in self.where.items())
 
 
-def _turned(left: Floats, angles: Floats) -> dict[str, float]:
-    """Roll, pitch, yaw of FRD as the quaternion of FLU; `left` turns the outer frame."""
-    quat = matrix_quat(left @ quat_matrix(rpy_quat(*angles)) @ FLIP)
-    return dict(zip("xyzw", map(float, quat), strict=True))
+@dataclass(slots=True)
+class Pair:
+    """All rows of one IMC message."""
+
+    rows: list[Row] = field(default_factory=list)
+
+    @property
+    def ros(self) -> dict[str, str]:
+        """Topics and their types."""
+        return {part.topic: part.kind for row in self.rows for part in row.parts}
+
+    @property
+    def both(self) -> bool:
+        """Whether ROS nodes can send it."""
+        return any(row.both for row in self.rows)
+
+    def to_ros(self, values: Mapping[str, Any]) -> Ros:
+        """The ROS messages that say what an IMC message of these values says; none where no row fits."""
+        row = next((row for row in self.rows if row.matches(values)), None)
+        return {} if row is None else {part.topic: _fields_out(part.entries, values) for part in row.parts}
+
+    def to_imc(self, notes: Ros) -> dict[str, Any]:
+        """The values of the IMC message that these ROS messages say.
+
+        Raises:
+            InputError: a ROS message that is needed is missing, or the row is for the other direction only.
+        """
+        row = next((row for row in self.rows if row.parts[0].topic in notes), self.rows[0])
+        if not row.both:
+            raise InputError(f"{row.name} goes from IMC to ROS only", where=row.parts[0].topic, allowed=row.note or "-")
+        missing = [part.topic for part in row.parts if part.needed and part.topic not in notes]
+        if missing:
+            raise InputError(f"{row.name} also needs {missing[0]}", where=row.parts[0].topic)
+        out: dict[str, Any] = dict(row.values)
+        for part in row.parts:
+            if part.topic in notes:
+                out |= _fields_in(part.entries, notes[part.topic])
+        return out | row.where
 
 
-def _turned_back(left: Floats, quat: Mapping[str, float]) -> Floats:
-    return quat_rpy(matrix_quat(left @ quat_matrix([quat[k] for k in "xyzw"]) @ FLIP))
+def _fields_out(entries: tuple[Entry, ...], values: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for entry in entries:
+        found = _out(entry, values)
+        if found is None:
+            continue
+        if not entry.path:
+            out |= found
+            continue
+        inner = out
+        for name in entry.path[:-1]:
+            inner = inner.setdefault(name, {})
+        inner[entry.path[-1]] = found
+    return out
 
 
-def _state_out(m: Mapping[str, Any]) -> Ros:
-    out: Ros = {
-        "origin": {"latitude": math.degrees(m["lat"]), "longitude": math.degrees(m["lon"]), "altitude": m["height"]},
-        "odom": {
-            "pose": {
-                "pose": {
-                    "position": _point(SWAP @ _fields(m, "x y z")),
-                    "orientation": _turned(SWAP, _fields(m, "phi theta psi")),
-                }
-            },
-            "twist": {
-                "twist": {"linear": _point(FLIP @ _fields(m, "u v w")), "angular": _point(FLIP @ _fields(m, "p q r"))}
-            },
-        },
-    }
-    if "vx" in m:
-        out["velocity"] = {"twist": {"linear": _point(SWAP @ _fields(m, "vx vy vz"))}}
-        return out | {"altitude": {"data": m["alt"]}, "depth": {"data": m["depth"]}}
-    return out | {"stream": {"twist": {"linear": _point(SWAP @ _fields(m, "svx svy svz"))}}}
+def _out(entry: Entry, values: Mapping[str, Any]) -> Any:
+    if entry.how != "each":
+        return CONVERSIONS[entry.how].out(values, entry.args)
+    held = (one for one in values[entry.args[0]] if one is not None)
+    return [_fields_out(PAIRS[one.name].rows[0].parts[0].entries, one.values) for one in held]
 
 
-def _state_in(notes: Ros) -> dict[str, Any]:
-    fix, pose, twist = notes["origin"], notes["odom"]["pose"]["pose"], notes["odom"]["twist"]["twist"]
-    groups = {
-        "x y z": SWAP @ _numbers(pose["position"]),
-        "phi theta psi": _turned_back(SWAP, pose["orientation"]),
-        "u v w": FLIP @ _numbers(twist["linear"]),
-        "p q r": FLIP @ _numbers(twist["angular"]),
-    }
-    if "velocity" in notes:
-        groups["vx vy vz"] = SWAP @ _numbers(notes["velocity"]["twist"]["linear"])
-        groups["alt depth"] = np.array([notes["altitude"]["data"], notes["depth"]["data"]])
-    else:
-        groups["svx svy svz"] = SWAP @ _numbers(notes["stream"]["twist"]["linear"])
-    out = {name: float(v) for names, values in groups.items() for name, v in zip(names.split(), values, strict=True)}
-    place = {"lat": math.radians(fix["latitude"]), "lon": math.radians(fix["longitude"]), "height": fix["altitude"]}
-    return place | out
+def _fields_in(entries: tuple[Entry, ...], given: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for entry in entries:
+        value: Any = given
+        for name in entry.path:
+            value = value.get(name) if isinstance(value, Mapping) else None
+        if value is None:
+            continue
+        if entry.how == "each":
+            out[entry.args[0]] = tuple(_inner(entry.args[1], one) for one in value)
+        elif (back := CONVERSIONS[entry.how].back) is not None:
+            out |= back(value, entry.args)
+    return out
 
 
-def _distance_out(m: Mapping[str, Any]) -> Ros:
-    """An invalid distance is an infinite range, as REP-117 has it; what was measured stays beside it."""
-    mounts = [
-        {
-            "position": _point(FLIP @ _fields(state.values, "x y z")),
-            "orientation": _turned(FLIP, _fields(state.values, "phi theta psi")),
-        }
-        for state in m["location"]
-    ]
-    beams = [{"x": beam["beam_width"], "y": beam["beam_height"], "z": 0.0} for beam in m["beam_config"]]
-    wide = beams[0]["x"] if beams else 0.0
-    return {
-        "range": {"field_of_view": wide, "range": m["value"] if m["validity"] else math.inf},
-        "range/measured": {"data": m["value"]},
-        "range/validity": {"data": m["validity"]},
-        "range/mount": {"poses": mounts},
-        "range/beam": {"points": beams},
-    }
+def _inner(kind: str, given: Mapping[str, Any]) -> Message:
+    return make(kind, **_fields_in(PAIRS[kind].rows[0].parts[0].entries, given))
 
 
-def _distance_in(notes: Ros) -> dict[str, Any]:
-    mounts = []
-    for pose in notes["range/mount"]["poses"]:
-        angles = zip(("phi", "theta", "psi"), map(float, _turned_back(FLIP, pose["orientation"])), strict=True)
-        mounts.append(make("DeviceState", **_point(FLIP @ _numbers(pose["position"])), **dict(angles)))  # type: ignore[arg-type]
-    beams = tuple(make("BeamConfig", beam_width=b["x"], beam_height=b["y"]) for b in notes["range/beam"]["points"])
-    measured, validity = notes["range/measured"]["data"], notes["range/validity"]["data"]
-    return {"validity": validity, "location": tuple(mounts), "beam_config": beams, "value": measured}
+def _entry(text: str, name: str) -> Entry:
+    left, _, right = (word.strip() for word in text.partition("="))
+    words = tuple(right.split())
+    path = () if left == "." else tuple(left.split("."))
+    if words[0] == "each":
+        of = next(part.of for part in own().named(name).fields if part.name == words[1])
+        return Entry(path, "each", (words[1], of))
+    if len(words) > 1 and words[0] in CONVERSIONS:
+        return Entry(path, words[0], words[1:])
+    return Entry(path, "same", words)
 
 
-_DEPTH = {8: "8UC1", 16: "16UC1", 32: "32SC1"}
+def _part(text: str, name: str, mark: str = "+") -> Part:
+    found = PART.fullmatch(text)
+    if found is None:
+        raise InputError(f"cannot read {text!r}", where=TYPES, allowed="TOPIC package/Type: FIELD = CONVERSION FIELDS")
+    entries = tuple(_entry(one, name) for one in found[3].split(";") if one.strip())
+    return Part(found[1], found[2], entries, needed=mark == "+", kept=mark != "?")
 
 
-def _sonar_out(m: Mapping[str, Any]) -> Ros:
-    """The profile as a picture one row high; bits of no usual width as bytes."""
-    width = len(m["data"]) // max(m["bits_per_point"] // 8, 1)
-    beams = [{"x": beam["beam_width"], "y": beam["beam_height"], "z": 0.0} for beam in m["beam_config"]]
-    picture = {"height": 1, "width": width, "encoding": _DEPTH.get(m["bits_per_point"], "8UC1"), "data": m["data"]}
-    span = {"min_range": float(m["min_range"]), "max_range": float(m["max_range"])}
-    rest = {"type": m["type"], "frequency": m["frequency"], "bits": m["bits_per_point"], "scale": m["scale_factor"]}
-    facts = {"values": [{"key": key, "value": json.dumps(value)} for key, value in rest.items()]}
-    return {"profile": picture, "profile/range": span, "profile/beam": {"points": beams}, "profile/facts": facts}
+def read_rows(text: str) -> Iterator[Row]:
+    """The rows of a table in the form of `ros_types.txt`."""
+    row: Row | None = None
+    for line in text.splitlines():
+        if not line.startswith("  "):
+            if row is not None:
+                yield row
+            found = HEAD.fullmatch(line)
+            row = None
+            if found is not None:
+                where = {found[2]: int(found[3])} if found[2] else {}
+                row = Row(found[1], found[4] == "<>", [_part(found[5], found[1])], where)
+        elif row is not None:
+            mark, rest = line[2], line[4:]
+            if mark in "+?*":
+                row.parts.append(_part(rest, row.name, mark))
+            elif mark == "=":
+                row.values |= {key: int(number) for key, number in (word.split() for word in rest.split(";"))}
+            else:
+                row.note = rest
+    if row is not None:
+        yield row
 
 
-def _sonar_in(notes: Ros) -> dict[str, Any]:
-    rest = {pair["key"]: json.loads(pair["value"]) for pair in notes["profile/facts"]["values"]}
-    span = notes["profile/range"]
-    return {
-        "type": rest["type"], "frequency": rest["frequency"], "min_range": round(span["min_range"]),
-        "max_range": round(span["max_range"]), "bits_per_point": rest["bits"], "scale_factor": rest["scale"],
-        "beam_config": tuple(
-            make("BeamConfig", beam_width=b["x"], beam_height=b["y"]) for b in notes["profile/beam"]["points"]
-        ),
-        "data": notes["profile"]["data"],
-    }  # fmt: skip
+def _read_pairs() -> dict[str, Pair]:
+    out: dict[str, Pair] = {}
+    for row in read_rows(TYPES.read_text()):
+        out.setdefault(row.name, Pair()).rows.append(row)
+    return out
 
 
-def _by_unit(topics: tuple[str, ...], unit: str) -> tuple[Callable[..., Ros], Callable[..., dict[str, Any]]]:
-    """A number whose unit is told by its topic."""
-
-    def out(m: Mapping[str, Any]) -> Ros:
-        return {topics[m[unit]] if m[unit] < len(topics) else f"{topics[0]}/{m[unit]}": {"data": m["value"]}}
-
-    def back(notes: Ros) -> dict[str, Any]:
-        topic = next(iter(notes))
-        number = topics.index(topic) if topic in topics else int(topic.rsplit("/", 1)[1])
-        return {"value": notes[topic]["data"], unit: number}
-
-    return out, back
+def _read_reasons() -> dict[str, str]:
+    lines = (line[2:].rpartition(": ") for line in TYPES.read_text().splitlines() if line.startswith("! "))
+    return {name: reason for reason, _, names in lines for name in names.split()}
 
 
-def _six(topic: str, first: str, second: str, names: str, back: str) -> tuple[Callable[..., Ros], Callable[..., Any]]:
-    """Two vectors of the body and flags."""
-
-    def out(m: Mapping[str, Any]) -> Ros:
-        vectors = {first: _point(FLIP @ _fields(m, names)), second: _point(FLIP @ _fields(m, back))}
-        return {topic: vectors, f"{topic}/flags": {"data": m["flags"]}}
-
-    def into(notes: Ros) -> dict[str, Any]:
-        values = [*(FLIP @ _numbers(notes[topic][first])), *(FLIP @ _numbers(notes[topic][second]))]
-        named = zip((*names.split(), *back.split()), map(float, values), strict=True)
-        return dict(named) | {"flags": notes[f"{topic}/flags"]["data"]}
-
-    return out, into
-
-
-def _status(
-    topic: str, level: Callable[[Mapping[str, Any]], int], text: str
-) -> tuple[Callable[..., Ros], Callable[..., Any]]:
-    """A DiagnosticStatus whose values are the fields."""
-
-    def out(m: Mapping[str, Any]) -> Ros:
-        values = [{"key": key, "value": json.dumps(value)} for key, value in m.items()]
-        return {topic: {"level": level(m), "message": m[text], "values": values}}
-
-    def back(notes: Ros) -> dict[str, Any]:
-        return {pair["key"]: json.loads(pair["value"]) for pair in notes[topic]["values"]}
-
-    return out, back
-
-
-OK, WARN, ERROR = 0, 1, 2
-_STATE = {
-    "odom": "nav_msgs/Odometry", "origin": "sensor_msgs/NavSatFix", "velocity": "geometry_msgs/TwistStamped",
-    "altitude": "std_msgs/Float32", "depth": "std_msgs/Float32",
-}  # fmt: skip
-_Z = ("desired/z", "desired/depth", "desired/altitude", "desired/height")
-_SPEED = ("desired/speed", "desired/rpm", "desired/percent")
-
-PAIRS: dict[str, Pair] = {
-    "EstimatedState": Pair(_STATE, _state_out, _state_in),
-    "SimulatedState": Pair(
-        {"odom": _STATE["odom"], "origin": _STATE["origin"], "stream": _STATE["velocity"]}, _state_out, _state_in
-    ),
-    "Distance": Pair(
-        {
-            "range": "sensor_msgs/Range", "range/measured": "std_msgs/Float32", "range/validity": "std_msgs/UInt8",
-            "range/mount": "geometry_msgs/PoseArray", "range/beam": "geometry_msgs/Polygon",
-        },
-        _distance_out, _distance_in,
-    ),
-    "SonarData": Pair(
-        {
-            "profile": "sensor_msgs/Image", "profile/range": "sensor_msgs/Range",
-            "profile/beam": "geometry_msgs/Polygon", "profile/facts": "diagnostic_msgs/DiagnosticStatus",
-        },
-        _sonar_out, _sonar_in,
-    ),
-    "DesiredZ": Pair(dict.fromkeys(_Z, "std_msgs/Float32"), *_by_unit(_Z, "z_units")),
-    "DesiredSpeed": Pair(dict.fromkeys(_SPEED, "std_msgs/Float64"), *_by_unit(_SPEED, "speed_units")),
-    "DesiredHeading": Pair(
-        {"desired/heading": "std_msgs/Float64"},
-        lambda m: {"desired/heading": {"data": math.pi / 2 - m["value"]}},
-        lambda notes: {"value": math.pi / 2 - notes["desired/heading"]["data"]},
-    ),
-    "DesiredVelocity": Pair(
-        {"desired/velocity": "geometry_msgs/Twist", "desired/velocity/flags": "std_msgs/UInt8"},
-        *_six("desired/velocity", "linear", "angular", "u v w", "p q r"),
-    ),
-    "DesiredControl": Pair(
-        {"desired/wrench": "geometry_msgs/Wrench", "desired/wrench/flags": "std_msgs/UInt8"},
-        *_six("desired/wrench", "force", "torque", "x y z", "k m n"),
-    ),
-    "EntityState": Pair(
-        {"diagnostics/entity": "diagnostic_msgs/DiagnosticStatus"},
-        *_status("diagnostics/entity", lambda m: OK if m["state"] <= 1 else ERROR, "description"),
-    ),
-    "VehicleState": Pair(
-        {"diagnostics/vehicle": "diagnostic_msgs/DiagnosticStatus"},
-        *_status("diagnostics/vehicle", lambda m: ERROR if m["op_mode"] == ERROR else OK, "last_error"),
-    ),
-}  # fmt: skip
+PAIRS: dict[str, Pair] = _read_pairs()
+"""By IMC message: what ROS has a type for."""
+REASONS: dict[str, str] = _read_reasons()
+"""By IMC message: why ROS has no type for it."""
 
 
 def interpreted(message: Message) -> Ros | None:
@@ -254,5 +215,16 @@ def interpreted(message: Message) -> Ros | None:
 
 
 def imc_of(kind: str, notes: Ros) -> Message:
-    """The IMC message of this kind that these ROS messages say."""
+    """The IMC message of this kind that these ROS messages say.
+
+    Raises:
+        InputError: a ROS message that is needed is missing, or the kind goes to ROS only.
+    """
     return make(kind, **PAIRS[kind].to_imc(notes))
+
+
+def rows_of(topic: str) -> Row | None:
+    """The row whose IMC message a topic belongs to; None where the table has no such topic."""
+    return next(
+        (row for pair in PAIRS.values() for row in pair.rows for part in row.parts if part.topic == topic), None
+    )

@@ -90,7 +90,8 @@ class SourceOptions(PlaceOptions):
     mission: str = Field(
         "", description="lead the vehicle along x,y,z;x,y,z... [m], or along the world's own waypoints: world"
     )
-    relay: bool = Field(True, description="pass on in ROS' words what the table of pairs has words for")
+    relay: bool = Field(True, description="pass on every message to ROS, whole and as the type that ROS has for it")
+    typed: bool = Field(False, description="pass it on as the message of imc_msgs with its fields too")
     speed_m_s: float = Field(0.5, gt=0, le=50)
     near_m: float = Field(1.0, gt=0, le=1000, description="a waypoint this near is reached")
     z: Literal["height", "altitude", "depth"] = Field("height", description="how heights are told to the vehicle")

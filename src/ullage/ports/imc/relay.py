@@ -1,163 +1,167 @@
 """Messages of a bus that are no frames, carried to ROS and from there to a bus: the thesis' broker and interpreter.
 
-What is said on a bus goes out under `imc/`: the ROS messages of its pair (interpreter.py), then `imc/packet`, which
-says what they were and holds the CRC-32 of each, by which they are put together again whatever order they come in.
-What ROS nodes want said they publish under `desired/`; it is sent as it comes.
+What is said on a bus goes out under `imc/`: the ROS messages of the table (interpreter.py), and the whole packet as
+`imc_msgs/Raw` on `imc/packet`, which is what another bus is given. What ROS nodes send to a bus they publish under
+`to_imc/`: the same topics as under `imc/`, `imc_msgs/Raw` on `to_imc/packet`, or any message of `imc_msgs`. Set-points
+under `desired/` are taken without `to_imc/` too.
 """
 
 from __future__ import annotations
 
-import json
-import time
-from collections import deque
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
-from zlib import crc32
 
 from ullage.errors import InputError
-from ullage.ports.imc.codec import Message, Packet
-from ullage.ports.imc.interpreter import PAIRS, Ros, imc_of, interpreted
+from ullage.ports import messages as ros
+from ullage.ports.imc import broker
+from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, encode
+from ullage.ports.imc.interpreter import PAIRS, Ros, imc_of, interpreted, rows_of
+from ullage.ports.imc.table import own
 from ullage.ports.plain import decoded, encoded
 from ullage.ports.protocol import Passed
 
-SAID, WANTED = "imc", "desired"
-PACKET, ABOUT = f"{SAID}/packet", "diagnostic_msgs/msg/DiagnosticStatus"
-HELD, PATIENCE_S = 256, 2.0
-ALL_SIX = 0x3F
-"""Flags of DesiredVelocity and DesiredControl: every component counts."""
+FROM_IMC, TO_IMC, WANTED = "imc", "to_imc", "desired"
+PACKET = "packet"
+LOCAL = {"Heartbeat", "Announce", "EntityInfo", "EntityList", "QueryEntityInfo", "QueryEntityState"}
+"""What every system says of itself or asks a system directly: it is shown to ROS and not said on another bus."""
+FRAMES = (b"ullage_msgs/",)
+"""How DevDataBinary begins whose frames go as frames."""
+LATEST_NS = 2**31 * 10**9
+UNREADABLE = (
+    AttributeError,
+    IndexError,
+    KeyError,
+    OverflowError,
+    TypeError,
+    UnicodeError,
+    ValueError,
+    ZeroDivisionError,
+)
 
 
-class Told(NamedTuple):
+class Outgoing(NamedTuple):
     """A message to send, and what the packet was that it came in, where it came in one."""
 
     message: Message
     t_s: float | None
     part: str  # of the system that said it; empty where ROS did
+    dst: int = NOBODY
+    dst_ent: int = 255
 
 
-def kind_of(topic: str) -> str | None:
-    """The ROS type of a topic of the table, `package/msg/Name`."""
-    stem = topic.rpartition("/")[0] if topic.rpartition("/")[2].isdecimal() else topic  # units beyond those named
-    found = next((pair.ros[stem] for pair in PAIRS.values() if stem in pair.ros), None)
-    return found and found.replace("/", "/msg/")
-
-
-def passed(packet: Packet, at_ns: int) -> Iterator[Passed]:
-    """A packet in ROS' words, and last what it was; nothing where the table has no words for it.
+def passed(packet: Packet, at_ns: int, *, typed: bool = False) -> Iterator[Passed]:
+    """A packet in ROS' words, and last the packet itself; nothing for frames of ours, which go as frames.
 
     Args:
         packet: whoever said it; its time goes into the headers.
         at_ns: when that was by the clock of those whose poses are followed: a stranger's may be anywhere.
+        typed: also as the message of `imc_msgs` that has its fields.
     """
-    if not 0 <= packet.t_s < 2**31:
+    if packet.name == "DevDataBinary" and bytes(packet["value"]).startswith(FRAMES):
         return
+    t_ns = round(packet.t_s * 1e9) if math.isfinite(packet.t_s) else 0
+    t_ns = t_ns if 0 <= t_ns < LATEST_NS else 0
+    frame_id = f"imc_{packet.src:04x}"
+    for topic, fields in _notes(packet.message).items():
+        kind = _full(PAIRS[packet.name].ros[topic])
+        try:
+            data = encoded(kind, fields, t_ns=t_ns, frame_id=frame_id)
+        except InputError:
+            continue  # a stranger's number that the ROS type cannot hold; the packet has it
+        yield Passed(at_ns, f"{FROM_IMC}/{topic}", kind, data)
+    if typed and packet.name in own().by_name:
+        try:
+            data = encoded(broker.register(packet.name), broker.to_ros(packet) | _head(t_ns, frame_id))
+            yield Passed(at_ns, f"{FROM_IMC}/typed/{packet.name}", f"{broker.PACKAGE}/msg/{packet.name}", data)
+        except (InputError, *UNREADABLE):
+            pass
+    data = encoded(ros.RAW, broker.to_raw(packet), t_ns=t_ns, frame_id=frame_id)
+    yield Passed(at_ns, f"{FROM_IMC}/{PACKET}", ros.RAW, data)
+
+
+def _notes(message: Message) -> Ros:
     try:
-        notes = interpreted(packet.message)
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError):
-        return  # numbers of a stranger that say nothing
-    part, t_ns, sums = f"{packet.src:#06x}/{packet.src_ent}", round(packet.t_s * 1e9), {}
-    for topic, fields in (notes or {}).items():
-        kind = kind_of(topic)
-        assert kind is not None  # the table names every topic that it gives
-        data = encoded(kind, fields, t_ns=t_ns, frame_id=f"imc_{packet.src:04x}")
-        sums[topic] = crc32(data)
-        yield Passed(at_ns, f"{SAID}/{topic}", kind, data)
-    if sums:
-        facts = {"t_s": packet.t_s, "src": packet.src, "src_ent": packet.src_ent, "dst": packet.dst,
-                 "dst_ent": packet.dst_ent, "parts": sums}  # fmt: skip
-        values = [{"key": key, "value": json.dumps(value)} for key, value in facts.items()]
-        about = {"name": packet.name, "hardware_id": part, "values": values}
-        yield Passed(at_ns, PACKET, ABOUT, encoded(ABOUT, about))
+        return interpreted(message) or {}
+    except UNREADABLE:
+        return {}  # numbers of a stranger that say nothing; the packet has them
 
 
-class _Packet(NamedTuple):
-    """What `imc/packet` said, and until when its parts are waited for."""
-
-    name: str
-    part: str
-    facts: dict[str, Any]
-    until_s: float
+def _head(t_ns: int, frame_id: str) -> dict[str, Any]:
+    return {"header": {"stamp": {"sec": t_ns // 10**9, "nanosec": t_ns % 10**9}, "frame_id": frame_id}}
 
 
-class Joiner:
-    """Makes IMC messages of ROS messages again.
+def _full(kind: str) -> str:
+    return kind.replace("/", "/msg/")
+
+
+class RosToImc:
+    """Makes IMC messages of ROS messages.
 
     Args:
-        own: our number on the bus; what we said ourselves is not said again.
+        own_id: our number on the bus; what we said ourselves is not said again.
         say: told of what cannot be used.
     """
 
-    def __init__(self, own: int, say: Callable[[str], None]) -> None:
-        self._own, self._say = own, say
-        self._parts: dict[str, deque[tuple[int, dict[str, Any]]]] = {}
-        self._packets: deque[_Packet] = deque(maxlen=HELD)
-        self._flags: dict[str, dict[str, Any]] = {}
+    def __init__(self, own_id: int, say: Callable[[str], None]) -> None:
+        self._own, self._say = own_id, say
+        self._latest: Ros = {}  # parts of messages that are made of several
         self._told: set[str] = set()
 
-    def take(self, item: Passed) -> list[Told]:
-        """The messages that this one makes whole."""
+    def take(self, item: Passed) -> list[Outgoing]:
+        """The messages to send for this one."""
         area, _, topic = item.topic.partition("/")
-        wanted = ABOUT if item.topic == PACKET else kind_of(item.topic if area == WANTED else topic)
-        if wanted is None or area not in (SAID, WANTED):
-            return []
         try:
-            if item.kind != wanted:
-                raise InputError(f"it carries {item.kind}", where=item.topic, allowed=wanted)
-            fields = decoded(item.kind, item.data)
-            if area == WANTED:
-                return self._wish(item.topic, fields)
-            if item.topic == PACKET:
-                self._announced(fields)
-            else:
-                kept = self._parts.setdefault(topic, deque(maxlen=HELD))
-                kept.append((crc32(encoded(item.kind, fields)), fields))
-        except (InputError, AttributeError, KeyError, TypeError, ValueError) as error:
+            found = self._made(area, topic, item)
+            for one in found:
+                encode(Packet(one.message))  # a number that does not fit is refused here
+        except (InputError, Malformed, *UNREADABLE) as error:
             self._once(f"{item.topic} cannot be sent: {error}")
             return []
-        return self._whole()
-
-    def _announced(self, fields: dict[str, Any]) -> None:
-        facts = {pair["key"]: json.loads(pair["value"]) for pair in fields["values"]}
-        if fields["name"] not in PAIRS:
-            raise InputError(f"no pair for {fields['name']!r}", allowed=", ".join(PAIRS))
-        if int(facts["src"]) != self._own:
-            until = time.monotonic() + PATIENCE_S
-            self._packets.append(_Packet(fields["name"], str(fields["hardware_id"]), facts, until))
-
-    def _whole(self) -> list[Told]:
-        out, now = [], time.monotonic()
-        for packet in list(self._packets):
-            notes = self._notes(packet.facts["parts"])
-            if notes is not None:
-                out.append(Told(imc_of(packet.name, notes), float(packet.facts["t_s"]), packet.part))
-            elif now > packet.until_s:
-                self._once(f"parts of a {packet.name} of {packet.part} did not come; it is left out")
-            else:
-                continue
-            self._packets.remove(packet)
-        return out
-
-    def _notes(self, sums: dict[str, int]) -> Ros | None:
-        """The parts of a packet; None while one is still to come."""
-        found: Ros = {}
-        for topic, wanted in sums.items():
-            fields = next((fields for kept, fields in self._parts.get(topic, ()) if kept == wanted), None)
-            if fields is None:
-                return None
-            found[topic] = fields
         return found
 
-    def _wish(self, topic: str, fields: dict[str, Any]) -> list[Told]:
-        if topic.endswith("/flags"):
-            self._flags[topic] = fields
+    def _made(self, area: str, topic: str, item: Passed) -> list[Outgoing]:
+        if topic == PACKET and area in (FROM_IMC, TO_IMC):
+            return self._packet(item, checked=area == FROM_IMC)
+        if area == TO_IMC and item.kind.startswith(f"{broker.PACKAGE}/msg/") and item.kind != ros.RAW:
+            name = item.kind.rpartition("/")[2]
+            broker.register(name)
+            return [_outgoing(broker.to_imc(name, decoded(item.kind, item.data)), "")]
+        return self._words(item.topic if area == WANTED else topic, item) if area in (TO_IMC, WANTED) else []
+
+    def _packet(self, item: Passed, *, checked: bool) -> list[Outgoing]:
+        """The packet in an envelope; from a bus, not what each system says for itself, nor what was ours."""
+        if item.kind != ros.RAW:
+            raise InputError(f"it carries {item.kind}", where=item.topic, allowed=ros.RAW)
+        packet = broker.of_raw(decoded(item.kind, item.data))
+        if not checked:
+            return [_outgoing(packet, "")]
+        if packet.src == self._own or packet.name in LOCAL:
             return []
-        name, pair = next((name, pair) for name, pair in PAIRS.items() if topic in pair.ros)
-        notes, flags = {topic: fields}, f"{topic}/flags"
-        if flags in pair.ros:
-            notes[flags] = self._flags.get(flags, {"data": ALL_SIX})
-        return [Told(imc_of(name, notes), None, "")]
+        return [_outgoing(packet, f"{packet.src:#06x}/{packet.src_ent}")]
+
+    def _words(self, topic: str, item: Passed) -> list[Outgoing]:
+        """The IMC message that a topic of the table says; other topics of the same message are kept until then."""
+        row = rows_of(topic)
+        if row is None:
+            raise InputError(f"no IMC message has the topic {topic!r}", allowed="see docs/dune.md")
+        wanted = _full(next(part.kind for part in row.parts if part.topic == topic))
+        if item.kind != wanted:
+            raise InputError(f"it carries {item.kind}", where=item.topic, allowed=wanted)
+        self._latest[topic] = decoded(item.kind, item.data)
+        if topic != row.parts[0].topic:
+            return []
+        there = {part.topic: self._latest[part.topic] for part in row.parts if part.topic in self._latest}
+        for part in row.parts:
+            if not part.kept:
+                self._latest.pop(part.topic, None)
+        return [Outgoing(imc_of(row.name, there), None, "")]
 
     def _once(self, text: str) -> None:
         if text not in self._told and len(self._told) < 100:
             self._told.add(text)
             self._say(text)
+
+
+def _outgoing(packet: Packet, part: str) -> Outgoing:
+    return Outgoing(packet.message, packet.t_s or None, part, packet.dst, packet.dst_ent)

@@ -10,7 +10,7 @@ from ullage.ports.imc.codec import readable
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.reach import leave, open_link
-from ullage.ports.imc.relay import Joiner, Told
+from ullage.ports.imc.relay import Outgoing, RosToImc
 from ullage.ports.imc.source import warn
 from ullage.ports.imc.teller import BODY, Note, Teller
 from ullage.ports.protocol import Item, Passed
@@ -42,7 +42,7 @@ class ImcSink:
         self._pace = options.pace
         self._link: Link = open_link(place, options, me, role="sink", say=say)
         self._teller = Teller(options, home, self._link.enter)
-        self._joiner, self._relayed = Joiner(options.system_id, say), dict[str, int]()
+        self._from_ros, self._relayed = RosToImc(options.system_id, say), dict[str, int]()
         self._shares = False  # the last entity stands for several parts
         self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
         self._epoch_s = 0.0
@@ -50,8 +50,8 @@ class ImcSink:
     def write(self, item: Item) -> None:
         """Give frames, chunks of them, the body's path, or messages in ROS' words; everything else passes by."""
         if isinstance(item, Passed) and not self._link.listens:  # else it was said on this very bus
-            for told in self._joiner.take(item):
-                self._relay(told)
+            for one in self._from_ros.take(item):
+                self._relay(one)
         for note in self._teller.notes(item):
             self._send(note)
 
@@ -67,17 +67,17 @@ class ImcSink:
                 time.sleep(min(wait, 60.0))
         self._link.send(note.message, entity=note.entity, t_s=self._epoch_s + t_s)
 
-    def _relay(self, told: Told) -> None:
+    def _relay(self, one: Outgoing) -> None:
         """Send at once; each part of another system that we speak for is an entity of ours."""
-        entity = self._relayed.get(told.part)
+        entity = self._relayed.get(one.part)
         if entity is None:
-            entity = BODY if not told.part else min(FIRST_RELAYED + len(self._relayed), LAST_RELAYED)
+            entity = BODY if not one.part else min(FIRST_RELAYED + len(self._relayed), LAST_RELAYED)
             if entity < LAST_RELAYED:  # further ones share the last entity
-                self._relayed[told.part] = entity
-            if told.part and (entity < LAST_RELAYED or not self._shares):
+                self._relayed[one.part] = entity
+            if one.part and (entity < LAST_RELAYED or not self._shares):
                 self._shares = entity == LAST_RELAYED
-                self._link.enter(Entity(entity, readable(told.part), "ullage.relay"))
-        self._link.send(told.message, entity=entity, t_s=told.t_s)
+                self._link.enter(Entity(entity, readable(one.part), "ullage.relay"))
+        self._link.send(one.message, entity=entity, t_s=one.t_s, dst=one.dst, dst_ent=one.dst_ent)
 
     def close(self) -> None:
         """Send what is queued, if the peer takes it, and let go of the sockets."""

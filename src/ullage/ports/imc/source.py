@@ -195,7 +195,8 @@ class ImcSource:
         """Give a packet to all who want to know of it."""
         if self._options.relay and packet.src != self._options.system_id:
             known = self._track.poses
-            self.passing.give(partial(passed, packet, known[-1].t_ns if known else time.time_ns()))
+            at_ns = known[-1].t_ns if known else time.time_ns()
+            self.passing.give(partial(passed, packet, at_ns, typed=self._options.typed))
         if self._radars is None:
             self._gather.take(packet)
         if self._backseat is not None:

@@ -14,10 +14,10 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 
 from ullage.errors import MissingExtra, UllageError
+from ullage.ports import ament
 from ullage.ports import messages as ros
 
 WHEELS = (
@@ -30,16 +30,19 @@ WHEELS = (
 )  # fmt: skip
 ABOUT = {
     "ullage_msgs": "Messages of ullage: frames, settings and tracks of ultra-wideband radars, maps without loss.",
+    "imc_msgs": "The part of ullage's imc_msgs that carries any IMC message: Raw.",
     "tf2_msgs": "The part of the public tf2_msgs that ullage speaks, for environments without it.",
     "map_msgs": "The part of the public map_msgs that ullage speaks, for environments without it.",
 }
 PARTS = {
     "ullage_msgs": (ros.FRAME, ros.SETTINGS, ros.TRACK, ros.CELLS),
+    "imc_msgs": (ros.RAW,),
     "tf2_msgs": (ros.TRANSFORMS,),
     "map_msgs": (ros.UPDATE,),
 }
 BUILT_ON = {
     "ullage_msgs": ("std_msgs", "geometry_msgs"),
+    "imc_msgs": ("std_msgs",),
     "tf2_msgs": ("geometry_msgs",),
     "map_msgs": ("std_msgs",),
 }
@@ -48,65 +51,13 @@ BROKEN = re.compile(r"/opt/(?:python|_internal)/[^;\"\s]*?/(include/python3\.\d+
 
 def package_files(package: str) -> dict[str, str]:
     """The files of an ament package that holds ullage's share of these messages, by their paths in it."""
-    names = PARTS[package]
-    out = {f"msg/{name.rpartition('/')[2]}.msg": ros.DEFINITIONS[name] for name in names}
-    return out | {"CMakeLists.txt": _build_file(package, out), "package.xml": _manifest(package)}
-
-
-def _build_file(package: str, messages: Iterable[str]) -> str:
-    """How CMake builds an ament package of these messages."""
-    finds = "\n".join(f"find_package({name} REQUIRED)" for name in BUILT_ON[package])
-    listed = "\n".join(f"  {path!r}" for path in sorted(messages)).replace("'", '"')
-    return f"""\
-cmake_minimum_required(VERSION 3.16)
-project({package})
-
-find_package(ament_cmake REQUIRED)
-find_package(rosidl_default_generators REQUIRED)
-{finds}
-
-rosidl_generate_interfaces(${{PROJECT_NAME}}
-{listed}
-  DEPENDENCIES {" ".join(BUILT_ON[package])}
-)
-
-ament_export_dependencies(rosidl_default_runtime)
-ament_package()
-"""
-
-
-def _manifest(package: str) -> str:
-    """What an ament package is called, and needs."""
-    needs = "\n".join(f"  <depend>{name}</depend>" for name in BUILT_ON[package])
-    return f"""\
-<?xml version="1.0"?>
-<package format="3">
-  <name>{package}</name>
-  <version>0.1.0</version>
-  <description>{ABOUT[package]}</description>
-  <maintainer email="ullage@users.noreply.github.com">The ullage developers</maintainer>
-  <license>Apache-2.0</license>
-
-  <buildtool_depend>ament_cmake</buildtool_depend>
-  <buildtool_depend>rosidl_default_generators</buildtool_depend>
-{needs}
-  <exec_depend>rosidl_default_runtime</exec_depend>
-  <member_of_group>rosidl_interface_packages</member_of_group>
-
-  <export>
-    <build_type>ament_cmake</build_type>
-  </export>
-</package>
-"""
+    texts = {name: ros.DEFINITIONS[name] for name in PARTS[package]}
+    return ament.package_files(package, texts, about=ABOUT[package], built_on=BUILT_ON[package])
 
 
 def write_package(package: str, folder: Path) -> Path:
     """Write an ament package as a folder of its own."""
-    for path, text in package_files(package).items():
-        place = folder / package / path
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(text)
-    return folder / package
+    return ament.write(package_files(package), folder / package)
 
 
 def mirror(prefix: Path, into: Path) -> Path:

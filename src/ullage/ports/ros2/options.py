@@ -46,7 +46,7 @@ class SourceOptions(NodeOptions):
     map: str = Field("map", description="frame of reference that the map stands in")
     body: str = Field("base_link", description="frame of reference of the vehicle")
     radar: str = Field("x4m05", description="preset of radars whose topics do not say what they are")
-    relay: bool = Field(True, description="pass on what stands under imc/ and desired/")
+    relay: bool = Field(True, description="pass on what stands under imc/, to_imc/ and desired/")
     patience_s: float = Field(1.0, ge=0, le=60, description="how long frames wait for a late transform")
     batch_s: float = Field(0.25, ge=0, le=10, description="how long frames are gathered before they are passed on")
     duration_s: float | None = Field(None, gt=0, description="ends after this much of the frames' time")

@@ -25,7 +25,7 @@ DEPTH = 2000
 """Messages that rclpy keeps of a radar, so that a burst finds room."""
 PATIENCE_S = 5.0
 """Time between two complaints of the same kind [s]."""
-RELAYED = ("imc/", "desired/")
+RELAYED = ("imc/", "to_imc/", "desired/")
 """Beneath the namespace: what is passed on as it comes."""
 POSE = "geometry_msgs/msg/PoseStamped"
 
