@@ -26,6 +26,7 @@ Floats = NDArray[np.float64]
 _PULL_S = 1.2  # climb asked for per metre of height that is missing [1/s]
 _CLIMB_M_S, _ACCELERATION_M_S2 = 1.0, 1.5
 _GOAL_M_S = 1.0  # greatest level speed on the direct path to a position
+_AHEAD = 1.5  # how far ahead on a path the vehicle aims, over the distance at which it slows down
 _SPEED_S, _SMOOTH_S = 0.35, 0.08  # time constants of the speed and of the acceleration that is asked for [s]
 _TURN_S, _TURN_RAD_S = 1.5, math.radians(60)
 
@@ -41,6 +42,8 @@ class Wish:
     climb_m_s: float | None = None  # in place of a height
     turn_rad_s: float | None = None  # counter-clockwise, in place of a heading
     position_m: tuple[float, float, float] | None = None  # in the world, in place of height and velocity
+    from_m: tuple[float, float, float] | None = None  # where the straight path to that position begins; None: anywhere
+    speed_m_s: float | None = None  # greatest level speed on the way to a position
 
     def then(self, later: Wish) -> Wish:
         """This one with the changes of a later one: a command replaces those before it on the same axes."""
@@ -59,7 +62,44 @@ class Wish:
             None if placed else later.climb_m_s if vertical else self.climb_m_s,
             later.turn_rad_s if turned else self.turn_rad_s,
             later.position_m if placed else None if vertical or level or pushed else goal,
+            later.from_m if placed else None if vertical or level or pushed else self.from_m,
+            later.speed_m_s if placed or later.speed_m_s is not None else self.speed_m_s,
         )
+
+    def velocity(self, position: Sequence[float] | Floats, heading_rad: float) -> tuple[float, float, float]:
+        """The velocity in the world [m/s] that brings a vehicle at this place and heading to what is asked for."""
+        if self.position_m is not None:
+            goal, most_m_s = self.goal(position), self.speed_m_s or _GOAL_M_S
+            east, north = (_PULL_S * (goal[k] - float(position[k])) for k in range(2))
+            share = min(1.0, most_m_s / max(math.hypot(east, north), 1e-12))
+            return east * share, north * share, _climb(_PULL_S * (goal[2] - float(position[2])))
+        ahead, aside = self.velocity_m_s or (0.0, 0.0)
+        climb = self.climb_m_s or 0.0
+        if self.height_m is not None:
+            climb = _PULL_S * (self.height_m - float(position[2]))
+        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        return ahead * cos - aside * sin, ahead * sin + aside * cos, _climb(climb)
+
+    def turn(self, heading_rad: float) -> float:
+        """The turn rate [rad/s] that brings a vehicle of this heading to what is asked for."""
+        rate = self.turn_rad_s
+        if rate is None:
+            rate = _TURN_S * math.remainder((self.heading_rad or 0.0) - heading_rad, math.tau)
+        return min(max(rate, -_TURN_RAD_S), _TURN_RAD_S)
+
+    def goal(self, position: Sequence[float] | Floats) -> tuple[float, float, float]:
+        """Where to fly to now: the position asked for, or a point ahead on the straight path to it."""
+        end = self.position_m or (float(position[0]), float(position[1]), float(position[2]))
+        if self.from_m is None:
+            return end
+        start, along = np.array(self.from_m), np.array(end) - np.array(self.from_m)
+        length_m = float(np.linalg.norm(along))
+        if length_m < 1e-9:
+            return end
+        ahead_m = _AHEAD * (self.speed_m_s or _GOAL_M_S) / _PULL_S
+        at_m = float((np.asarray(position, float) - start) @ along) / length_m + ahead_m
+        east, north, up = start + along * min(max(at_m, 0.0), length_m) / length_m
+        return float(east), float(north), float(up)
 
 
 class Steered:
@@ -165,36 +205,20 @@ class Steered:
     def _steer(self, dt: float) -> None:
         """Move the reference on by one control step."""
         row, wish, data = self._track[0], self.wish, self._around.data
-        rate = wish.turn_rad_s
-        if rate is None:
-            rate = _TURN_S * math.remainder((wish.heading_rad or 0.0) - row[12], math.tau)
-        row[13] = min(max(rate, -_TURN_RAD_S), _TURN_RAD_S)
+        row[13] = wish.turn(row[12])
         row[12] += row[13] * dt
-        cos, sin = math.cos(row[12]), math.sin(row[12])
         if wish.force_n is not None:
+            cos, sin = math.cos(row[12]), math.sin(row[12])
             forward, left, up = (f / self._mass_kg for f in wish.force_n)
             row[0:3], row[3:6] = data.qpos[:3], data.qvel[:3]  # nothing to track: the force alone decides
             row[6:9] = forward * cos - left * sin, forward * sin + left * cos, up
             return
-        wanted = self._wanted_velocity(cos, sin)
+        wanted = wish.velocity(row[:3], row[12])
         for k in range(3):
             push = min(max((wanted[k] - row[3 + k]) / _SPEED_S, -_ACCELERATION_M_S2), _ACCELERATION_M_S2)
             row[6 + k] += (push - row[6 + k]) * dt / _SMOOTH_S
             row[k] += row[3 + k] * dt + 0.5 * row[6 + k] * dt * dt
             row[3 + k] += row[6 + k] * dt
-
-    def _wanted_velocity(self, cos: float, sin: float) -> tuple[float, float, float]:
-        """Velocity of the reference in the world [m/s] for a heading of this cosine and sine."""
-        row, wish = self._track[0], self.wish
-        if wish.position_m is not None:
-            east, north = (_PULL_S * (wish.position_m[k] - row[k]) for k in range(2))
-            share = min(1.0, _GOAL_M_S / max(math.hypot(east, north), 1e-12))
-            return east * share, north * share, _climb(_PULL_S * (wish.position_m[2] - row[2]))
-        ahead, aside = wish.velocity_m_s or (0.0, 0.0)
-        climb = wish.climb_m_s or 0.0
-        if wish.height_m is not None:
-            climb = _PULL_S * (wish.height_m - row[2])
-        return ahead * cos - aside * sin, ahead * sin + aside * cos, _climb(climb)
 
 
 def _climb(wanted_m_s: float) -> float:

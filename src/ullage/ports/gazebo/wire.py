@@ -25,6 +25,8 @@ TABLE = {
     "Vector3d": "header:Header=1 x:double=2 y:double=3 z:double=4",
     "Quaternion": "header:Header=1 x:double=2 y:double=3 z:double=4 w:double=5",
     "Pose": "header:Header=1 name:string=2 id:uint32=3 position:Vector3d=4 orientation:Quaternion=5",
+    "Twist": "header:Header=1 linear:Vector3d=2 angular:Vector3d=3",
+    "Odometry": "header:Header=1 pose:Pose=2 twist:Twist=3",
     "Pose_V": "header:Header=1 pose:Pose*=2",
     "Clock": "header:Header=1 system:Time=2 real:Time=3 sim:Time=4",
     "WorldStatistics": "header:Header=1 sim_time:Time=2 pause_time:Time=3 real_time:Time=4 paused:bool=5 "

@@ -1,113 +1,76 @@
-"""A DUNE controller at the helm of ullage's multirotor: EstimatedState goes out, what it desires comes in."""
+"""A DUNE controller at the helm of a multirotor, ours or another's: EstimatedState goes out, its commands come in."""
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
+from ullage.data import Floats
 from ullage.flight.live import Steered, Wish
-from ullage.ports.imc.codec import Packet, make
+from ullage.ports.drone import Guided
+from ullage.ports.imc.codec import NOBODY, Packet, make
+from ullage.ports.imc.commands import Commands
 from ullage.ports.imc.link import Link
 from ullage.ports.imc.places import Geodetic, Pose, state_of
 
-DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
-METRES_A_SECOND = 0
-FORCE_X, FORCE_Y, FORCE_Z = 1, 2, 4
-SURGE, SWAY = 1, 2
 
+class Vehicle(Protocol):
+    """What a controller can stand at the helm of."""
 
-class Helm:
-    """Flies the vehicle in the wall's time and takes what a controller asks of it.
+    @property
+    def wish(self) -> Wish:
+        """What it was asked for."""
 
-    The multirotor is the vehicle: it takes the address of the first peer that speaks, for DUNE's controllers listen to
-    the EstimatedState of their own system alone.
+    @property
+    def position(self) -> Floats | None:
+        """Where it is (3) [m]; None: not known yet."""
 
-    Args:
-        vehicle: the multirotor.
-        link: to the controller.
-        origin: where the world lies.
-        rate_hz: EstimatedStates a second [Hz].
-        pace: times real time.
-        say: told of what cannot be done.
-    """
-
-    def __init__(
-        self, vehicle: Steered, link: Link, *, origin: Geodetic, rate_hz: float, pace: float,
-        say: Callable[[str], None],
-    ) -> None:  # fmt: skip
-        self._vehicle, self._link, self._origin, self._say = vehicle, link, origin, say
-        self._period_ns, self._pace = round(1e9 / rate_hz), pace
-        self._told: set[str] = set()
-        self._begun: float | None = None
-        self._count = 0  # of states told
-        self._epoch_ns = time.time_ns()
-        self._adopted = False
-
-    def take(self, packet: Packet) -> None:
-        """Do what this message asks for."""
-        if not self._adopted and packet.name in ("Heartbeat", "Announce"):
-            self._adopted, self._link.me.system_id, self._link.me.shared = True, packet.src, True
-        wish = self._wish(packet)
-        if wish is not None:
-            self._vehicle.ask(wish)
-
-    def _wish(self, packet: Packet) -> Wish | None:
-        """What a message of a controller asks for; None where it is another, or makes no sense."""
-        known: dict[str, Callable[[Packet], Wish | None]] = {
-            "DesiredZ": self._height, "DesiredSpeed": self._speed, "DesiredHeading": self._heading,
-            "DesiredVelocity": self._velocity, "DesiredControl": self._force, "Abort": self._abort,
-        }  # fmt: skip
-        if packet.name not in known or not all(math.isfinite(value) for value in packet.message.values.values()):
-            return None
-        return known[packet.name](packet)
-
-    def _speed(self, packet: Packet) -> Wish | None:
-        if packet["speed_units"] != METRES_A_SECOND:
-            self._once("speed", "DesiredSpeed is taken in m/s only")
-            return None
-        return Wish(velocity_m_s=(packet["value"], 0.0))
-
-    def _heading(self, packet: Packet) -> Wish:
-        return Wish(heading_rad=math.pi / 2 - packet["value"])
-
-    def _velocity(self, packet: Packet) -> Wish:
-        flags = packet["flags"]
-        return Wish(velocity_m_s=(packet["u"] if flags & SURGE else 0.0, -packet["v"] if flags & SWAY else 0.0))
-
-    def _force(self, packet: Packet) -> Wish | None:
-        flags = packet["flags"]
-        if not flags & (FORCE_X | FORCE_Y | FORCE_Z):
-            return None
-        signs = ((FORCE_X, "x", 1), (FORCE_Y, "y", -1), (FORCE_Z, "z", -1))
-        forward, left, up = (sign * packet[key] if flags & flag else 0.0 for flag, key, sign in signs)
-        return Wish(force_n=(forward, left, up))
-
-    def _abort(self, packet: Packet) -> Wish:
-        self._say(f"system {packet.src:#06x} says abort: hovering")
-        return Wish(height_m=float(self._vehicle.position[2]), velocity_m_s=(0.0, 0.0))
-
-    def _height(self, packet: Packet) -> Wish | None:
-        units, value = packet["z_units"], packet["value"]
-        if units == HEIGHT:
-            return Wish(height_m=value - self._origin.height_m)
-        if units == ALTITUDE:
-            return Wish(height_m=value)
-        if units == DEPTH:
-            return Wish(height_m=-value)
-        return None
-
-    def _once(self, key: str, text: str) -> None:
-        if key not in self._told:
-            self._told.add(key)
-            self._say(text)
+    def ask(self, wish: Wish) -> None:
+        """Change what is asked for."""
 
     def fly(self) -> list[Pose]:
-        """The poses until now, each told to the controller as well."""
-        if not self._link.connected:
-            return []
+        """Fly until now; the poses since the last call."""
+
+    def close(self) -> None:
+        """Hover, and let go of it."""
+
+
+class Simulated:
+    """Our own multirotor, flown in the wall's time from the first call on.
+
+    Args:
+        vehicle: in the air.
+        rate_hz: poses a second of flight.
+        pace: times real time.
+        say: told when it hits something.
+    """
+
+    def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, say: Callable[[str], None]) -> None:
+        self._vehicle, self._say, self._pace = vehicle, say, pace
+        self._period_ns = round(1e9 / rate_hz)
+        self._begun: float | None = None
+        self._count = 0
+        self._epoch_ns = time.time_ns()
+        self._touched = False
+
+    @property
+    def wish(self) -> Wish:
+        """What it was asked for."""
+        return self._vehicle.wish
+
+    @property
+    def position(self) -> Floats | None:
+        """Where it is (3) [m]."""
+        return self._vehicle.position
+
+    def ask(self, wish: Wish) -> None:
+        """Change what is asked for."""
+        self._vehicle.ask(wish)
+
+    def fly(self) -> list[Pose]:
+        """Fly until now; the poses since the last call."""
         now = time.monotonic()
         if self._begun is None:
             self._begun = now
@@ -117,15 +80,114 @@ class Helm:
         while (self._count + 1) * self._period_ns <= due_ns:
             self._count += 1
             v.advance(self._count * self._period_ns)
-            pose = Pose(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin)
-            fields: dict[str, Any] = state_of(pose, self._origin)
-            self._link.send(make("EstimatedState", **fields), entity=1, t_s=pose.t_ns * 1e-9)
-            out.append(pose)
-            if len(out) >= 50:  # what was asked meanwhile is heard before the flight goes on
+            out.append(Pose(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin))
+            if len(out) >= 50:  # commands that came meanwhile are taken before the flight goes on
                 break
-        if v.touched:
-            self._once("touched", "the vehicle hit something")
+        if v.touched and not self._touched:
+            self._touched = True
+            self._say("the vehicle hit something")
         return out
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+
+class Foreign:
+    """A drone of others.
+
+    Args:
+        drone: that is commanded.
+        rate_hz: most poses a second.
+    """
+
+    def __init__(self, drone: Guided, *, rate_hz: float) -> None:
+        self._drone, self._period_ns, self._last_ns = drone, round(1e9 / rate_hz), 0
+
+    @property
+    def wish(self) -> Wish:
+        """What it was asked for."""
+        return self._drone.wish
+
+    @property
+    def position(self) -> Floats | None:
+        """Where it was last (3) [m]; None before it was heard."""
+        return self._drone.position
+
+    def ask(self, wish: Wish) -> None:
+        """Change what is asked for."""
+        self._drone.ask(wish)
+
+    def fly(self) -> list[Pose]:
+        """The poses since the last call, no more than asked for."""
+        out = []
+        for state in self._drone.fly():
+            if state.t_ns - self._last_ns >= 0.9 * self._period_ns:
+                self._last_ns = state.t_ns
+                out.append(Pose(state.t_ns, state.position, state.quat_xyzw, state.velocity, state.spin))
+        return out
+
+    def close(self) -> None:
+        """Hover, and let go of it."""
+        self._drone.close()
+
+
+class Helm:
+    """Flies a vehicle as a controller on the bus asks.
+
+    The multirotor is the vehicle: it takes the address of the first peer that speaks, for DUNE's controllers listen to
+    the EstimatedState of their own system alone. When the controller falls silent, the vehicle hovers.
+
+    Args:
+        vehicle: the multirotor.
+        link: to the controller.
+        origin: where the world lies.
+        timeout_s: silence after which the vehicle hovers [s].
+        say: told of what cannot be done.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, link: Link, *, origin: Geodetic, timeout_s: float, say: Callable[[str], None]
+    ) -> None:
+        self._vehicle, self._link, self._origin, self._say = vehicle, link, origin, say
+        self._commands = Commands(vehicle, origin, say)
+        self._timeout_s, self._heard_s = timeout_s, 0.0
+        self._commanded = self._adopted = False
+
+    def take(self, packet: Packet) -> None:
+        """Do what this message asks for."""
+        if not self._adopted and packet.name in ("Heartbeat", "Announce"):
+            self._adopted, self._link.me.system_id, self._link.me.shared = True, packet.src, True
+        self._heard_s = time.monotonic()
+        if packet.dst not in (NOBODY, self._link.me.system_id):
+            return
+        answered = self._commands.answer(packet)
+        if answered is not None:
+            wish, reply = answered
+            self._link.send(reply, entity=1, dst=packet.src, dst_ent=packet.src_ent)
+        else:
+            wish = self._commands.wish(packet)
+        if wish is not None:
+            self._commanded = True
+            self._vehicle.ask(wish)
+
+    def fly(self) -> list[Pose]:
+        """The poses until now, each told to the controller as well; none before there is a controller."""
+        if not self._heard_s and not self._link.connected:
+            return []
+        if self._commanded and time.monotonic() - self._heard_s > self._timeout_s:
+            self._commanded = False
+            self._say(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
+            self._vehicle.ask(self._commands.hover())
+        poses = self._vehicle.fly()
+        if self._link.connected:
+            for pose in poses:
+                fields: dict[str, Any] = state_of(pose, self._origin)
+                self._link.send(make("EstimatedState", **fields), entity=1, t_s=pose.t_ns * 1e-9)
+        return poses
+
+    def close(self) -> None:
+        """Hover, and let go of the vehicle."""
+        self._vehicle.close()
 
 
 class Flight:
@@ -169,6 +231,7 @@ class Flight:
             self._error = error
 
     def close(self) -> None:
-        """Land: end the thread."""
+        """End the thread, and let go of the vehicle."""
         self._ending = True
         self._thread.join(3.0)
+        self._helm.close()

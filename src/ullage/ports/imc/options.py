@@ -95,7 +95,15 @@ class SourceOptions(PlaceOptions):
     speed_m_s: float = Field(0.5, gt=0, le=50)
     near_m: float = Field(1.0, gt=0, le=1000, description="a waypoint this near is reached")
     z: Literal["height", "altitude", "depth"] = Field("height", description="how heights are told to the vehicle")
-    fly: str = Field("", description="be the vehicle: hector flies as DUNE's controllers desire")
+    fly: str = Field(
+        "", description="be the vehicle that DUNE's controllers fly: hector, or a drone of others, as ros2:NAMESPACE"
+    )
+    takes: Literal["velocity", "pose"] = Field("velocity", description="what a drone of others is commanded by")
+    odom: str = Field("", description="topic of that drone's odometry; none: odom, or /model/NAME/odometry in Gazebo")
+    cmd_vel: str = Field("", description="topic of its velocities; none: cmd_vel, or /model/NAME/cmd_vel in Gazebo")
+    setpoint: str = Field("", description="topic of its set-points; none: command/pose")
+    limit_m_s: float = Field(1.0, gt=0, le=20, description="greatest speed that it is commanded")
+    timeout_s: float = Field(2.5, gt=0, le=60, description="hover when the controller says nothing for so long")
     start: str = Field("0,0,1", description="where it hovers at first: x,y,z [m], and yaw [deg] or not")
     state_hz: float = Field(20.0, gt=0, le=250, description="EstimatedStates a second, when flying")
     pace: float = Field(1.0, gt=0, le=100, description="times real time, when flying")

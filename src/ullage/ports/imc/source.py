@@ -21,13 +21,14 @@ from ullage.ports.imc.places import TRONDHEIM, Pose
 from ullage.ports.imc.reach import Role, leave, open_link
 from ullage.ports.imc.relay import passed
 from ullage.ports.intake import Covered
+from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
-    from ullage.flight.live import Steered
+    from ullage.ports.drone import Guided
     from ullage.ports.imc.backseat import Backseat
-    from ullage.ports.imc.helm import Flight
+    from ullage.ports.imc.helm import Flight, Vehicle
 
 
 def warn(text: str) -> None:
@@ -114,17 +115,35 @@ class ImcSource:
         limit = self._options.duration_s
         return limit is not None and self._vehicle_s.total_s > limit
 
-    def _vehicle(self, start: tuple[float, ...]) -> Steered:
+    def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
+        """Our own multirotor, or a drone of others."""
         from ullage.flight.live import Steered
+        from ullage.ports.imc.helm import Foreign, Simulated
 
-        return Steered(self._options.fly, scene=self.scene, start=start)
+        o = self._options
+        address = Address.of(o.fly)
+        if address is None:
+            vehicle = Steered(o.fly, scene=self.scene, start=start)
+            return Simulated(vehicle, rate_hz=o.state_hz, pace=o.pace, say=self._say)
+        return Foreign(self._guided(address), rate_hz=o.state_hz)
 
-    def _take_off(self, vehicle: Steered) -> Flight:
+    def _guided(self, address: Address) -> Guided:
+        from ullage.ports.drone import DroneOptions, Guided, Limits
+
+        o = self._options
+        door = getattr(address.port(), "open_drone", None) if address.known else None
+        if door is None:
+            raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
+        topics = DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint)
+        drone = door(address.place, topics, o.takes)
+        return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), say=self._say)
+
+    def _take_off(self, vehicle: Vehicle) -> Flight:
         from ullage.ports.imc.helm import Flight, Helm
 
         o = self._options
         home = self._track.origin = o.place() or TRONDHEIM
-        helm = Helm(vehicle, self._link, origin=home, rate_hz=o.state_hz, pace=o.pace, say=self._say)
+        helm = Helm(vehicle, self._link, origin=home, timeout_s=o.timeout_s, say=self._say)
         return Flight(helm, self._link)
 
     def _take_wheel(self, points: list[tuple[float, ...]]) -> Backseat:
@@ -146,7 +165,8 @@ class ImcSource:
                 if not self._track.poses and now - told > 5.0:
                     told = now
                     what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
-                    self._say(f"waiting for {what}" if self._flight is None else "waiting for a controller")
+                    flown = "the drone's odometry" if self._link.connected else "a controller"
+                    self._say(f"waiting for {what if self._flight is None else flown}")
                 wheel = self._backseat
                 left = wheel is not None and wheel.finished
                 if left or self._over() or (self._link.finished and not heard):

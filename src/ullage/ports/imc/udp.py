@@ -133,8 +133,9 @@ class UdpWire:
 
     def _known(self, packet: Packet, host: str, port: int) -> bool:
         """Remember the peer; false for one that uses another's number."""
-        if packet.src == self._me.system_id:  # our own echo, or a twin, of whom the link complains
-            return packet.name == "Announce" and self._me.uid not in packet["services"]
+        ours = packet.name == "Announce" and self._me.uid in packet["services"]
+        if ours or (packet.src == self._me.system_id and not self._me.shared):
+            return packet.name == "Announce" and not ours  # a twin, of whom the link complains; not our own echo
         peer = self._peers.get(packet.src)
         if packet.name == "Announce":
             return self._announced(packet, host, peer)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
+    from ullage.ports.drone import Drone, DroneOptions, Takes
     from ullage.ports.protocol import Sink, Source
 
-__all__ = ["open_controls", "open_sink", "open_source"]
+__all__ = ["open_controls", "open_drone", "open_sink", "open_source"]
 
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
@@ -65,3 +66,15 @@ def open_sink(address: str, options: dict[str, Any]) -> Sink:
     from ullage.ports.ros2.sink import Ros2Sink
 
     return Ros2Sink(address, options_of(SinkOptions, options, f"ros2:{address}"))
+
+
+def open_drone(address: str, options: DroneOptions, takes: Takes) -> Drone:
+    """A drone of others, to be commanded: `ros2:NAMESPACE`.
+
+    Raises:
+        InputError: the namespace is none.
+        MissingExtra: there is no rclpy.
+    """
+    from ullage.ports.ros2.drone import RosDrone
+
+    return RosDrone(address, options)

@@ -1,0 +1,216 @@
+"""A drone of others that a port can command: its state comes in, and velocities or set-points go out.
+
+`Guided` closes the loop between what is asked for (`flight.live.Wish`) and what the drone takes. It needs no
+middleware; the ports `ros2` and `gazebo` give a `Drone` each.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from ullage.data import Floats
+from ullage.flight.live import Wish
+from ullage.flight.pilot import HOVER, Velocity
+from ullage.geometry import quat_matrix, quat_rpy
+from ullage.ports.intake import Counters, checked_pose
+from ullage.specs import Spec
+
+Takes = Literal["velocity", "pose"]
+COMMAND_S = 0.1
+"""Time between two commands [s]."""
+STALE_S = 1.0
+"""A state older than this [s] is no ground for a command but to hover."""
+REFERENCE_M = 1.0
+"""How far a moving set-point may run ahead of the drone [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DroneState:
+    """Where a drone is and how it moves: world ENU, body FLU."""
+
+    t_ns: int  # Unix time
+    position: Floats  # (3) [m]
+    quat_xyzw: Floats  # (4) world_from_body
+    velocity: Floats  # (3) world [m/s]
+    spin: Floats  # (3) body [rad/s]
+
+
+class DroneOptions(Spec):
+    """Topics of a drone; empty: what is usual for its kind."""
+
+    odom: str = ""
+    cmd_vel: str = ""
+    setpoint: str = ""
+
+
+class Drone(Protocol):
+    """A drone on somebody's network."""
+
+    counters: Counters  # of messages that could not be used
+
+    def states(self) -> list[DroneState]:
+        """The states since the last call, in order of time."""
+
+    def steer(self, velocity: Velocity) -> None:
+        """Command a velocity in the level frame of the heading."""
+
+    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
+        """Command a set-point in the world of the drone's odometry."""
+
+    def close(self) -> None:
+        """Leave the network."""
+
+
+class Limits(NamedTuple):
+    """Greatest rates of a command."""
+
+    level_m_s: float = 1.0
+    climb_m_s: float = 1.0
+    turn_rad_s: float = math.radians(60)
+
+
+def state_of(
+    t_ns: int, position: tuple[float, ...], quat_xyzw: tuple[float, ...], linear: tuple[float, ...],
+    angular: tuple[float, ...],
+) -> DroneState | str:  # fmt: skip
+    """The state that an odometry message gives, with its twist in the body; or what is wrong with it.
+
+    Args:
+        t_ns: Unix time.
+        position: x, y, z [m].
+        quat_xyzw: world_from_body.
+        linear: velocity in the body [m/s].
+        angular: turn rate in the body [rad/s].
+    """
+    pose = checked_pose(position, quat_xyzw)
+    if isinstance(pose, str):
+        return pose
+    if not np.isfinite([*linear, *angular]).all():
+        return "twist is not finite"
+    return DroneState(t_ns, pose[0], pose[1], quat_matrix(pose[1]) @ np.array(linear), np.array(angular))
+
+
+class Guided:
+    """Flies a drone of others as it is asked to. Nothing is commanded before the first request.
+
+    Without a fresh state of the drone it is commanded to hover (by velocity) or left at its last set-point (by pose).
+
+    Args:
+        drone: to command.
+        takes: velocities or poses.
+        limits: of the velocities.
+        say: takes what a person should know.
+        now: gives the time [s].
+    """
+
+    def __init__(
+        self, drone: Drone, takes: Takes, limits: Limits, *, say: Callable[[str], None],
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self._drone, self._takes, self._limits, self._say, self._now = drone, takes, limits, say, now
+        self.wish = Wish()
+        self._asked = self._stale = False
+        self._state: DroneState | None = None
+        self._fresh_s = self._due_s = self._last_s = -math.inf
+        self._step_s = COMMAND_S  # since the command before [s]
+        self._reference: Floats | None = None  # the set-point that a velocity moves
+        self._force_said = False
+
+    @property
+    def position(self) -> Floats | None:
+        """Where the drone was last (3) [m]; None before it was heard."""
+        return None if self._state is None else self._state.position
+
+    def ask(self, wish: Wish) -> None:
+        """Change what is asked for; forces cannot be commanded and are left out."""
+        if wish.force_n is not None:
+            if not self._force_said:
+                self._force_said = True
+                self._say("the drone takes no forces: DesiredControl is left out")
+            return
+        if not self._asked and self._state is not None:
+            here, yaw = self._state.position, float(quat_rpy(self._state.quat_xyzw)[2])
+            self.wish = Wish(height_m=float(here[2]), velocity_m_s=(0.0, 0.0), heading_rad=yaw)
+        self._asked = True
+        self.wish = self.wish.then(wish)
+
+    def fly(self) -> list[DroneState]:
+        """The drone's states since the last call; a command is sent when one is due."""
+        states, now = self._drone.states(), self._now()
+        if states:
+            self._state, self._fresh_s = states[-1], now
+        if self._asked and now >= self._due_s:
+            self._step_s = min(now - self._last_s, 2 * COMMAND_S)
+            self._last_s, self._due_s = now, now + COMMAND_S
+            self._command(now)
+        return states
+
+    def _command(self, now: float) -> None:
+        state = self._state
+        stale = state is None or now - self._fresh_s > STALE_S
+        if stale and not self._stale:
+            self._say(f"no state of the drone for {STALE_S:g} s: hovering")
+        self._stale = stale
+        if state is None or stale:
+            self._reference = None
+            if self._takes == "velocity":
+                self._drone.steer(HOVER)
+        elif self._takes == "velocity":
+            self._drone.steer(self.velocity(state))
+        else:
+            self._drone.go_to(*self._set_point(state))
+
+    def velocity(self, state: DroneState) -> Velocity:
+        """The velocity to command at this state, in the level frame of the heading, within the limits."""
+        yaw = float(quat_rpy(state.quat_xyzw)[2])
+        east, north, up = self.wish.velocity(state.position, yaw)
+        cos, sin, most = math.cos(yaw), math.sin(yaw), self._limits
+        share = min(1.0, most.level_m_s / max(math.hypot(east, north), 1e-12))
+        forward, left = (east * cos + north * sin) * share, (north * cos - east * sin) * share
+        turn = self.wish.turn(yaw) if self._turns else 0.0
+        return Velocity(forward, left, _within(up, most.climb_m_s), _within(turn, most.turn_rad_s))
+
+    @property
+    def _turns(self) -> bool:
+        return self.wish.turn_rad_s is not None or self.wish.heading_rad is not None
+
+    def _set_point(self, state: DroneState) -> tuple[tuple[float, float, float], float]:
+        yaw = float(quat_rpy(state.quat_xyzw)[2])
+        wish = self.wish
+        if wish.turn_rad_s is not None:
+            heading = yaw + wish.turn_rad_s * COMMAND_S * 5
+        else:
+            heading = yaw if wish.heading_rad is None else wish.heading_rad
+        if wish.position_m is not None:
+            self._reference = np.array(wish.goal(state.position))
+        else:
+            if self._reference is None:
+                self._reference = state.position.copy()
+            v = self.velocity(state)
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            step = np.array([v.forward_m_s * cos - v.left_m_s * sin, v.forward_m_s * sin + v.left_m_s * cos, v.up_m_s])
+            away = self._reference + step * self._step_s - state.position
+            away *= min(1.0, REFERENCE_M / max(float(np.linalg.norm(away)), 1e-12))
+            self._reference = state.position + away
+            if wish.height_m is not None:
+                self._reference[2] = wish.height_m
+        x, y, z = (float(value) for value in self._reference)
+        return (x, y, z), heading
+
+    def close(self) -> None:
+        """Let the drone hover, and leave the network."""
+        if self._asked and self._takes == "velocity":
+            self._drone.steer(HOVER)
+        self._drone.close()
+        for line in self._drone.counters.lines():
+            self._say(line)
+
+
+def _within(value: float, most: float) -> float:
+    return min(max(value, -most), most)

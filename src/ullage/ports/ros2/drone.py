@@ -1,0 +1,103 @@
+"""A drone on ROS 2 topics that somebody else flies: Odometry in, Twist or PoseStamped out."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from ullage.flight.pilot import Velocity
+from ullage.geometry import rpy_quat
+from ullage.ports import messages as ros
+from ullage.ports.drone import DroneOptions, DroneState, state_of
+from ullage.ports.intake import Counters, Inbox
+from ullage.ports.plain import encoded
+from ullage.ports.publisher import Message, is_present
+from ullage.ports.ros2.middleware import Peer
+from ullage.ports.ros2.options import NodeOptions
+
+TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
+
+
+class RosDrone:
+    """Commands a drone by topics under its namespace.
+
+    Args:
+        namespace: of its topics.
+        options: their names; usual are `odom`, `cmd_vel` and `command/pose`.
+
+    Raises:
+        InputError: the namespace is none.
+        MissingExtra: there is no rclpy.
+    """
+
+    def __init__(self, namespace: str, options: DroneOptions) -> None:
+        self.counters = Counters()
+        self._odom, self._cmd_vel = options.odom or "odom", options.cmd_vel or "cmd_vel"
+        self._setpoint = options.setpoint or "command/pose"
+        self._inbox: Inbox[bytes] = Inbox(self.counters)
+        self._frame, self._last_ns = "odom", 0
+        self._peer = Peer(namespace, NodeOptions(node="ullage_interpreter"))
+        topic = self._peer.resolved(self._odom)
+        self._peer.listen(
+            self._odom,
+            ros.ODOMETRY,
+            "sensor",
+            lambda data: self._inbox.put(data, topic=topic, size=len(data)),
+            depth=50,
+        )
+        self._peer.spin()
+
+    def states(self) -> list[DroneState]:
+        """The states since the last call, in order of time."""
+        out = []
+        while (data := self._inbox.get(0.0)) is not None:
+            self.counters.receive(self._odom)
+            try:
+                found = self._state(ros.from_bytes(ros.ODOMETRY, data))
+            except Exception as error:  # whatever a damaged message makes the decoder raise
+                found = f"cannot be read: {type(error).__name__}"
+            if isinstance(found, str):
+                self.counters.drop(self._odom, "bad", found)
+            elif found.t_ns <= self._last_ns:
+                self.counters.drop(self._odom, "late")
+            else:
+                self._last_ns = found.t_ns
+                out.append(found)
+        return out
+
+    def _state(self, note: Any) -> DroneState | str:
+        self._frame = note.header.frame_id or "odom"
+        stamp = note.header.stamp
+        t_ns = stamp.sec * 10**9 + stamp.nanosec
+        at, turn = note.pose.pose.position, note.pose.pose.orientation
+        linear, angular = note.twist.twist.linear, note.twist.twist.angular
+        return state_of(
+            t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is none of IMC's
+            (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
+            (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z),
+        )  # fmt: skip
+
+    def steer(self, velocity: Velocity) -> None:
+        """Command a velocity in the level frame of the heading."""
+        forward, left, up, turn = velocity
+        fields = {"linear": {"x": forward, "y": left, "z": up}, "angular": {"x": 0.0, "y": 0.0, "z": turn}}
+        self._send(self._cmd_vel, TWIST, encoded(TWIST, fields))
+
+    def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
+        """Command a set-point in the world of the drone's odometry."""
+        quat = np.asarray(rpy_quat(0.0, 0.0, heading_rad), float)
+        pose = {
+            "position": dict(zip("xyz", position, strict=True)),
+            "orientation": dict(zip("xyzw", map(float, quat), strict=True)),
+        }
+        self._send(self._setpoint, POSE, encoded(POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame))
+
+    def _send(self, topic: str, kind: str, data: bytes) -> None:
+        self._peer.send(Message(time.time_ns(), topic, kind, "stream", data))
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._peer.settle(0.5)
+        self._peer.close()
