@@ -76,13 +76,13 @@ def test_hovering_makes_ghosts_along_the_arc_as_the_thesis_reports():
     np.testing.assert_allclose(np.hypot(GRID.x_m[columns], GRID.y_m[rows]), 3.0, atol=0.2)
 
 
-def test_eight_bits_a_value_take_a_quarter_of_the_memory_and_keep_the_wall():
+def test_eight_bits_take_one_byte_a_cell_and_keep_the_wall():
     path = Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=10, yaw_deg=90)
     frames = echoes(path, np.full(len(path), 3.0))
     small, large = (Mapper(GRID, method="elfes", bits=bits) for bits in (8, 32))
     for mapper in (small, large):
         mapper.update(frames)
-    assert (small.nbytes, large.nbytes) == (2 * GRID.size, 8 * GRID.size)
+    assert (small.nbytes, large.nbytes) == (GRID.size, 8 * GRID.size)
     rows, _ = np.nonzero(small.map().occupied)
     assert len(rows) > 20
     assert abs(np.median(GRID.y_m[rows]) - 3.0) < 0.1
@@ -90,6 +90,27 @@ def test_eight_bits_a_value_take_a_quarter_of_the_memory_and_keep_the_wall():
     differ = abs(small.map().percent[known].astype(int) - large.map().percent[known])
     assert np.median(differ) <= 2
     assert small.traversed == large.traversed
+
+
+def test_one_byte_holds_what_the_formulas_give_where_all_readings_agree():
+    still = Trajectory.stationary(yaw_deg=90, n=3)
+    small, large = (ul.map_occupancy(echoes(still, np.full(3, 3.0)), GRID, method="elfes", bits=b) for b in (8, 32))
+    free = abs(np.hypot(GRID.x_m[None, :], GRID.y_m[:, None]) - 1.5) < 1.0  # before the arc: emptiness only
+    seen = free & ~small.unknown & ~large.unknown
+    assert seen.sum() > 100
+    assert np.max(abs(small.percent[seen].astype(int) - large.percent[seen])) <= 1
+
+
+def test_one_byte_adds_up_echoes_against_what_was_seen_empty():
+    still = Trajectory.stationary(yaw_deg=90, n=200)
+    near = abs(np.hypot(GRID.x_m[None, :], GRID.y_m[:, None]) - 3.0) < 0.1
+    narrow = {"method": "elfes", "bits": 8, "lobe_deg": 12.0}  # a short arc: each reading gives a cell percents
+    mapper = Mapper(GRID, **narrow)
+    mapper.update(echoes(still[:1], [6.0]))
+    empty = (mapper.map().percent < 50) & near & ~mapper.map().unknown
+    assert empty.any()
+    mapper.update(echoes(still[1:], np.full(199, 3.0)))  # one reading alone is weaker than the emptiness
+    assert mapper.map().occupied[empty].any()
 
 
 def test_eight_bits_stop_growing_where_each_reading_is_weak():

@@ -32,9 +32,10 @@ class ElfesMapper:
         threshold: amplitude of the first peak; None: 0.038 for frames of the thesis model, else over the noise.
         lobe_deg: full opening of the lobe.
         spread_m: half thickness of the arc; at least one cell.
-        bits: of each of a cell's two values, emptiness and occupancy: 32 (float32), or 8 as thesis 5.3.1 asks. In 8
-            bits a value is a whole number of percent, rounded after every reading. A change of less than half a percent
-            is lost, so a value stops growing while readings are weak.
+        bits: 32 keeps emptiness and occupancy of a cell as float32; 8 keeps one byte a cell, as thesis 5.3.1 asks. The
+            byte is occupancy less emptiness in whole percent, rounded after every reading. A cell that was seen both
+            empty and occupied keeps the difference only. A change of less than half a percent is lost, so a value
+            stops growing while readings are weak.
         certain: the most that emptiness and occupancy may reach. At 1, as in the formulas, a cell that was seen empty
             often enough rounds to 1, and no later reading can make it occupied. At 0.99 some 200 readings can.
 
@@ -64,16 +65,16 @@ class ElfesMapper:
         self._threshold, self._half = threshold, np.radians(lobe_deg) / 2
         self._spread = max(spread_m, grid.step_m)
         self._certain = certain
-        kind = np.int8 if bits == 8 else np.float32
-        self._empty = np.zeros(grid.shape, kind)
-        self._occupied = np.zeros(grid.shape, kind)
+        self._layers = (  # emptiness and occupancy; or one layer of their difference in percent
+            [np.zeros(grid.shape, np.int8)] if bits == 8 else [np.zeros(grid.shape, np.float32) for _ in range(2)]
+        )
         self.traversed: tuple[slice, slice] | None = None  # square of cells that the last reading looked at
         self._published: OccupancyMap | None = None
 
     @property
     def nbytes(self) -> int:
-        """Memory of both layers [byte]."""
-        return self._empty.nbytes + self._occupied.nbytes
+        """Memory of all cells [byte]."""
+        return sum(layer.nbytes for layer in self._layers)
 
     def update(self, frames: Recording) -> None:
         """Add frames of one or several sensors.
@@ -103,20 +104,31 @@ class ElfesMapper:
 
     def _blend(self, at: Floats, yaw: float, near: float, echo: tuple[float, bool], box: NDArray[np.int64]) -> None:
         """Add one reading: `echo` holds its range and whether there was one; `box` takes the cells that it reached."""
-        if self._empty.dtype != np.int8:
-            self._insert_into(self._empty, self._occupied, (0, 0), (at, yaw, near, echo), box)
-            if self._certain < 1:
-                for layer in (self._empty, self._occupied):
-                    part = layer[box[0] : box[1], box[2] : box[3]]
-                    np.minimum(part, self._certain, out=part)
+        if len(self._layers) == 1:
+            self._blend_byte(self._layers[0], (at, yaw, near, echo), box)
             return
-        lobe_box(*self.grid.origin_m[:2], self.grid.step_m, at[0], at[1], yaw, echo[0] + self._spread, self._half,
-                 *self._empty.shape, box)  # fmt: skip
-        square = slice(box[0], box[1]), slice(box[2], box[3])  # only what the lobe can reach is unpacked
-        empty, occupied = (layer[square].astype(np.float32) / 100 for layer in (self._empty, self._occupied))
-        self._insert_into(empty, occupied, (int(box[0]), int(box[2])), (at, yaw, near, echo), np.zeros(4, np.int64))
-        for layer, values in ((self._empty, empty), (self._occupied, occupied)):
-            layer[square] = np.rint(100 * np.minimum(values, self._certain)).astype(np.int8)
+        empty, occupied = self._layers
+        self._insert_into(empty, occupied, (0, 0), (at, yaw, near, echo), box)
+        if self._certain < 1:
+            for layer in self._layers:
+                part = layer[box[0] : box[1], box[2] : box[3]]
+                np.minimum(part, self._certain, out=part)
+
+    def _blend_byte(
+        self,
+        layer: NDArray[Any],
+        reading: tuple[Floats, float, float, tuple[float, bool]],
+        box: NDArray[np.int64],
+    ) -> None:
+        """Add one reading to cells of one byte; only what the lobe can reach is unpacked."""
+        at, yaw, _, (reach, _) = reading
+        lobe_box(*self.grid.origin_m[:2], self.grid.step_m, at[0], at[1], yaw, reach + self._spread, self._half,
+                 *layer.shape, box)  # fmt: skip
+        square = slice(box[0], box[1]), slice(box[2], box[3])
+        signed = layer[square].astype(np.float32) / 100
+        empty, occupied = np.maximum(-signed, 0), np.maximum(signed, 0)
+        self._insert_into(empty, occupied, (int(box[0]), int(box[2])), reading, np.zeros(4, np.int64))
+        layer[square] = np.rint(100 * np.clip(occupied - empty, -self._certain, self._certain)).astype(np.int8)
 
     def _insert_into(
         self,
@@ -134,11 +146,13 @@ class ElfesMapper:
 
     def map(self) -> OccupancyMap:
         """The map so far: 50 + 50 Occ where Occ >= Emp, else 50 - 50 Emp, unknown where neither is known."""
-        unit = 100.0 if self._empty.dtype == np.int8 else 1.0
-        occupied, empty = (layer.astype(np.float32) / unit for layer in (self._occupied, self._empty))
-        signed = np.where(occupied >= empty, occupied, -empty)
+        if len(self._layers) == 1:
+            signed = self._layers[0].astype(np.float32) / 100
+        else:
+            empty, occupied = self._layers
+            signed = np.where(occupied >= empty, occupied, -empty)
         percent = np.rint(50 + 50 * signed).astype(np.int8)
-        percent[(occupied == 0) & (empty == 0)] = UNKNOWN
+        percent[~np.any(self._layers, axis=0)] = UNKNOWN
         return OccupancyMap(self.grid, percent, "elfes")
 
     def changed(self) -> Changes:
