@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -185,3 +186,27 @@ def test_what_is_due_comes_again_after_the_clock_steps_back() -> None:
     assert due.reached(3_000_000_000)
     assert not due.reached(3_500_000_000)
     assert due.reached(4_000_000_000)
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_a_step_of_the_clock_does_not_count_as_duration(step_s: float) -> None:
+    frames = thesis_frames()
+    covered_s = float(frames.t_ns[-1] - frames.t_ns[0]) * 1e-9
+    later = replace(frames, t_ns=frames.t_ns + round(step_s * 1e9) + 4 * 10**12, poses=None, truth=None)
+    first = replace(frames, t_ns=frames.t_ns + 4 * 10**12, poses=None, truth=None)
+    done: list[float] = []
+
+    class Stepped:
+        def stream(self) -> Iterator[dict[str, ul.Frames]]:
+            yield {"front": first}
+            yield {"front": later}
+
+    outcome = ul.run(Stepped(), progress=done.append)
+    assert outcome.duration_s == pytest.approx(covered_s * (2 if step_s > 0 else 1))
+    assert done[-1] == outcome.duration_s
+
+
+def test_the_duration_of_slow_frames_is_that_of_their_stamps() -> None:
+    frames = thesis_frames()[:20]
+    slow = replace(frames, t_ns=np.arange(20) * 5_000_000_000, poses=None, truth=None)
+    assert ul.run(slow).duration_s == pytest.approx(95.0)

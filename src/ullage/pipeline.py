@@ -12,12 +12,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, joined, sensors_of
 from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 
 if TYPE_CHECKING:
+    from ullage.ports.intake import Covered
     from ullage.ports.protocol import Sink as PortSink
     from ullage.processing.image_sum import ImageSum
     from ullage.processing.own_echo import OwnEchoFilter
@@ -31,6 +35,14 @@ def _own_echo_filter() -> OwnEchoFilter:
     from ullage.processing.own_echo import OwnEchoFilter
 
     return OwnEchoFilter()
+
+
+def _covered(times: NDArray[np.int64]) -> Covered:
+    """Counts the time that frames cover; a gap is longer than two seconds and than four frames of a slow radar."""
+    from ullage.ports.intake import GAP_NS, Covered
+
+    period_ns = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return Covered(max(GAP_NS, round(4 * period_ns)))
 
 
 class Source(Protocol):
@@ -65,7 +77,7 @@ class Outcome:
     """What a run gave."""
 
     frames: int  # of all sensors
-    duration_s: float  # of the frames, by their own clock
+    duration_s: float  # covered by the frames, by their own clock, without gaps as where a clock stepped
     interrupted: bool  # by Ctrl-C; everything up to then is written
     results: tuple[Any, ...]  # what the stages gave at the end
 
@@ -73,18 +85,18 @@ class Outcome:
 @dataclass(slots=True)
 class _Count:
     frames: int = 0
-    first_ns: int | None = None
-    last_ns: int = 0
+    covered: Covered | None = None
 
     def add(self, chunk: Chunk) -> None:
-        for part in chunk.values():
-            self.frames += len(part)
-            self.first_ns = int(part.t_ns[0]) if self.first_ns is None else min(self.first_ns, int(part.t_ns[0]))
-            self.last_ns = max(self.last_ns, int(part.t_ns[-1]))
+        self.frames += sum(map(len, chunk.values()))
+        if chunk:
+            times = np.unique(np.concatenate([part.t_ns for part in chunk.values()]))
+            self.covered = self.covered or _covered(times)
+            self.covered.take(times)
 
     @property
     def duration_s(self) -> float:
-        return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
+        return 0.0 if self.covered is None else self.covered.total_s
 
 
 def sink(target: str | Path, **options: Any) -> PortSink:

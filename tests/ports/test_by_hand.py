@@ -101,6 +101,8 @@ def test_frames_imu_and_sonar_come_out_and_the_controls_are_let_go() -> None:
     assert (np.diff(t_ns) > 0).all()
     assert front[-1].believed.position[-1, 0] > 0.05
     topics = [note.topic for note in notes]
+    status = next(ros.from_bytes(note.kind, note.data) for note in notes if note.topic == "/diagnostics").status[0]
+    assert {"frames simulated", "late frames", "dropped", "contacts"} <= {pair.key for pair in status.values}
     assert topics.count(IMU_TOPIC) >= 50
     assert topics.count(SONAR_TOPIC) >= 10
     imu = ros.from_bytes(notes[0].kind, next(note.data for note in notes if note.topic == IMU_TOPIC))

@@ -1,12 +1,14 @@
 """Radars on somebody else's model: frames depend on poses and their times alone, whatever happens meanwhile."""
 
 import contextlib
+import math
 
 import numpy as np
 import pytest
 from scripted import Script
 
 import ullage as ul
+from ullage.ports import messages as ros
 from ullage.ports.following import (
     FollowOptions,
     FollowSource,
@@ -17,6 +19,8 @@ from ullage.ports.following import (
     rig_of,
     world_of,
 )
+from ullage.ports.intake import Counters
+from ullage.ports.radar_status import RadarStatus
 from ullage.ports.sightings import Note, Sighting
 
 RIG = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", fps=10), "left": ul.RadarSpec.preset("x4m05", fps=20)})
@@ -243,3 +247,48 @@ def test_a_sink_is_given_frames_in_order_of_time():
         sink.write(WALL)
     assert [t for _, t in sink.kept] == sorted(2 * [0, 100_000_000, 200_000_000])
     assert {name for name, _ in sink.kept} == {"front", "left"}
+
+
+def status_of(message):
+    note = ros.from_bytes(message.kind, message.data).status[0]
+    return note, {pair.key: pair.value for pair in note.values}
+
+
+def test_diagnostics_count_the_frames_that_were_simulated_and_the_poses_that_were_dropped():
+    script = Script([*line(), Sighting(2_100_000_000, (math.nan, 0, 0), (0, 0, 0, 1))], 0)
+    source = FollowSource(lambda: script, WALL, RIG, FollowOptions(fidelity="thesis", model="x"), say=[].append)
+    found = []
+    source.passing.to(found.append)
+    with contextlib.suppress(KeyboardInterrupt):
+        list(source.stream(8))
+    assert {(one.topic, one.kind) for one in found} == {("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")}
+    note, values = status_of(found[0])  # a second later there would be a next one
+    assert note.name == "radars"
+    assert int(values["frames simulated"]) == int(values["front: frames simulated"]) + int(
+        values["left: frames simulated"]
+    )
+    assert values["late frames"] == "0"
+
+
+def test_late_frames_drops_and_contacts_make_the_status_a_warning_once():
+    wall_s = iter(range(100))
+    status, counters = RadarStatus("radars", late_s=1.0, now=lambda: next(wall_s)), Counters()
+    piece = followed(line())[0][0]
+    status.add(piece, 0.1)
+    note, values = status_of(status.message(0, counters))
+    assert (note.level, note.message, values["late frames"]) == (0, "simulating", "0")
+    status.add(piece, 1.5)
+    counters.drop("pose", "bad", "not finite")
+    note, values = status_of(status.message(1, counters, contacts=2))
+    assert (note.level, note.message) == (1, "late frames, dropped messages, contacts")
+    frames = sum(map(len, piece.values()))
+    assert (int(values["frames simulated"]), int(values["late frames"])) == (2 * frames, frames)
+    assert (values["dropped"], values["contacts"], values["pose: bad"]) == ("1", "2", "1")
+    assert values["most behind [s]"] == "1.500"
+    assert status_of(status.message(2, counters, contacts=2))[0].level == 0  # nothing new
+
+
+def test_the_status_comes_once_a_second():
+    wall_s = iter([0.0, 0.0, 0.5, 1.1, 1.1])
+    status = RadarStatus("radars", late_s=1.0, now=lambda: next(wall_s))
+    assert [status.message(k, Counters()) is not None for k in range(3)] == [True, False, True]

@@ -24,6 +24,7 @@ from ullage.ports.conversions import BODY
 from ullage.ports.following import Endless, Say
 from ullage.ports.intake import Counters
 from ullage.ports.protocol import Passed, Passing
+from ullage.ports.radar_status import RadarStatus
 from ullage.specs import Rig
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -175,6 +176,7 @@ class HandFlownSource(Endless):
             scene, rig, fidelity=fidelity, max_bounces=options.max_bounces, seed=options.seed, rate_hz=options.rate_hz
         )
         self._names = tuple(rig.sensors)
+        self._status = RadarStatus("flight", late_s=BEHIND_S)
         self._sonar = Sonar(scene)
         self._epoch_ns = self._done_ns = self._touched = 0
         self._states: list[State] = []
@@ -214,8 +216,17 @@ class HandFlownSource(Endless):
             [state.position for state in states],
             [state.quat_xyzw for state in states],
         )
+        self._status.add(found, self._behind_s())
+        touched = self.flight.vehicle.touched
+        status = self._status.message(self._epoch_ns + self._done_ns, self.counters, contacts=touched)
+        if status is not None:
+            self.passing.give(lambda: [status])
         if found:
             yield found
+
+    def _behind_s(self) -> float:
+        """How much of the flight waits to be simulated [s]."""
+        return len(self._states) / self._options.state_hz
 
     def _readings(self, state: State) -> Iterator[Passed]:
         t_ns = self._epoch_ns + state.t_ns
@@ -267,8 +278,7 @@ class HandFlownSource(Endless):
         if (touched := self.flight.vehicle.touched) > self._touched:
             self._touched = touched
             self._tell("the vehicle touches something")
-        behind_s = len(self._states) / self._options.state_hz
-        if behind_s > BEHIND_S:
+        if (behind_s := self._behind_s()) > BEHIND_S:
             self._tell(
                 f"the radars are {behind_s:.1f} s behind the flight; give fidelity=thesis or rate_hz= to keep up",
                 kind="behind",

@@ -18,7 +18,8 @@ from ullage.data import Floats, Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, checked_pose
 from ullage.ports.pace import Pace
-from ullage.ports.protocol import Item, one_or_all
+from ullage.ports.protocol import Item, Passing, one_or_all
+from ullage.ports.radar_status import RadarStatus
 from ullage.ports.sightings import Feed, Note, Others, Sighting
 from ullage.ports.surroundings import Surroundings
 from ullage.radar.live import LiveRadars
@@ -160,6 +161,8 @@ class FollowSource(Endless):
     ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
+        self.passing = Passing()
+        self._status = RadarStatus("radars", late_s=BEHIND_S)
         super().__init__(options.duration_s, say, topic=options.model or "poses")
         self._options = options
         self._radars = LiveRadars(
@@ -199,6 +202,7 @@ class FollowSource(Endless):
                 self._done_ns = poses[-1].t_ns
                 self._around.forget(self._done_ns)
                 self._complain_if_behind()
+                self._report_status(found)
                 if found:
                     if self._options.publish:
                         self._feed.give(found, self._offset_ns)
@@ -279,10 +283,23 @@ class FollowSource(Endless):
         for told in early:
             self._take_in(told)
 
-    def _complain_if_behind(self) -> None:
+    def _behind_s(self) -> float:
+        """How far the frames lie behind the newest pose, by the simulator's clock [s]."""
         newest = getattr(self._feed, "newest_ns", 0)
-        behind_s = (newest + self._offset_ns - self._done_ns) * 1e-9
-        if newest and behind_s > BEHIND_S:
+        return max((newest + self._offset_ns - self._done_ns) * 1e-9, 0.0) if newest else 0.0
+
+    def _report_status(self, found: dict[str, Frames]) -> None:
+        """Count the frames for `/diagnostics`; the feed publishes them where it can."""
+        self._status.add(found, self._behind_s())
+        if (status := self._status.message(self._done_ns, self.counters)) is not None:
+            publish = getattr(self._feed, "pass_on", None)
+            if publish is None:
+                self.passing.give(lambda: [status])
+            else:
+                publish(status)
+
+    def _complain_if_behind(self) -> None:
+        if (behind_s := self._behind_s()) > BEHIND_S:
             self._tell(
                 f"cannot keep up: {behind_s:.1f} s behind the simulator, which goes on; every frame is still made "
                 "(fidelity=thesis, fewer radars or a lower rate_hz cost less)",

@@ -388,7 +388,7 @@ class Stream(Generic[Held]):
 
 
 class Covered:
-    """The time that rising stamps cover, without the gaps between tracks.
+    """The time that stamps cover, without the gaps between tracks; stamps that lie behind earlier ones add nothing.
 
     Args:
         gap_ns: a longer step between two stamps is a gap [ns].
@@ -404,10 +404,11 @@ class Covered:
         times = np.atleast_1d(np.asarray(t_ns, np.int64))
         if not len(times):
             return np.zeros(0)
-        first = times[0] if self._last_ns < 0 else self._last_ns
-        steps = np.diff(times, prepend=first)
-        sums = self._sum_ns + np.cumsum(np.where((steps > 0) & (steps <= self._gap_ns), steps, 0))
-        self._last_ns, self._sum_ns = max(int(times[-1]), self._last_ns), int(sums[-1])
+        first = int(times[0]) if self._last_ns < 0 else self._last_ns
+        newest = np.maximum(np.maximum.accumulate(times), first)
+        steps = np.diff(newest, prepend=first)
+        sums = self._sum_ns + np.cumsum(np.where(steps <= self._gap_ns, steps, 0))
+        self._last_ns, self._sum_ns = int(newest[-1]), int(sums[-1])
         self.total_s = self._sum_ns * 1e-9
         return np.asarray(sums * 1e-9, np.float64)
 

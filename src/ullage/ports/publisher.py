@@ -179,7 +179,7 @@ class Publisher:
         self._odom, self._body = frame_prefix + ODOM, frame_prefix + BODY
         self._fixed: dict[tuple[str, str], Floats] = {(WORLD, self._odom): np.eye(4)}
         self._settings: dict[str, tuple[object, ...]] = {}
-        self._counts: dict[str, int] = {}
+        self.counts: dict[str, int] = {}  # frames so far by topic of the radar
         self._roles: set[Role] = set()  # of paths of the body that were handed in as such
         self._path = PathFlown()
         self._volume: OccupancyMap | None = None
@@ -264,8 +264,8 @@ class Publisher:
 
         topic, frame_id = f"radar/{topic_name(frames.sensor)}", self._prefix + frames.sensor
         yield from self._settings_messages(frames, topic, frame_id)
-        start = self._counts.get(topic, 0)
-        self._counts[topic] = start + len(frames)
+        start = self.counts.get(topic, 0)
+        self.counts[topic] = start + len(frames)
         found = [
             ("frame", ros.FRAME, conversions.frame_notes(frames, start, frame_id=frame_id)),
             ("range", encode.RANGE, encode.range_notes(frames, detect(frames), frame_id=frame_id)),

@@ -80,6 +80,7 @@ def test_radars_follow_a_robot_and_each_may_die_and_come_back(network: Network) 
         "/tf": "tf2_msgs/msg/TFMessage:stream",
         "/tf_static": "tf2_msgs/msg/TFMessage:latched",
         "/robot/world": "visualization_msgs/msg/MarkerArray:latched",
+        "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray:stream",
     }
     asked = ["--all", *(f"{topic}={how}" for topic, how in topics.items())]
     early = network.ready("hear.py", *asked)
@@ -103,6 +104,8 @@ def test_radars_follow_a_robot_and_each_may_die_and_come_back(network: Network) 
     out, err = again.communicate(timeout=60)
     assert again.returncode == 0, err
     last = json.loads(out.strip().splitlines()[-1])
+    status = got["last"]["/diagnostics"]["status"][0]
+    assert int({pair["key"]: pair["value"] for pair in status["values"]}["front: frames simulated"]) > 0
     nearest = got["last"]["/robot/radar/front/range"]["range"]
     far, near = 4.0 - 2.0 - 0.1, 4.0 - last["at"][0] - 0.1  # from where the robot set out, and from the last frame
     assert near - 0.3 < nearest < far + 0.3  # the last range heard may be of any time between: frames are best effort

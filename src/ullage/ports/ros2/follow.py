@@ -12,6 +12,7 @@ from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
 from ullage.ports.following import PATIENCE_S, FollowSource, rig_of, world_of
 from ullage.ports.intake import Counters, Inbox, checked_pose
+from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
 from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer, Say, tell
@@ -162,6 +163,11 @@ class PoseFeed:
                     self._peer.claim(
                         self._peer.resolved(note.topic)
                     )  # so that `--to ros2:` beside does not say it twice
+
+    def pass_on(self, item: Passed) -> None:
+        """Publish a message as it is."""
+        for note in self._publisher.messages(item):
+            self._peer.send(note)
 
     def _moves(self) -> bool:
         """Whether to tell where the body is."""

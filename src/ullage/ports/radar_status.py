@@ -1,0 +1,75 @@
+"""What radars simulated for a live vehicle did, for `/diagnostics`."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+from ullage.data import Frames
+from ullage.ports import encode
+from ullage.ports.intake import Counters
+from ullage.ports.protocol import Passed
+
+TOPIC = "/diagnostics"
+EVERY_S = 1.0
+"""Least time between two messages [s]."""
+
+
+class RadarStatus:
+    """Counts simulated frames and gives a diagnostic message, at most once a second.
+
+    Args:
+        name: of the status.
+        late_s: frames that are made so long after they were due count as late [s].
+        now: gives the time that limits the rate [s].
+    """
+
+    def __init__(self, name: str, *, late_s: float, now: Callable[[], float] = time.monotonic) -> None:
+        self._name, self._late_s, self._now = name, late_s, now
+        self._frames: Counter[str] = Counter()
+        self._late = 0
+        self._behind_s = self._most_behind_s = 0.0
+        self._reported = (0, 0, 0)  # late frames, dropped messages and contacts, as of the last message
+        self._given_s = -EVERY_S
+
+    def add(self, frames: Mapping[str, Frames], behind_s: float) -> None:
+        """Count the frames of one piece.
+
+        Args:
+            frames: of each radar by name.
+            behind_s: how long after they were due they were made [s].
+        """
+        for name, part in frames.items():
+            self._frames[name] += len(part)
+            self._late += len(part) if behind_s > self._late_s else 0
+        self._behind_s, self._most_behind_s = behind_s, max(self._most_behind_s, behind_s)
+
+    def message(self, t_ns: int, counters: Counters, *, contacts: int = 0) -> Passed | None:
+        """The counts so far as a DiagnosticArray; None where none is due.
+
+        Late frames, dropped messages and contacts since the last message make it a warning.
+
+        Args:
+            t_ns: stamp [ns].
+            counters: of the messages that the vehicle's poses or commands come with.
+            contacts: how often the vehicle has touched something.
+        """
+        if self._now() - self._given_s < EVERY_S:
+            return None
+        self._given_s = self._now()
+        counts = (self._late, counters.dropped(), contacts)
+        fresh = [new - old for new, old in zip(counts, self._reported, strict=True)]
+        self._reported = counts
+        causes = [text for text, count in zip(("late frames", "dropped messages", "contacts"), fresh, strict=True)
+                  if count > 0]  # fmt: skip
+        values = [("frames simulated", str(self._frames.total()))]
+        values += [(f"{name}: frames simulated", str(count)) for name, count in self._frames.items()]
+        values += [("late frames", str(self._late)), ("behind [s]", f"{self._behind_s:.3f}")]
+        values += [("most behind [s]", f"{self._most_behind_s:.3f}"), ("dropped", str(counts[1]))]
+        values += [("contacts", str(contacts)), *counters.values()]
+        self._most_behind_s = 0.0
+        text = ", ".join(causes) or "simulating"
+        return Passed(
+            t_ns, TOPIC, encode.DIAGNOSTICS, encode.diagnostics_note(t_ns, int(bool(causes)), self._name, text, values)
+        )
