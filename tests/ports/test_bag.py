@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import time
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +13,15 @@ import pytest
 from conftest import assert_same, some_frames, tumbling
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 import ullage as ul
 from ullage.data import Calibration, joined
 from ullage.ports import conversions
 from ullage.ports import messages as ros
+from ullage.ports.chunks import chunk_records
 from ullage.ports.messages import topic_name
 
 
@@ -312,3 +317,35 @@ def test_wall_clock_flushes_too(tmp_path: Path, frames: ul.Frames, monkeypatch: 
     sink.write(frames[1:2])
     assert (tmp_path / "a.mcap").stat().st_size > before
     sink.close()
+
+
+def chunk_of(*records: tuple[int, bytes], crc: int | None = None) -> Chunk:
+    data = b"".join(struct.pack("<BQ", opcode, len(body)) + body for opcode, body in records)
+    return Chunk("", data, 0, 0, zlib.crc32(data) if crc is None else crc, len(data))
+
+
+def test_chunks_hold_what_the_mcap_library_finds_in_them(tmp_path: Path, frames: ul.Frames) -> None:
+    with open(record(tmp_path / "a.mcap", frames), "rb") as file:
+        chunks = [found for found in StreamReader(file, emit_chunks=True).records if isinstance(found, Chunk)]
+    records = [found for chunk in chunks for found in chunk_records(chunk)]
+    assert records == [found for chunk in chunks for found in breakup_chunk(chunk, validate_crc=True)]
+    assert {type(found) for found in records} == {Schema, Channel, Message}
+
+
+def test_unknown_records_of_a_chunk_are_passed_over() -> None:
+    message = struct.pack("<HIQQ", 7, 1, 2, 3) + b"data"
+    found = chunk_records(chunk_of((0x7F, b"of a later version"), (5, message)))
+    assert found == [Message(channel_id=7, sequence=1, log_time=2, publish_time=3, data=b"data")]
+
+
+@pytest.mark.parametrize(
+    ("chunk", "words"),
+    [
+        (chunk_of((5, bytes(21))), "a message of 21 bytes"),
+        (chunk_of((5, bytes(30)), crc=1), "checksum"),
+        (Chunk("", struct.pack("<BQ", 5, 60) + bytes(30), 0, 0, 0, 39), "longer than its chunk"),
+    ],
+)
+def test_chunks_that_cannot_be_are_refused(chunk: Chunk, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        chunk_records(chunk)

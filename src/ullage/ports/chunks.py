@@ -2,24 +2,49 @@
 
 from __future__ import annotations
 
-import dataclasses
+import io
+import struct
+import zlib
 from typing import Any
 
 MOST_CHUNK_BYTES = 256 * 2**20
+RECORD = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+FIELDS = struct.Struct("<HIQQ")
+"""Channel, sequence, log time and publish time, before the data of a message."""
 
 
 def chunk_records(chunk: Any) -> list[Any]:
     """The records of a chunk, its checksum compared.
 
-    Raises:
-        ValueError: it is larger than allowed, or not of the size that it promises; and what the libraries raise.
-    """
-    from mcap.stream_reader import breakup_chunk
+    The library takes eight reads for a message; here the fixed fields are unpacked at once.
 
-    plain = dataclasses.replace(
-        chunk, compression="", data=unpacked(chunk.data, chunk.compression, chunk.uncompressed_size)
-    )
-    return list(breakup_chunk(plain, validate_crc=True))
+    Raises:
+        ValueError: it is larger than allowed, not of the size that it promises, or its checksum is wrong; and what the
+            libraries raise.
+    """
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Message, Schema
+
+    data = unpacked(chunk.data, chunk.compression, chunk.uncompressed_size)
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("a wrong checksum")
+    described: dict[int, Any] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel}
+    message, out, at = int(Opcode.MESSAGE), [], 0
+    while at < len(data):
+        opcode, length = RECORD.unpack_from(data, at)
+        start, at = at + RECORD.size, at + RECORD.size + length
+        if at > len(data):
+            raise ValueError("a record longer than its chunk")
+        if opcode == message:
+            if length < FIELDS.size:
+                raise ValueError(f"a message of {length} bytes")
+            channel, sequence, logged, published = FIELDS.unpack_from(data, start)
+            out.append(Message(channel, logged, data[start + FIELDS.size : at], published, sequence))
+        elif opcode in described:
+            out.append(described[opcode].read(ReadDataStream(io.BytesIO(data[start:at]))))
+    return out
 
 
 def unpacked(data: bytes, compression: str, size: int) -> bytes:
