@@ -61,7 +61,8 @@ class SensingSpec(Spec):
 
     rig: str = Field(
         "thesis-4",
-        description="thesis-4, thesis-4-down, single, declared (on a model of the world), or an SDF or URDF file",
+        description="thesis-4, thesis-4-down, thesis-ring, single, declared (on a model of the world), or an SDF or "
+        "URDF file",
     )
     preset: str = Field("x4m05", description="a radar as `ullage list` names them, or a YAML file of one")
     changes: dict[str, Any] = Field({}, description="fields of the radar to change, e.g. {iterations: 32}")

@@ -1,4 +1,4 @@
-"""The square fan of rays of the 2018 model [Billdal2018, ch. 4.3]: directions, spacing, range axis, moving average.
+"""The fan of rays of the 2018 model [Billdal2018, ch. 4.3]: directions, spacing, range axis, moving average.
 
 The simulator casts it, and processing needs the same fan to predict what a known surface returns.
 """
@@ -15,6 +15,7 @@ from ullage.kernels.rays import smooth
 from ullage.specs import RadarSpec, ThesisSpec
 
 Floats = NDArray[np.float64]
+FULL_DEG = 360.0
 
 
 def ray_spacing_m(azimuth_deg: float, n: int, range_m: float) -> float:
@@ -25,7 +26,11 @@ def ray_spacing_m(azimuth_deg: float, n: int, range_m: float) -> float:
     """
     if n < 2:
         raise InputError(f"n is {n}", where="ray_spacing_m", allowed="n >= 2")
-    return 2 * math.tan(math.radians(azimuth_deg / 2) / (n - 1)) * range_m
+    return _apart_m(azimuth_deg / (n - 1), range_m)
+
+
+def _apart_m(step_deg: float, range_m: float) -> float:
+    return 2 * math.tan(math.radians(step_deg / 2)) * range_m
 
 
 def rays_for(azimuth_deg: float, spacing_m: float, range_m: float) -> float:
@@ -43,15 +48,53 @@ def rays_for(azimuth_deg: float, spacing_m: float, range_m: float) -> float:
 
 
 def ray_fan(spec: ThesisSpec) -> Floats:
-    """Unit directions (n * n, 3) in the sensor frame, elevation slowest."""
-    angles = np.radians(np.linspace(-spec.fov_deg / 2, spec.fov_deg / 2, spec.rays_per_side))
-    up, left = (a.ravel() for a in np.meshgrid(angles, angles, indexing="ij"))
+    """Unit directions (up * across, 3) in the sensor frame, elevation slowest."""
+    up, left = (
+        a.ravel() for a in np.meshgrid(*map(np.radians, (elevations_deg(spec), azimuths_deg(spec))), indexing="ij")
+    )
     return np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=1)
+
+
+def fan_shape(spec: ThesisSpec) -> tuple[int, int]:
+    """Rays one above the other, and rays across."""
+    return len(elevations_deg(spec)), len(azimuths_deg(spec))
+
+
+def elevations_deg(spec: ThesisSpec) -> Floats:
+    """Elevation of each row of rays, lowest first [deg]."""
+    half = (spec.elevation_deg or spec.fov_deg) / 2
+    return np.linspace(-half, half, spec.rays_up or spec.rays_per_side)
+
+
+def azimuths_deg(spec: ThesisSpec) -> Floats:
+    """Azimuth of each ray of a row, rightmost first [deg]. A full circle has no ray twice."""
+    if spec.ring_rays is not None:
+        return _ring_deg(spec)[ring_section(spec)]
+    n, half = spec.rays_per_side, spec.fov_deg / 2
+    return np.linspace(-half, half, n, endpoint=spec.fov_deg < FULL_DEG)
+
+
+def ring_section(spec: ThesisSpec) -> NDArray[np.intp]:
+    """Which rays of the ring make the fan, rightmost first."""
+    azimuth = _ring_deg(spec)
+    inside = np.flatnonzero(np.abs(azimuth) <= spec.fov_deg / 2 + 1e-9)
+    return inside[np.argsort(azimuth[inside])]
+
+
+def _ring_deg(spec: ThesisSpec) -> Floats:
+    """Azimuth of each ray of the ring, from -180 to 180, in the order of the ring [deg]."""
+    count = spec.ring_rays or 0
+    return np.asarray((spec.ring_start_deg + FULL_DEG * np.arange(count) / count + 180.0) % FULL_DEG - 180.0)
 
 
 def ray_area(spec: ThesisSpec) -> float:
     """Area that one ray stands for at the maximum range [m2]."""
-    return ray_spacing_m(spec.fov_deg, spec.rays_per_side, spec.max_range_m) ** 2
+    if spec.ring_rays is not None:
+        across = FULL_DEG / spec.ring_rays
+    else:
+        across = spec.fov_deg / (spec.rays_per_side - (spec.fov_deg < FULL_DEG))
+    up = (spec.elevation_deg or spec.fov_deg) / ((spec.rays_up or spec.rays_per_side) - 1)
+    return _apart_m(across, spec.max_range_m) * _apart_m(up, spec.max_range_m)
 
 
 def window(spec: RadarSpec) -> Floats:

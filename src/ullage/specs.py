@@ -165,10 +165,16 @@ class NoiseSpec(Spec):
 
 
 class ThesisSpec(Spec):
-    """The 2018 ray model [Billdal2018, ch. 4]: square fan of rays, cosine law, histogram, noise, moving average."""
+    """The 2018 ray model [Billdal2018, ch. 4]: fan of rays, cosine law, histogram, noise, moving average."""
 
-    rays_per_side: int = Field(30, ge=2, le=1000, description="n of the n x n fan; 58 gives 0.2 m at 10 m (eq. 4.5)")
-    fov_deg: float = Field(65.0, gt=0, lt=180)
+    rays_per_side: int = Field(30, ge=2, le=4096, description="n of the n x n fan; 58 gives 0.2 m at 10 m (eq. 4.5)")
+    fov_deg: float = Field(65.0, gt=0, le=360, description="opening of the fan; at 360 it is a ring")
+    rays_up: int | None = Field(None, ge=2, le=1000, description="rays one above the other; none: rays_per_side")
+    elevation_deg: float | None = Field(None, gt=0, lt=180, description="opening upright; none: fov_deg")
+    ring_rays: int | None = Field(
+        None, ge=4, le=4096, description="rays of a full circle that the fan is cut from (fig. 4.6); none: own fan"
+    )
+    ring_start_deg: float = Field(-180.0, description="azimuth of the circle's first ray in the sensor's frame")
     max_range_m: float = Field(
         10.0, gt=0, le=1000, description="R_max; the ray model's range axis reaches at least this far"
     )
@@ -178,6 +184,14 @@ class ThesisSpec(Spec):
         3, ge=1, description="width of the moving average; 3 bins are the width of the X4's pulse"
     )
     threshold: float = Field(0.038, gt=0, description="first peak above this is an object")
+
+    @model_validator(mode="after")
+    def _fan_can_be(self) -> Self:
+        if self.elevation_deg is None and self.fov_deg >= 180:
+            raise ValueError(f"fov_deg {self.fov_deg:g} needs an elevation_deg below 180")
+        if self.ring_rays is not None and self.ring_rays * self.fov_deg < 2 * 360:
+            raise ValueError(f"ring_rays {self.ring_rays} leaves fewer than two rays in {self.fov_deg:g} deg")
+        return self
 
 
 _X4_NAMES = {
@@ -384,25 +398,45 @@ class Rig(Spec):
 
     sensors: dict[str, RadarSpec] = Field(min_length=1)
 
-    presets: ClassVar[tuple[str, ...]] = ("thesis-4", "thesis-4-down", "single")
+    presets: ClassVar[tuple[str, ...]] = ("thesis-4", "thesis-4-down", "thesis-ring", "single")
 
     @classmethod
     def preset(cls, name: str, *, radar: RadarSpec | None = None, **changes: Any) -> Rig:
         """A known mount: "thesis-4" has four radars looking ahead, left, back and right [Billdal2018, fig. 4.6].
 
         Four 65 deg openings cover 260 deg of the circle between them, not 360. "thesis-4-down" has one more below the
-        body that points down.
+        body that points down. "thesis-ring" has the four radars at one place below the body. The ray model cuts their
+        fans from one ring of rays, 360 by 65 deg and as dense as one radar's own fan, as the thesis did in Gazebo.
 
         Raises:
             InputError: the name is unknown.
         """
         base = (radar or RadarSpec.preset("x4m05")).but(**changes) if changes or radar else RadarSpec.preset("x4m05")
-        around = _ring(4, ("front", "left", "back", "right"), 0.10)
+        around, below = _ring(4, ("front", "left", "back", "right"), 0.10), (0.0, 0.0, -0.06)
         mounts = {
             "thesis-4": around,
-            "thesis-4-down": around | {"down": MountSpec(position_m=(0.0, 0.0, -0.06), pitch_deg=90.0)},
+            "thesis-4-down": around | {"down": MountSpec(position_m=below, pitch_deg=90.0)},
+            "thesis-ring": {name: MountSpec(position_m=below, yaw_deg=mount.yaw_deg) for name, mount in around.items()},
             "single": {"front": MountSpec()},
         }
         if name not in mounts:
             raise InputError(f"no rig preset {name!r}", where="preset", allowed=", ".join(cls.presets))
-        return cls(sensors={key: base.but(mount=mount) for key, mount in mounts[name].items()})
+        rig = cls(sensors={key: base.but(mount=mount) for key, mount in mounts[name].items()})
+        return rig if name != "thesis-ring" else rig.cut_from_ring()
+
+    def cut_from_ring(self, rays: int | None = None) -> Rig:
+        """The rig whose ray models share one ring of rays about the body's upright axis [Billdal2018, fig. 4.6].
+
+        Each radar's fan is the section of the ring about its own heading. The ring's first ray points back.
+
+        Args:
+            rays: of the ring; None: those that each radar's settings name, else as dense as its own fan.
+        """
+        return Rig(sensors={name: _section(spec, rays) for name, spec in self.sensors.items()})
+
+
+def _section(spec: RadarSpec, rays: int | None) -> RadarSpec:
+    fan = spec.thesis
+    dense = math.ceil(360 * (fan.rays_per_side - 1) / fan.fov_deg)
+    ring = fan.but(ring_rays=rays or fan.ring_rays or dense, ring_start_deg=-180.0 - spec.mount.yaw_deg)
+    return spec.but(thesis=ring)

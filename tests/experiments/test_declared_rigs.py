@@ -64,6 +64,13 @@ def test_a_scenario_flies_the_radars_of_a_model_of_its_world_without_the_model(w
     assert flown.scene.has("east")
 
 
+def test_a_scenario_cuts_four_radars_from_one_ring_of_rays(world: str) -> None:
+    flown = prepare(scenario(world, rig="thesis-ring", changes={"thesis": {"ring_rays": 200}}))
+    assert {spec.thesis.ring_rays for spec in flown.rig.sensors.values()} == {200}
+    assert len({spec.mount.position_m for spec in flown.rig.sensors.values()}) == 1
+    assert set(next(flown.stream())) == {"front", "left", "back", "right"}
+
+
 def test_a_rig_that_is_none_is_refused(world: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no rig preset 'best'"):
         scenario(world, rig="best")

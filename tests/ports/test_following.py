@@ -218,7 +218,7 @@ def test_radars_come_from_the_world_a_preset_or_a_file(tmp_path):
         ({"world": "atlantis", "model": "x"}, r"here: no world 'atlantis' \(allowed: a world file, or .*cargo-hold"),
         (
             {"world": "ntnu-room", "model": "x", "rig": "five"},
-            r"here: no rig 'five' \(allowed: thesis-4, thesis-4-down, single, or an SDF",
+            r"here: no rig 'five' \(allowed: thesis-4, thesis-4-down, thesis-ring, single, or an SDF",
         ),
     ],
 )

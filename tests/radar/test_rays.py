@@ -11,7 +11,8 @@ from ullage.errors import InputError
 from ullage.fan import ray_area, ray_fan, ray_spacing_m, rays_for, reaching_max_range, smoothed, window
 from ullage.geometry import quat_matrix, rpy_quat
 from ullage.radar.rays import echoes_thesis
-from ullage.specs import RadarSpec, ThesisSpec
+from ullage.radar.simulate import simulate
+from ullage.specs import RadarSpec, Rig, ThesisSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -198,3 +199,52 @@ def test_ray_counts_that_make_no_sense_are_refused():
         ray_spacing_m(65, 1, 10)
     with pytest.raises(InputError, match="spacing_m 0"):
         rays_for(65, 0, 10)
+
+
+def test_the_sections_of_a_ring_are_rays_of_the_ring():
+    ring = ThesisSpec(fov_deg=360.0, rays_per_side=161, rays_up=30, elevation_deg=65.0)
+    whole = ray_fan(ring).reshape(30, 161, 3)
+    step = np.degrees(np.arccos(np.clip(np.sum(whole[15, 1:] * whole[15, :-1], axis=1), -1, 1)))
+    assert np.ptp(step) < 1e-6, "even"
+    assert np.linalg.norm(whole[15, 0] - whole[15, -1]) > 0.03, "no ray twice"
+    assert ray_area(ring) == pytest.approx(ray_area(ThesisSpec()), rel=0.01)
+    for spec in Rig.preset("thesis-ring").sensors.values():
+        turned = ray_fan(spec.thesis) @ spec.mount.body_from_sensor()[:3, :3].T
+        apart = np.linalg.norm(turned[:, None] - whole.reshape(-1, 3)[None], axis=2).min(axis=1)
+        assert apart.max() < 1e-9
+        across = np.degrees(np.arctan2(*ray_fan(spec.thesis).T[1::-1]))
+        assert 30.2 < across.max() <= 32.5 + 1e-9
+        assert -32.5 - 1e-9 <= across.min() < -30.2
+
+
+def test_a_radar_cut_from_a_ring_receives_what_one_with_its_own_fan_does():
+    room = ul.scenes.room(size_m=(6, 4, 3))
+    own = Rig.preset("thesis-ring", thesis=ThesisSpec(rays_per_side=120, noise_sigma=0.0))
+    alone = Rig(sensors={n: s.but(thesis=s.thesis.but(ring_rays=None)) for n, s in own.sensors.items()})
+    ring, fans = (simulate(room, HERE, rig, fidelity="thesis") for rig in (own, alone))
+    for name, part in ring.items():
+        assert part.samples.sum() == pytest.approx(fans[name].samples.sum(), rel=0.03)
+        sums = [np.cumsum(one.samples[0]) / one.samples.sum() for one in (part, fans[name])]
+        assert np.max(abs(sums[0] - sums[1])) < 0.03
+
+
+def test_one_radar_may_have_the_whole_ring():
+    ring = X4.but(thesis=ThesisSpec(fov_deg=360.0, rays_per_side=160, rays_up=30, elevation_deg=65.0, noise_sigma=0.0))
+    room = ul.scenes.room(size_m=(4, 8, 6))  # walls at 2 m ahead and behind, 4 m aside
+    path = Trajectory.stationary(n=1)
+    whole = echoes_thesis(room, path, ring)[0]
+    ahead = echoes_thesis(room, path, X4.but(thesis=ThesisSpec(noise_sigma=0.0)))[0]
+    near = np.abs(X4.range_m - 2.0) < 0.1
+    assert whole[near].max() == pytest.approx(2 * ahead[near].max(), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fov_deg": 200.0}, "fov_deg 200 needs an elevation_deg below 180"),
+        ({"ring_rays": 4}, "ring_rays 4 leaves fewer than two rays in 65 deg"),
+    ],
+)
+def test_fans_that_cannot_be_are_refused(changes, words):
+    with pytest.raises(ul.InputError, match=words):
+        ThesisSpec(**changes)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.fan import fan_shape, ray_fan
 from ullage.geometry import transform
 from ullage.world.shipped import BUILDERS
 
@@ -170,3 +171,82 @@ def test_the_real_checker_accepts_declared_radars_and_refuses_what_is_wrong(tmp_
     assert "Valid." in ign_sdf(written(tmp_path, "<ullage:radar><bins>96</bins></ullage:radar>")).stdout
     wrong = written(tmp_path, more='<model name="drone"><link name="l"/></model>')
     assert "Valid." not in ign_sdf(wrong).stdout
+
+
+def rays(sensor, across, up, span=("-3.14159265", "3.14159265"), half="0.5672320", kind="gpu_lidar", inside=""):
+    """A ray sensor as SDF and URDF write it."""
+    return f"""<sensor name="{sensor}" type="{kind}"><pose>0 0 -0.06 0 0 0</pose><update_rate>17</update_rate>
+      <lidar><scan><horizontal><samples>{across}</samples><min_angle>{span[0]}</min_angle>
+      <max_angle>{span[1]}</max_angle></horizontal><vertical><samples>{up}</samples><min_angle>-{half}</min_angle>
+      <max_angle>{half}</max_angle></vertical></scan></lidar>{inside}</sensor>"""
+
+
+YAWS = {"front": 0.0, "left": 1.5707963268, "back": 3.1415926536, "right": -1.5707963268}
+SECTIONS = "".join(f'<ullage:radar name="{n}"><pose>0 0 0 0 0 {yaw}</pose></ullage:radar>' for n, yaw in YAWS.items())
+
+
+def robot_with(folder, *sensors, form="sdf"):
+    path = folder / f"robot.{form}"
+    body = '<collision name="c"><geometry><box><size>.2 .2 .1</size></box></geometry></collision>'
+    if form == "urdf":
+        text = f"""<robot name="drone" xmlns:ullage="urn:ullage:sdf"><link name="base"><collision><geometry>
+          <box size=".2 .2 .1"/></geometry></collision></link>
+          <gazebo reference="base">{"".join(sensors)}</gazebo></robot>"""
+    else:
+        text = f"""<sdf version="1.9" xmlns:ullage="urn:ullage:sdf"><model name="drone"><link name="base">{body}
+          {"".join(sensors)}</link></model></sdf>"""
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("form", ["sdf", "urdf"])
+def test_one_ring_of_rays_becomes_four_radars_as_in_the_thesis(tmp_path, form):
+    rig = ul.load_scene(robot_with(tmp_path, rays("ring", 162, 30, inside=SECTIONS), form=form)).rig()
+    preset = ul.Rig.preset("thesis-ring")
+    assert list(rig.sensors) == list(preset.sensors)
+    for name, want in preset.sensors.items():
+        got = rig.sensors[name]
+        np.testing.assert_allclose(got.mount.body_from_sensor(), want.mount.body_from_sensor(), atol=1e-8)
+        np.testing.assert_allclose(ray_fan(got.thesis), ray_fan(want.thesis), atol=1e-6)
+        assert got.fps == 17
+
+
+@pytest.mark.parametrize("form", ["sdf", "urdf"])
+def test_each_ray_sensor_of_a_robot_without_radars_is_one_with_its_own_fan(tmp_path, form):
+    scanners = (
+        rays("round", 91, 16, half="0.26"), rays("ahead", 20, 20, ("-0.3", "0.3"), "0.3", "ray"),
+        rays("aside", 31, 9, ("0.5", "1.5"), "0.2", "gpu_ray"), rays("flat", 640, 1, half="0"),
+    )  # fmt: skip
+    scene = ul.load_scene(robot_with(tmp_path, *scanners, form=form))
+    assert scene.rigs == {}  # they carry no radars unless somebody asks for these
+    sensors = scene.rig().sensors
+    assert list(sensors) == ["round", "ahead", "aside"]  # a single row makes no radar
+    assert {name: fan_shape(spec.thesis) for name, spec in sensors.items()} == {
+        "round": (16, 90), "ahead": (20, 20), "aside": (9, 31)
+    }  # fmt: skip
+    assert sensors["round"].thesis.fov_deg == 360
+    assert sensors["aside"].mount.yaw_deg == pytest.approx(np.degrees(1.0))
+    frames = ul.simulate(
+        ul.scenes.room(size_m=(6, 4, 3)), ul.Trajectory.stationary(n=2), ul.Rig(sensors=sensors), fidelity="thesis"
+    )
+    assert set(frames) == set(sensors)
+
+
+def test_declared_radars_come_before_ray_sensors(tmp_path):
+    scanner, radar = rays("round", 91, 16), '<ullage:radar name="nose"/>'
+    assert list(ul.load_scene(robot_with(tmp_path, scanner, radar)).rig().sensors) == ["nose"]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        (rays("r", 31, 31, ("-1", "1"), inside=SECTIONS), "several radars in sensor 'r'.*rays over 360 deg"),
+        (rays("r", 91, 31, inside='<ullage:radar name="a"/><ullage:radar name="b"><pose>0 0 0 0 1 0</pose>'
+         "</ullage:radar>"), "several radars.*turned by its yaw only"),
+        (rays("r", 91, 31, inside='<ullage:radar name="a"/><ullage:radar name="b"><thesis><fov_deg>3</fov_deg></thesis>'
+         "</ullage:radar>"), "radar 'b'.*fewer than two rays in 3 deg"),
+    ],
+)  # fmt: skip
+def test_a_ring_that_cannot_be_cut_is_refused(tmp_path, sensor, words):
+    with pytest.raises(ul.InputError, match=words):
+        ul.load_scene(robot_with(tmp_path, sensor))

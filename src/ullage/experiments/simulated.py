@@ -77,7 +77,7 @@ def radars_and_world(scenario: Scenario) -> tuple[Rig, Scene]:
     if sensing.rig != "declared":
         return sensing.changed(load_scene(sensing.rig).rig()), scene
     rig = sensing.changed(scene.rig())
-    return rig, scene.without(next(iter(scene.rigs)))
+    return rig, scene.without(next(iter(scene.rigs or scene.ray_rigs)))
 
 
 def load_world(spec: WorldSpec) -> Scene:

@@ -14,6 +14,7 @@ from ullage.errors import InputError
 from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import C0, quat_matrix
 from ullage.processing.baseband import envelope, is_amplitude, to_baseband
+from ullage.specs import ThesisSpec
 
 Floats = NDArray[np.float64]
 
@@ -144,7 +145,7 @@ def floor_trace(frames: Frames, *, floor_m: float = 0.0) -> Floats:
     """
     rays = is_amplitude(frames)
     thesis = frames.spec.thesis
-    fan = ray_fan(thesis if rays else thesis.but(fov_deg=HEMISPHERE_DEG, rays_per_side=90))
+    fan = ray_fan(thesis if rays else ThesisSpec(fov_deg=HEMISPHERE_DEG, rays_per_side=90))
     path, out = frames.believed, np.zeros((len(frames), len(frames.range_m)))
     step = (frames.range_m[-1] - frames.range_m[0]) / (len(frames.range_m) - 1)
     for i, rotation in enumerate(quat_matrix(path.quat_xyzw)):

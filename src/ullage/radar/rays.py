@@ -1,8 +1,9 @@
 """The ray model of 2018, kept as the baseline [Billdal2018, ch. 4].
 
-A square fan of n x n rays, even in azimuth and elevation, brings back range, hit normal and the object's reflection
-coefficient I_m. Eq. 4.1 and 4.2 give each ray the intensity I_R = I_m cos(theta) (|v_r| / R_max)^2; a histogram over
-range, white noise and a moving average make a profile of it.
+A fan of rays, even in azimuth and elevation, brings back range, hit normal and the object's reflection coefficient I_m.
+It is a square one of n x n rays, or the section of a ring of 360 deg that several radars share (`Rig.cut_from_ring`).
+Eq. 4.1 and 4.2 give each ray the intensity I_R = I_m cos(theta) (|v_r| / R_max)^2; a histogram over range, white noise
+and a moving average make a profile of it.
 
 The equation grows with range. It makes sense once the rays are summed: neighbouring rays stand x_n = 2 tan(fov / 2 /
 (n - 1)) |v_r| apart (eq. 4.3), so (|v_r| / R_max)^2 is the area across the ray that it stands for, as a share of a

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.errors import InputError
-from ullage.fan import ray_area, ray_fan, smoothed
+from ullage.fan import fan_shape, ray_area, ray_fan, smoothed
 from ullage.kernels.rays import deposit
 from ullage.specs import RadarSpec
 
@@ -32,16 +32,16 @@ def echoes_of_scans(range_m: Floats, intensity: Floats, spec: RadarSpec) -> NDAr
     Raises:
         InputError: the scans are not of that fan.
     """
-    side = spec.thesis.rays_per_side
+    shape = fan_shape(spec.thesis)
     ranges, strength = np.asarray(range_m, float), np.asarray(intensity, float)
-    if ranges.ndim != 3 or ranges.shape[1:] != (side, side) or strength.shape != ranges.shape:
-        shape = f"{ranges.shape} ranges and {strength.shape} intensities"
-        raise InputError(f"scans of {shape}", where="echoes_of_scans", allowed=f"(n, {side}, {side})")
-    fan = ray_fan(spec.thesis).reshape(side, side, 3)
+    if ranges.ndim != 3 or ranges.shape[1:] != shape or strength.shape != ranges.shape:
+        given = f"{ranges.shape} ranges and {strength.shape} intensities"
+        raise InputError(f"scans of {given}", where="echoes_of_scans", allowed=f"(n, {shape[0]}, {shape[1]})")
+    fan = ray_fan(spec.thesis).reshape(*shape, 3)
     far, near, out = spec.thesis.max_range_m, spec.thesis.min_range_m, np.zeros((len(ranges), spec.bins))
     for k, (distance, coefficient) in enumerate(zip(ranges, strength, strict=True)):
         met = np.isfinite(distance)
-        ray = np.where(met, np.arange(side * side).reshape(side, side), -1).astype(np.int32)
+        ray = np.where(met, np.arange(shape[0] * shape[1]).reshape(shape), -1).astype(np.int32)
         cosine = facing(np.where(met, distance, np.nan), fan)
         flat = [np.ascontiguousarray(a).reshape(1, -1) for a in (ray, np.where(met, distance, 0.0), cosine)]
         deposit(*flat, coefficient.ravel(), near, far, spec.range_start_m, spec.bin_m, out[k : k + 1])

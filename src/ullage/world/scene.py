@@ -63,6 +63,7 @@ class Scene:
     wires: Wires = field(default_factory=Wires)
     name: str = "scene"
     rigs: Mapping[str, Rig] = field(default_factory=dict)  # radars that a world file declares, by the model's name
+    ray_rigs: Mapping[str, Rig] = field(default_factory=dict)  # ray sensors of a file that declares no radars
     models: Mapping[str, Floats] = field(default_factory=dict)  # world_from_model (4, 4) of a world file's models
 
     def __post_init__(self) -> None:
@@ -134,15 +135,18 @@ class Scene:
     def rig(self, model: str = "") -> Rig:
         """The radars that the world file declares on a model; on the only one that has some, if none is named.
 
+        In a file that declares no radars, ray sensors count as radars.
+
         Raises:
             InputError: it declares none there.
         """
-        if not model and len(self.rigs) == 1:
-            return next(iter(self.rigs.values()))
-        if model not in self.rigs:
-            what = f"no radars declared on {model!r}" if model else f"radars declared on {len(self.rigs)} models"
-            raise InputError(what, where=self.name, allowed=", ".join(self.rigs) or "<sensor type='custom'>")
-        return self.rigs[model]
+        rigs = self.rigs or self.ray_rigs
+        if not model and len(rigs) == 1:
+            return next(iter(rigs.values()))
+        if model not in rigs:
+            what = f"no radars declared on {model!r}" if model else f"radars declared on {len(rigs)} models"
+            raise InputError(what, where=self.name, allowed=", ".join(rigs) or "<sensor type='custom'>")
+        return rigs[model]
 
     def without(self, model: str) -> Scene:
         """The scene less one model and what belongs to it, as the body that carries the radars."""

@@ -28,7 +28,7 @@ from ullage.world.sdf_geometry import GeometryReader, Rod
 from ullage.world.sdf_material import nearest_tag, read_material
 from ullage.world.sdf_parse import Node, read_pose
 from ullage.world.sdf_resolve import Missing, Resolver
-from ullage.world.sdf_sensors import rigs_of
+from ullage.world.sdf_sensors import ray_rigs_of, rigs_of
 from ullage.world.sdf_tree import Link, Scope, TreeReader
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,9 @@ def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
         names = ", ".join(walk.unseen[:5]) + ", ..." * (len(walk.unseen) > 5)
         world.node.place.warn(f"only visuals, so not seen: {names} (geometry='visual' reads them)")
     models = {name: inner.world_from_scope() for name, inner in frames.inner.items() if not inner.scope.merged}
-    return replace(walk.builder.scene(world.name), rigs=rigs_of(frames), models=models)
+    rigs = rigs_of(frames)
+    rays = {} if rigs else ray_rigs_of(frames)
+    return replace(walk.builder.scene(world.name), rigs=rigs, ray_rigs=rays, models=models)
 
 
 @dataclass(slots=True)

@@ -14,6 +14,8 @@ from ullage.ports.gazebo_classic.wire import gz
 
 R_FLOAT32 = 13
 """Pixel format of one float32 a pixel."""
+WIDEST_DEG = 150.0
+"""Of the cone that gzclient draws."""
 
 
 class RadarTopics:
@@ -61,7 +63,7 @@ def _row(stamp: Any, values: Any) -> Any:
 
 def _sonar(stamp: Any, frames: Frames, i: int, range_m: float) -> Any:
     low, high = float(frames.range_m[0]), float(frames.range_m[-1])
-    half = math.radians(frames.spec.thesis.fov_deg / 2)
+    half = math.radians(min(frames.spec.thesis.fov_deg, WIDEST_DEG) / 2)
     at, turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
     if frames.poses is not None:
         at, turn = tuple(frames.poses.position[i]), tuple(frames.poses.quat_xyzw[i])
