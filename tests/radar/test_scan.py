@@ -1,11 +1,14 @@
 """The thesis' processing of somebody else's rays, held against that of our own on the same surfaces."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.fan import ray_fan
+from ullage.fan import fan_shape, ray_fan
 from ullage.geometry import quat_matrix
+from ullage.ports.scanning import scan_of, spec_of
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.scan import echoes_of_scans, facing
 from ullage.world.raycast import Raycaster
@@ -67,3 +70,42 @@ def test_nothing_met_gives_nothing():
 def test_a_scan_of_another_fan_is_refused():
     with pytest.raises(ul.InputError, match=r"scans of \(1, 30, 30\) ranges.*allowed: \(n, 41, 41\)"):
         echoes_of_scans(np.ones((1, 30, 30)), np.ones((1, 30, 30)), SPEC)
+
+
+class Told:
+    """A `LaserScan` as either Gazebo sends it."""
+
+    def __init__(self, ranges, across_rad, up_rad):
+        self.vertical_count, self.count = ranges.shape
+        self.ranges, self.intensities = ranges.ravel(), np.ones(ranges.size)
+        (self.angle_min, self.angle_max), (self.vertical_angle_min, self.vertical_angle_max) = across_rad, up_rad
+        self.range_min, self.range_max = 0.1, 10.0
+
+
+def told_of(spec, path, room, across_rad, up_rad, again=0):
+    """What a ray sensor with the fan of a radar says of a room; `again` rays of each row come twice."""
+    rays = ray_fan(spec.thesis) @ quat_matrix(path.quat_xyzw)[0].T
+    found = Raycaster(room).distances(path.position[0], rays).reshape(fan_shape(spec.thesis))
+    return Told(np.concatenate([found, found[:, :again]], axis=1), across_rad, up_rad)
+
+
+@pytest.mark.parametrize("wide_deg", [100.0, 360.0])
+def test_scans_wider_than_high_and_full_circles_become_frames(wide_deg):
+    spec = ul.RadarSpec.preset(
+        "x4m05", thesis={"rays_per_side": 80, "fov_deg": wide_deg, "rays_up": 21, "elevation_deg": 40.0}
+    )
+    room, path = ul.scenes.room(size_m=(6, 4, 3)), ul.Trajectory.stationary(position_m=(0.5, 0, 0), n=1)
+    half = np.radians([wide_deg / 2, 20.0])
+    told = told_of(spec, path, room, (-half[0], half[0]), (-half[1], half[1]), again=int(wide_deg == 360))
+    scan = scan_of(told, SimpleNamespace(sec=0, nsec=0), ((0.5, 0, 0), (0, 0, 0, 1)))
+    got = spec_of(scan, spec)
+    np.testing.assert_allclose(ray_fan(got.thesis), ray_fan(spec.thesis), atol=1e-9)
+    want = echoes_thesis(room, path, got)
+    made = echoes_of_scans(scan.range_m[None], np.ones((1, *scan.range_m.shape)), got)
+    assert made.sum() == pytest.approx(want.sum() / room.objects[0].material.reflection, rel=0.05)
+
+
+def test_a_scan_of_one_row_makes_no_radar():
+    told = Told(np.ones((1, 90)), (-1, 1), (0, 0))
+    with pytest.raises(ul.InputError, match=r"90 rays across and 1 up.*two or more"):
+        spec_of(scan_of(told, SimpleNamespace(sec=0, nsec=0), ((0, 0, 0), (0, 0, 0, 1))), SPEC)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ullage.data import Floats, Frames, Trajectory
 from ullage.errors import InputError
-from ullage.fan import reaching_max_range
+from ullage.fan import FULL_DEG, reaching_max_range
 from ullage.ports.following import Endless, FollowOptions, Say
 from ullage.ports.intake import Counters, Stamped, checked_pose
 from ullage.ports.sightings import Note, Pose, stamp_ns
@@ -34,6 +34,7 @@ class Scan:
     max_range_m: float
     position: tuple[float, float, float]  # of the sensor in the world
     quat_xyzw: tuple[float, float, float, float]
+    elevation_deg: float | None = None  # opening upright; None: fov_deg
 
 
 def scan_of(told: Any, time: Any, pose: Pose) -> Scan:
@@ -54,11 +55,15 @@ def scan_of(told: Any, time: Any, pose: Pose) -> Scan:
             raise InputError(f"{count} {name} in {shape[0]} by {shape[1]} rays", where="scan")
     ranges, strength = np.array(told.ranges).reshape(shape), np.array(told.intensities).reshape(shape)
     limits = (told.angle_max - told.angle_min, told.range_min, told.range_max)
-    if np.isnan(ranges).any() or not np.isfinite(strength).all() or not np.isfinite(limits).all():
+    up_deg = math.degrees(told.vertical_angle_max - told.vertical_angle_min)
+    if np.isnan(ranges).any() or not np.isfinite(strength).all() or not np.isfinite([*limits, up_deg]).all():
         raise InputError("not a number", where="scan")
     if isinstance(wrong := checked_pose(*pose), str):
         raise InputError(wrong, where="scan")
-    return Scan(stamp_ns(time), ranges, strength, math.degrees(limits[0]), *limits[1:], *pose)
+    fov_deg = math.degrees(limits[0])
+    if fov_deg > FULL_DEG - 1e-2:  # the last ray of a full circle is the first one again
+        fov_deg, ranges, strength = FULL_DEG, ranges[:, :-1], strength[:, :-1]
+    return Scan(stamp_ns(time), ranges, strength, fov_deg, *limits[1:], *pose, up_deg if up_deg > 0 else None)
 
 
 class ScanFeed(Protocol):
@@ -78,13 +83,14 @@ def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
     """The radar with the scan's fan.
 
     Raises:
-        InputError: the fan is not square, or no radar model can be made of it.
+        InputError: no radar model can be made of the fan.
     """
     up, across = scan.range_m.shape
-    if up != across:
-        raise InputError(f"{across} rays across and {up} up", where="rays", allowed="as many across as up")
+    if min(up, across) < 2:
+        raise InputError(f"{across} rays across and {up} up", where="rays", allowed="two or more across and up")
     fan = ThesisSpec(
-        rays_per_side=across, fov_deg=scan.fov_deg, min_range_m=scan.min_range_m, max_range_m=scan.max_range_m,
+        rays_per_side=across, fov_deg=scan.fov_deg, rays_up=up, elevation_deg=scan.elevation_deg,
+        min_range_m=scan.min_range_m, max_range_m=scan.max_range_m,
         noise_sigma=radar.thesis.noise_sigma, smoothing_bins=radar.thesis.smoothing_bins,
         threshold=radar.thesis.threshold,
     )  # fmt: skip
