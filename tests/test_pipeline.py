@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.experiments.watch import Looks, RangeTime
 from ullage.pipeline import DetectStage, Due, Held, ImageStage, MapStage
 
@@ -210,3 +211,11 @@ def test_the_duration_of_slow_frames_is_that_of_their_stamps() -> None:
     frames = thesis_frames()[:20]
     slow = replace(frames, t_ns=np.arange(20) * 5_000_000_000, poses=None, truth=None)
     assert ul.run(slow).duration_s == pytest.approx(95.0)
+
+
+def test_the_stages_of_the_mapping_node_estimate_the_own_echo_once() -> None:
+    frames = thesis_frames()[:4]
+    stages = mapping_stages({"front": frames}, MappingOptions(image=True))
+    echoes = {id(stage.own_echo) for stage in stages if isinstance(stage, DetectStage | MapStage | ImageStage)}
+    assert len(stages) == 3
+    assert len(echoes) == 1

@@ -22,6 +22,7 @@ from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, Sta
 from ullage.ports.following import options_of
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions
+from ullage.processing.own_echo import OwnEchoFilter
 from ullage.specs import Spec
 
 
@@ -65,16 +66,19 @@ def mapping_stages(first: dict[str, Frames], options: MappingOptions) -> list[St
         first: the first piece of the stream; without poses there is no map.
         options: of the node.
     """
-    stages: list[Stage] = [DetectStage(threshold=options.threshold)]
+    own_echo = OwnEchoFilter()  # one for all: its estimate costs as much as the map
+    stages: list[Stage] = [DetectStage(threshold=options.threshold, own_echo=own_echo)]
     placed = [part.poses.position[0] for part in first.values() if part.poses is not None]
     if placed:
         reach = options.reach_m + options.margin_m
         grid = Grid.covering(np.stack([placed[0] - reach, placed[0] + reach]), options.step_m)
-        stages.append(MapStage(grid, options.method, options.threshold, every_s=options.every_s, live=True))
+        stages.append(
+            MapStage(grid, options.method, options.threshold, every_s=options.every_s, live=True, own_echo=own_echo)
+        )
         if options.image:
             box = np.stack([placed[0] - reach, placed[0] + reach])
             plane = Grid.covering(box, options.image_step_m, z_m=float(placed[0][2]))
-            stages.append(ImageStage(plane, options.image_method, every_s=options.every_s))
+            stages.append(ImageStage(plane, options.image_method, every_s=options.every_s, own_echo=own_echo))
     return stages
 
 

@@ -243,9 +243,14 @@ class Publisher:
             out += self._of_radar(part)
             self._last_ns = max(self._last_ns, int(part.t_ns[-1]))
         for role in ("believed", "truth"):
+            if role in self._roles:
+                continue
             paths = [(part, part.poses if role == "believed" else part.truth) for part in parts]
-            body = merged([body_path(part, path) for part, path in paths if path is not None])
-            if body is not None and role not in self._roles:
+            known = [(part, path) for part, path in paths if path is not None]
+            if known and all(np.array_equal(path.t_ns, known[0][1].t_ns) for _, path in known):
+                known = known[:1]  # one tells where the body was at each time
+            body = merged([body_path(part, path) for part, path in known])
+            if body is not None:
                 out += self._of_body(body, role)
         return out
 
