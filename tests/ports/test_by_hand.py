@@ -16,6 +16,7 @@ from ullage.flight.live import Steered
 from ullage.flight.pilot import Pilot, PilotOptions, Velocity
 from ullage.ports import messages as ros
 from ullage.ports.by_hand import IMU_TOPIC, SONAR_TOPIC, FlyOptions, HandFlight, HandFlownSource, Sonar
+from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters
 from ullage.ports.keyboard import Keyboard, keys_in
 from ullage.ports.protocol import Passed
@@ -171,3 +172,34 @@ def test_a_flight_that_cannot_be_is_refused_in_one_line(words, said, monkeypatch
     assert said in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def imu_readings(**options) -> np.ndarray:
+    """Turn rate and acceleration of a vehicle that hovers (n, 6)."""
+    notes, room = list[Passed](), ul.scenes.room(size_m=(6, 4, 3))
+    chosen = FlyOptions(fidelity="thesis", duration_s=1.0, rate_hz=5, **options)
+    source = HandFlownSource(room, ul.Rig.preset("single"), chosen, Script(), start=(0, 0, 0))
+    source.passing.to(notes.append)
+    list(source.stream())
+    read = [ros.from_bytes(one.kind, one.data) for one in notes if one.topic == IMU_TOPIC]
+    return np.array(
+        [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z, m.linear_acceleration.x,
+          m.linear_acceleration.y, m.linear_acceleration.z] for m in read[:40]]
+    )  # fmt: skip
+
+
+def test_imu_noise_repeats_with_its_seed_and_can_be_switched_off() -> None:
+    quiet, one, again, other = (
+        imu_readings(imu_noise=False), imu_readings(seed=1), imu_readings(seed=1), imu_readings(seed=2)
+    )  # fmt: skip
+    assert np.array_equal(one, again)
+    assert np.ptp(quiet[:, :3]) < 1e-6
+    assert not np.array_equal(one, other)
+    assert abs(one - quiet).max() < 0.2
+
+
+def test_imu_noise_has_the_density_of_the_data_sheet() -> None:
+    unit = ImuNoise(196.0, seed=4)
+    rows = np.array([np.concatenate(unit.add(k, np.zeros(3), np.zeros(3))) for k in range(4000)])
+    assert np.degrees(rows[:, :3].std()) == pytest.approx(0.05, rel=0.03)  # the data sheet's own figure for 98 Hz
+    assert rows[:, 3:].std() == pytest.approx(400e-6 * 9.81 * math.sqrt(98), rel=0.03)

@@ -22,6 +22,7 @@ from ullage.geometry import quat_matrix
 from ullage.ports import encode
 from ullage.ports.conversions import BODY
 from ullage.ports.following import Endless, Say
+from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters
 from ullage.ports.protocol import Passed, Passing
 from ullage.ports.radar_status import RadarStatus
@@ -54,6 +55,7 @@ class FlyOptions(PilotOptions):
     seed: int = Field(0, ge=0)
     rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")
     state_hz: float = Field(50.0, ge=10, le=250, description="poses and IMU readings a second")
+    imu_noise: bool = Field(True, description="white noise of an MPU-6000 on turn rate and acceleration")
     pace: float = Field(1.0, gt=0, le=10, description="times real time")
     duration_s: float | None = Field(None, gt=0, description="ends after so long a flight")
 
@@ -178,6 +180,7 @@ class HandFlownSource(Endless):
         self._names = tuple(rig.sensors)
         self._status = RadarStatus("flight", late_s=BEHIND_S)
         self._sonar = Sonar(scene)
+        self._imu = ImuNoise(options.state_hz, seed=options.seed) if options.imu_noise else None
         self._epoch_ns = self._done_ns = self._touched = 0
         self._states: list[State] = []
         self._lock = threading.Condition()
@@ -230,7 +233,12 @@ class HandFlownSource(Endless):
 
     def _readings(self, state: State) -> Iterator[Passed]:
         t_ns = self._epoch_ns + state.t_ns
-        imu = encode.imu_note(t_ns, state.quat_xyzw, state.spin, state.force_m_s2, frame_id=self._body)
+        spin, force, variances = state.spin, state.force_m_s2, (0.0, 0.0)
+        if self._imu is not None:
+            number = round(state.t_ns * 1e-9 * self._options.state_hz)
+            spin, force = self._imu.add(number, spin, force)
+            variances = self._imu.rate_sigma**2, self._imu.force_sigma**2
+        imu = encode.imu_note(t_ns, state.quat_xyzw, spin, force, frame_id=self._body, variances=variances)
         yield Passed(t_ns, IMU_TOPIC, encode.IMU, imu)
         if (range_m := self._sonar.reading(state)) is not None:
             note = encode.range_note(t_ns, range_m, SONAR_M, SONAR_FOV_RAD, frame_id=self._body + "_sonar")

@@ -77,7 +77,10 @@ def imu_layout(frame_id: bytes) -> ros.Layout:
     )  # fmt: skip
 
 
-def imu_note(t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str) -> bytes:
+def imu_note(
+    t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str,
+    variances: tuple[float, float] = (0.0, 0.0),
+) -> bytes:  # fmt: skip
     """Imu: attitude in the world, turn rate and specific force in the body; covariances of zero: unknown.
 
     Args:
@@ -86,10 +89,16 @@ def imu_note(t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2
         rate_rad_s: in the body (3).
         acceleration_m_s2: acceleration less gravity in the body (3), +9.81 along z at rest as accelerometers give it.
         frame_id: of the body.
+        variances: of each axis of turn rate [rad2/s2] and acceleration [m2/s4].
     """
+    spread = {
+        f"{name}_covariance": np.diag([v] * 3).ravel()
+        for name, v in zip(("rate", "acceleration"), variances, strict=True)
+    }
     return imu_layout(frame_id.encode()).fill(
-        1, **ros.stamps(np.array([t_ns])), orientation=quat_xyzw, rate=rate_rad_s, acceleration=acceleration_m_s2
-    )[0]
+        1, **ros.stamps(np.array([t_ns])), orientation=quat_xyzw, rate=rate_rad_s, acceleration=acceleration_m_s2,
+        **spread,
+    )[0]  # fmt: skip
 
 
 def clock_note(t_ns: int) -> bytes:

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from ullage.errors import InputError
-from ullage.flight.pilot import Pilot, Velocity
+from ullage.flight.pilot import HOVER, Pilot, Velocity
 from ullage.geometry import quat_rpy
 from ullage.ports import messages as ros
 from ullage.ports.by_hand import FlyOptions, HandFlownSource
@@ -29,10 +29,11 @@ class ControlOptions(NodeOptions):
     cmd_vel: str = Field("cmd_vel", description="topic of velocities: Twist or TwistStamped")
     pose: str = Field("command/pose", description="topic of set-points: PoseStamped in map or odom")
     joy: str = Field("joy", description="topic of a joystick: Joy; none: not listened to")
-    joy_axes: str = Field("4,3,1,0", description="axes of forward, left, climb, turn; -1: none")
-    joy_button: int = Field(-1, ge=-1, le=63, description="button to hold while flying; -1: none")
+    # axes, button and scales are the defaults of teleop_twist_joy, https://docs.ros.org/en/jazzy/p/teleop_twist_joy
+    joy_axes: str = Field("5,-1,-1,2", description="axes of forward, left, climb, turn; -1: none")
+    joy_button: int = Field(0, ge=-1, le=63, description="button to hold while flying; -1: none")
     joy_speed_m_s: float = Field(0.5, gt=0, le=10, description="speed and climb of a joystick at its stop")
-    joy_turn_rad_s: float = Field(1.0, gt=0, le=10, description="turn rate of a joystick at its stop")
+    joy_turn_rad_s: float = Field(0.5, gt=0, le=10, description="turn rate of a joystick at its stop")
 
     def axes(self) -> tuple[int, ...]:
         """The axes of the joystick.
@@ -42,7 +43,7 @@ class ControlOptions(NodeOptions):
         """
         words = [word.strip() for word in self.joy_axes.split(",")]
         if len(words) != 4 or not all(word.removeprefix("-").isdecimal() for word in words):
-            raise InputError(f"joy_axes is {self.joy_axes!r}", where="ros2:", allowed="four axes, as 4,3,1,0")
+            raise InputError(f"joy_axes is {self.joy_axes!r}", where="ros2:", allowed="four axes, as 5,-1,-1,2")
         return tuple(int(word) for word in words)
 
 
@@ -75,6 +76,7 @@ class TopicControls:
         }  # fmt: skip
         self._heard: set[str] = set()
         self._looked_s = 0.0
+        self._button_held = False
         self._peer.spin()
 
     def update(self, pilot: Pilot, now_s: float) -> None:
@@ -137,10 +139,11 @@ class TopicControls:
         return ""
 
     def _of_joystick(self, note: Any) -> Velocity | None:
-        """The velocity that the sticks ask for; None while the button is not held."""
-        button = self._options.joy_button
-        if button >= 0 and not (button < len(note.buttons) and note.buttons[button]):
-            return None
+        """The velocity that the sticks ask for; a hover where the button is let go, and None after that."""
+        button, before = self._options.joy_button, self._button_held
+        self._button_held = button < 0 or (button < len(note.buttons) and bool(note.buttons[button]))
+        if not self._button_held:
+            return HOVER if before else None
         values = [float(note.axes[k]) if 0 <= k < len(note.axes) else 0.0 for k in self._axes]
         v = self._options.joy_speed_m_s
         return Velocity(values[0] * v, values[1] * v, values[2] * v, values[3] * self._options.joy_turn_rad_s)
