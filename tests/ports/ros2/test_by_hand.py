@@ -48,3 +48,14 @@ def test_cmd_vel_moves_it_silence_stops_it_and_a_set_point_places_it(
     assert set(ul.open(run / "frames.mcap").frames()) == {"front", "left", "back", "right"}
     assert json.loads((run / "metrics.json").read_text())["frames"]["value"] > 300
     assert (run / "map.yaml").exists()
+
+
+def test_a_joystick_and_stamped_velocities_fly_it(network: Network, tmp_path: Path) -> None:
+    stick = network.start("stick.py")
+    words = ["-m", "ullage", "run", "ros2:?fly=ntnu-room&fidelity=thesis&node=drone&rate_hz=20"]
+    drone = network.start(*words, "--do", "detect", "--to", "ros2:?node=out", "--out", tmp_path)
+    seen = told(stick)
+    drone.send_signal(signal.SIGINT)
+    out, err = drone.communicate(timeout=60)
+    assert drone.returncode == 0, out + err
+    assert seen == {"rests while no button is held": True, "held": True, "let go": True, "stamped": True}
