@@ -55,6 +55,14 @@ def ray_fan(spec: ThesisSpec) -> Floats:
     return np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=1)
 
 
+def drawn_rays(spec: RadarSpec, *, most: int = 225) -> Floats:
+    """Ends (n, 3) of rays to draw, in the sensor frame at the maximum range [m]; evenly thinned to at most `most`."""
+    up, across = fan_shape(spec.thesis)
+    step = max(1, math.ceil(math.sqrt(up * across / most)))
+    fan = ray_fan(spec.thesis).reshape(up, across, 3)
+    return np.asarray(fan[step // 2 :: step, step // 2 :: step].reshape(-1, 3) * spec.thesis.max_range_m)
+
+
 def fan_shape(spec: ThesisSpec) -> tuple[int, int]:
     """Rays one above the other, and rays across."""
     return len(elevations_deg(spec)), len(azimuths_deg(spec))

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from ullage.processing.scatterers import Scatterer
 
 Chunk = dict[str, Frames]
+VIEWER_RAYS = "?rays=true"
+"""Ends the name of a viewer that draws the rays of the ray model."""
 HELD_FRAMES = 2048  # of a sensor that wait for an image
 
 
@@ -107,7 +109,8 @@ def sink(target: str | Path, **options: Any) -> PortSink:
             a viewer that runs elsewhere; `window:` for the amplitudes in matplotlib; a `.mcap` recording, a folder for
             one, a `.zarr` store, or a map file:
             `.yaml` or `.pgm` (map_server), `.bt` or `.ot` (OctoMap), `.ply`.
-        **options: of that kind: files of a viewer, recordings and stores take overwrite, map_server takes mode.
+        **options: of that kind: viewers take rays, files of a viewer, recordings and stores overwrite,
+            map_server takes mode.
 
     Raises:
         InputError: it is of no known kind, or cannot be written or shown.
@@ -123,8 +126,10 @@ def sink(target: str | Path, **options: Any) -> PortSink:
         return ports.sink(target, **options)
     from ullage.view.viewer import ViewerSink
 
-    if unknown := set(options) - {"overwrite"}:
-        raise InputError(f"no option {min(unknown)!r}", where=target, allowed="overwrite")
+    if unknown := set(options) - {"overwrite", "rays"}:
+        raise InputError(f"no option {min(unknown)!r}", where=target, allowed="overwrite, rays")
+    if place.endswith(VIEWER_RAYS):
+        place, options = place.removesuffix(VIEWER_RAYS), options | {"rays": True}
     return ViewerSink(place, **options)
 
 
@@ -147,6 +152,7 @@ def check_sink(target: str | Path) -> None:
         ports.check_sink(target)
         return
     need("rerun", extra="view")
+    place = place.removesuffix(VIEWER_RAYS)
     if place and "://" not in place:
         if Path(place).suffix.lower() != ".rrd":
             raise InputError("not something a viewer shows", where=target, allowed="viewer:, viewer:FILE.rrd, ...")

@@ -8,8 +8,10 @@ import pytest
 import ullage as ul
 from ullage.data import Trajectory
 from ullage.errors import InputError
-from ullage.fan import ray_area, ray_fan, ray_spacing_m, rays_for, reaching_max_range, smoothed, window
+from ullage.fan import drawn_rays, ray_area, ray_fan, ray_spacing_m, rays_for, reaching_max_range, smoothed, window
 from ullage.geometry import quat_matrix, rpy_quat
+from ullage.ports import messages as ros
+from ullage.ports.publisher import Publisher
 from ullage.radar.rays import echoes_thesis
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec, Rig, ThesisSpec
@@ -248,3 +250,23 @@ def test_one_radar_may_have_the_whole_ring():
 def test_fans_that_cannot_be_are_refused(changes, words):
     with pytest.raises(ul.InputError, match=words):
         ThesisSpec(**changes)
+
+
+@pytest.mark.parametrize(
+    "fan", [ThesisSpec(), ThesisSpec(rays_per_side=300), Rig.preset("thesis-ring").sensors["left"].thesis]
+)
+def test_drawn_rays_are_some_of_the_fan_at_the_maximum_range(fan):
+    ends = drawn_rays(X4.but(thesis=fan))
+    assert 60 < len(ends) <= 225
+    apart = np.linalg.norm(ends[:, None] / 10 - ray_fan(fan)[None], axis=2).min(axis=1)
+    assert apart.max() < 1e-9
+
+
+def test_rays_are_published_once_in_the_frame_of_their_radar_where_asked_for():
+    frames = simulate(ul.scenes.room(), Trajectory.stationary(n=3), Rig.preset("thesis-4"), fidelity="thesis")
+    assert not [m for m in Publisher().messages(frames) if m.topic.endswith("/rays")]
+    publisher = Publisher(rays=True, frame_prefix="d1/")
+    drawn = [m for _ in range(2) for m in publisher.messages(frames) if m.topic.endswith("/rays")]
+    assert [m.topic for m in drawn] == [f"radar/{name}/rays" for name in ("front", "left", "back", "right")]
+    marker = ros.from_bytes(drawn[1].kind, drawn[1].data).markers[0]
+    assert (marker.header.frame_id, marker.frame_locked, len(marker.points)) == ("d1/left", True, 450)

@@ -57,6 +57,18 @@ def rows(path: Path, entity: str, part: str) -> list[tuple[Any, Any]]:
     return sorted(out, key=lambda row: -1 if row[0] is None else row[0])
 
 
+def test_rays_are_drawn_once_and_only_where_asked_for(recorded: tuple[Path, Any], tmp_path: Path) -> None:
+    path = tmp_path / "rays.rrd"
+    with ul.sink(f"viewer:{path}?rays=true") as sink:
+        sink.write(some_frames(0.3))
+        sink.write(some_frames(0.3))
+    for name in recorded[1]:
+        drawn = rows(path, f"world/radars/{name}/rays", "strips")
+        assert [time for time, _ in drawn] == [None]
+        assert len(drawn[0][1]) == 225
+        assert not rows(recorded[0], f"world/radars/{name}/rays", "strips")
+
+
 def test_reruns_own_program_finds_the_file_whole(recorded: tuple[Path, Any]) -> None:
     program = Path(sys.executable).with_name("rerun")
     if not program.exists():

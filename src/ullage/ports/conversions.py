@@ -13,6 +13,7 @@ import numpy as np
 
 from ullage.data import Calibration, Detections, Floats, Frames, Times, Trajectory
 from ullage.errors import InputError, UllageWarning
+from ullage.fan import drawn_rays
 from ullage.geometry import quat_matrix
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
 from ullage.ports import messages as ros
@@ -317,6 +318,17 @@ def scene_note(scene: Scene, t_ns: int) -> bytes:
             places = _points(wires.reshape(-1, 3))
             found.append(marker(t_ns, f"{thing.name} wires", 5, index, places, (width, 1.0, 1.0), colour))
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, found))
+
+
+def rays_note(frames: Frames, *, frame_id: str = "") -> bytes:
+    """MarkerArray of the ray model's fan, as lines in the frame of the sensor, which moves them."""
+    t_ns, ends = int(frames.t_ns[0]), drawn_rays(frames.spec)
+    lines = np.stack([np.zeros_like(ends), ends], axis=1).reshape(-1, 3)
+    colour = ros.make("std_msgs/msg/ColorRGBA", 0.3, 0.5, 1.0, 0.25)
+    made = marker(t_ns, f"rays {frames.sensor}", 5, 0, _points(lines), (0.004, 1.0, 1.0), colour)
+    made.header.frame_id = frame_id or frames.sensor
+    made.frame_locked = True
+    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, [made]))
 
 
 def marker(

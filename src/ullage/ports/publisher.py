@@ -168,11 +168,14 @@ class Publisher:
         frame_prefix: goes before the names of all frames of reference but map, as for one of several drones.
         profile: also give each profile as a PointCloud2, which viewers show without knowing ullage.
         clock: gives /clock with the frames.
+        rays: also give the fan of each radar's ray model as lines, once.
     """
 
     def __init__(
-        self, *, map_full_s: float = 10.0, frame_prefix: str = "", profile: bool = True, clock: Clock | None = None
-    ) -> None:
+        self, *, map_full_s: float = 10.0, frame_prefix: str = "", profile: bool = True, clock: Clock | None = None,
+        rays: bool = False,
+    ) -> None:  # fmt: skip
+        self._rays = rays
         self._clock = clock or Clock()
         self.map_changes = MapChanges(round(map_full_s * 1e9))
         self._prefix, self._profile = frame_prefix, profile
@@ -288,6 +291,9 @@ class Publisher:
         if before[0] != known:
             note = conversions.settings_note(frames, frame_id=frame_id)
             yield Message(t_ns, f"{topic}/settings", ros.SETTINGS, "latched", note)
+            if self._rays:
+                drawn = conversions.rays_note(frames, frame_id=frame_id)
+                yield Message(t_ns, f"{topic}/rays", ros.MARKERS, "latched", drawn)
         if frames.track is not None and before[1] is not frames.track:
             note = conversions.track_note(frames.track, frames.sensor, t_ns)
             yield Message(t_ns, f"{topic}/track", ros.TRACK, "latched", note)

@@ -43,13 +43,15 @@ class ViewerSink:
     Args:
         target: nothing for a new viewer's window, a `.rrd` file to write, or the address of a running viewer.
         overwrite: replace a file that is there already.
+        rays: draw the rays of each radar's ray model, at most 225 of them.
 
     Raises:
         MissingExtra: rerun is not installed.
         InputError: there is no display, no such viewer, or the file cannot be written.
     """
 
-    def __init__(self, target: str | Path = "", *, overwrite: bool = False) -> None:
+    def __init__(self, target: str | Path = "", *, overwrite: bool = False, rays: bool = False) -> None:
+        self._rays = rays
         self._rr = need("rerun", extra="view")
         self.target = str(target)
         self.live = not self.target or "://" in self.target
@@ -144,6 +146,8 @@ class ViewerSink:
         if part.poses is not None:
             things.log_drone(self._rec)
             things.log_beam(self._rec, f"world/radars/{name}", part.spec, shown.color)
+            if self._rays:
+                things.log_rays(self._rec, f"world/radars/{name}", part.spec, shown.color)
             arc = rr.LineStrips3D.from_fields(colors=color, radii=_points(rr, 1.5))
             self._rec.log(f"world/echoes/{name}/arcs", arc, static=True)
             trail = rr.Points3D.from_fields(colors=rgba(shown.color, 200), radii=_points(rr, 1.6))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
 from ullage.errors import need
+from ullage.fan import drawn_rays
 from ullage.specs import RadarSpec
 from ullage.view.world_picture import CLEAR, COLORS
 from ullage.world.scene import Scene
@@ -151,6 +152,15 @@ def log_beam(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
         rr.Mesh3D(vertex_positions=fan, triangle_indices=faces, albedo_factor=rgba(color, 22)),
         static=True,
     )
+
+
+def log_rays(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
+    """The ray model's fan as thin lines to its maximum range, in the sensor's frame; drawn once."""
+    rr = need("rerun", extra="view")
+    ends = drawn_rays(spec)
+    strips = np.stack([np.zeros_like(ends), ends], axis=1).astype(np.float32)
+    lines = rr.LineStrips3D(strips, colors=rgba(color, 60), radii=rr.Radius.ui_points(0.5))
+    rec.log(f"{path}/rays", lines, static=True)
 
 
 def beam_deg(spec: RadarSpec) -> tuple[float, float]:

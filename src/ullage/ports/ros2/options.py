@@ -31,6 +31,7 @@ class SinkOptions(NodeOptions):
     clock_hz: float = Field(40.0, gt=0, le=1000, description="rate of /clock, beside the times of the frames")
     map_full_s: float = Field(10.0, gt=0, description="seconds between whole maps; in between come updates")
     linger_s: float = Field(0.0, ge=0, le=86400, description="stay after the end, for those who come late")
+    rays: bool = Field(False, description="publish the rays of each radar's ray model as markers, for RViz")
     reliable: bool = Field(False, description="frames and profiles reliable instead of best effort")
     listeners: int = Field(0, ge=0, le=1000, description="wait for so many subscribers of /tf before the first message")
 

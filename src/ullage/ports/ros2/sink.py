@@ -48,7 +48,9 @@ class Ros2Sink:
         self._peer = peer or Peer(namespace, options)
         self._peer.spin()
         clock = Clock({"on": True, "off": False}.get(options.clock), rate_hz=options.clock_hz)
-        self._publisher = Publisher(map_full_s=options.map_full_s, frame_prefix=options.frame_prefix, clock=clock)
+        self._publisher = Publisher(
+            map_full_s=options.map_full_s, frame_prefix=options.frame_prefix, clock=clock, rays=options.rays
+        )
         self._order: StampOrder[Message] = StampOrder(in_order)
         self._pace = Pace(options.pace)
         self._at_once: bool | None = None if options.pace else True  # None: the first frames will tell
