@@ -27,6 +27,8 @@ class Pace:
         self._rate = rate
         self._anchor: tuple[int, float] | None = None  # a stamp, and when it was due
         self._newest_ns = 0
+        self.late_s = 0.0
+        """How late the last stamp was asked for, against the pace as it was before it started anew [s]."""
 
     def due_s(self, t_ns: int, now_s: float) -> float:
         """When a stamp is due [s, monotonic].
@@ -35,6 +37,7 @@ class Pace:
         clock is set or recordings are strung together; a leap is reported. A late message is due at once and moves
         nothing.
         """
+        self.late_s = 0.0
         if not self._rate:
             return now_s
         if self._anchor is not None:
@@ -46,9 +49,11 @@ class Pace:
                 warnings.warn(
                     f"the stamps leap {ahead_s:.3g} s ahead, which is not waited for", UllageWarning, stacklevel=2
                 )
-            elif ahead_s >= 0 and now_s - due <= LATE_S:
-                self._newest_ns = t_ns
-                return due
+            elif ahead_s >= 0:
+                self.late_s = max(0.0, now_s - due)
+                if self.late_s <= LATE_S:
+                    self._newest_ns = t_ns
+                    return due
         self._anchor, self._newest_ns = (t_ns, now_s), t_ns
         return now_s
 

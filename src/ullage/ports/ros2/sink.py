@@ -137,7 +137,7 @@ class Ros2Sink:
         due = self._pace.due_s(t_ns, time.monotonic())
         while (left := due - time.monotonic()) > 0:
             time.sleep(min(left, STEP_S))
-        self._late_s = max(self._late_s, -left)
+        self._late_s = max(self._late_s, self._pace.late_s, -left)
 
     def _report(self, t_ns: int) -> None:
         """Once a second: new subscribers of the map, and diagnostics."""
