@@ -168,3 +168,36 @@ def test_a_moving_plate_takes_its_edges_along():
     moving = Scene.of_mesh(lone.vertices - [3.0, 0, 0], lone.faces, name="plate", made_of="pec", motion=way)
     a, b = (path_gain_cw(s, HERE, radar())[0] for s in (still, moving))
     assert a == pytest.approx(b, rel=1e-6)
+
+
+@pytest.mark.parametrize("share", np.linspace(0.05, 0.95, 10))
+@pytest.mark.parametrize("kind", ["box", "rim"])
+def test_an_edge_counts_where_nothing_stands_in_its_open_side_at_whatever_angle(share, kind):
+    """A rod of wood, as thick as a match and 10 mm off, along half of one edge: that half is gone, and nothing else."""
+    if kind == "box":  # over the top face and down the front
+        body, edge, inward, normal = cube(0.4), [2.8, 0, 0.2], [1.0, 0, 0], [0, 0, 1.0]
+    else:  # once around the upper rim
+        body, edge, inward, normal = ul.scenes.plate(0.4, 0.4, 3.0), [3.0, 0, 0.2], [0, 0, -1.0], [-1.0, 0, 0]
+    angle = 0.2 + share * ((1.5 if kind == "box" else 2.0) * np.pi - 0.4)
+    centre = edge + 0.01 * (np.cos(angle) * np.array(inward) + np.sin(angle) * np.array(normal))
+    found, whole = edges_of(Scene.union([body, rod_along_y(centre + np.array([0, 0.1, 0]))])), edges_of(body)
+    lost = lengths(whole).sum() - lengths(found).sum()
+    assert lost == pytest.approx(0.2)
+    cut = np.flatnonzero(np.isclose(lengths(found), 0.2))
+    assert len(cut) == 1
+    ends = sorted([found.starts[cut[0]].tolist(), found.ends[cut[0]].tolist()])
+    assert np.array(ends) == pytest.approx(np.array([[edge[0], -0.2, edge[2]], edge]))
+
+
+def lengths(edges):
+    return np.linalg.norm(edges.ends - edges.starts, axis=1)
+
+
+def rod_along_y(middle):
+    rod = trimesh.creation.cylinder(0.0015, 0.19, sections=6)
+    return Scene.of_mesh(rod.vertices[:, [1, 2, 0]] + middle, rod.faces, name="rod", made_of="wood")
+
+
+def test_a_rod_farther_off_than_the_circle_cuts_no_edge():
+    rod = rod_along_y(np.array([2.8, 0.1, 0.2]) + 0.015 * np.array([-0.7, 0, 0.7]))
+    assert len(edges_of(Scene.union([cube(0.4), rod]))) == 12
