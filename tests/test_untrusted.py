@@ -332,13 +332,16 @@ def test_every_reader_refuses_damage_in_one_line(name: str, tmp_path: Path) -> N
     if not seeds:
         pytest.skip("needs the real recordings")
     reader.before(tmp_path / "work")
+    lines = []
     for number in range(12):
         data = bytearray(seeds[number % len(seeds)][: fuzzed.LARGEST])
         for at in rng.integers(0, len(data), number):
             data[at] = rng.integers(0, 256)
         if number > 8:
             del data[rng.integers(0, len(data)) :]
-        fuzzed.read_one(reader, bytes(data), tmp_path / "work")
+        lines.append(fuzzed.read_one(reader, bytes(data), tmp_path / "work"))
+    assert not lines[0]  # it has no damage
+    assert fuzzed.read_one(reader, rng.bytes(500), tmp_path / "work")  # it is nothing but damage
 
 
 WORLD = '<sdf version="1.9"><model name="m"><link name="l"><collision name="c"><geometry><sphere><radius>1</radius></sphere></geometry></collision></link></model></sdf>'  # noqa: E501

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -96,3 +102,60 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
     assert found.interrupted
     assert found.done == (done,)
     assert len(tmp_path.joinpath("sweep.csv").read_text().splitlines()) == 2
+
+
+SLEEPERS = """
+import sys, time
+from dataclasses import dataclass
+from pathlib import Path
+from ullage.experiments.crew import carry_out
+
+@dataclass
+class Sleeper:
+    name: str
+    folder: Path
+    title: str = "sleeps"
+    cost: float = 1.0
+    done: bool = False
+
+    def do(self, say):
+        import os
+        started = self.folder / f"{self.name}.starts"
+        started.write_text(str(os.getpid()))
+        started.rename(self.folder / f"{self.name}.pid")
+        time.sleep(600)  # says nothing, so that no broken pipe ends it either
+
+if __name__ == "__main__":
+    carry_out([Sleeper(str(n), Path(sys.argv[1])) for n in range(2)], jobs=2)
+"""
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def within_a_minute(reached) -> bool:
+    end = time.monotonic() + 60
+    while not reached() and time.monotonic() < end:
+        time.sleep(0.05)
+    return reached()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_workers_end_with_their_parent_however_it_ends(tmp_path):
+    """Those that are silent too, which would work on for ten minutes."""
+    (tmp_path / "sleepers.py").write_text(SLEEPERS)
+    parent = subprocess.Popen([sys.executable, tmp_path / "sleepers.py", tmp_path])
+    assert within_a_minute(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+    workers = [int(path.read_text()) for path in tmp_path.glob("*.pid")]
+    try:
+        assert all(map(alive, workers))
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+        assert within_a_minute(lambda: not any(map(alive, workers)))
+    finally:
+        for pid in filter(alive, workers):
+            os.kill(pid, signal.SIGKILL)

@@ -57,13 +57,17 @@ class Reader:
 
 
 def _all_of(path: Path) -> None:
-    """Everything that a recording gives; a part that is refused hides no other."""
+    """Everything that a recording gives; a part that is refused hides no other, and is passed on if there is none."""
     source: Any = ports.open(path)
+    given, refused = [], []
     for part in (source.frames, source.trajectory, source.map):
         try:
-            part()
+            given.append(part())
         except ul.InputError as error:
             assert_one_line(error)
+            refused.append(error)
+    if all(part is None for part in given):
+        raise refused[0]
 
 
 def assert_one_line(error: Exception) -> None:
@@ -295,10 +299,11 @@ def _read_address(path: Path) -> None:
     from ullage.ports.live import Address
 
     address = Address.of(path.read_bytes().decode("utf-8", "replace"))
-    if address is not None:
-        endpoint(address.place)
-        options = options_of(SourceOptions, address.options)
-        options.waypoints(), options.place(), options.place_of_start()
+    if address is None:
+        raise ul.InputError("no address", where=path.name)
+    endpoint(address.place)
+    options = options_of(SourceOptions, address.options)
+    options.waypoints(), options.place(), options.place_of_start()
 
 
 def _read_motive(path: Path) -> None:
@@ -362,14 +367,16 @@ READERS = [
 READER = {reader.name: reader for reader in READERS}
 
 
-def read_one(reader: Reader, data: bytes, folder: Path) -> None:
-    """Give one damaged input to a reader, which may refuse it in one line and nothing else."""
+def read_one(reader: Reader, data: bytes, folder: Path) -> str:
+    """Give one damaged input to a reader, which may refuse it in one line and nothing else; return that line."""
     path = folder / reader.file
     path.write_bytes(reader.pack(data))
     try:
         reader.read(path)
     except UllageError as error:
         assert_one_line(error)
+        return str(error)
+    return ""
 
 
 TEXT_WORDS = r"999999999999999999999 -1 nan 1e999 null [ ] { } \x00 \xff ../.. &a *a !!int 0x"
