@@ -14,18 +14,17 @@ from ullage.experiments.reproduce.plan import EXPERIMENTS
 
 HEAD = """# The thesis, reproduced
 
-`ullage reproduce` runs every experiment of chapter 6 of the thesis [Billdal2018] under its own ray model and the
-physical one, with its own methods and with ullage's, then every method of mapping and imaging on the same five flights,
-and writes one HTML page with every figure. What the thesis says
-of its results is held against numbers with bounds; the command exits 1 when one is broken. After Ctrl-C the same
-command goes on where it stopped: each experiment's results are kept in its folder under a fingerprint of code,
-scenarios and recordings. `--quick` does it small, `--only NAME` does one experiment, `--jobs N` does N at a time.
+`ullage reproduce` runs every experiment of chapter 6 of the thesis [Billdal2018], under its own ray model and under the
+physical one. It then runs every method of mapping and imaging on the same five flights. One HTML page holds the results
+and every figure.
 
-Every flight is a scenario that runs alone, too: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`;
-`ullage list` names them all.
+What the thesis says of its results is held against numbers with bounds. The command exits 1 when one bound is broken.
+After Ctrl-C the same command continues where it stopped. `--quick` runs a small version, `--only NAME` one experiment,
+`--jobs N` runs N at a time.
 
-The thesis' pictures are not copied here: hold it beside this page. Written by `python -m
-ullage.experiments.reproduce.docs` from the results.
+Every flight is also a scenario: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`. `ullage list` names
+them all. This page comes from one whole run, by `python -m ullage.experiments.reproduce.docs`. The thesis' pictures are
+not copied here: hold it beside this page.
 """
 PICTURES = {
     "baseline": (),
@@ -42,6 +41,7 @@ PICTURES = {
     "room": ("maps.png", "sar.png"),
     "hall": ("maps.png", "hover.png"),
     "hold": ("maps.png",),
+    "causes": (),
     "budget": ("budget.png",),
     "speeds": ("speeds.png",),
     "methods": ("maps.png",),

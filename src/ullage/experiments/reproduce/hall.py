@@ -80,7 +80,7 @@ def _smears(bench: Bench, rays: list[Flown], waves: list[Flown]) -> None:
             waves[0].number("known_behind"),
             high=0.005,
         )
-        hold("ullage's F1 over Elfes'", "beyond", waves[0].number("f1") - rays[0].number("f1"), low=0.0)
+        hold("ullage's F1 over Elfes'", "beyond", waves[0].number("f1") - rays[0].number("f1"), low=0.1)
 
 
 def _unlike(first: OccupancyMap, second: OccupancyMap) -> float:
@@ -102,14 +102,6 @@ def _things(bench: Bench, rays: Flown, waves: Flown | None) -> None:
         hold(f"Elfes: the {name.replace('_', ' ')} is on the map (share of its outline)", "7.2", found[name], low=0.7)
     for name in ("postbox", "dumpster"):
         hold(f"Elfes: part of the {name} is on the map (share of its outline)", "7.2", found[name], low=0.2)
-    bench.findings.differ(
-        "figure 6.14", "\"most of the features in the room was still mapped accurately\"",
-        f"stop sign, robot and panel are; of the car {100 * found['car']:.0f} %, of the person "
-        f"{100 * found['person']:.0f} % of the outline at the height of the flight",
-        "car: unknown; perhaps its lower, wider part, since only the first echo of a frame counts. Person: method, its "
-        "cells were seen empty until emptiness rounded to 1. Ours, fixed: flown at 1.3 m, above the postbox (1.2 m), "
-        "the map held nothing of postbox and dumpster.",
-    )  # fmt: skip
 
 
 def on_map(flown: Flown, name: str) -> float:
@@ -179,8 +171,9 @@ def _ghosts(bench: Bench, grown: dict[str, tuple[int, int]]) -> None:
         "figure 6.14", "hovering marks cells along the lobe at the person",
         f"{grown['Elfes'][1]} new cells within 1.2 m of the person by the formulas, {limited[1]} with both values "
         f"limited to {LIMITED:g}",
-        "method: over there emptiness rounds to 1, and no reading can fill such a cell. The thesis "
-        "does not say how its node kept emptiness below 1. Whole percent (`bits=8`) alone does not do it.",
+        "method: on arrival emptiness there is 1 after rounding, and a reading's f_o is multiplied by 1 less "
+        "emptiness. Shown: with the limit hovering makes cells, without it none. Not shown: that the thesis' node had "
+        "such a limit, or that rounding made its figure. Whole percent (`bits=8`) alone does not do it.",
     )  # fmt: skip
 
 

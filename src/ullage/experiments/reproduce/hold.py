@@ -25,8 +25,6 @@ LEG = "flight.waypoints=[[-11.5, -7, 4, 0], [-9, -7, 4, 0]]"
 """The first metres of the flight, for the small run."""
 HIGH_M = 6.0
 """A height at which floor and ceiling of the hold lie beyond R_max within the lobe [m]."""
-THESIS_RATIO = 128 / 0.4 / 15
-"""CPU of the thesis' mapping node in the hold over that in the NTNU room, both at real time (tables 6.2, 6.4)."""
 
 
 def run(bench: Bench) -> None:
@@ -61,7 +59,7 @@ def run(bench: Bench) -> None:
         high=0.005,
     )
     if not bench.quick:
-        hold("ullage's F1 over Elfes'", "beyond", waves.number("f1") - rays.number("f1"), low=0.0)
+        hold("ullage's F1 over Elfes'", "beyond", waves.number("f1") - rays.number("f1"), low=0.1)
     _detected(bench, rays)
     _far(bench, rays)
 
@@ -89,21 +87,13 @@ def _far(bench: Bench, flown: Flown) -> None:
         bench.findings.numbers[f"{method} far over near"] = costs[1] / costs[0]
     bench.findings.tabulate(
         "CPU for a profile [ms]", ("mapper", "walls 3 to 4 m away", "nothing in range", "far over near"), rows,
-        note=f"The thesis' mapping node took {THESIS_RATIO:.0f} times as much in the hold as in the NTNU room, both at "
-        "real time.",
+        note="The thesis' mapping node took 21 times as much in the hold as in the NTNU room (Causes).",
     )  # fmt: skip
     cells = [_cells(grid, shifted, track), _cells(grid, Scene.empty(), track)]
     hold, far = bench.findings.hold, bench.findings.numbers
     hold("Elfes: cells that a reading traverses where nothing is in range, over walls 3 to 4 m away", "7.3",
-         cells[1] / cells[0], low=3)  # fmt: skip
+         cells[1] / cells[0], low=6)  # fmt: skip  # the square of 10 m over 4 m
     hold("ullage: a profile costs no more where nothing is in range", "7.3", far["ullage far over near"], high=1.3)
-    bench.findings.differ(
-        "table 6.4", f"the mapping node takes {THESIS_RATIO:.0f} times as much as in the NTNU room",
-        f"a reading traverses {cells[1] / cells[0]:.1f} times as many cells where nothing is in range; CPU grows by "
-        f"{far['elfes far over near']:.1f}",
-        "method: the thesis' node visited cells in Python, so cells decide its cost. In compiled code what each "
-        "reading costs anyhow, such as finding the first peak, weighs as much.",
-    )  # fmt: skip
 
 
 def _cells(grid: Grid, scene: Scene, track: Trajectory) -> float:

@@ -41,6 +41,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     Experiment("room", "Mapping the NTNU room", "6.2", weight=4, small=7),
     Experiment("hall", "Mapping the cluttered room", "6.2", weight=8, small=1),
     Experiment("hold", "The cargo hold", "6.3", weight=9, small=2),
+    Experiment("causes", "Causes of the differences", "7.1 to 7.3", weight=4, small=1),
     Experiment("tables", "Speed, CPU and memory", "tables 6.1 to 6.4", weight=4, small=5.5),
     Experiment("budget", "The mapping node on board", "table 5.1", weight=4, small=3),
     Experiment("speeds", "Doppler, speed and frame rate", "7.1", weight=12, small=4),

@@ -98,7 +98,7 @@ def _statements(
             high=0.5,
         )
         false = {step: scored["elfes", step]["false_occupied"] * step**2 for step in (0.2, 0.1)}
-        hold("Elfes: 0.2 m gives more falsely occupied area than 0.1 m", "7.2", false[0.2] - false[0.1], "m2", low=0)
+        hold("Elfes: 0.2 m gives more falsely occupied area than 0.1 m", "7.2", false[0.2] - false[0.1], "m2", low=1)
     plate = middle_of(waves.scene, "steel_plate")
     for step, flown in rays.items():
         if step < 0.5 and flown.omap is not None:
@@ -133,7 +133,7 @@ def _memory_of_nodes(bench: Bench) -> None:
 
 
 def _differences(bench: Bench, scored: dict[tuple[str, float], dict[str, float]], rays: dict[float, Flown]) -> None:
-    """Figure 6.13: the finest grid, and the wall that is missing."""
+    """Figure 6.13: the finest grid."""
     if 0.05 in rays:
         fine, flown = scored["elfes", 0.05], rays[0.05]
         mapper = ElfesMapper(Grid.covering(flown.scene.bounds, 0.05, margin_m=1.0), spread_m=0.05)
@@ -150,17 +150,6 @@ def _differences(bench: Bench, scored: dict[tuple[str, float], dict[str, float]]
             "times as many cells, each with a quarter of the evidence, at the same number of readings. An arc of half "
             f"the thickness 0.05 m in place of 0.15 m gives recall {thin['recall'].value:.2f} and "
             f"{100 * thin['surface_declared_free'].value:.0f} % free. A slower flight was not tried.",
-        )  # fmt: skip
-    flown = rays[0.1]
-    if flown.omap is not None:
-        east = abs(flown.omap.grid.x_m - flown.scene.bounds[1, 0]) < 0.21
-        rows = abs(flown.omap.grid.y_m) < 2.9
-        share = float(flown.omap.occupied[np.ix_(rows, east)].any(1).mean())
-        bench.findings.differ(
-            "figure 6.13 c", "\"the placement of the walls are correctly portrayed\"",
-            f"{100 * share:.0f} % of the east wall is occupied at 0.1 m, F1 {scored['elfes', 0.1]['f1']:.2f}",
-            "path: ours turns back at x = 0.2 m, 3.8 m before that wall, and plate or side walls echo first. Only the "
-            "first echo of a frame counts. The thesis prints its path as a picture without coordinates.",
         )  # fmt: skip
 
 

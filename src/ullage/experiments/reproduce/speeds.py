@@ -210,15 +210,17 @@ def draw(
         axes[0].set(ylim=(-45, 2), xlabel="radial speed [m/s]", ylabel="echo against rest [dB]", title="One frame")
         axes[0].legend(fontsize=8)
         axes[1].plot(spacing(spec, image.speed_m_s), image.value, "o-", ms=4)
-        for at, name in ((0.25, "λ/4"), (widest(spec), "λ/(4 sin ½beam)")):
-            axes[1].axvline(at, color="tab:gray", ls="--")
-            axes[1].text(at, axes[1].get_ylim()[1], name, fontsize=7, va="top", rotation=90)
+        for at, name, style in ((0.25, "λ/4", "--"), (widest(spec), "λ/(4 sin ½beam)", ":")):
+            axes[1].axvline(at, color="tab:gray", ls=style, label=name)
+        axes[1].legend(fontsize=8, loc="lower right")
         axes[1].set(xlabel="frame spacing / wavelength", ylabel="ambiguous energy [dB]", title="SAR image of a wire")
         axes[2].plot(found.speed_m_s, found.value, "o-", ms=4)
         axes[2].axvline(blind_speed_m_s(spec), color="tab:gray", ls="--", label="blind speed λ/(2T)")
         axes[2].set(xlabel="radial speed [m/s]", ylabel="frames that detect it", ylim=(0, 1.05), title="Wire ahead")
-        axes[2].legend(fontsize=8)
+        axes[2].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 0.05))
         for method, row in scores.items():
-            axes[3].semilogx(row.speed_m_s, row.value, "o-", ms=4, label=method)
-        axes[3].set(xlabel="speed [m/s]", ylabel="F1", ylim=(0, 1), title="Map of a room")
-        axes[3].legend(fontsize=8)
+            axes[3].plot(np.log2(row.speed_m_s), row.value, "o-" if "," not in method else "s:", ms=4, label=method)
+        speeds = next(iter(scores.values())).speed_m_s
+        axes[3].set(xlabel="speed [m/s]", ylabel="F1", ylim=(0, 1), title="Map of a room", xticks=np.log2(speeds),
+                    xticklabels=[f"{v:g}" for v in speeds])  # fmt: skip
+        axes[3].legend(fontsize=7, loc="lower left")
