@@ -1,0 +1,282 @@
+"""The nearest obstacle in the sector of each radar, tracked over frames, with its closing speed.
+
+Detections come from CFAR [Rohling1983] after the radar's own echo is removed. A Kalman filter follows each echo in
+range (`processing.range_tracks`). A radar measures no bearing, so an obstacle bounds the whole sector of its main
+lobe. Ego-motion tells the floor and side lobes apart: they do not close as fast as things in the main lobe must.
+A sensor that is silent, or repeats one frame, has an unknown distance: whoever steers has to stop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.antenna import boresight_pattern
+from ullage.data import Detections, Frames
+from ullage.errors import InputError
+from ullage.geometry import C0, quat_matrix
+from ullage.processing.baseband import is_amplitude
+from ullage.processing.detect import detect
+from ullage.processing.echoes import blind_m
+from ullage.processing.own_echo import OwnEchoFilter
+from ullage.processing.range_tracks import Motion, RangeTracker, Track, TrackerSpec
+from ullage.specs import RadarSpec
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+STALE_S = 0.5
+"""Without a new frame for so long, a sensor's distance is unknown; autopilots use the same limit [PX4Collision]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObstacleTracks:
+    """All confirmed tracks of all sensors at one time, nearest first for each sensor."""
+
+    sensor: NDArray[np.int64]  # (m) index into ObstacleSectors.sensors
+    number: NDArray[np.int64]  # (m) a track keeps its number; unique for each sensor
+    distance_m: Floats  # (m) least distance from the body's origin [m]
+    sigma_m: Floats  # (m) [m]
+    closing_speed_m_s: Floats  # (m) above zero: approaches [m/s]
+    closing_sigma_m_s: Floats  # (m) [m/s]
+    snr_db: Floats  # (m) at its last detection [dB]
+    outside: Bools  # (m) ego-motion shows that it lies outside the main lobe, such as the floor
+
+    def __len__(self) -> int:
+        return len(self.sensor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObstacleSectors:
+    """The nearest obstacle in the sector of each of k radars, in the body's frame (forward, left, up).
+
+    A sector is the main lobe of one radar: it holds all directions within half of `width_rad` of its boresight.
+    Sectors may overlap or leave gaps.
+    """
+
+    t_ns: int  # time of the newest frame in it [ns]
+    sensors: tuple[str, ...]  # (k) names
+    boresight: Floats  # (k, 3) unit vectors in the body's frame
+    centre_rad: Floats  # (k) yaw of the boresight, counter-clockwise from forward [rad]
+    width_rad: Floats  # (k) opening of the main lobe [rad]
+    least_m: Floats  # (k) nearer than this to the body's origin nothing is detected [m]
+    reach_m: Floats  # (k) farther than this nothing is detected [m]
+    distance_m: Floats  # (k) from the body's origin; +inf: nothing detected; NaN: unknown [m]
+    sigma_m: Floats  # (k) one sigma of the distance; NaN without an obstacle [m]
+    closing_speed_m_s: Floats  # (k) above zero: approaches; NaN without an obstacle [m/s]
+    closing_sigma_m_s: Floats  # (k) one sigma [m/s]
+    valid: Bools  # (k) the sensor works and its distance is current
+    stale: Bools  # (k) no new frame for longer than the limit, or none yet
+    fault: tuple[str, ...]  # (k) why a sensor is not valid, in words; "" where it is
+    tracks: ObstacleTracks
+
+    def __len__(self) -> int:
+        return len(self.sensors)
+
+    @property
+    def time_to_collision_s(self) -> Floats:
+        """Distance over closing speed (k) [s]; +inf where nothing approaches, NaN where unknown."""
+        closing = np.where(self.closing_speed_m_s > 0, self.closing_speed_m_s, np.nan)
+        return np.where(self.valid, np.nan_to_num(self.distance_m / closing, nan=np.inf, posinf=np.inf), np.nan)
+
+    @property
+    def time_to_collision_sigma_s(self) -> Floats:
+        """One sigma of the time to collision (k), of first order in both errors [s]; NaN where it is not finite."""
+        closing = np.where(self.closing_speed_m_s > 0, self.closing_speed_m_s, np.nan)
+        return np.asarray(np.hypot(self.sigma_m, self.distance_m * self.closing_sigma_m_s / closing) / closing)
+
+    def covers(self, yaw_rad: float) -> Bools:
+        """Which sectors (k) hold a level direction, counter-clockwise from forward [rad]."""
+        ahead = self.boresight @ np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
+        return np.asarray(np.arccos(np.clip(ahead, -1, 1)) <= self.width_rad / 2)
+
+
+@dataclass(slots=True)
+class _Sensor:
+    """What is known of one radar."""
+
+    spec: RadarSpec
+    tracker: RangeTracker
+    boresight: Floats  # (3) in the body
+    half_lobe_rad: float
+    arm_m: float  # least distance by which the mount adds to a range in the main lobe
+    range_m: tuple[float, float]  # first and last bin
+    fresh_ns: int | None = None
+    confirmed: list[Track] = field(default_factory=list)
+    last: NDArray[Any] | None = None  # samples of the last frame
+    right_way: int = 0  # frames that agree with the mount
+    wrong_way: int = 0  # frames in which the strongest echo moves as if the sensor pointed the other way
+    fault: str = ""
+
+
+@dataclass(slots=True)
+class ObstacleStage:
+    """Obstacle distances, one `ObstacleSectors` for each time at which a frame came.
+
+    Args:
+        expected: radars that must report, by name; one that never does is stale. None: those that have reported.
+        pfa: false alarm probability of a range bin; tracks need several detections.
+        stale_s: without a new frame for so long, a distance is unknown [s].
+        tracker: settings of the tracks.
+        own_echo: removes the radar's own echo; None: it stays.
+    """
+
+    expected: Mapping[str, RadarSpec] | None = None
+    pfa: float = 1e-4
+    stale_s: float = STALE_S
+    tracker: TrackerSpec = field(default_factory=TrackerSpec)
+    own_echo: OwnEchoFilter | None = field(default_factory=lambda: OwnEchoFilter(most=64))
+    _sensors: dict[str, _Sensor] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, value in (("pfa", self.pfa), ("stale_s", self.stale_s)):
+            if not value > 0:
+                raise InputError(f"{name} is {value}", where="ObstacleStage", allowed="> 0")
+        for name, spec in (self.expected or {}).items():
+            self._sensors[name] = _sensor(spec, self.tracker)
+
+    def update(self, chunk: Mapping[str, Frames]) -> Iterable[ObstacleSectors]:
+        """Take frames of one or more radars; the obstacles at each of their times, in order.
+
+        Raises:
+            InputError: a frame has no number in a bin, or comes from a radar that is not expected.
+        """
+        clean = self.own_echo.clean(chunk) if self.own_echo is not None else chunk
+        events: list[tuple[int, str, int]] = []
+        found: dict[str, tuple[Detections, NDArray[np.int64]]] = {}
+        for name, part in clean.items():
+            self._check_known(name, part)
+            hits = _detections(part, self.pfa)
+            found[name] = hits, np.searchsorted(hits.frame, np.arange(len(part) + 1))
+            events += [(int(t_ns), name, row) for row, t_ns in enumerate(part.t_ns)]
+        events.sort()
+        return self._steps(events, chunk, found)
+
+    def finish(self) -> Iterable[Any]:
+        """Nothing is left over."""
+        return ()
+
+    def sectors(self, t_ns: int) -> ObstacleSectors:
+        """What is known at a time, also when no frame has come [ns]."""
+        parts = list(self._sensors.values())
+        stale = np.array([s.fresh_ns is None or t_ns - s.fresh_ns > self.stale_s * 1e9 for s in parts], bool)
+        fault = tuple(s.fault or ("no new frame" if late else "") for s, late in zip(parts, stale, strict=True))
+        valid = np.array([not text for text in fault], bool)
+        near = [next((track for track in s.confirmed if not track.outside), None) for s in parts]
+        bore = np.array([s.boresight for s in parts]).reshape(-1, 3)
+        arm = np.array([s.arm_m for s in parts])
+
+        def column(get: Any, missing: float) -> Floats:
+            values = np.array([missing if track is None else get(track) for track in near], float)
+            return np.where(valid, values, np.nan)
+
+        return ObstacleSectors(
+            t_ns=t_ns, sensors=tuple(self._sensors), boresight=bore, centre_rad=np.arctan2(bore[:, 1], bore[:, 0]),
+            width_rad=np.array([2 * s.half_lobe_rad for s in parts]),
+            least_m=np.array([s.tracker.blind_m for s in parts]) + arm,
+            reach_m=np.array([s.range_m[1] for s in parts]) + arm,
+            distance_m=column(lambda track: track.range_m, math.inf) + arm,
+            sigma_m=column(lambda track: math.sqrt(track.var_r), math.nan),
+            closing_speed_m_s=column(lambda track: track.closing_m_s, math.nan),
+            closing_sigma_m_s=column(lambda track: math.sqrt(track.var_v), math.nan),
+            valid=valid, stale=stale, fault=fault, tracks=_table(parts, valid),
+        )  # fmt: skip
+
+    def _steps(
+        self, events: list[tuple[int, str, int]], chunk: Mapping[str, Frames],
+        found: Mapping[str, tuple[Detections, NDArray[np.int64]]],
+    ) -> Iterator[ObstacleSectors]:  # fmt: skip
+        for index, (t_ns, name, row) in enumerate(events):
+            hits, edges = found[name]
+            self._step(self._sensors[name], chunk[name], row, hits, slice(edges[row], edges[row + 1]))
+            if index + 1 == len(events) or events[index + 1][0] != t_ns:
+                yield self.sectors(t_ns)
+
+    def _step(self, sensor: _Sensor, frames: Frames, row: int, hits: Detections, which: slice) -> None:
+        samples = frames.samples[row]
+        repeated = sensor.last is not None and np.array_equal(samples, sensor.last)
+        sensor.last = samples
+        if repeated or not samples.any():  # no noise: the sensor does not receive
+            return
+        t_ns = int(frames.t_ns[row])
+        motion = _motion(frames, row, sensor)
+        snr = np.nan_to_num(hits.snr_db[which], nan=60.0, posinf=60.0)
+        sensor.confirmed = sensor.tracker.step(t_ns, hits.range_m[which], _sigma_m(frames, snr), snr, motion)
+        sensor.fresh_ns = t_ns
+        _check_mount(sensor, motion)
+
+    def _check_known(self, name: str, part: Frames) -> None:
+        if name not in self._sensors:
+            if self.expected is not None:
+                raise InputError(f"frames of an unknown radar {name!r}", where="ObstacleStage",
+                                 allowed=", ".join(self.expected))  # fmt: skip
+            self._sensors[name] = _sensor(part.spec, self.tracker)
+        sensor = self._sensors[name]
+        sensor.tracker.blind_m = blind_m(part)
+        sensor.range_m = (float(part.range_m[0]), float(part.range_m[-1]))
+
+
+def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
+    body_from_sensor = spec.mount.body_from_sensor()
+    half = min(boresight_pattern(spec.antenna).main_lobe_rad, math.pi)
+    bore, arm = body_from_sensor[:3, 0], body_from_sensor[:3, 3]
+    away = math.acos(float(np.clip(bore @ arm / max(float(np.linalg.norm(arm)), 1e-12), -1, 1)))
+    least_m = float(np.linalg.norm(arm)) * math.cos(min(away + half, math.pi))
+    return _Sensor(spec, RangeTracker(tracker), bore.copy(), half, least_m, (0.0, math.inf))
+
+
+def _detections(part: Frames, pfa: float) -> Detections:
+    method: Any = "peaks" if is_amplitude(part) else "os-cfar"
+    return detect(part, method=method, pfa=pfa, remove_own_echo=False)
+
+
+def _sigma_m(frames: Frames, snr_db: Floats) -> Floats:
+    """Standard deviation of a peak's range (d) [m]: noise on the Gaussian pulse, and a tenth of a bin of the fit."""
+    pulse_m = frames.spec.pulse_sigma_s * C0 / 2
+    bin_m = float(frames.range_m[1] - frames.range_m[0])
+    return np.asarray(np.hypot(pulse_m / np.sqrt(2 * 10 ** (snr_db / 10)), max(0.1 * bin_m, 0.01)))
+
+
+def _motion(frames: Frames, row: int, sensor: _Sensor) -> Motion:
+    if frames.poses is None:
+        return Motion(np.zeros(3), sensor.boresight, sensor.half_lobe_rad)
+    velocity, _ = frames.poses.rates
+    boresight = quat_matrix(frames.poses.quat_xyzw[row])[:, 0]
+    return Motion(velocity[row], boresight, sensor.half_lobe_rad)
+
+
+def _check_mount(sensor: _Sensor, motion: Motion) -> None:
+    """Compare the strongest echo of a sensor that points up or down with its mount: the floor or ceiling shows it."""
+    vertical = float(motion.velocity[2] * motion.boresight[2])
+    if abs(motion.boresight[2]) < 0.8 or abs(vertical) < 0.2 or not sensor.confirmed:
+        return
+    strongest = max(sensor.confirmed, key=lambda track: track.snr_db)
+    ratio = strongest.closing_m_s / vertical
+    spread = 2 * math.sqrt(strongest.var_v) / abs(vertical)
+    sensor.right_way += ratio - spread > 0.3
+    sensor.wrong_way += ratio + spread < -0.3
+    if sensor.wrong_way >= 10 and sensor.wrong_way > 4 * sensor.right_way:
+        sensor.fault = "its strongest echo recedes where the mount says that it approaches: mounted upside down?"
+
+
+def _table(parts: list[_Sensor], valid: Bools) -> ObstacleTracks:
+    rows = [(k, s, track) for k, s in enumerate(parts) if valid[k] for track in s.confirmed]
+
+    def column(get: Any) -> Floats:
+        return np.array([get(s, track) for _, s, track in rows], float)
+
+    return ObstacleTracks(
+        np.array([k for k, _, _ in rows], np.int64),
+        np.array([track.number for _, _, track in rows], np.int64),
+        column(lambda s, track: track.range_m + s.arm_m),
+        column(lambda s, track: math.sqrt(track.var_r)),
+        column(lambda s, track: track.closing_m_s),
+        column(lambda s, track: math.sqrt(track.var_v)),
+        column(lambda s, track: track.snr_db),
+        np.array([track.outside for _, _, track in rows], bool),
+    )

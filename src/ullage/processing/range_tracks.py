@@ -1,0 +1,212 @@
+"""Tracks of echoes in range: Kalman filters of range and closing speed, with gates, birth and death.
+
+Each track is a constant-velocity filter [BarShalomEtAl2001, ch. 6]. A change of the sensor's own velocity is known
+from odometry and moves the predicted closing speed. A radar without bearing does not know by how much, so the part of
+that change across the boresight counts as process noise. Tracks are confirmed by M hits in N frames [Blackman1986].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from ullage.specs import Spec
+
+Floats = NDArray[np.float64]
+
+_UNDECIDED, _OUTSIDE, _MOST_EVIDENCE = 0, 4, 6  # frames that contradict the main lobe
+_LEAST_SPEED_M_S = 0.1  # below it, ego-motion says nothing about a bearing
+
+
+class TrackerSpec(Spec):
+    """Settings of the range tracker."""
+
+    acceleration_m_s2: float = Field(1.0, gt=0, le=50, description="of obstacles along the range, sigma")
+    obstacle_speed_m_s: float = Field(
+        1.0, ge=0, le=50, description="of obstacles themselves, sigma before the first fit"
+    )
+    gate_sigma: float = Field(3.5, gt=0, le=10, description="how far a detection may lie from its track")
+    hits: int = Field(3, ge=1, le=20, description="M: detections that confirm a track")
+    window: int = Field(5, ge=1, le=30, description="N: among so many frames")
+    coast_s: float = Field(0.4, gt=0, le=10, description="a track without detections lives so long")
+    blind_s: float = Field(5.0, gt=0, le=60, description="the same inside the blind range, where nothing is detected")
+    most: int = Field(24, ge=1, le=200, description="tracks a sensor")
+
+
+@dataclass(slots=True)
+class Track:
+    """One echo followed in range."""
+
+    number: int
+    range_m: float
+    rate_m_s: float  # of the range: below zero it approaches
+    var_r: float  # covariance of range and rate
+    cov: float
+    var_v: float
+    snr_db: float
+    born_ns: int
+    seen_ns: int
+    history: int = 1  # one bit a frame, the newest lowest
+    confirmed: bool = False
+    evidence: int = _UNDECIDED  # frames that contradict the main lobe, less those that agree
+
+    @property
+    def closing_m_s(self) -> float:
+        """Closing speed [m/s], above zero where the obstacle approaches."""
+        return -self.rate_m_s
+
+    @property
+    def outside(self) -> bool:
+        """Whether ego-motion shows that a thing at rest lies outside the main lobe: floor, ceiling, side lobes."""
+        return self.evidence >= _OUTSIDE
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What odometry knows of a sensor at one time."""
+
+    velocity: Floats  # (3) in the world [m/s]
+    boresight: Floats  # (3) unit vector in the world
+    half_lobe_rad: float  # half the opening of the main lobe
+
+    def closing_limits(self) -> tuple[float, float]:
+        """Least and greatest closing speed of things at rest in the main lobe [m/s]."""
+        speed = math.sqrt(float(self.velocity @ self.velocity))
+        if speed < 1e-9:
+            return 0.0, 0.0
+        angle = math.acos(min(1.0, max(-1.0, float(self.velocity @ self.boresight) / speed)))
+        most, least = max(0.0, angle - self.half_lobe_rad), min(math.pi, angle + self.half_lobe_rad)
+        return speed * math.cos(least), speed * math.cos(most)
+
+
+class RangeTracker:
+    """Follow the echoes of one sensor.
+
+    Args:
+        spec: settings.
+        blind_m: range below which the sensor detects nothing [m].
+    """
+
+    def __init__(self, spec: TrackerSpec | None = None, *, blind_m: float = 0.0) -> None:
+        self.spec = spec or TrackerSpec()
+        self.blind_m = blind_m
+        self.tracks: list[Track] = []
+        self._last_ns: int | None = None
+        self._velocity = np.zeros(3)
+        self._count = 0
+
+    def step(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[Track]:
+        """Predict all tracks to a frame and update them with its detections.
+
+        Args:
+            t_ns: time of the frame [ns]; at or before the last one: the tracker starts anew.
+            range_m: ranges of the detections (d) [m].
+            sigma_m: their standard deviations (d) [m].
+            snr_db: their levels over noise (d) [dB].
+            motion: of the sensor.
+
+        Returns:
+            The confirmed tracks, nearest first.
+        """
+        if self._last_ns is not None and t_ns <= self._last_ns:
+            self.tracks, self._last_ns = [], None
+        if self._last_ns is not None:
+            self._predict((t_ns - self._last_ns) * 1e-9, motion)
+        self._last_ns, self._velocity = t_ns, motion.velocity
+        free = self._associate(t_ns, range_m, sigma_m, snr_db, motion)
+        self._end_tracks(t_ns)
+        for k in free[: max(0, self.spec.most - len(self.tracks))]:
+            self._begin(t_ns, float(range_m[k]), float(sigma_m[k]), float(snr_db[k]), motion)
+        self.tracks.sort(key=lambda track: track.range_m)
+        return [track for track in self.tracks if track.confirmed]
+
+    def _predict(self, dt: float, motion: Motion) -> None:
+        change = motion.velocity - self._velocity
+        along = float(change @ motion.boresight)
+        across = max(float(change @ change) - along**2, 0.0)
+        spread = across + (along * math.sin(min(motion.half_lobe_rad, math.pi / 2))) ** 2
+        noise = self.spec.acceleration_m_s2**2 * dt**2
+        for track in self.tracks:
+            track.rate_m_s -= along
+            track.range_m += track.rate_m_s * dt
+            track.var_r += 2 * dt * track.cov + dt**2 * track.var_v + noise * dt**2 / 4
+            track.cov += dt * track.var_v + noise * dt / 2
+            track.var_v += noise + spread
+            track.history = (track.history << 1) & ((1 << self.spec.window) - 1)
+
+    def _associate(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[int]:
+        """Update each track with the detection nearest to it; the detections that no track took, nearest first."""
+        free = list(range(len(range_m)))
+        if self.tracks and free:
+            place = np.array([track.range_m for track in self.tracks])
+            var = np.array([track.var_r for track in self.tracks])
+            apart = (range_m[None, :] - place[:, None]) ** 2 / (var[:, None] + sigma_m[None, :] ** 2)
+            # a confirmed track chooses before one that may be a false alarm
+            rank = apart + np.where([track.confirmed for track in self.tracks], 0.0, 1e6)[:, None]
+            rank[apart > self.spec.gate_sigma**2] = np.inf
+            while np.isfinite(rank).any():
+                i, k = divmod(int(np.argmin(rank)), rank.shape[1])
+                self._update(self.tracks[i], t_ns, float(range_m[k]), float(sigma_m[k]), float(snr_db[k]), motion)
+                rank[i, :] = rank[:, k] = np.inf
+                free.remove(k)
+        return free
+
+    def _update(self, track: Track, t_ns: int, range_m: float, sigma_m: float, snr_db: float, motion: Motion) -> None:
+        total = track.var_r + sigma_m**2
+        gain_r, gain_v, error = track.var_r / total, track.cov / total, range_m - track.range_m
+        track.range_m += gain_r * error
+        track.rate_m_s += gain_v * error
+        track.var_v -= gain_v * track.cov
+        track.cov *= 1 - gain_r
+        track.var_r *= 1 - gain_r
+        track.snr_db, track.seen_ns = snr_db, t_ns
+        track.history |= 1
+        track.confirmed = track.confirmed or track.history.bit_count() >= self.spec.hits
+        track.evidence = _weighed(track, motion)
+
+    def _end_tracks(self, t_ns: int) -> None:
+        kept = []
+        for track in self.tracks:
+            missed_s = (t_ns - track.seen_ns) * 1e-9
+            if track.confirmed:
+                # an obstacle may touch the hull unseen: its range stays at zero, not below
+                track.range_m = max(track.range_m, 0.0)
+                hidden = track.range_m < self.blind_m
+                alive = missed_s <= (self.spec.blind_s if hidden else self.spec.coast_s)
+            else:
+                alive = (
+                    track.range_m > 0 and track.history.bit_count() + _left(track, self.spec.window) >= self.spec.hits
+                )
+            if alive:
+                kept.append(track)
+        self.tracks = kept
+
+    def _begin(self, t_ns: int, range_m: float, sigma_m: float, snr_db: float, motion: Motion) -> None:
+        rate = -float(motion.velocity @ motion.boresight)
+        var_v = float(motion.velocity @ motion.velocity) + max(self.spec.obstacle_speed_m_s, 0.1) ** 2
+        self._count += 1
+        self.tracks.append(
+            Track(self._count, range_m, rate, sigma_m**2, 0.0, var_v, snr_db, t_ns, t_ns, confirmed=self.spec.hits == 1)
+        )
+
+
+def _left(track: Track, window: int) -> int:
+    """Frames of the window of birth that are still to come."""
+    return max(window - track.history.bit_length(), 0)
+
+
+def _weighed(track: Track, motion: Motion) -> int:
+    """Evidence that the echo comes from outside the main lobe, after one more frame."""
+    least, most = motion.closing_limits()
+    if max(abs(least), abs(most)) < _LEAST_SPEED_M_S:
+        return track.evidence
+    spread = 2 * math.sqrt(track.var_v)
+    closing = track.closing_m_s
+    if closing + spread < least:
+        return min(track.evidence + 1, _MOST_EVIDENCE)
+    # only a speed that nothing outside the lobe has, or that is dangerous, speaks for the lobe
+    return max(track.evidence - 1, _UNDECIDED) if closing > least else track.evidence

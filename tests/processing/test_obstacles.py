@@ -1,0 +1,172 @@
+"""Obstacle distances: laws of the range tracks, sectors from frames, and sensors that fail."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.errors import InputError
+from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
+from ullage.processing.range_tracks import Motion, RangeTracker, Track, TrackerSpec
+
+RATE_HZ = 17.0
+PERIOD_NS = round(1e9 / RATE_HZ)
+AHEAD = np.array([1.0, 0.0, 0.0])
+
+
+def motion(speed_m_s: float) -> Motion:
+    return Motion(speed_m_s * AHEAD, AHEAD, math.radians(47.5))
+
+
+def feed(tracker: RangeTracker, row: int, range_m: list[float], speed_m_s: float = 0.0) -> list[Track]:
+    found = np.array(range_m, float)
+    return tracker.step(row * PERIOD_NS, found, np.full(len(found), 0.01), np.full(len(found), 20.0), motion(speed_m_s))
+
+
+def test_track_error_agrees_with_its_sigma() -> None:
+    """The normalised error squared of range and closing speed averages two, its number of components (NEES)."""
+    rng = np.random.default_rng(5)
+    nees = []
+    for _ in range(60):
+        tracker, speed, place = RangeTracker(TrackerSpec(acceleration_m_s2=0.5)), 0.0, 6.0
+        rate = rng.normal(0, 0.5)
+        for row in range(40):
+            if row:
+                push = rng.normal(0, 0.5)
+                place += rate / RATE_HZ + push / RATE_HZ**2 / 2
+                rate += push / RATE_HZ
+                change = 0.03 if 10 <= row < 30 else 0.0  # the drone speeds up: known from odometry
+                speed, rate, place = speed + change, rate - change, place - change / RATE_HZ
+            tracks = feed(tracker, row, [place + rng.normal(0, 0.01)], speed)
+        track = tracks[0]
+        error = np.array([track.range_m - place, track.rate_m_s - rate])
+        cov = np.array([[track.var_r, track.cov], [track.cov, track.var_v]])
+        nees.append(error @ np.linalg.solve(cov, error))
+    assert 1.0 < np.mean(nees) < 2.7  # 60 flights know a mean of two to 0.26
+
+
+def test_odometry_moves_the_closing_speed_at_once() -> None:
+    tracker = RangeTracker()
+    place = 4.0
+    for row in range(20):
+        feed(tracker, row, [place])
+    (track,) = feed(tracker, 20, [place], 0.0)
+    assert abs(track.closing_m_s) < 0.05
+    (track,) = feed(tracker, 21, [place - 0.5 / RATE_HZ], 0.5)
+    assert track.closing_m_s == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_track_is_born_of_three_hits_in_five_frames_and_no_fewer() -> None:
+    assert not any(feed(RangeTracker(), row, [3.0]) for row in range(1))
+    often, rare = RangeTracker(), RangeTracker()
+    born = [bool(feed(often, row, [3.0] if hit else [])) for row, hit in enumerate((1, 0, 1, 0, 1))]
+    assert born == [False, False, False, False, True]
+    assert not any(feed(rare, row, [3.0] if row % 3 == 0 else []) for row in range(30))
+
+
+def test_a_track_dies_when_its_echo_stays_away_but_not_inside_the_blind_range() -> None:
+    for place, alive in ((2.0, False), (0.4, True)):
+        tracker = RangeTracker(TrackerSpec(coast_s=0.4, blind_s=5.0))
+        for row in range(10):
+            feed(tracker, row, [place])
+        tracker.blind_m = 0.45
+        assert bool([feed(tracker, row, []) for row in range(10, 30)][-1]) == alive
+
+
+def test_the_floor_of_a_level_flight_is_outside_the_main_lobe() -> None:
+    tracker = RangeTracker()
+    for row in range(30):
+        tracks = feed(tracker, row, [1.2, 5.0 - 0.7 * row / RATE_HZ], 0.7)
+    floor, wall = tracks
+    assert floor.outside
+    assert not wall.outside
+    assert wall.closing_m_s == pytest.approx(0.7, abs=0.03)
+
+
+@pytest.fixture(scope="module")
+def hall() -> dict[str, Frames]:
+    """Four radars fly at a wall 4 m ahead in a hall, 1.2 m over the floor."""
+    path = Trajectory.line((-3, 0, -0.3), (-1.0, 0, -0.3), 0.7, RATE_HZ)
+    return ul.simulate(ul.scenes.room(size_m=(8, 5, 3)), path, ul.Rig.preset("thesis-4"), seed=1)
+
+
+def one_by_one(stage: ObstacleStage, frames: dict[str, Frames]) -> list[ObstacleSectors]:
+    count = max(len(part) for part in frames.values())
+    pieces = ({name: part[i : i + 1] for name, part in frames.items() if i < len(part)} for i in range(count))
+    return [found for piece in pieces for found in stage.update(piece)]
+
+
+def test_the_wall_ahead_bounds_the_sector_ahead(hall: dict[str, Frames]) -> None:
+    last = one_by_one(ObstacleStage(), hall)[-1]
+    front = last.sensors.index("front")
+    truth = 4.0 - hall["front"].truth.position[-1, 0] + 0.1  # type: ignore[union-attr]
+    assert last.distance_m[front] == pytest.approx(truth, abs=0.06)
+    assert last.closing_speed_m_s[front] == pytest.approx(0.7, abs=0.05)
+    assert last.time_to_collision_s[front] == pytest.approx(truth / 0.7, rel=0.1)
+    assert last.time_to_collision_sigma_s[front] < 1.0
+    assert last.valid.all()
+    assert not last.stale.any()
+    assert list(last.covers(0.0)) == [name == "front" for name in last.sensors]
+
+
+def test_a_silent_sensor_has_an_unknown_distance(hall: dict[str, Frames]) -> None:
+    stage = ObstacleStage()
+    cut = hall | {"front": hall["front"][:20]}
+    before, *_, after = one_by_one(stage, cut)
+    front = after.sensors.index("front")
+    assert before.valid[front]
+    assert not after.valid[front]
+    assert after.stale[front]
+    assert math.isnan(after.distance_m[front])
+    assert math.isnan(after.time_to_collision_s[front])
+    assert after.valid.sum() == 3
+    assert not stage.sectors(after.t_ns + 10**9).valid.any()
+
+
+@pytest.mark.parametrize("fault", ["zeros", "frozen"])
+def test_a_sensor_that_repeats_itself_is_not_alive(hall: dict[str, Frames], fault: str) -> None:
+    samples = hall["front"].samples.copy()
+    samples[20:] = 0 if fault == "zeros" else samples[19]
+    dead = hall | {"front": replace(hall["front"], samples=samples)}
+    last = one_by_one(ObstacleStage(), dead)[-1]
+    assert [name for name, ok in zip(last.sensors, last.valid, strict=True) if not ok] == ["front"]
+
+
+def test_an_expected_sensor_that_never_reports_is_stale(hall: dict[str, Frames]) -> None:
+    stage = ObstacleStage(expected=ul.Rig.preset("thesis-4").sensors)
+    three = {name: part for name, part in hall.items() if name != "left"}
+    last = one_by_one(stage, three)[-1]
+    assert [last.sensors[k] for k in np.flatnonzero(~last.valid)] == ["left"]
+    with pytest.raises(InputError, match=r"unknown radar 'roof'.*front, left, back, right"):
+        list(stage.update({"roof": replace(hall["front"], sensor="roof")}))
+
+
+def test_frames_in_pieces_or_at_once_give_the_same_distances(hall: dict[str, Frames]) -> None:
+    at_once = list(ObstacleStage(own_echo=None).update(hall))
+    pieces = one_by_one(ObstacleStage(own_echo=None), hall)
+    assert len(at_once) == len(pieces)
+    for a, b in zip(at_once, pieces, strict=True):
+        assert a.t_ns == b.t_ns
+        np.testing.assert_allclose(a.distance_m, b.distance_m, atol=1e-3)
+
+
+def test_a_radar_mounted_upside_down_is_noticed_by_the_floor() -> None:
+    scene = ul.scenes.room(size_m=(5, 4, 5))
+    rig = ul.Rig.preset("thesis-4-down")
+    down = rig.sensors["down"]
+    real = ul.Rig(sensors={"down": down.but(mount=down.mount.but(pitch_deg=-90.0))})
+    path = Trajectory.line((0, 0, -1.0), (0, 0, 0.8), 0.6, RATE_HZ)
+    frames = ul.simulate(scene, path, real, seed=3)["down"]
+    for spec, words in ((real.sensors["down"], ""), (down, "upside down")):
+        turn = Trajectory(path.t_ns, path.position, path.quat_xyzw, path.velocity, path.angular_velocity).mounted(
+            spec.mount.body_from_sensor()
+        )
+        believed = replace(frames, spec=spec, poses=turn, truth=None)
+        last = one_by_one(ObstacleStage(), {"down": believed})[-1]
+        assert words in last.fault[0]
+        assert last.valid[0] == (not words)
