@@ -33,6 +33,25 @@ class WorldSpec(Spec):
     missing: Literal["refuse", "skip"] = Field("refuse", description="refuse or skip a model or mesh that is not there")
 
 
+class GuardSpec(Spec):
+    """Keep the drone off obstacles by its own radars; no certified safety function."""
+
+    on: bool = Field(False, description="fly in closed loop with the guard")
+    margin_m: float = Field(0.3, gt=0, le=10, description="gap kept between hull and obstacle")
+    braking_m_s2: float = Field(0.8, gt=0, le=10, description="deceleration that the vehicle surely reaches")
+    latency_s: float = Field(0.5, ge=0, le=5, description="from an echo until the vehicle slows down")
+    sigmas: float = Field(2.0, ge=0, le=6, description="standard deviations by which distances are shortened")
+    release_m: float = Field(0.15, ge=0, le=5, description="more room than at the stop before it flies on")
+    recovery_m_s2: float = Field(0.6, gt=0, le=10, description="growth of the limit once the path is free")
+    back_off_m_s: float = Field(0.15, ge=0, le=1, description="retreat from obstacles inside the margin; 0: hover")
+    back_off_share: float = Field(0.5, ge=0, le=1, description="share of the margin that is lost before it retreats")
+    unseen_m_s: float = Field(
+        0.0, ge=0, le=5, description="level speed in directions that no working radar covers; 0: stop"
+    )
+    stale_s: float = Field(0.5, gt=0, le=5, description="a radar that is silent for so long has an unknown distance")
+    give_up_s: float = Field(4.0, gt=0, le=600, description="a flight that is stopped for so long ends")
+
+
 class FlightSpec(Spec):
     """How the drone moves."""
 
@@ -46,6 +65,15 @@ class FlightSpec(Spec):
     wander_m: float = Field(0.0, ge=0, le=5, description="stray as under a human hand, rms along x and y; half in z")
     wander_deg: float = Field(0.0, ge=0, le=90, description="the same of the heading, rms")
     hover_s: float = Field(0.0, ge=0, le=600, description="hover at the last waypoint")
+    guard: GuardSpec = GuardSpec()
+
+    @model_validator(mode="after")
+    def _guarded(self) -> Self:
+        if self.guard.on and self.vehicle == "ideal":
+            raise ValueError("guard.on wants a vehicle that can brake (allowed: vehicle hector)")
+        if self.guard.on and (self.wander_m or self.wander_deg):
+            raise ValueError("guard.on flies no wander (allowed: wander_m 0 and wander_deg 0)")
+        return self
 
 
 class NavigationSpec(Spec):

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.errors import InputError
 from ullage.flight.airframe import Airframe, airframe
-from ullage.flight.control import Tables
+from ullage.flight.control import Tables, air
 from ullage.flight.obstacles import bodies
 from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings
 from ullage.world.scene import Scene
@@ -107,9 +107,12 @@ class Steered:
 
     Args:
         vehicle: name of a vehicle, or an `Airframe`.
-        scene: what can be hit; moving objects stand where they are at first. None: free space.
+        scene: what can be hit; None: free space. Moving objects stand where they are at first, but for `moving_s`.
         start: where it hovers at first: x, y, z [m], and yaw [deg] or not.
         wind_m_s: mean wind (3) [m/s] world.
+        gust_m_s: rms of the gusts along x and y [m/s]; half of it along z.
+        seed: which gusts.
+        moving_s: for so long gusts blow and moving objects move, from the start on [s].
 
     Raises:
         InputError: the start is not three or four finite numbers, or the vehicle unknown.
@@ -122,15 +125,19 @@ class Steered:
         scene: Scene | None = None,
         start: ArrayLike = (0.0, 0.0, 1.0),
         wind_m_s: Sequence[float] = (0.0, 0.0, 0.0),
+        gust_m_s: float = 0.0,
+        seed: int = 0,
+        moving_s: float = 0.0,
     ) -> None:
         place = np.asarray(start, float)
         if place.shape not in ((3,), (4,)) or not np.isfinite(place).all():
             raise InputError(f"start is {start!r}", where="Steered", allowed="x, y, z [m], and yaw [deg] or not")
         self._tables = Tables.of(airframe(vehicle))
-        self._around = Surroundings(airframe(vehicle), bodies(scene) if scene is not None else [], 1)
+        self._rows = max(math.ceil(moving_s * CONTROL_HZ), 0) + 1
+        self._around = Surroundings(airframe(vehicle), bodies(scene) if scene is not None else [], self._rows)
         self._memory = self._tables.memory(airframe(vehicle).hover_rad_s)
         self._track = np.zeros((1, 14))
-        self._wind = np.asarray(wind_m_s, float).reshape(1, 3)
+        self._wind = air(np.asarray(wind_m_s, float), gust_m_s, count=self._rows, rate_hz=CONTROL_HZ, seed=seed)
         self._mass_kg = airframe(vehicle).mass_kg
         yaw = math.radians(float(place[3])) if len(place) == 4 else 0.0
         self._track[0, :3], self._track[0, 12] = place[:3], yaw
@@ -148,6 +155,11 @@ class Steered:
     def touched(self) -> int:
         """How often it has hit something."""
         return len(self._around.touches)
+
+    @property
+    def contacts(self) -> tuple[tuple[int, int, float], ...]:
+        """Each contact: control step at which it began, number of the object, speed [m/s]."""
+        return tuple((touch.step, touch.owner, touch.speed) for touch in self._around.touches)
 
     @property
     def position(self) -> Floats:
@@ -186,7 +198,8 @@ class Steered:
         command: Any = flight.command
         wrench: Any = flight.wrench
         around, tables, dt = self._around, self._tables, 1 / CONTROL_HZ
-        around.look(0)
+        row = min(self.steps, self._rows - 1)
+        around.look(row)
         data = around.data
         self._steer(dt)
         command(
@@ -194,7 +207,7 @@ class Steered:
         )  # fmt: skip
         for _ in range(CONTROL_EVERY):
             wrench(
-                data.qpos, data.qvel, self._memory, tables.plane, tables.rotors, self._wind, 0, 1 / PHYSICS_HZ,
+                data.qpos, data.qvel, self._memory, tables.plane, tables.rotors, self._wind, row, 1 / PHYSICS_HZ,
                 data.qfrc_applied,
             )  # fmt: skip
             mujoco.mj_step(around.model, data)

@@ -20,7 +20,7 @@ from ullage.antenna import boresight_pattern
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.processing.baseband import is_amplitude
+from ullage.processing.baseband import is_amplitude, noise_correlation
 from ullage.processing.detect import detect
 from ullage.processing.echoes import blind_m
 from ullage.processing.own_echo import OwnEchoFilter
@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 STALE_S = 0.5
-"""Without a new frame for so long, a sensor's distance is unknown; autopilots use the same limit [PX4Collision]."""
+"""Without a new frame for so long, a distance is unknown; autopilots use the same limit [PX4Collision]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +106,7 @@ class _Sensor:
     half_lobe_rad: float
     arm_m: float  # least distance by which the mount adds to a range in the main lobe
     range_m: tuple[float, float]  # first and last bin
+    correlation: NDArray[np.complex128]  # of the noise between bins
     fresh_ns: int | None = None
     confirmed: list[Track] = field(default_factory=list)
     last: NDArray[Any] | None = None  # samples of the last frame
@@ -130,8 +131,9 @@ class ObstacleStage:
     pfa: float = 1e-4
     stale_s: float = STALE_S
     tracker: TrackerSpec = field(default_factory=TrackerSpec)
-    own_echo: OwnEchoFilter | None = field(default_factory=lambda: OwnEchoFilter(most=64))
+    own_echo: OwnEchoFilter | None = field(default_factory=lambda: OwnEchoFilter(most=48, growth=1.5))
     _sensors: dict[str, _Sensor] = field(default_factory=dict)
+    _due: list[str] = field(default_factory=list)  # sensors whose own echo is to be estimated anew
 
     def __post_init__(self) -> None:
         for name, value in (("pfa", self.pfa), ("stale_s", self.stale_s)):
@@ -146,12 +148,12 @@ class ObstacleStage:
         Raises:
             InputError: a frame has no number in a bin, or comes from a radar that is not expected.
         """
-        clean = self.own_echo.clean(chunk) if self.own_echo is not None else chunk
+        clean = self._without_own_echo(chunk)
         events: list[tuple[int, str, int]] = []
         found: dict[str, tuple[Detections, NDArray[np.int64]]] = {}
         for name, part in clean.items():
             self._check_known(name, part)
-            hits = _detections(part, self.pfa)
+            hits = _detections(part, self.pfa, self._sensors[name].correlation)
             found[name] = hits, np.searchsorted(hits.frame, np.arange(len(part) + 1))
             events += [(int(t_ns), name, row) for row, t_ns in enumerate(part.t_ns)]
         events.sort()
@@ -196,6 +198,25 @@ class ObstacleStage:
             self._step(self._sensors[name], chunk[name], row, hits, slice(edges[row], edges[row + 1]))
             if index + 1 == len(events) or events[index + 1][0] != t_ns:
                 yield self.sectors(t_ns)
+        self._learn(chunk)  # whoever steers has its distances by now
+
+    def _without_own_echo(self, chunk: Mapping[str, Frames]) -> Mapping[str, Frames]:
+        if self.own_echo is None:
+            return chunk
+        for name, part in chunk.items():
+            if name not in self.own_echo.found:
+                self.own_echo.learn({name: part})
+                self.own_echo.renew(name)
+        return self.own_echo.known_removed_from(chunk)
+
+    def _learn(self, chunk: Mapping[str, Frames]) -> None:
+        """Take the frames into the estimates of the own echo; renew one of them at most, the one that waits longest."""
+        if self.own_echo is None:
+            return
+        self.own_echo.learn(chunk)
+        self._due += [name for name in chunk if name not in self._due and self.own_echo.is_due(name)]
+        if self._due:
+            self.own_echo.renew(self._due.pop(0))
 
     def _step(self, sensor: _Sensor, frames: Frames, row: int, hits: Detections, which: slice) -> None:
         samples = frames.samples[row]
@@ -227,12 +248,12 @@ def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
     bore, arm = body_from_sensor[:3, 0], body_from_sensor[:3, 3]
     away = math.acos(float(np.clip(bore @ arm / max(float(np.linalg.norm(arm)), 1e-12), -1, 1)))
     least_m = float(np.linalg.norm(arm)) * math.cos(min(away + half, math.pi))
-    return _Sensor(spec, RangeTracker(tracker), bore.copy(), half, least_m, (0.0, math.inf))
+    return _Sensor(spec, RangeTracker(tracker), bore.copy(), half, least_m, (0.0, math.inf), noise_correlation(spec))
 
 
-def _detections(part: Frames, pfa: float) -> Detections:
+def _detections(part: Frames, pfa: float, correlation: NDArray[np.complex128]) -> Detections:
     method: Any = "peaks" if is_amplitude(part) else "os-cfar"
-    return detect(part, method=method, pfa=pfa, remove_own_echo=False)
+    return detect(part, method=method, pfa=pfa, correlation=correlation, remove_own_echo=False)
 
 
 def _sigma_m(frames: Frames, snr_db: Floats) -> Floats:

@@ -117,14 +117,16 @@ def without_own_echo(frames: Recording) -> list[Frames]:
 class OwnEchoFilter:
     """Estimate and remove the own echo of every sensor as frames come, in bounded memory.
 
-    The estimate uses one frame of each place seen so far, and is renewed when there are a tenth more of them.
+    The estimate uses one frame of each place seen so far, and is renewed when their number has grown by a factor.
 
     Args:
         most: places that are remembered for each sensor.
+        growth: that factor; a larger one costs less time and follows later.
     """
 
-    def __init__(self, *, most: int = _MOST_FRAMES) -> None:
+    def __init__(self, *, most: int = _MOST_FRAMES, growth: float = 1.1) -> None:
         self._most = most
+        self._growth = growth
         self._kept: dict[str, _Places] = {}
         self._last: tuple[Any, dict[str, Frames]] = (None, {})
         self.found: dict[str, OwnEcho] = {}
@@ -137,11 +139,24 @@ class OwnEchoFilter:
     def removed_from(self, chunk: Mapping[str, Frames]) -> dict[str, Frames]:
         """Remove what is known of the own echo by now from sensors that were learned from."""
         for name in chunk:
-            kept = self._kept[name]
-            if name not in self.found or len(kept.frames) >= 1.1 * kept.used:
-                kept.used = len(kept.frames)
-                self.found[name] = own_echo(joined(kept.frames))
-        return {name: self.found[name].removed_from(part) for name, part in chunk.items()}
+            if self.is_due(name):
+                self.renew(name)
+        return self.known_removed_from(chunk)
+
+    def known_removed_from(self, chunk: Mapping[str, Frames]) -> dict[str, Frames]:
+        """Remove the estimates as they are; frames of a sensor without one stay as they are."""
+        return {name: self.found[name].removed_from(part) if name in self.found else part
+                for name, part in chunk.items()}  # fmt: skip
+
+    def is_due(self, name: str) -> bool:
+        """Whether there is no estimate of a sensor yet, or one from far fewer places than are remembered."""
+        return name not in self.found or len(self._kept[name].frames) >= self._growth * self._kept[name].used
+
+    def renew(self, name: str) -> None:
+        """Estimate the own echo of a sensor from all places that are remembered."""
+        kept = self._kept[name]
+        kept.used = len(kept.frames)
+        self.found[name] = own_echo(joined(kept.frames))
 
     def clean(self, chunk: Mapping[str, Frames]) -> dict[str, Frames]:
         """Learn from a chunk and remove the own echo from it; the same chunk again costs nothing."""

@@ -1,0 +1,187 @@
+"""Limit a wanted velocity so that the drone stops before the obstacles that its radars follow.
+
+The braking law is that of autopilots' collision prevention [PX4Collision]: the speed towards an obstacle stays below
+what can be braked within the free distance after a known latency. Radars measure no bearing. What a velocity closes on
+an obstacle is bounded by the main lobe, and more sharply by the closing speed that the present velocity causes.
+The guard uses obstacle distances and odometry alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ullage.config import GuardSpec
+from ullage.data import Trajectory
+from ullage.errors import InputError
+from ullage.geometry import quat_matrix
+from ullage.processing.obstacles import ObstacleSectors
+
+Floats = NDArray[np.float64]
+State = Literal["free", "limited", "stop", "back_off"]
+
+_LEAST_SPEED_M_S = 0.1  # below it, a closing speed says nothing about a bearing
+_STOPPED_M_S = 0.03
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Limit:
+    """What the guard lets through."""
+
+    velocity: Floats  # (3) in the world [m/s]
+    state: State
+    sensor: str  # whose obstacle or silence decided; "" where none did
+    free_m: float  # distance to that obstacle, less hull, margin and uncertainty; NaN where none decided [m]
+
+
+def allowed_speed(free_m: ArrayLike, spec: GuardSpec) -> Floats:
+    """Greatest closing speed that stops within a free distance: v t + v^2 / (2 a) = d [m/s].
+
+    Args:
+        free_m: distances (n) left after hull and margin [m].
+        spec: latency t and deceleration a.
+    """
+    lag = spec.braking_m_s2 * spec.latency_s
+    free = np.maximum(np.asarray(free_m, float), 0.0)
+    return np.asarray(np.sqrt(lag**2 + 2 * spec.braking_m_s2 * free) - lag)
+
+
+class Guard:
+    """Turn wanted velocities into safe ones.
+
+    Args:
+        spec: settings.
+        hull_m: from the body's origin to its farthest part [m].
+
+    Raises:
+        InputError: the hull is not above zero.
+    """
+
+    def __init__(self, spec: GuardSpec, *, hull_m: float) -> None:
+        if not (math.isfinite(hull_m) and hull_m > 0):
+            raise InputError(f"hull_m is {hull_m}", where="Guard", allowed="> 0")
+        self.spec, self._hull_m = spec, hull_m
+        self._speed = 0.0  # last limit along the wanted direction
+        self._last_ns: int | None = None
+        self._held = False  # stopped, until there is clearly more room
+
+    def limit(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory | None) -> Limit:
+        """The velocity to fly now.
+
+        Args:
+            wanted: velocity (3) in the world [m/s].
+            sectors: obstacles, at this time.
+            odometry: believed pose and velocity of the body; the last one counts.
+
+        Raises:
+            InputError: there is no odometry, or a number is not finite.
+        """
+        want = np.asarray(wanted, float)
+        if want.shape != (3,) or not np.isfinite(want).all():
+            raise InputError(f"the wanted velocity is {want.tolist()}", where="Guard", allowed="three finite numbers")
+        if odometry is None:
+            raise InputError("the guard has no odometry", where="Guard", allowed="believed poses with velocities")
+        world_from_body = quat_matrix(odometry.quat_xyzw[-1])
+        own = world_from_body.T @ odometry.rates[0][-1]
+        table = _table(sectors, self.spec, self._hull_m + (self.spec.release_m if self._held else 0.0))
+        speed = float(np.linalg.norm(want))
+        share, k, free_m = self._share(world_from_body.T @ want, own, sectors, table)
+        now = self._recovered(share * speed, sectors.t_ns)
+        self._held = speed > _STOPPED_M_S and share * speed < _STOPPED_M_S
+        sensor = sectors.sensors[k] if k >= 0 else ""
+        away = self._back_off(own, sectors, _table(sectors, self.spec, self._hull_m))
+        if away is not None:
+            return Limit(world_from_body @ away, "back_off", sensor, free_m)
+        if speed - now < 1e-6:
+            return Limit(want, "free", "", math.nan)
+        velocity = want * (now / speed)
+        return Limit(velocity, "stop" if self._held else "limited", sensor, free_m)
+
+    def _share(self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table) -> tuple[float, int, float]:
+        """Share of a wanted velocity in the body that is safe; the sensor that decides and its free distance."""
+        if not want.any():
+            return 1.0, -1, math.nan
+        if not _covered(want, sectors):
+            level = math.hypot(want[0], want[1])
+            silent = np.flatnonzero(~sectors.valid)
+            return min(1.0, self.spec.unseen_m_s / level), int(silent[0]) if len(silent) else -1, math.nan
+        closing = _closing(want, own, sectors, table)
+        room = allowed_speed(table.free_m, self.spec) - np.maximum(table.closing - np.linalg.norm(own), 0.0)
+        shares = np.where(closing > 1e-9, np.maximum(room, 0.0) / np.maximum(closing, 1e-9), 1.0)
+        if not len(shares) or shares.min() >= 1:
+            return 1.0, -1, math.nan
+        worst = int(np.argmin(shares))
+        return float(shares[worst]), int(table.sensor[worst]), float(table.free_m[worst])
+
+    def _recovered(self, speed: float, t_ns: int) -> float:
+        """The limit falls at once and grows slowly."""
+        step_s = 0.0 if self._last_ns is None else max(t_ns - self._last_ns, 0) * 1e-9
+        self._last_ns = t_ns
+        self._speed = min(speed, self._speed + self.spec.recovery_m_s2 * step_s)
+        return self._speed
+
+    def _back_off(self, own: Floats, sectors: ObstacleSectors, table: _Table) -> Floats | None:
+        """A velocity in the body that leaves an obstacle well inside the margin; None: not needed, or no room."""
+        if not self.spec.back_off_m_s:
+            return None
+        near = (table.free_m < -self.spec.back_off_share * self.spec.margin_m) & ~table.outside
+        push = -sectors.boresight[np.unique(table.sensor[near])].sum(0) * np.array([1.0, 1.0, 0.0])
+        size = float(np.linalg.norm(push))
+        if size < 0.5:  # none, or opposite ones
+            return None
+        away = push / size * self.spec.back_off_m_s
+        others = table.only(~near)
+        return away if _covered(away, sectors) and self._share(away, own, sectors, others)[0] >= 1 else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Tracks of working sensors, as the guard uses them."""
+
+    sensor: NDArray[np.int64]  # (m)
+    free_m: Floats  # (m)
+    closing: Floats  # (m) [m/s]
+    sigma: Floats  # (m) of the closing speed, times the factor of the settings [m/s]
+    outside: NDArray[np.bool_]  # (m)
+
+    def only(self, rows: NDArray[np.bool_]) -> _Table:
+        """Some of them."""
+        return _Table(self.sensor[rows], self.free_m[rows], self.closing[rows], self.sigma[rows], self.outside[rows])
+
+
+def _table(sectors: ObstacleSectors, spec: GuardSpec, kept_m: float) -> _Table:
+    tracks = sectors.tracks
+    free = tracks.distance_m - spec.sigmas * tracks.sigma_m - kept_m - spec.margin_m
+    sigma = spec.sigmas * tracks.closing_sigma_m_s
+    return _Table(tracks.sensor, free, tracks.closing_speed_m_s, sigma, tracks.outside)
+
+
+def _covered(want: Floats, sectors: ObstacleSectors) -> bool:
+    """Whether a working radar has the level part of a velocity in its main lobe; so it is for a vertical one."""
+    if math.hypot(want[0], want[1]) < 1e-3:
+        return True
+    return bool((sectors.covers(math.atan2(want[1], want[0])) & sectors.valid).any())
+
+
+def _closing(want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table) -> Floats:
+    """Greatest speed (m) at which a velocity in the body can close on each track.
+
+    Two bounds hold for a thing at rest at bearing u, and the smaller one counts. The main lobe bounds want . u by its
+    edge nearest to the velocity. The present velocity v closes at c = v . u, which gives the part of want along v;
+    the part across it closes at its full size at most.
+    """
+    size, speed = float(np.linalg.norm(want)), float(np.linalg.norm(own))
+    cosine = sectors.boresight[table.sensor] @ want / max(size, 1e-12)
+    off = np.maximum(np.arccos(np.clip(cosine, -1, 1)) - sectors.width_rad[table.sensor] / 2, 0.0)
+    lobe = np.where(table.outside, 0.0 if speed < _LEAST_SPEED_M_S else np.inf, size * np.cos(off))
+    if speed < _LEAST_SPEED_M_S:
+        return np.asarray(np.maximum(lobe, 0.0))
+    along = float(want @ own) / speed
+    across = np.where(table.outside, 0.0, math.sqrt(max(size**2 - along**2, 0.0)))
+    edge = table.closing + math.copysign(1.0, along) * table.sigma
+    motion = along * np.clip(edge / speed, -1, 1) + across
+    return np.asarray(np.maximum(np.minimum(lobe, motion), 0.0))
