@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ullage.config import FlightSpec, Scenario, WorldSpec
-from ullage.data import Frames, Trajectory, even_times, strung
+from ullage.data import Frames, Trajectory, even_times, gathered, strung
 from ullage.errors import InputError
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
+PIECE = 64
+"""Frames of a sensor in one piece of a flight in closed loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +27,14 @@ class Simulated:
     flown: Trajectory  # body, true, one sample a frame
     believed: Trajectory
     rig: Rig
+    received: tuple[dict[str, Frames], ...] = ()  # of a flight in closed loop, which needs its frames on the way
 
     def stream(self) -> Iterator[dict[str, Frames]]:
         """What each radar receives, piece by piece."""
+        if self.received:
+            for start in range(0, len(self.received), PIECE):
+                yield gathered(self.received[start : start + PIECE])
+            return
         from ullage.radar.simulate import simulate_stream
 
         sensing = self.scenario.sensing
@@ -56,10 +63,22 @@ def prepare(scenario: Scenario, *, progress: Progress | None = None) -> Simulate
 
     rig, scene = radars_and_world(scenario)
     rate_hz = scenario.sensing.rate_hz or next(iter(rig.sensors.values())).fps
+    if scenario.flight.guard.on:
+        return _guarded(scenario, scene, rig, rate_hz=rate_hz, progress=progress)
     flown = fly_scenario(scenario, scene, rate_hz=rate_hz, progress=progress)
     nav = scenario.navigation
     believed = navigate(flown, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=scenario.seed)
     return Simulated(scenario, scene, flown, believed, rig)
+
+
+def _guarded(scenario: Scenario, scene: Scene, rig: Rig, *, rate_hz: float, progress: Progress | None) -> Simulated:
+    """Fly in closed loop with the guard, which needs the echoes on the way."""
+    from ullage.experiments.guarded_flight import Loop, warn_of
+
+    points = np.array(waypoints_of(scenario.flight, scenario.world))
+    flight = Loop(scenario, scene, rig, rate_hz).fly(points, progress=progress)
+    warn_of(flight)
+    return Simulated(scenario, scene, flight.flown, flight.believed, rig, tuple(flight.frames))
 
 
 def radars_and_world(scenario: Scenario) -> tuple[Rig, Scene]:

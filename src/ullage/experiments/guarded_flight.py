@@ -1,0 +1,231 @@
+"""A flight in closed loop: vehicle, radars, obstacle distances and guard step together, frame by frame."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.config import Scenario
+from ullage.data import Frames, Trajectory, strung
+from ullage.errors import InputError, UllageWarning
+from ullage.flight.airframe import airframe
+from ullage.flight.live import Steered, Wish
+from ullage.flight.navigation import navigate
+from ullage.flight.vehicle import check_clear
+from ullage.processing.guard import Guard, Limit, State
+from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
+from ullage.radar.copies import cores
+from ullage.radar.simulate import Receiving
+from ullage.specs import Rig
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float], None]
+Receive = Callable[[dict[str, Frames]], Mapping[str, Frames]]
+
+_ARRIVED_M = 0.12
+_PULL_S, _ACCELERATION_M_S2 = 1.0, 0.8  # towards the straight line between waypoints [1/s]; before the last one
+
+
+class WaypointFollower:
+    """Wanted velocities along straight lines between waypoints.
+
+    Args:
+        points: x, y, z [m] and, if given, yaw [deg] (n, 3 or 4).
+        speed_m_s: on the lines [m/s].
+    """
+
+    def __init__(self, points: Floats, speed_m_s: float) -> None:
+        self._points, self._speed, self._next = points, speed_m_s, min(1, len(points) - 1)
+        self.arrived = False
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading wanted now [rad]."""
+        if self._points.shape[1] > 3:
+            return math.radians(float(self._points[self._next, 3]))
+        east, north = (self._points[self._next] - self._points[self._next - 1])[:2]
+        return math.atan2(north, east)
+
+    def velocity(self, position: Floats) -> Floats:
+        """Velocity (3) wanted at a believed position (3) [m/s]."""
+        goal, start = self._points[self._next, :3], self._points[max(self._next - 1, 0), :3]
+        left = goal - position
+        last = self._next == len(self._points) - 1
+        if float(np.linalg.norm(left)) < _ARRIVED_M or (not last and float(left @ (goal - start)) < 0):
+            self.arrived = self.arrived or last
+            self._next += not last
+            goal, start = self._points[self._next, :3], self._points[max(self._next - 1, 0), :3]
+            left = goal - position
+        line = (goal - start) / max(float(np.linalg.norm(goal - start)), 1e-9)
+        ahead = float(left @ line)
+        if last:
+            speed = min(self._speed, math.sqrt(2 * _ACCELERATION_M_S2 * abs(ahead))) * math.copysign(1.0, ahead)
+            speed = min(max(speed, -abs(ahead) * 2), abs(ahead) * 2)
+        else:
+            speed = self._speed
+        aside = _PULL_S * (left - ahead * line)
+        size = float(np.linalg.norm(aside))
+        return np.asarray(speed * line + aside * min(1.0, 0.5 * self._speed / max(size, 1e-9)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One step of the loop, after the guard has decided."""
+
+    t_ns: int
+    sectors: ObstacleSectors
+    wanted: Floats  # (3) world [m/s]
+    limit: Limit
+
+
+@dataclass(slots=True, eq=False)
+class GuardedFlight:
+    """What came of a flight in closed loop."""
+
+    flown: Trajectory  # body, true, one sample a frame
+    believed: Trajectory
+    frames: list[dict[str, Frames]]
+    steps: list[Step]
+    contacts: tuple[tuple[float, str, float], ...]  # time [s], object, speed [m/s]
+    arrived: bool
+
+    def share(self, state: State) -> float:
+        """Share of the steps in a state of the guard, 0 to 1."""
+        return float(np.mean([step.limit.state == state for step in self.steps]))
+
+
+def warn_of(flight: GuardedFlight) -> None:
+    """Warn of contacts, and of a flight that the guard ended before its last waypoint."""
+    if flight.contacts:
+        t_s, name, speed = flight.contacts[0]
+        warnings.warn(f"the vehicle hit {name!r} at t = {t_s:.2f} s, {speed:.2f} m/s", UllageWarning, stacklevel=2)
+    last = flight.steps[-1].limit
+    if not flight.arrived and last.state in ("stop", "back_off"):
+        why = f"{last.free_m:.2f} m left before {last.sensor!r}" if math.isfinite(last.free_m) else last.sensor
+        text = f"the guard ended the flight at t = {flight.steps[-1].t_ns * 1e-9:.1f} s: {why or 'no radar covers it'}"
+        warnings.warn(text, UllageWarning, stacklevel=2)
+
+
+@dataclass(slots=True)
+class Loop:
+    """The parts of a flight in closed loop.
+
+    Args:
+        scenario: flight, navigation, radars and seed.
+        scene: the world.
+        rig: the radars.
+        rate_hz: steps a second: frames of every radar, and decisions.
+        receive: what reaches the stage of the frames, to try faults of sensors; None: all.
+        stage: gives the obstacle distances.
+        guarded: False: the guard watches but limits nothing, for comparison.
+    """
+
+    scenario: Scenario
+    scene: Scene
+    rig: Rig
+    rate_hz: float
+    receive: Receive | None = None
+    stage: ObstacleStage | None = None
+    guarded: bool = True
+    _pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(cores()))
+
+    def fly(self, points: Floats, *, progress: Progress | None = None) -> GuardedFlight:
+        """Fly until the last waypoint is reached and hovered at, or the guard has stopped the flight for good.
+
+        Args:
+            points: waypoints (n, 3 or 4).
+            progress: called with the fraction of the longest possible flight, 0 to 1.
+
+        Raises:
+            InputError: the start is in or too near to something, or there is one waypoint only.
+        """
+        plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
+        check_clear(points[0], plan.vehicle, self.scene)
+        if len(points) < 2:
+            raise InputError("one waypoint", where="flight.waypoints", allowed="two or more with flight.guard.on")
+        longest_s = _longest_s(points, plan.speed_m_s) + plan.hover_s + guard_spec.give_up_s
+        vehicle = Steered(plan.vehicle, scene=self.scene, start=_start(points), wind_m_s=plan.wind_m_s,
+                          gust_m_s=plan.gust_m_s, seed=self.scenario.seed, moving_s=longest_s)  # fmt: skip
+        sensing = self.scenario.sensing
+        work = Receiving(self.scene, self.rig, fidelity=sensing.fidelity, max_bounces=sensing.max_bounces,
+                         seed=self.scenario.seed)  # fmt: skip
+        stage = self.stage or ObstacleStage(work.sensors, stale_s=guard_spec.stale_s)
+        guard = Guard(guard_spec, hull_m=airframe(plan.vehicle).radius_m)
+        follower = WaypointFollower(points, plan.speed_m_s)
+        out = GuardedFlight(_pose(vehicle), _pose(vehicle), [], [], (), False)
+        truths, beliefs, moved_s, arrived_s = [], [], 0.0, math.inf
+        for row in range(round(longest_s * self.rate_hz)):
+            vehicle.advance(round(row * 1e9 / self.rate_hz))
+            truth = _pose(vehicle)
+            believed = self._believed(truth)
+            chunk = self._received(work, truth, believed, row)
+            sectors = self._sectors(stage, chunk, int(truth.t_ns[0]))
+            wanted = follower.velocity(believed.position[0])
+            limit = guard.limit(wanted, sectors, believed)
+            vehicle.ask(_wish(limit.velocity if self.guarded else wanted, follower.heading_rad, believed))
+            truths.append(truth)
+            beliefs.append(believed)
+            out.frames.append(chunk)
+            out.steps.append(Step(int(truth.t_ns[0]), sectors, wanted, limit))
+            now_s = float(truth.t_ns[0]) * 1e-9
+            moved_s = now_s if limit.state in ("free", "limited") or not self.guarded else moved_s
+            arrived_s = min(arrived_s, now_s) if follower.arrived else math.inf
+            if now_s - moved_s > guard_spec.give_up_s or now_s - arrived_s > plan.hover_s:
+                break
+            if progress is not None and row % 20 == 0:
+                progress(row / (longest_s * self.rate_hz))
+        self._pool.shutdown()
+        touched = tuple(
+            (step * 0.004, self.scene.objects[owner].name, speed) for step, owner, speed in vehicle.contacts
+        )
+        flown, thought = strung(truths), strung(beliefs)
+        if flown is None or thought is None:  # narrows the type; every pose is known
+            raise ValueError("no poses")
+        return replace(out, flown=flown, believed=thought, contacts=touched, arrived=follower.arrived)
+
+    def _believed(self, truth: Trajectory) -> Trajectory:
+        nav = self.scenario.navigation
+        return navigate(truth, noise_m=nav.noise_m, drift_m=nav.drift_m, yaw_deg=nav.yaw_deg, seed=self.scenario.seed)
+
+    def _received(self, work: Receiving, truth: Trajectory, believed: Trajectory, row: int) -> dict[str, Frames]:
+        jobs = {name: self._pool.submit(work.samples, name, truth, first_frame=row) for name in work.sensors}
+        return {name: work.frames(name, job.result(), truth, believed=believed) for name, job in jobs.items()}
+
+    def _sectors(self, stage: ObstacleStage, chunk: dict[str, Frames], t_ns: int) -> ObstacleSectors:
+        """The obstacles after these frames; the stage never gets the truth."""
+        known = {name: replace(part, truth=None, simulated=None) for name, part in chunk.items()}
+        heard = self.receive(known) if self.receive is not None else known
+        return list(stage.update(heard))[-1] if heard else stage.sectors(t_ns)
+
+
+def _longest_s(points: Floats, speed_m_s: float) -> float:
+    """Twice the time that the straight lines take, and some for starts and stops [s]."""
+    return 2 * float(np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1).sum()) / speed_m_s + 5.0
+
+
+def _start(points: Floats) -> Floats:
+    if points.shape[1] > 3:
+        return np.asarray(points[0], float)
+    ahead = points[min(1, len(points) - 1)] - points[0]
+    return np.append(points[0], math.degrees(math.atan2(ahead[1], ahead[0])))
+
+
+def _pose(vehicle: Steered) -> Trajectory:
+    one = (vehicle.position, vehicle.quat_xyzw, vehicle.velocity, vehicle.spin)
+    return Trajectory(np.array([vehicle.t_ns]), *(row[None] for row in one))
+
+
+def _wish(velocity: Floats, heading_rad: float, believed: Trajectory) -> Wish:
+    """A velocity in the world as a request in the level frame of the believed heading."""
+    x, y, z, w = believed.quat_xyzw[0]
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    forward = math.cos(yaw) * velocity[0] + math.sin(yaw) * velocity[1]
+    left = -math.sin(yaw) * velocity[0] + math.cos(yaw) * velocity[1]
+    return Wish(velocity_m_s=(forward, left), climb_m_s=float(velocity[2]), heading_rad=heading_rad)
