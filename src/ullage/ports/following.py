@@ -33,18 +33,24 @@ BEHIND_S = 1.0
 """How far the frames may lie behind the newest pose before that is said, by the simulator's clock."""
 
 
-class FollowOptions(Spec):
-    """What can be set about radars on a simulator's model."""
+class RadarOptions(Spec):
+    """What can be set about radars that are simulated along poses from outside."""
 
     model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
-    world: str = Field("", description="library world or file that the simulator runs; none: asked of the simulator")
+    world: str = Field("", description="library world or file that the vehicle is in")
     rig: str = Field("", description="rig preset, or SDF/URDF file of the model; none: as declared, or thesis-4")
-    rays: str = Field("", description="name of a ray or lidar sensor of the model: frames of its rays, not of ours")
     fidelity: Literal["physical", "thesis"] = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     seed: int = Field(0, ge=0)
     rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")
     duration_s: float | None = Field(None, gt=0, description="ends after this much of the simulator's time")
+
+
+class FollowOptions(RadarOptions):
+    """What can be set about radars on a simulator's model."""
+
+    world: str = Field("", description="library world or file that the simulator runs; none: asked of the simulator")
+    rays: str = Field("", description="name of a ray or lidar sensor of the model: frames of its rays, not of ours")
     publish: bool = Field(True, description="give frames back on the simulator's topics")
     host: str = Field("127.0.0.1", description="address of the interface to use")
 
@@ -157,14 +163,14 @@ class FollowSource(Endless):
     """
 
     def __init__(
-        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: FollowOptions, *, say: Say | None = None
+        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: RadarOptions, *, say: Say | None = None
     ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
         self.passing = Passing()
         self._status = RadarStatus("radars", late_s=BEHIND_S)
         super().__init__(options.duration_s, say, topic=options.model or "poses")
-        self._options = options
+        self._publish = isinstance(options, FollowOptions) and options.publish
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
             rate_hz=options.rate_hz,
@@ -204,7 +210,7 @@ class FollowSource(Endless):
                 self._complain_if_behind()
                 self._report_status(found)
                 if found:
-                    if self._options.publish:
+                    if self._publish:
                         self._feed.give(found, self._offset_ns)
                     yield found
         finally:

@@ -13,7 +13,8 @@ from ullage.data import Floats
 from ullage.flight.missions import Waypoints
 from ullage.ports.imc.codec import Packet, make, readable
 from ullage.ports.imc.link import Link
-from ullage.ports.imc.places import SWAP, Geodetic, Pose
+from ullage.ports.imc.places import Geodetic, Pose
+from ullage.ports.ned import SWAP
 
 REQUEST, SUCCESS, FAILURE, IN_PROGRESS = 0, 1, 2, 3
 START, STOP = 0, 1

@@ -16,11 +16,10 @@ import numpy as np
 
 from ullage.data import Floats, Trajectory
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
+from ullage.ports.ned import FLIP, SWAP
 
 MAJOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
-FLIP = np.diag([1.0, -1.0, -1.0])  # forward-left-up to forward-right-down and back
-SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # east-north-up to north-east-down and back
 
 
 @dataclass(frozen=True, slots=True)

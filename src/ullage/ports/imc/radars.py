@@ -19,7 +19,7 @@ from ullage.geometry import matrix_quat, quat_rpy, transform
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.imc.codec import MOST, Message, make
-from ullage.ports.imc.places import FLIP
+from ullage.ports.ned import FLIP
 from ullage.specs import MountSpec, RadarSpec
 
 ECHO_SOUNDER = 1
