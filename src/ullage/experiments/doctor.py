@@ -28,7 +28,7 @@ NEEDED = (
     "rosbags",
     "matplotlib",
 )
-OPTIONAL = {"pyoctomap": "octomap", "zarr": "zarr", "rerun": "view"}
+OPTIONAL = {"pyoctomap": "octomap", "zarr": "zarr", "rerun": "view", "pymavlink": "mavlink"}
 
 
 @dataclass(frozen=True, slots=True)

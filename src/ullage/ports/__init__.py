@@ -35,7 +35,7 @@ LOGS = (".lsf", ".lsf.gz")
 TRACKS = ("mocap.csv", "track.csv", "track.txt", "track.tum")
 """Names of the radar's track in a folder with radar.out or radar.npz."""
 PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
-NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf")}
+NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf"), "mavlink": ("pymavlink",)}
 """Libraries of live ports beyond those of every installation, in the extra of the port's name."""
 FILES = {
     ".mcap": ("ros2.bags", "open_mcap"),

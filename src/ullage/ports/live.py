@@ -22,6 +22,7 @@ LIVE = {
     "gazebo": "ullage.ports.gazebo",
     "gazebo-classic": "ullage.ports.gazebo_classic",
     "imc": "ullage.ports.imc",
+    "mavlink": "ullage.ports.mavlink",
 }
 """Scheme to the module with `open_source(address, options)` and `open_sink(address, options)`."""
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Image, OccupancyMap
+from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
 Chunk = Mapping[str, Frames]
@@ -53,7 +54,7 @@ class Passing:
             self._take(item)
 
 
-Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | Scene | Image | Passed
+Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors | Scene | Image | Passed
 """Whatever a sink may be handed; what it has no place for, it passes over."""
 
 

@@ -1,0 +1,33 @@
+"""MAVLink 2, the protocol of PX4 and ArduPilot: obstacle distances go out, poses come in [MAVLink]."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ullage.ports.protocol import Sink, Source
+
+
+def open_source(address: str, options: dict[str, Any]) -> Source:
+    """Radars along the poses of an autopilot: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
+
+    Raises:
+        InputError: an option cannot be used, or the place cannot be opened.
+        MissingExtra: pymavlink or pyserial is not installed.
+    """
+    from ullage.ports.mavlink.source import source_of
+
+    return source_of(address, options)
+
+
+def open_sink(address: str, options: dict[str, Any]) -> Sink:
+    """Obstacle distances for an autopilot: the same places.
+
+    Raises:
+        InputError: an option cannot be used, or the place cannot be opened.
+        MissingExtra: pymavlink or pyserial is not installed.
+    """
+    from ullage.ports.following import options_of
+    from ullage.ports.mavlink.options import SinkOptions
+    from ullage.ports.mavlink.sink import MavlinkSink
+
+    return MavlinkSink(address, options_of(SinkOptions, options, f"mavlink:{address}"))

@@ -1,0 +1,329 @@
+"""The link to an autopilot: who speaks, HEARTBEAT and TIMESYNC in both directions, and the messages of its vehicle."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+from ullage.errors import InputError
+from ullage.ports.intake import Counters, Inbox, Report
+from ullage.ports.mavlink.dialect import Decoder, mavlink
+from ullage.ports.mavlink.options import LinkOptions, Place, place_of
+from ullage.ports.mavlink.timesync import ClockOffset
+from ullage.ports.mavlink.wire import Sender, Wire, open_wire
+
+Role = Literal["source", "sink"]
+POSES = ("ODOMETRY", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ATTITUDE")
+USED = {"HEARTBEAT", "TIMESYNC", "SYSTEM_TIME", "COMMAND_ACK", *POSES}
+OTHERS = "other messages"
+TICK_S = 0.02
+HEARTBEAT_S = 1.0
+ASK_S, ASK_OFTEN_S = 1.0, 0.1
+"""Between two TIMESYNC questions [s], and while the offset is not known yet."""
+REQUEST_S = 5.0
+"""Between two requests for poses, while none come [s]."""
+MOST_SENDERS = 16
+QUESTIONS = 16
+UTC_S = 1.0
+"""A difference between the autopilot's UTC and ours that is reported [s]."""
+
+
+class Heard(NamedTuple):
+    """A message of the autopilot."""
+
+    topic: str  # its type
+    message: Any
+
+
+@dataclass(slots=True)
+class Autopilot:
+    """The autopilot whose messages are used."""
+
+    system: int
+    component: int
+    heard_s: float  # last HEARTBEAT
+    there: bool = True
+
+
+class Link:
+    """Speaks with one autopilot, from a thread of its own.
+
+    Messages of other systems and components are ignored and counted. `wait` gives the messages that hold poses.
+
+    Args:
+        wire: carries the bytes.
+        options: ids and limits.
+        report: takes what a person should know.
+    """
+
+    def __init__(self, wire: Wire, options: LinkOptions, report: Report) -> None:
+        self.dialect, self.options, self.name = mavlink(), options, wire.name
+        self.counters = Counters(report)
+        self.clock = ClockOffset(self.counters)
+        self.autopilot: Autopilot | None = None
+        self.state = int(self.dialect.MAV_STATE_STANDBY)
+        """MAV_STATE in our HEARTBEAT."""
+        self.request_hz = 0.0
+        """Poses a second that the autopilot is asked for; 0: it is not asked."""
+        self.poses_come = False
+        """Whether poses came since the autopilot was asked; else it is asked again."""
+        self.listens = False
+        """Whether somebody takes the poses."""
+        self._wire, self._report = wire, report
+        self._mav = self.dialect.MAVLink(None)
+        self._inbox: Inbox[Heard] = Inbox(self.counters, most=20_000)
+        self._decoders: dict[Sender, Decoder] = {}
+        self._questions: list[int] = []
+        self._strangers: set[int] = set()  # systems with an autopilot that is not ours
+        self._reported: set[str] = set()
+        self._due_s = {"heartbeat": 0.0, "question": 0.0, "request": 0.0}
+        self._lock = threading.Lock()
+        self._met = threading.Event()
+        self._closing = threading.Event()
+        self._requested = False
+        self._error: BaseException | None = None
+        self._wall_ns = time.time_ns() - time.monotonic_ns()  # kept, so that a set clock moves nothing
+        self._thread = threading.Thread(target=self._run, name="ullage mavlink", daemon=True)
+        self._thread.start()
+
+    def send(self, message: Any) -> None:
+        """Send a message of the dialect."""
+        self._check()
+        with self._lock:
+            mine = self.options.system_id or (self.autopilot.system if self.autopilot else 1)
+            self._mav.srcSystem, self._mav.srcComponent = mine, self.options.component_id
+            data = message.pack(self._mav)
+            self._mav.seq = (self._mav.seq + 1) % 256
+            self._wire.send(bytes(data))
+
+    def wait(self, timeout_s: float) -> Heard | None:
+        """The next message that holds a pose; None where none came for so long."""
+        self._check()
+        return self._inbox.get(timeout_s)
+
+    def wait_heartbeat(self, timeout_s: float) -> None:
+        """Wait for the first HEARTBEAT of the autopilot.
+
+        Raises:
+            InputError: none came.
+        """
+        if not self._met.wait(timeout_s):
+            raise self.missing(timeout_s)
+
+    def missing(self, waited_s: float) -> InputError:
+        """The error for an autopilot that was not heard of."""
+        who = f"system {self.options.vehicle}" if self.options.vehicle else "an autopilot"
+        heard = ", ".join(str(number) for number in sorted(self._strangers))
+        what = f"no HEARTBEAT of {who} within {waited_s:g} s" + (f"; HEARTBEAT of system {heard} came" if heard else "")
+        return InputError(what, where=f"mavlink:{self.name}", allowed="vehicle=ID of an autopilot that sends there")
+
+    def local_ns(self, boot_ns: int) -> int | None:
+        """A time of the autopilot's clock by this machine's [ns since 1970]; None while TIMESYNC gave no offset."""
+        now = time.monotonic_ns()
+        offset = self.clock.offset_ns(now)
+        if offset is None:
+            return None
+        offset = self.clock.offset_ns(boot_ns - offset)  # at that time, which may be long ago
+        return None if offset is None else boot_ns - offset + self._wall_ns
+
+    def boot_ns(self, local_ns: int) -> int | None:
+        """A time of this machine's clock [ns since 1970] by the autopilot's; None while TIMESYNC gave no offset."""
+        offset = self.clock.offset_ns(local_ns - self._wall_ns)
+        return None if offset is None else local_ns - self._wall_ns + offset
+
+    def forget_clock(self) -> None:
+        """Measure the autopilot's clock anew, as after it was started again."""
+        self.clock = ClockOffset(self.counters)
+
+    def close(self) -> None:
+        """End the thread, and let go of the wire."""
+        self._closing.set()
+        self._thread.join(2.0)
+        self._wire.close()
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.is_set():
+                for sender, data in self._wire.receive(TICK_S):
+                    for message in self._decoder(sender).feed(data):
+                        self._take(message)
+                self._tick(time.monotonic())
+        except BaseException as error:  # raised where messages are sent or asked for
+            self._error = error
+
+    def _decoder(self, sender: Sender) -> Decoder:
+        if sender not in self._decoders:
+            if len(self._decoders) >= MOST_SENDERS:
+                self._decoders.pop(next(iter(self._decoders)))
+            self._decoders[sender] = Decoder(self.counters, self.name)
+        return self._decoders[sender]
+
+    def _take(self, message: Any) -> None:
+        kind = message.get_type()
+        if kind not in USED:
+            self.counters.receive(OTHERS)
+            return
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        self.counters.receive(kind)
+        if kind == "HEARTBEAT":
+            self._heartbeat(message, system, component)
+        elif self.autopilot is None:
+            self.counters.drop(kind, "bad", f"of system {system}, before a HEARTBEAT of the autopilot")
+        elif system != self.autopilot.system:
+            self.counters.drop(kind, "bad", f"of system {system}, not {self.autopilot.system}")
+        elif component != self.autopilot.component:
+            self.counters.drop(kind, "bad", f"of component {component}, not the autopilot")
+        elif kind == "TIMESYNC":
+            self._timesync(message)
+        elif kind == "SYSTEM_TIME":
+            self._system_time(message)
+        elif kind == "COMMAND_ACK":
+            self._acknowledged(message)
+        elif self.listens:
+            self._inbox.put(Heard(kind, message), topic="", size=0)
+
+    def _heartbeat(self, message: Any, system: int, component: int) -> None:
+        d, now = self.dialect, time.monotonic()
+        if (system, component) == (self._mav.srcSystem, self.options.component_id):
+            self._once(f"another program uses system {system}, component {component}: give one of them another id")
+            return
+        if message.autopilot == d.MAV_AUTOPILOT_INVALID:  # a ground station, a camera, a gimbal
+            return
+        known = self.autopilot
+        if known is None and self.options.vehicle in (0, system):
+            self.autopilot = known = Autopilot(system, component, now)
+            name = d.enums["MAV_AUTOPILOT"][message.autopilot].name.removeprefix("MAV_AUTOPILOT_")
+            self._report(f"{self.name}: autopilot {name}, system {system}, component {component}")
+            self._met.set()
+        if known is None or (system, component) != (known.system, known.component):
+            self._strangers.add(system)
+            wanted = known.system if known else self.options.vehicle
+            self.counters.drop(
+                "HEARTBEAT", "bad", f"of system {system}, component {component}; system {wanted} is used"
+            )
+            return
+        known.heard_s = now
+        if not known.there:
+            known.there = True
+            self._requested = False  # it may have been started again, with its own rates
+            self._report(f"{self.name}: HEARTBEAT of system {system} is back")
+
+    def _timesync(self, message: Any) -> None:
+        now = time.monotonic_ns()
+        if message.tc1 == 0:
+            self.send(self.dialect.MAVLink_timesync_message(now, message.ts1))
+        elif message.ts1 in self._questions:  # else it answers somebody else
+            self._questions.remove(message.ts1)
+            self.clock.take(message.ts1, message.tc1, now)
+
+    def _system_time(self, message: Any) -> None:
+        unix_s = message.time_unix_usec * 1e-6
+        if unix_s > 1e9 and abs(away_s := unix_s - time.time()) > UTC_S:  # before 2001: it does not know UTC
+            self._once(f"{self.name}: the autopilot's UTC differs from this machine's by {away_s:+.3g} s")
+
+    def _acknowledged(self, message: Any) -> None:
+        d = self.dialect
+        if message.command == d.MAV_CMD_SET_MESSAGE_INTERVAL and message.result != d.MAV_RESULT_ACCEPTED:
+            entry = d.enums["MAV_RESULT"].get(message.result)
+            why = entry.name.removeprefix("MAV_RESULT_") if entry else str(message.result)
+            self._once(f"{self.name}: the autopilot does not change the rate of its poses ({why})")
+
+    def _once(self, text: str) -> None:
+        if text not in self._reported and len(self._reported) < 100:
+            self._reported.add(text)
+            self._report(text)
+
+    def _tick(self, now: float) -> None:
+        if self._is_due("heartbeat", now, HEARTBEAT_S):
+            d = self.dialect
+            self.send(
+                d.MAVLink_heartbeat_message(d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID, 0, 0, self.state, 3)
+            )
+        there = self.autopilot
+        if there is None:
+            return
+        if self._is_due("question", now, ASK_S if self.clock.known else ASK_OFTEN_S):
+            asked = time.monotonic_ns()
+            self._questions = [*self._questions[1 - QUESTIONS :], asked]
+            self.send(self.dialect.MAVLink_timesync_message(0, asked))
+        if self.request_hz and (not self.poses_come or not self._requested) and self._is_due("request", now, REQUEST_S):
+            self._requested = True
+            self._request(there, self.request_hz)
+        if there.there and now - there.heard_s > self.options.heartbeat_s:
+            there.there = False
+            self._report(
+                f"{self.name}: no HEARTBEAT of system {there.system} for {self.options.heartbeat_s:g} s; "
+                "its poses end here until it is back"
+            )
+
+    def _is_due(self, what: str, now: float, every_s: float) -> bool:
+        if now < self._due_s[what]:
+            return False
+        self._due_s[what] = now + every_s
+        return True
+
+    def _request(self, there: Autopilot, rate_hz: float) -> None:
+        d = self.dialect
+        for kind in POSES:
+            number = getattr(d, f"MAVLINK_MSG_ID_{kind}")
+            self.send(
+                d.MAVLink_command_long_message(
+                    there.system, there.component, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
+                    number, 1e6 / rate_hz, 0, 0, 0, 0, 0,
+                )
+            )  # fmt: skip
+
+
+@dataclass(slots=True)
+class _Shared:
+    """An open link, and who uses it."""
+
+    link: Link
+    roles: set[Role] = field(default_factory=set)
+
+
+_open: dict[Hashable, _Shared] = {}
+_open_lock = threading.Lock()
+
+
+def open_link(text: str, options: LinkOptions, *, role: Role, report: Report) -> Link:
+    """The link to a place; a source and a sink of one program share it. `leave` closes it.
+
+    Args:
+        text: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
+        options: where the link is open already, they stay as it was opened.
+        role: who asks.
+        report: takes what a person should know.
+
+    Raises:
+        InputError: the place cannot be understood or opened.
+        MissingExtra: pymavlink or pyserial is not installed.
+    """
+    mavlink()
+    place = place_of(text)
+    key: tuple[Place, int, str] = (place, options.port, options.interface)
+    with _open_lock:
+        shared = _open.get(key)
+        if shared is None or role in shared.roles:
+            shared = _open[key] = _Shared(Link(open_wire(place, options, report), options, report))
+        shared.roles.add(role)
+        return shared.link
+
+
+def leave(link: Link, role: Role) -> None:
+    """Close the link, unless the other one of a source and a sink still uses it."""
+    with _open_lock:
+        for key, shared in list(_open.items()):
+            if shared.link is link:
+                shared.roles.discard(role)
+                if shared.roles:
+                    return
+                del _open[key]
+    link.close()

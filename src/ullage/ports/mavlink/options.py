@@ -1,0 +1,76 @@
+"""What can be set about a MAVLink port, by `mavlink:place?key=value`."""
+
+from __future__ import annotations
+
+import re
+from typing import Literal, NamedTuple
+
+from pydantic import Field
+
+from ullage.errors import InputError, shown
+from ullage.ports.following import RadarOptions
+from ullage.specs import Spec
+
+PLACE = re.compile(r"(udp|udpin)://([^/:\s]+):(\d+)/?|serial://(/?[^\s?]+)")
+PLACES = "udp://HOST:PORT (send there), udpin://HOST:PORT (listen there), or serial:///dev/NAME"
+MOST_PORT = 65535
+OBSTACLE_AVOIDANCE = 196
+"""MAV_COMP_ID_OBSTACLE_AVOIDANCE."""
+
+
+class Place(NamedTuple):
+    """Where an autopilot is reached."""
+
+    kind: Literal["udp", "udpin", "serial"]
+    host: str  # or the serial device
+    port: int = 0
+
+
+def place_of(text: str) -> Place:
+    """The parts of a place.
+
+    Raises:
+        InputError: it is none, or its port is out of range.
+    """
+    found = PLACE.fullmatch(text)
+    if found is None:
+        raise InputError(f"{shown(text)} is not a place", where="mavlink", allowed=PLACES)
+    if found[4]:
+        return Place("serial", found[4])
+    if len(found[3]) > 5 or not 0 < int(found[3]) <= MOST_PORT:
+        raise InputError(f"port {shown(found[3])}", where="mavlink", allowed=f"1 to {MOST_PORT}")
+    return Place("udp" if found[1] == "udp" else "udpin", found[2], int(found[3]))
+
+
+class LinkOptions(Spec):
+    """The connection, and the ids on it."""
+
+    vehicle: int = Field(0, ge=0, le=255, description="system id of the autopilot; 0: the first that sends HEARTBEAT")
+    system_id: int = Field(0, ge=0, le=255, description="our own system id; 0: that of the autopilot")
+    component_id: int = Field(OBSTACLE_AVOIDANCE, ge=1, le=255, description="our own component id")
+    port: int = Field(0, ge=0, le=MOST_PORT, description="local UDP port; 0: any that is free")
+    interface: str = Field("", description="local address for UDP; none: that of loopback, or every one")
+    baud: int = Field(57600, ge=1200, le=4_000_000, description="speed of the serial line")
+    heartbeat_s: float = Field(5.0, gt=0.1, le=3600, description="without HEARTBEAT for so long the autopilot is lost")
+
+
+class SourceOptions(RadarOptions, LinkOptions):
+    """Radars simulated along the autopilot's poses."""
+
+    poses: Literal["auto", "odometry", "local"] = Field(
+        "auto", description="ODOMETRY, or LOCAL_POSITION_NED with ATTITUDE; auto: ODOMETRY where it comes"
+    )
+    origin: str = Field("", description="the autopilot's local origin in the world: x,y,z [m] and, if given, yaw [deg]")
+    request_hz: float = Field(50.0, ge=0, le=500, description="poses a second that are asked for; 0: do not ask")
+    wait_s: float = Field(30.0, gt=0, le=86400, description="without a first HEARTBEAT for so long the run ends")
+
+
+class SinkOptions(LinkOptions):
+    """What is sent to the autopilot."""
+
+    pace: float = Field(1.0, ge=0, le=1000, description="times real time, for frames that are not of the present")
+    obstacle_hz: float = Field(20.0, ge=1, le=200, description="most OBSTACLE_DISTANCE a second; autopilots want 10")
+    sensors: bool = Field(True, description="DISTANCE_SENSOR for each radar too")
+    wait_s: float = Field(
+        0.0, ge=0, le=86400, description="wait so long for a first HEARTBEAT and end without one; 0: send at once"
+    )

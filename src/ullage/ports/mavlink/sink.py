@@ -1,0 +1,185 @@
+"""Obstacle distances for an autopilot: `--to mavlink:udp://HOST:PORT`."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterable, Mapping
+from typing import Self
+
+from ullage.data import Frames
+from ullage.errors import InputError
+from ullage.ports.following import Say, tell
+from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
+from ullage.ports.mavlink.link import leave, open_link
+from ullage.ports.mavlink.options import SinkOptions
+from ullage.ports.pace import STEP_BACK_S, Pace
+from ullage.ports.protocol import Item
+from ullage.ports.publisher import is_present
+from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
+
+AHEAD_S = 2.0
+"""How far the source may run ahead of what was sent [s of stream]."""
+LEAST_HZ = 10.0
+"""Fewer distances a second make an autopilot slow or stop."""
+TOPIC = "OBSTACLE_DISTANCE"
+
+
+class MavlinkSink:
+    """Sends the obstacle distances of a run to an autopilot, from a thread of its own, at the pace of the frames.
+
+    The run's own `ObstacleSectors` are sent where there are some; else an `ObstacleStage` makes them of its frames.
+    Distances that are older than half a second are not sent, and none are repeated: the autopilot must know that the
+    radars are silent.
+
+    Args:
+        place: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
+        options: what is sent, and how.
+        say: takes what a person should know; None: it becomes a warning.
+
+    Raises:
+        InputError: the place cannot be opened, or no autopilot is there where one is waited for.
+        MissingExtra: pymavlink or pyserial is not installed.
+    """
+
+    def __init__(self, place: str, options: SinkOptions, *, say: Say | None = None) -> None:
+        self._options, self._say = options, say or tell
+        self.link = open_link(place, options, role="sink", report=self._say)
+        try:
+            if options.wait_s:
+                self.link.wait_heartbeat(options.wait_s)
+        except BaseException:
+            leave(self.link, "sink")
+            raise
+        self._stage: ObstacleStage | None = ObstacleStage()  # None: the run has its own
+        self._pace = Pace(options.pace)
+        self._at_once: bool | None = None if options.pace else True  # None: the first distances decide
+        self._due_ns: int | None = None  # when the next distances are sent, by the clock of the stream
+        self._rate = _Rate(self._say)
+        self._queue: queue.Queue[ObstacleSectors | None] = queue.Queue(max(round(AHEAD_S * options.obstacle_hz), 1))
+        self._error: BaseException | None = None
+        self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage mavlink sink")
+        self._thread.daemon = True
+        self._thread.start()
+
+    def write(self, item: Item) -> None:
+        """Take frames, or the obstacles of the run; everything else passes by.
+
+        Raises:
+            InputError: the sink is closed.
+        """
+        if self._thread is None:
+            raise InputError("the sink is closed", where=f"mavlink:{self.link.name}")
+        if isinstance(item, ObstacleSectors):
+            self._stage = None
+            self._queue_up([item])
+        elif isinstance(item, Frames | Mapping) and self._stage is not None:
+            self._queue_up(self._stage.update({item.sensor: item} if isinstance(item, Frames) else item))
+
+    def _queue_up(self, found: Iterable[ObstacleSectors]) -> None:
+        """Hand over at most `obstacle_hz` a second; waits while the thread is far behind."""
+        for sectors in found:
+            if not self._is_due(sectors.t_ns):
+                continue
+            while self._error is None:
+                try:
+                    self._queue.put(sectors, timeout=0.1)
+                    break
+                except queue.Full:
+                    continue
+            if self._error is not None:
+                raise self._error
+
+    def _is_due(self, t_ns: int) -> bool:
+        """Whether distances of this time are sent; at most `obstacle_hz` a second are, in the mean."""
+        step_ns, due_ns = round(1e9 / self._options.obstacle_hz), self._due_ns
+        # a stamp that lies far back comes after a step of the clock; one that lies a little back was thinned out
+        if due_ns is not None and due_ns - step_ns - STEP_BACK_S * 1e9 <= t_ns < due_ns:
+            return False
+        on_time = due_ns is not None and 0 <= t_ns - due_ns < step_ns
+        self._due_ns = (due_ns if on_time and due_ns is not None else t_ns) + step_ns
+        return True
+
+    def _run(self) -> None:
+        try:
+            while True:
+                try:
+                    sectors = self._queue.get(timeout=STALE_S)
+                except queue.Empty:
+                    self._silent()
+                    continue
+                if sectors is None:
+                    return
+                self._send_in_time(sectors)
+        except BaseException as error:  # raised where the next item is written
+            self._error = error
+
+    def _silent(self) -> None:
+        """Nothing was made for half a second."""
+        d = self.link.dialect
+        if self.link.state == d.MAV_STATE_ACTIVE:
+            self.link.state = int(d.MAV_STATE_CRITICAL)
+            self._say(f"{self.link.name}: no distances for {STALE_S:g} s, so none are sent; the autopilot must stop")
+
+    def _send_in_time(self, sectors: ObstacleSectors) -> None:
+        if self._at_once is None:
+            self._at_once = is_present(sectors.t_ns)
+        present = self._at_once and is_present(sectors.t_ns)
+        if not self._at_once:
+            now = time.monotonic()
+            time.sleep(max(0.0, self._pace.due_s(sectors.t_ns, now) - now))
+        elif present and (age_s := time.time() - sectors.t_ns * 1e-9) > STALE_S:
+            self.link.counters.drop(TOPIC, "late", f"distances {age_s:.2g} s old")
+            return
+        boot_ns = self.link.boot_ns(sectors.t_ns) if present else None
+        t_ns = sectors.t_ns if boot_ns is None else boot_ns
+        if self._options.sensors:  # before the other: where both tell of one direction, autopilots keep the later
+            for message in distance_sensors(sectors, t_ns // 1_000_000):
+                self.link.send(message)
+        self.link.send(obstacle_distance(sectors, t_ns // 1000))
+        self.link.state = int(self.link.dialect.MAV_STATE_ACTIVE)
+        self._rate.count(time.monotonic())
+
+    def close(self) -> None:
+        """Send what waits, and leave the link."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        try:
+            while thread.is_alive() and self._error is None:
+                try:
+                    self._queue.put(None, timeout=0.1)
+                    break
+                except queue.Full:
+                    continue
+            thread.join()
+            if self.link.autopilot is None:
+                self._say(f"{self.link.name}: no HEARTBEAT of an autopilot came; the distances may have reached nobody")
+            for line in self.link.counters.lines():
+                self._say(line)
+        finally:
+            leave(self.link, "sink")
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class _Rate:
+    """Reports once that distances go out too rarely for an autopilot."""
+
+    def __init__(self, say: Say) -> None:
+        self._say, self._begun_s, self._count, self._said = say, 0.0, 0, False
+
+    def count(self, now_s: float) -> None:
+        self._begun_s = self._begun_s or now_s
+        self._count += 1
+        took_s = now_s - self._begun_s
+        if not self._said and took_s > 2.0 and (rate := (self._count - 1) / took_s) < 0.9 * LEAST_HZ:
+            self._said = True
+            self._say(f"{rate:.1f} distances a second are sent; autopilots expect {LEAST_HZ:g}")

@@ -1,0 +1,132 @@
+"""Radars simulated along the poses of a flying autopilot, real or simulated."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+from ullage.data import Frames
+from ullage.errors import InputError
+from ullage.ports.following import FollowSource, Say, options_of, rig_of, tell, world_of
+from ullage.ports.mavlink.link import POSES, Heard, Link, leave, open_link
+from ullage.ports.mavlink.options import SourceOptions
+from ullage.ports.mavlink.poses import PoseBuilder, origin_of
+from ullage.ports.sightings import EventFeed, Note, Sighting
+
+PATIENCE_S = 5.0
+"""Between two reports that no poses come [s]."""
+SYNC_S = 3.0
+"""How long poses wait for TIMESYNC after the first one came [s]."""
+RESTART_NS = 1_000_000_000
+"""A pose that lies behind the last one by more: the autopilot was started again [ns]."""
+MOST_WAITING = 512
+
+
+class PoseFeed(EventFeed[Heard]):
+    """Poses of the autopilot's vehicle, at times of this machine's clock where TIMESYNC is answered.
+
+    Args:
+        link: to the autopilot.
+        options: which poses, and how.
+    """
+
+    def __init__(self, link: Link, options: SourceOptions) -> None:
+        super().__init__(link)
+        self._link, self._options = link, options
+        self._builder = PoseBuilder(link.counters, options.poses, origin_of(options.origin))
+        self._unsynced: deque[Sighting] = deque(maxlen=MOST_WAITING)
+        self._synchronised: bool | None = None  # None: not decided
+        self._begun_s = self._last_s = self._reported_s = time.monotonic()
+        self._first_s: float | None = None
+        self._boot_ns = 0
+        link.listens, link.request_hz = True, options.request_hz
+
+    def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
+        """Nothing: the sink sends distances."""
+
+    def close(self) -> None:
+        """Let go of the link, unless a sink still uses it."""
+        self._link.listens = False
+        leave(self._link, "source")
+
+    def _take(self, event: Heard) -> Sighting | Note | None:
+        found = self._builder.take(event.message)
+        if found:
+            self._last_s = time.monotonic()
+            self._first_s = self._first_s or self._last_s
+            self._link.poses_come = True
+        for pose in found:
+            if pose.t_ns < self._boot_ns - RESTART_NS:
+                self._unsynced.clear()
+                self._link.forget_clock()
+                self._ready.append(Note("the autopilot's clock went back: it was started again"))
+            self._boot_ns = pose.t_ns
+            self._unsynced.append(pose)
+        self._ready += self._timed()
+        if self._builder.reset:
+            self._builder.reset = False
+            return Note("the autopilot reset its estimate: its poses may have jumped")
+        return None
+
+    def _timed(self) -> list[Sighting | Note]:
+        """The poses whose time is known."""
+        if self._synchronised is None and self._unsynced:
+            if self._link.clock.known:
+                self._synchronised = True
+            elif self._first_s is not None and time.monotonic() - self._first_s > SYNC_S:
+                self._synchronised = False
+                self._ready.append(Note("the autopilot does not answer TIMESYNC: frames keep the time of its clock"))
+        if self._synchronised is None or (self._synchronised and not self._link.clock.known):
+            return []
+        poses, self._unsynced = list(self._unsynced), deque(maxlen=MOST_WAITING)
+        return [self._local(pose) if self._synchronised else pose for pose in poses]
+
+    def _local(self, pose: Sighting) -> Sighting:
+        t_ns = self._link.local_ns(pose.t_ns)
+        return pose if t_ns is None else Sighting(t_ns, pose.position, pose.quat_xyzw)
+
+    def _silence(self) -> Note | None:
+        """Nothing came for a while.
+
+        Raises:
+            InputError: no HEARTBEAT came at all.
+        """
+        now, there = time.monotonic(), self._link.autopilot
+        if there is None and now - self._begun_s > self._options.wait_s:
+            raise self._link.missing(self._options.wait_s)
+        if now - max(self._last_s, self._reported_s) < PATIENCE_S:
+            return None
+        self._reported_s = now
+        if there is None:
+            return Note(f"waiting for HEARTBEAT on {self._link.name}")
+        self._link.poses_come = False
+        wanted = {"odometry": POSES[0], "local": ", ".join(POSES[1:])}.get(self._options.poses, ", ".join(POSES))
+        return Note(f"no poses of system {there.system}: frames wait (it should send {wanted})")
+
+
+def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource:
+    """Frames of radars on the autopilot's vehicle in a world: `mavlink:udp://HOST:PORT?world=NAME`.
+
+    Args:
+        address: the place.
+        options: as `SourceOptions` lists them.
+        say: takes what a person should know; None: it becomes a warning.
+
+    Raises:
+        InputError: an option cannot be used, no world is named, or the place cannot be opened.
+        MissingExtra: pymavlink or pyserial is not installed.
+    """
+    where = f"mavlink:{address}"
+    chosen = options_of(SourceOptions, options, where)
+    origin_of(chosen.origin)
+    if not chosen.world:
+        raise InputError("no world", where=where, allowed="world=NAME or world=FILE")
+    scene = world_of(chosen.world, where=where)
+    rig = rig_of(chosen.rig, scene, chosen.model, where=where)
+    link = open_link(address, chosen, role="source", report=say or tell)
+    try:
+        return FollowSource(lambda: PoseFeed(link, chosen), scene.without(chosen.model), rig, chosen, say=say)
+    except BaseException:
+        leave(link, "source")
+        raise

@@ -1,0 +1,220 @@
+"""Bytes to and from an autopilot, by UDP or a serial line."""
+
+from __future__ import annotations
+
+import ipaddress
+import select
+import socket
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+from ullage.errors import InputError, need
+from ullage.ports.intake import Report
+from ullage.ports.mavlink.options import LinkOptions, Place
+
+Sender = tuple[str, int]
+"""Where bytes came from: address and port, or the serial device."""
+MOST_SENDERS = 8
+FORGET_S = 10.0
+"""A listening port answers those who sent within this time [s]."""
+DATAGRAMS = 256
+"""Read at once, so that a flood does not keep the link from its other work."""
+REOPEN_S = 1.0
+
+
+class Wire(Protocol):
+    """A connection that carries bytes."""
+
+    @property
+    def name(self) -> str:
+        """The place, for messages."""
+
+    def send(self, data: bytes) -> None:
+        """Send one packet; it is lost where nobody takes it."""
+
+    def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
+        """What has come, with its sender; waits at most so long for it."""
+
+    def close(self) -> None:
+        """Let go of socket or device."""
+
+
+def open_wire(place: Place, options: LinkOptions, report: Report) -> Wire:
+    """The connection to a place.
+
+    Raises:
+        InputError: the host is unknown, the port is in use, or the device cannot be opened.
+        MissingExtra: pyserial is not installed.
+    """
+    if place.kind == "serial":
+        return SerialWire(place.host, options.baud, report)
+    return UdpWire(place, options)
+
+
+class UdpWire:
+    """UDP: sends to one place and takes what comes from that host, or listens and answers those who send.
+
+    Args:
+        place: of the autopilot (`udp`), or our own address (`udpin`).
+        options: the local port and address.
+
+    Raises:
+        InputError: the host is unknown, or the local address is in use.
+    """
+
+    def __init__(self, place: Place, options: LinkOptions) -> None:
+        self.name = f"{place.kind}://{place.host}:{place.port}"
+        host = _address(place.host, self.name)
+        local = ipaddress.ip_address(host).is_loopback
+        if place.kind == "udpin":
+            self._peer: Sender | None = None
+            mine = (host, place.port)
+        else:
+            self._peer = (host, place.port)
+            mine = (options.interface or ("127.0.0.1" if local else ""), options.port)
+        self._heard: dict[Sender, float] = {}  # who sent, and when
+        self._socket = _bound(mine, self.name)
+
+    def send(self, data: bytes) -> None:
+        """Send one packet; it is lost where nobody takes it."""
+        now = time.monotonic()
+        recent = [sender for sender, heard in self._heard.items() if now - heard < FORGET_S]
+        for there in [self._peer] if self._peer else recent:
+            try:
+                self._socket.sendto(data, there)
+            except OSError:  # nobody listens there now; they may later
+                continue
+
+    def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
+        """Datagrams that have come; waits at most so long for the first."""
+        out: list[tuple[Sender, bytes]] = []
+        if not select.select([self._socket], [], [], timeout_s)[0]:
+            return out
+        for _ in range(DATAGRAMS):
+            try:
+                data, sender = self._socket.recvfrom(65535)
+            except BlockingIOError:
+                break
+            except OSError:  # what was sent earlier met a closed port
+                continue
+            if self._accepted(sender):
+                out.append((sender, data))
+        return out
+
+    def _accepted(self, sender: Sender) -> bool:
+        if self._peer is not None:
+            return sender[0] == self._peer[0]
+        now = time.monotonic()
+        self._heard = {one: heard for one, heard in self._heard.items() if now - heard < FORGET_S}
+        if sender not in self._heard and len(self._heard) >= MOST_SENDERS:
+            return False
+        self._heard[sender] = now
+        return True
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._socket.close()
+
+
+class SerialWire:
+    """A serial line; where the device goes, it is opened again when it is back.
+
+    Args:
+        device: as `/dev/ttyACM0`.
+        baud: its speed.
+        report: takes a line when the device goes or comes back.
+
+    Raises:
+        InputError: the device cannot be opened.
+        MissingExtra: pyserial is not installed.
+    """
+
+    def __init__(self, device: str, baud: int, report: Report) -> None:
+        need("serial", extra="mavlink")
+        self.name = f"serial://{device}"
+        self._device, self._baud, self._report = device, baud, report
+        self._lost_s = 0.0
+        try:
+            self._line: Any = self._opened()
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            known = Path(device).exists()
+            what = f"cannot be opened: {_reason(error)}" if known else "no such serial device"
+            raise InputError(what, where=f"mavlink:{self.name}", allowed="a device as /dev/ttyACM0") from None
+
+    def _opened(self) -> Any:
+        import serial
+
+        return serial.Serial(self._device, self._baud, timeout=0.05, write_timeout=0.5)
+
+    def send(self, data: bytes) -> None:
+        """Send one packet; it is lost while the device is away."""
+        if self._line is None:
+            return
+        try:
+            self._line.write(data)
+        except OSError as error:
+            self._lose(error)
+
+    def receive(self, timeout_s: float) -> list[tuple[Sender, bytes]]:
+        """What has come; waits at most so long for it."""
+        if self._line is None and not self._back(timeout_s):
+            return []
+        try:
+            self._line.timeout = timeout_s
+            data = self._line.read(1)
+            data += self._line.read(self._line.in_waiting) if data else b""
+        except (OSError, TypeError) as error:  # TypeError: closed by another thread meanwhile
+            self._lose(error)
+            return []
+        return [((self._device, 0), data)] if data else []
+
+    def _lose(self, error: Exception) -> None:
+        line, self._line = self._line, None
+        self._lost_s = time.monotonic()
+        if line is not None:
+            line.close()
+            self._report(f"{self.name} is lost ({_reason(error)}): waiting for it to come back")
+
+    def _back(self, timeout_s: float) -> bool:
+        if time.monotonic() - self._lost_s < REOPEN_S:
+            time.sleep(timeout_s)
+            return False
+        self._lost_s = time.monotonic()
+        try:
+            self._line = self._opened()
+        except (OSError, ValueError):
+            return False
+        self._report(f"{self.name} is back")
+        return True
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._line is not None:
+            self._line.close()
+
+
+def _address(host: str, name: str) -> str:
+    try:
+        return socket.gethostbyname(host)
+    except OSError:
+        raise InputError(
+            f"no such host {host!r}", where=f"mavlink:{name}", allowed="a name or an IPv4 address"
+        ) from None
+
+
+def _bound(mine: Sender, name: str) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    try:
+        sock.bind(mine)
+    except OSError as error:
+        sock.close()
+        what = f"cannot listen on {mine[0] or 'any address'} port {mine[1]}: {_reason(error)}"
+        raise InputError(what, where=f"mavlink:{name}", allowed="a free port of this machine") from None
+    return sock
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -1,0 +1,170 @@
+"""What an autopilot gets from the sink: contents, rates, order, and silence where the radars are silent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from mavlink_autopilot import Autopilot
+from test_mavlink_encode import sectors
+
+import ullage as ul
+from ullage.ports.mavlink.options import SinkOptions
+from ullage.ports.mavlink.sink import MavlinkSink
+
+YAWS = [0.0, 90.0, 180.0, -90.0]
+
+
+@pytest.fixture
+def autopilot() -> Iterator[Autopilot]:
+    with Autopilot() as one:
+        yield one
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+def sink(autopilot: Autopilot, said: list[str], **options: Any) -> MavlinkSink:
+    return MavlinkSink(f"udp://127.0.0.1:{autopilot.port}", SinkOptions(**options), say=said.append)
+
+
+def around(t_s: float, distance_m: float = 2.0, *, now_ns: int = 0) -> Any:
+    """Four radars, one of which detects something, at a time of the stream."""
+    return sectors(YAWS, [distance_m, np.inf, np.inf, np.inf], t_ns=now_ns + round(t_s * 1e9))
+
+
+def test_a_stream_goes_out_at_its_own_pace_thinned_to_the_rate(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said, obstacle_hz=20) as out:
+        for k in range(101):  # two seconds at 50 Hz
+            out.write(around(k / 50, 3.0 - k / 50))
+    found = autopilot.of("OBSTACLE_DISTANCE")
+    stamps = [one.time_usec for one in found]
+    assert len(found) == 41  # 20 a second in the mean
+    assert set(np.diff(stamps)) == {40_000, 60_000}
+    np.testing.assert_allclose([one.distances[0] for one in found], 300 - np.array(stamps) / 10_000, atol=1)
+    times = autopilot.times("OBSTACLE_DISTANCE")
+    assert times[-1] - times[0] == pytest.approx(2.0, abs=0.5)
+    assert not [line for line in said if "a second are sent" in line]
+
+
+def test_each_radar_comes_before_the_sectors_of_its_time(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said, pace=0) as out:
+        for k in range(3):
+            out.write(around(k / 10))
+    kinds = [m.get_type() for _, m in autopilot.got if m.get_type() in ("DISTANCE_SENSOR", "OBSTACLE_DISTANCE")]
+    assert kinds == (["DISTANCE_SENSOR"] * 4 + ["OBSTACLE_DISTANCE"]) * 3
+    assert [m.id for m in autopilot.of("DISTANCE_SENSOR")[:4]] == [0, 1, 2, 3]
+    assert [m.orientation for m in autopilot.of("DISTANCE_SENSOR")[:4]] == [0, 6, 4, 2]
+
+
+def test_single_sensors_can_be_left_out(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said, pace=0, sensors=False) as out:
+        out.write(around(0.0))
+    assert autopilot.await_("OBSTACLE_DISTANCE")
+    assert not autopilot.of("DISTANCE_SENSOR")
+
+
+def test_stamps_of_the_present_become_those_of_the_autopilots_clock(said: list[str]) -> None:
+    with Autopilot(boot_ns=-time.monotonic_ns() + 77 * 10**9) as autopilot, sink(autopilot, said) as out:
+        end = time.monotonic() + 20
+        while not out.link.clock.known and time.monotonic() < end:
+            time.sleep(0.01)
+        boot_s = autopilot.clock_ns() * 1e-9
+        out.write(around(0.0, now_ns=time.time_ns()))
+        (found,) = autopilot.await_("OBSTACLE_DISTANCE")
+        assert found.time_usec * 1e-6 == pytest.approx(boot_s, abs=0.2)
+        assert autopilot.of("DISTANCE_SENSOR")[0].time_boot_ms * 1e-3 == pytest.approx(boot_s, abs=0.2)
+
+
+def test_silent_radars_make_the_sink_silent_and_its_state_critical(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said) as out:
+        for _ in range(5):
+            out.write(around(0.0, now_ns=time.time_ns()))
+            time.sleep(0.06)
+        sent = len(autopilot.await_("OBSTACLE_DISTANCE", 5))
+        states = autopilot.await_("HEARTBEAT", len(autopilot.of("HEARTBEAT")) + 2)
+        assert len(autopilot.of("OBSTACLE_DISTANCE")) == sent
+        assert states[-1].system_status == 5  # MAV_STATE_CRITICAL
+        assert any("no distances for 0.5 s, so none are sent" in line for line in said)
+        out.write(around(0.0, now_ns=time.time_ns()))
+        autopilot.await_("OBSTACLE_DISTANCE", sent + 1)
+        assert autopilot.await_("HEARTBEAT", len(states) + 1)
+
+
+def test_distances_older_than_half_a_second_are_dropped_and_counted(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said) as out:
+        now = time.time_ns()
+        out.write(around(-3.0, now_ns=now))
+        out.write(around(0.0, now_ns=now))
+        found = autopilot.await_("OBSTACLE_DISTANCE")
+        assert len(found) == 1
+        assert out.link.counters.dropped("late", topic="OBSTACLE_DISTANCE") == 1
+
+
+def test_too_few_distances_are_reported(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said) as out:
+        for k in range(10):
+            out.write(around(k / 4))
+    assert any(line.endswith("distances a second are sent; autopilots expect 10") for line in said)
+
+
+def test_frames_of_a_run_become_distances(autopilot: Autopilot, said: list[str]) -> None:
+    scene = ul.scenes.plate(width_m=4, height_m=4, distance_m=2.5, material="pec")
+    rig = ul.Rig.preset("thesis-4")
+    path = ul.Trajectory.line((0, 0, 0), (0.3, 0, 0), speed_m_s=0.3, rate_hz=20)
+    with sink(autopilot, said, pace=0) as out:
+        out.write(ul.simulate(scene, path, rig, seed=1))
+        out.write(scene)  # nothing for an autopilot
+    (first, *_, last) = autopilot.of("OBSTACLE_DISTANCE")
+    assert first.distances[0] == first.max_distance + 1  # a track needs three detections
+    assert last.distances[0] == pytest.approx(220, abs=10)
+
+
+def test_obstacles_of_the_run_replace_our_own(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said, pace=0) as out:
+        out.write(around(0.0, 1.0))
+        frames = ul.simulate(
+            ul.scenes.plate(width_m=4, height_m=4, distance_m=2.5, material="pec"),
+            ul.Trajectory.line((0, 0, 0), (0.3, 0, 0), speed_m_s=0.3, rate_hz=20),
+            ul.Rig.preset("single"),
+            seed=1,
+        )
+        out.write(frames)
+        out.write(around(1.0, 1.5))
+    assert [one.distances[0] for one in autopilot.of("OBSTACLE_DISTANCE")] == [100, 150]
+
+
+def test_without_an_autopilot_it_is_said_at_the_end(said: list[str]) -> None:
+    with MavlinkSink("udp://127.0.0.1:9", SinkOptions(pace=0), say=said.append) as out:
+        out.write(around(0.0))
+    assert any("no HEARTBEAT of an autopilot came" in line for line in said)
+
+
+def test_an_autopilot_that_is_waited_for_and_does_not_come_is_an_error(said: list[str]) -> None:
+    with pytest.raises(ul.InputError, match=r"no HEARTBEAT of an autopilot within 0.2 s .*vehicle=ID"):
+        MavlinkSink("udp://127.0.0.1:9", SinkOptions(wait_s=0.2), say=said.append)
+
+
+def test_a_closed_sink_takes_nothing(autopilot: Autopilot, said: list[str]) -> None:
+    out = sink(autopilot, said)
+    out.close()
+    with pytest.raises(ul.InputError, match="the sink is closed"):
+        out.write(around(0.0))
+
+
+def test_a_clock_that_is_set_back_does_not_stop_the_stream(autopilot: Autopilot, said: list[str]) -> None:
+    with sink(autopilot, said, pace=0) as out:
+        out.write(around(1000.0))
+        out.write(around(999.99))  # late
+        out.write(around(1.0))  # set back
+        out.write(replace(around(1.1)))
+    assert [one.time_usec // 1000 for one in autopilot.of("OBSTACLE_DISTANCE")] == [1_000_000, 1000, 1100]
