@@ -15,8 +15,11 @@ from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.conversions import WORLD
+from ullage.processing.obstacles import ObstacleSectors
 
 RANGE = "sensor_msgs/msg/Range"
+SCAN = "sensor_msgs/msg/LaserScan"
+SCAN_DIRECTIONS = 72
 PICTURE = "sensor_msgs/msg/Image"
 PATH = "nav_msgs/msg/Path"
 CLOCK = "rosgraph_msgs/msg/Clock"
@@ -65,6 +68,24 @@ def range_note(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad
     return range_layout(frame_id.encode()).fill(
         1, **ros.stamps(np.array([t_ns])), fov=fov_rad, min=low, max=high, range=range_m
     )[0]
+
+
+def scan_note(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
+    """LaserScan of the nearest obstacle in 72 level directions of the body; +inf: nothing there, NaN: unknown."""
+    angles = -np.pi + 2 * np.pi / SCAN_DIRECTIONS * np.arange(SCAN_DIRECTIONS)
+    ranges = np.full(SCAN_DIRECTIONS, np.nan, np.float32)
+    for k, angle in enumerate(angles):
+        inside = sectors.covers(float(angle))
+        near = sectors.distance_m[inside]
+        known = np.isfinite(near)
+        if known.any() or sectors.valid[inside].all():
+            ranges[k] = np.min(near[known], initial=np.inf) if inside.any() else np.nan
+    low, high = float(np.max(sectors.least_m)), float(np.min(sectors.reach_m))
+    head = ros.header(max(sectors.t_ns, 0), frame_id)
+    step = 2 * np.pi / SCAN_DIRECTIONS
+    return ros.to_bytes(
+        SCAN, ros.make(SCAN, head, -np.pi, angles[-1], step, 0.0, 0.0, low, high, ranges, np.zeros(0, np.float32))
+    )
 
 
 @lru_cache(16)

@@ -22,6 +22,7 @@ from ullage.ports.conversions import BODY, WORLD
 from ullage.ports.messages import topic_name
 from ullage.ports.pace import LEAP_S, STEP_BACK_S
 from ullage.ports.protocol import Item, Passed
+from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
 ODOM = "odom"
@@ -321,6 +322,8 @@ class Publisher:
             topic = f"radar/{topic_name(item.sensor)}/detections"
             for at, data in conversions.detection_notes(item):
                 yield Message(at, topic, ros.CLOUD, "sensor", data)
+        elif isinstance(item, ObstacleSectors):
+            yield Message(item.t_ns, "obstacles", encode.SCAN, "sensor", encode.scan_note(item, frame_id=self._body))
         elif isinstance(item, Scene):
             yield Message(t_ns, "world", ros.MARKERS, "latched", conversions.scene_note(item, t_ns))
         elif isinstance(item, Image):
