@@ -109,7 +109,10 @@ def thesis_changes(flight: Strafe) -> Iterator[tuple[str, Strafe]]:
     yield "without the east wall, behind the target", replace(flight, scene=less(scene, "wall_east"))
     yield "without floor and ceiling", replace(flight, scene=less(scene, "floor", "ceiling"))
     yield "58 x 58 rays", replace(flight, spec=spec.but(thesis=model.but(rays_per_side=58)))
-    yield "120 x 120 rays, a quarter of the frames", replace(flight, spec=spec.but(thesis=model.but(rays_per_side=120)), path=flight.path[::4])
+    yield (
+        "120 x 120 rays, a quarter of the frames",
+        replace(flight, spec=spec.but(thesis=model.but(rays_per_side=120)), path=flight.path[::4]),
+    )
     yield "no moving average", replace(flight, spec=spec.but(thesis=model.but(smoothing_bins=1)))
     yield "average over 9 bins", replace(flight, spec=spec.but(thesis=model.but(smoothing_bins=9)))
     yield "a fifth of the frames", replace(flight, path=flight.path[::5])

@@ -13,7 +13,8 @@ from typing import Any, Protocol
 from ullage.data import Floats
 from ullage.flight.live import Wish
 from ullage.ports.imc.codec import Message, Packet, make
-from ullage.ports.imc.places import SWAP, Geodetic
+from ullage.ports.imc.places import Geodetic
+from ullage.ports.ned import SWAP
 
 DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
 METRES_A_SECOND = 0

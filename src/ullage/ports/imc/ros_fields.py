@@ -15,7 +15,7 @@ import numpy as np
 
 from ullage.data import Floats
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
-from ullage.ports.imc.places import FLIP, SWAP
+from ullage.ports.ned import FLIP, SWAP
 
 Values = Mapping[str, Any]
 Out = Callable[[Values, tuple[str, ...]], Any]
