@@ -322,7 +322,8 @@ def _lines(spec: BaseModel, depth: int, commented: bool) -> list[str]:
         notes = [note for note in (info.description, ", ".join(bounds)) if note]
         if info.default is not PydanticUndefined and info.default != value:
             notes.append(f"default {json.dumps(info.default, default=str)}")
-        out.append(f"{pad}{name}: {text}" + (f"  # {'; '.join(notes)}" if commented and notes else ""))
+        key = f'"{name}"' if name in ("on", "off", "yes", "no") else name  # bare, YAML 1.1 takes them for truth values
+        out.append(f"{pad}{key}: {text}" + (f"  # {'; '.join(notes)}" if commented and notes else ""))
     return out
 
 

@@ -39,12 +39,17 @@ _KINDS = {
 
 
 class PlainLoader(_PARSER):  # type: ignore[misc]  # one of two classes
-    """YAML without dates: what resembles one stays text."""
+    """YAML without dates, and with the truth values of YAML 1.2: `on`, `off`, `yes` and `no` stay text."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012  # PyYAML's own name and kind
-        first: [pair for pair in pairs if pair[0] != "tag:yaml.org,2002:timestamp"]
+        first: [pair for pair in pairs if pair[0] not in ("tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:bool")]
         for first, pairs in _PARSER.yaml_implicit_resolvers.items()
     }
+
+
+PlainLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
+)
 
 
 @contextmanager

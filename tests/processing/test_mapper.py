@@ -362,3 +362,15 @@ def test_two_faint_cells_that_nothing_joins_to_free_space_are_no_wall(chance, ke
     percent[60:62, [70, 71]] = np.where(np.eye(2, dtype=bool), chance, AMBIGUOUS)
     without_cut_off(percent, (0, 0), GRID, np.zeros((1, 3)))
     assert (percent > 50).sum() == 2 * kept
+
+
+def test_a_map_from_amplitudes_alone_is_nearly_that_with_phase():
+    """Real samples of a baseband radar are its envelope; they must not be taken for RF."""
+    room = ul.scenes.room((5.0, 4.0, 3.0))
+    path = ul.Trajectory.line((-1.0, -0.8, 0.0), (1.0, 0.6, 0.0), speed_m_s=0.5, rate_hz=17)
+    frames = ul.simulate(room, path, ul.Rig.preset("thesis-4"), seed=1)
+    grid = ul.Grid.covering(room.bounds, 0.1, margin_m=0.5)
+    alone = {name: replace(part, samples=part.amplitude) for name, part in frames.items()}
+    scores = [ul.metrics.map_quality(ul.map_occupancy(some, grid), room, frames) for some in (frames, alone)]
+    assert scores[1]["precision"].value > 0.9
+    assert scores[1]["f1"].value > scores[0]["f1"].value - 0.1

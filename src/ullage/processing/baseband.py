@@ -27,6 +27,14 @@ def is_amplitude(frames: Frames) -> bool:
     return not np.iscomplexobj(frames.samples) and frames.unit == "thesis"
 
 
+def has_phase(frames: Frames) -> bool:
+    """Whether the samples have phase: complex ones, and real ones that are RF.
+
+    Real samples of a sensor whose output is baseband are its envelope.
+    """
+    return np.iscomplexobj(frames.samples) or (frames.spec.output == "rf" and not is_amplitude(frames))
+
+
 def checked(frames: Frames) -> Frames:
     """The same frames, if every sample is a number.
 
@@ -47,7 +55,7 @@ def to_baseband(frames: Frames) -> Complexes:
     """
     if np.iscomplexobj(frames.samples):
         return np.asarray(frames.samples, np.complex64)
-    if is_amplitude(frames):
+    if not has_phase(frames):
         raise InputError(
             "amplitudes have no phase", where=frames.sensor, allowed='baseband or RF samples; method="summation" here'
         )
@@ -59,7 +67,7 @@ def as_baseband(frames: Frames) -> Frames:
 
     A low-pass filter keeps noise from outside the radar's band out of the fewer bins. The range axis stays in place.
     """
-    if np.iscomplexobj(frames.samples) or is_amplitude(frames) or len(frames.range_m) < 2:
+    if np.iscomplexobj(frames.samples) or not has_phase(frames) or len(frames.range_m) < 2:
         return frames
     from scipy.signal import resample_poly
 
@@ -83,8 +91,8 @@ def _mixed_down(rf: Reals, range_m: NDArray[np.float64], center_hz: float) -> Co
 
 
 def envelope(frames: Frames) -> Reals:
-    """Amplitude of each bin (n, b), in the frames' unit: of RF the envelope, of the thesis' model the samples."""
-    if is_amplitude(frames):
+    """Amplitude of each bin (n, b), in the frames' unit: of RF the envelope, of amplitudes the samples."""
+    if not has_phase(frames):
         return np.asarray(frames.samples, np.float32)
     return np.abs(to_baseband(frames))
 
@@ -95,7 +103,7 @@ def noise_sigma(frames: Frames) -> float:
     The smaller of two estimates: from the quieter half of all bins, and from what changes between neighbouring
     frames, which static clutter leaves alone. 0 for frames without noise.
     """
-    if is_amplitude(frames):
+    if not has_phase(frames):
         values = np.asarray(frames.samples, np.float64)
         return float(min(_of_reals(values - np.median(values)), _of_reals(np.diff(values, axis=0) / np.sqrt(2))))
     values = np.asarray(to_baseband(frames))

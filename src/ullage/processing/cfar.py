@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.processing.baseband import is_amplitude, noise_correlation, to_baseband
+from ullage.processing.baseband import has_phase, noise_correlation, to_baseband
 
 Floats = NDArray[np.float64]
 _DRAWS = 40_000
@@ -92,8 +92,8 @@ def cfar_threshold(
             where="cfar",
             allowed="guard >= 0, train >= 2",
         )
-    if is_amplitude(frames):
-        raise InputError("the thesis' amplitudes carry no exponential noise", where="cfar", allowed="threshold")
+    if not has_phase(frames):
+        raise InputError("amplitudes without phase carry no exponential noise", where="cfar", allowed="threshold")
     power = np.abs(to_baseband(frames).astype(np.complex128)) ** 2
     lags = noise_correlation(frames.spec) if correlation is None else correlation
     if not ordered:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
 from ullage.geometry import C0
-from ullage.processing.baseband import checked, envelope, is_amplitude, noise_sigma, to_baseband
+from ullage.processing.baseband import checked, envelope, has_phase, noise_sigma, to_baseband
 from ullage.processing.cfar import cfar_threshold
 from ullage.processing.echoes import blind_m, echo_level, peaks
 from ullage.processing.own_echo import own_echo
@@ -156,7 +156,7 @@ def _cleaned(frames: Frames, far: NDArray[np.bool_], level: Floats, sigma: float
     """CLEAN [Hogbom1974] with the Gaussian pulse as point response, all frames at once."""
     if most < 1:
         raise InputError(f"max_echoes is {most}", where="detect", allowed=">= 1")
-    rest = (np.asarray(frames.samples, np.float64) if is_amplitude(frames) else to_baseband(frames)).astype(
+    rest = (np.asarray(frames.samples, np.float64) if not has_phase(frames) else to_baseband(frames)).astype(
         np.complex128
     )
     width = frames.spec.pulse_sigma_s * C0 / 2

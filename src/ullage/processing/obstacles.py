@@ -20,7 +20,7 @@ from ullage.antenna import boresight_pattern
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.processing.baseband import is_amplitude, noise_correlation
+from ullage.processing.baseband import has_phase, noise_correlation
 from ullage.processing.detect import detect
 from ullage.processing.echoes import blind_m
 from ullage.processing.own_echo import OwnEchoFilter
@@ -252,7 +252,7 @@ def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
 
 
 def _detections(part: Frames, pfa: float, correlation: NDArray[np.complex128]) -> Detections:
-    method: Any = "peaks" if is_amplitude(part) else "os-cfar"
+    method: Any = "os-cfar" if has_phase(part) else "peaks"
     return detect(part, method=method, pfa=pfa, correlation=correlation, remove_own_echo=False)
 
 

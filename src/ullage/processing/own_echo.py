@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames, Recording, joined, sensors_of
 from ullage.geometry import C0
-from ullage.processing.baseband import is_amplitude, to_baseband
+from ullage.processing.baseband import has_phase, to_baseband
 from ullage.processing.echoes import BLIND_M
 
 Floats = NDArray[np.float64]
@@ -60,7 +60,7 @@ class OwnEcho:
 
         Samples that are exactly zero stay so: dropped packets leave them.
         """
-        if not self.profile.any() or is_amplitude(frames):
+        if not self.profile.any() or not has_phase(frames):
             return frames
         here = frames.samples != 0
         own = here * self.profile
@@ -177,7 +177,7 @@ class _Places:
     used: int = 0
 
     def add(self, part: Frames, most: int) -> None:
-        if is_amplitude(part):
+        if not has_phase(part):
             self.frames = self.frames or [part[:1]]
             return
         for i, place in enumerate(_places_of(part)):
@@ -210,7 +210,7 @@ def _distinct(frames: Frames) -> tuple[Frames, int]:
 
 def _expected(frames: Frames) -> bool:
     noise = frames.spec.noise
-    leaks = noise is not None and noise.leakage and not is_amplitude(frames)
+    leaks = noise is not None and noise.leakage and has_phase(frames)
     return leaks and len(frames) >= _LEAST_FRAMES and bool(np.isfinite(frames.samples).all())
 
 

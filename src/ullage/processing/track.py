@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
-from ullage.processing.baseband import is_amplitude, to_baseband
+from ullage.processing.baseband import has_phase, to_baseband
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def tracked(
     """
     from ullage.kernels.track import along_hyperbolas
 
-    if is_amplitude(frames) or not sigma > 0:
+    if not has_phase(frames) or not sigma > 0:
         raise InputError("no exponential noise to judge by", where="track", allowed="frames with noise; threshold")
     if not 0 < pfa < 0.5:
         raise InputError(f"pfa is {pfa}", where="track", allowed="0 .. 0.5")
