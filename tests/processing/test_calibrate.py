@@ -125,6 +125,9 @@ def test_a_measured_zero_is_weighed_with_the_focus(planted, focused):
     assert near.range_offset_m == pytest.approx(-0.32, abs=0.003)
     assert near.range_sigma_m <= 0.00101  # the prior has tails
     assert "range_zero_m" in near.method
+    far = ul.calibrate(replace(planted, spec=SPEC.but(range_zero_m=0.9, range_zero_sigma_m=0.02))).calibration
+    assert far is not None
+    assert far.range_offset_m == pytest.approx(focus.range_offset_m, abs=0.05)
 
 
 @pytest.mark.parametrize("guess", [(1.0,), (1.0, 0.0), (1.0, 0.1, 0.2), (np.nan, 1.0)])

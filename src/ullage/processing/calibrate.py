@@ -354,10 +354,21 @@ def _thinned(offset_s: Floats, log_posterior: Floats) -> tuple[tuple[float, floa
 
 
 def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, places: Floats | None) -> _Focus:
-    """The posterior around one mode: range and clock profiles, with each scatterer placed anew at every value."""
+    """The posterior around one mode: with the range prior, or without it where the echoes contradict the prior."""
     focus = PointFocus(frames, track, mode_s)
     if places is not None:
         return _surveyed(focus, mode_s, prior, places)
+    held = _profiled(focus, mode_s, prior)
+    if not np.isfinite(prior.range_sigma_m):
+        return held
+    free = _profiled(focus, mode_s, replace(prior, range_m=0.0, range_sigma_m=np.inf))
+    away = (free.mean[1] - prior.range_m) / TAIL_M
+    tail = np.log(TAIL * prior.range_sigma_m / TAIL_M) - 0.5 * away**2  # density there over that at the prior's centre
+    return free if (free.evidence - held.evidence) / RANGE_SPREAD**2 + tail > 0 else held
+
+
+def _profiled(focus: PointFocus, mode_s: float, prior: _Prior) -> _Focus:
+    """Range and clock profiles around one mode, with each scatterer placed anew at every value."""
     ranges = prior.ranges()
     centre = float(np.median(ranges))
     starts = focus.starts(mode_s, centre)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,11 @@ from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import to_baseband
 from ullage.processing.motion_match import whole_frames
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 SEGMENT_WAVELENGTHS = 20.0  # part of the track that one seed is drawn from: a range offset hardly defocuses it
 CELLS = 1.5e8  # cell times frames over all segments, which bounds the time
@@ -76,6 +81,7 @@ class PointFocus:
         self.per_m, self.first_m, self.last_m = factor / bin_m, float(frames.range_m[0]), float(frames.range_m[-1])
         self.t_s, self.along = t_s[kept], along[kept]
         self.weight = np.minimum(np.gradient(self.along), self.wave_m) if len(kept) > 2 else np.ones(len(kept))
+        self.window = _neighbourhood(self.along, self.weight)
 
     def path(self, offset_s: float) -> Floats:
         """Positions (n, 3) of the sensor under a clock offset, held beyond the ends of the track."""
@@ -137,58 +143,73 @@ class PointFocus:
             coherence[gone] = 0
         return out
 
-    def _along_point(self, place: Floats, path: Floats, range_m: float) -> tuple[NDArray[np.complex128], Floats]:
-        """Echoes (n) of a place with their propagation phase taken off, and ranges (n) [m]."""
-        distance = np.linalg.norm(path - place, axis=1)
-        at = (distance - range_m - self.first_m) * self.per_m
+    def _along_points(self, places: Floats, paths: Floats, range_m: Floats) -> tuple[Complexes, Floats]:
+        """Echoes (k, n) of places with their propagation phase taken off, and ranges (k, n) [m]."""
+        distance = np.linalg.norm(paths - places[:, None], axis=2)
+        at = (distance - range_m[:, None] - self.first_m) * self.per_m
         seen = (at >= 0) & (at < self.fine.shape[1] - 1.001)
         at = np.where(seen, at, 0)
         low = at.astype(int)
-        row = np.arange(len(at))
         share = at - low
-        value = self.fine[row, low] * (1 - share) + self.fine[row, low + 1] * share
+        flat, first = self.fine.ravel(), low + self.fine.shape[1] * np.arange(distance.shape[1])
+        value = flat[first] * (1 - share) + flat[first + 1] * share
         return value * np.exp(4j * np.pi / self.wave_m * distance) * seen, distance
 
-    def gain(self, place: Floats, amplitude: Floats, path: Floats, range_m: float) -> float:
-        """Log-likelihood of a steady scatterer at a place, over noise."""
-        value, _ = self._along_point(place, path, range_m)
+    def _gains(self, value: Complexes, amplitude: Floats) -> Floats:
+        """Log-likelihoods (k) of steady scatterers over noise."""
         weight = amplitude * self.weight
-        energy = (amplitude * weight).sum() * (self.weight * np.abs(value) ** 2)[amplitude > 0].sum()
-        coherence = min(float(abs((weight * value).sum()) ** 2 / max(energy, 1e-30)), 0.9999)
-        samples = weight.sum() ** 2 / max((amplitude * weight).sum(), 1e-30) / (self.wave_m / 2)
-        return float(-samples * np.log(1 - coherence))
+        energy = (amplitude * weight).sum(1) * (self.weight * np.abs(value) ** 2 * (amplitude > 0)).sum(1)
+        coherence = np.minimum(np.abs((weight * value).sum(1)) ** 2 / np.maximum(energy, 1e-30), 0.9999)
+        samples = weight.sum(1) ** 2 / np.maximum((amplitude * weight).sum(1), 1e-30) / (self.wave_m / 2)
+        return np.asarray(-samples * np.log(1 - coherence))
 
-    def placed(
-        self, place: Floats, amplitude: Floats, path: Floats, range_m: float, *, steps: int = 5
-    ) -> tuple[Floats, float]:
-        """The place near this one at which the phases agree best, by Gauss-Newton, and its log-likelihood."""
-        per_m = 4 * np.pi / self.wave_m
-        best, damping = self.gain(place, amplitude, path, range_m), 1e-4
+    def _placed(
+        self, places: Floats, amplitude: Floats, paths: Floats, range_m: Floats, *, steps: int = 8
+    ) -> tuple[Floats, Floats]:
+        """The places (k, 3) nearby at which the phases agree best, by Gauss-Newton, and their log-likelihoods (k)."""
+        places, live = places.copy(), np.arange(len(places))
+        value, distance = self._along_points(places, paths, range_m)
+        best, damping = self._gains(value, amplitude), np.full(len(places), 1e-4)
         for _ in range(steps):
-            value, distance = self._along_point(place, path, range_m)
-            weight = amplitude * self.weight
-            phase = np.angle(value * np.conj((weight * value).sum()))
-            weight = weight * np.abs(value) * (np.cos(phase) > -0.3)
-            design = np.c_[per_m * (place - path) / distance[:, None], np.ones(len(path))]
-            normal = (design * weight[:, None]).T @ design
-            normal[:3, :3] += damping * np.trace(normal[:3, :3]) * np.eye(3)
-            move = -np.linalg.solve(normal + 1e-12 * np.eye(4), (design * weight[:, None]).T @ phase)[:3]
-            size = float(np.linalg.norm(move))
-            move = move * min(1.0, 0.66 * self.wave_m / max(size, 1e-9))
-            found = self.gain(place + move, amplitude, path, range_m)
-            damping = damping * 10 if found < best else damping
-            if found >= best:
-                place, best = place + move, found
-            if size < 0.006 * self.wave_m:
+            way = paths[live] if len(paths) > 1 else paths
+            move = self._step(places[live], amplitude[live], way, value, distance, damping[live])
+            tried, apart = self._along_points(places[live] + move, way, range_m[live])
+            found = self._gains(tried, amplitude[live])
+            better = found >= best[live]
+            damping[live[~better]] *= 10
+            places[live[better]] += move[better]
+            best[live[better]] = found[better]
+            value, distance = np.where(better[:, None], tried, value), np.where(better[:, None], apart, distance)
+            open_ = np.linalg.norm(move, axis=1) >= 0.006 * self.wave_m
+            live, value, distance = live[open_], value[open_], distance[open_]
+            if not len(live):
                 break
-        return place, best
+        return places, best
 
-    def _amplitude(self, place: Floats, path: Floats, range_m: float) -> Floats:
-        """Amplitude (n) of a scatterer along the track over the noise around it; 0 where it is not seen."""
-        value, _ = self._along_point(place, path, range_m)
-        window = np.exp(-(((self.along[:, None] - self.along) / (VISIBLE_M / 2)) ** 2)) * self.weight
-        window = window / window.sum(1, keepdims=True)
-        steady, power = np.abs(window @ value) ** 2, window @ np.abs(value) ** 2
+    def _step(
+        self, places: Floats, amplitude: Floats, paths: Floats, value: Complexes, distance: Floats, damping: Floats
+    ) -> Floats:
+        """Moves (k, 3) of places that make the phases agree, at most two thirds of a wavelength."""
+        per_m = 4 * np.pi / self.wave_m
+        weight = amplitude * self.weight
+        phase = np.angle(value * np.conj((weight * value).sum(1))[:, None])
+        weight = weight * np.abs(value) * (np.cos(phase) > -0.3)
+        design = np.empty((*distance.shape, 4))
+        design[..., :3] = per_m * (places[:, None] - paths) / distance[..., None]
+        design[..., 3] = 1
+        turned = np.swapaxes(design * weight[..., None], 1, 2)
+        normal = turned @ design
+        corner = np.arange(3)
+        normal[:, corner, corner] += (damping * np.trace(normal[:, :3, :3], axis1=1, axis2=2))[:, None]
+        move = -np.linalg.solve(normal + 1e-12 * np.eye(4), turned @ phase[..., None])[:, :3, 0]
+        size = np.linalg.norm(move, axis=1, keepdims=True)
+        return np.asarray(move * np.minimum(1.0, 0.66 * self.wave_m / np.maximum(size, 1e-9)))
+
+    def _amplitudes(self, places: Floats, paths: Floats, range_m: Floats) -> Floats:
+        """Amplitudes (k, n) of scatterers along the track over the noise around them; 0 where they are not seen."""
+        value, _ = self._along_points(places, paths, range_m)
+        steady = np.abs(np.asarray(self.window @ value.T)).T ** 2
+        power = np.asarray(self.window @ (np.abs(value.T) ** 2)).T
         noise = np.maximum(power - steady, 1e-3 * power) * self.wave_m / (2 * 0.9 * VISIBLE_M)
         return np.where(steady > 3 * noise, np.sqrt(np.maximum(steady - noise, 0)), 0.0)
 
@@ -204,20 +225,20 @@ class PointFocus:
 
     def drawn(self, starts: Sequence[Start], offset_s: float, range_m: float) -> list[Point]:
         """The scatterer of each start under these offsets, with the part of the track from which it is seen."""
-        path, out = self.path(offset_s), []
-        for start in starts:
-            middle = path[np.argmin(np.abs(self.along - start.along_m))]
-            place = middle + start.ray * (start.bin_m + range_m)
-            near = np.exp(-(((self.along - start.along_m) / 0.5) ** 2))
-            place, _ = self.placed(place, near, path, range_m, steps=8)
-            gain, amplitude = 0.0, np.zeros(len(path))
-            for _ in range(2):
-                amplitude = self._amplitude(place, path, range_m)
-                if not amplitude.any():
-                    break
-                place, gain = self.placed(place, amplitude, path, range_m, steps=8)
-            out.append(Point(place, amplitude, gain))
-        return out
+        if not starts:
+            return []
+        path = self.path(offset_s)
+        paths, ranges = path[None], np.full(len(starts), range_m)
+        along = np.array([one.along_m for one in starts])
+        middle = path[np.argmin(np.abs(self.along - along[:, None]), axis=1)]
+        places = middle + np.array([one.ray * (one.bin_m + range_m) for one in starts])
+        near = np.exp(-(((self.along - along[:, None]) / 0.5) ** 2))
+        places, gain = self._placed(places, near, paths, ranges)
+        for _ in range(2):
+            amplitude = self._amplitudes(places, paths, ranges)
+            places, gain = self._placed(places, amplitude, paths, ranges)
+        gains = np.asarray(np.where(amplitude.any(axis=1), gain, 0.0)).tolist()
+        return [Point(*one) for one in zip(places, amplitude, gains, strict=True)]
 
     def distinct(self, points: Sequence[Point], offset_s: float) -> list[int]:
         """Indices of the scatterers of highest likelihood, each echo once."""
@@ -245,6 +266,20 @@ class PointFocus:
         out = np.zeros((len(ranges_m), len(places)))
         for row, range_m in enumerate(ranges_m):
             for column, place in enumerate(places):
-                value, _ = self._along_point(place, path, float(range_m))
-                out[row, column] = abs((self.weight * value).sum()) ** 2 / total / (self.wave_m / 2)
+                value, _ = self._along_points(place[None], path[None], np.array([range_m]))
+                out[row, column] = abs((self.weight * value[0]).sum()) ** 2 / total / (self.wave_m / 2)
         return out
+
+
+def _neighbourhood(along: Floats, weight: Floats) -> csr_array:
+    """Weights (n, n) of a mean over the track near each frame; those below 1e-4 of the greatest are left out."""
+    from scipy.sparse import csr_array
+
+    width = VISIBLE_M / 2
+    low, high = (np.searchsorted(along, along + side * 3 * width) for side in (-1, 1))
+    count = high - low
+    start = np.concatenate([[0], np.cumsum(count)])
+    column = np.arange(start[-1]) + np.repeat(low - start[:-1], count)
+    near = np.exp(-(((along[column] - np.repeat(along, count)) / width) ** 2)) * weight[column]
+    near = near / np.repeat(np.add.reduceat(near, start[:-1]), count) if len(near) else near
+    return csr_array((near, column, start), shape=(len(along), len(along)))
