@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 import ullage as ul
 from ullage.errors import InputError
+from ullage.world.library import WORLDS
 from ullage.world.raycast import Raycaster
 
 SEEDS = (0, 1)
@@ -60,10 +61,9 @@ def test_an_open_world_lets_rays_out():
 
 @pytest.mark.parametrize("kind", ["machines", "office"])
 def test_the_same_seed_gives_the_same_world_and_another_seed_another(kind):
-    from ullage.world import random_worlds
-
     first, path = ul.worlds.random(kind, 5), ul.worlds.flight(kind, 5)
-    random_worlds.plan.cache_clear()
+    for seed in range(20, 32):  # others, so that nothing of the first is kept
+        ul.worlds.random(kind, seed)
     again = ul.worlds.random(kind, 5)
     assert np.array_equal(first.vertices, again.vertices)
     assert [thing.name for thing in first.objects] == [thing.name for thing in again.objects]
@@ -91,3 +91,13 @@ def test_tuning_and_testing_share_no_kind():
 def test_what_cannot_be_drawn_is_refused_in_one_line(kind, seed, words):
     with pytest.raises(InputError, match=words):
         ul.worlds.random(kind, seed)
+
+
+def test_a_world_file_varies_in_materials_and_objects_and_keeps_its_shape():
+    file = str(WORLDS["ntnu-room"].path)
+    scene, plain = ul.worlds.random(file, 1), ul.load_scene(file)
+    path = ul.worlds.flight(file, 1)
+    assert np.array_equal(scene.vertices[: len(plain.vertices)], plain.vertices)
+    assert [thing.material.name for thing in scene.objects] != [thing.material.name for thing in plain.objects]
+    assert cKDTree(surface_points(scene)).query(path.position)[0].min() > 0.2
+    assert not np.array_equal(path.position, ul.worlds.flight(file, 2).position)

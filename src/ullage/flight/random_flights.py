@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ def flight(kind: str, seed: int, *, volume: bool = False) -> Trajectory:
     apart. The heading follows the course, lags it or is held.
 
     Args:
-        kind: one of `ullage.worlds.KINDS`.
+        kind: one of `ullage.worlds.KINDS`, or a world file.
         seed: 0 or more.
         volume: whether the flight climbs and sinks over all heights; else it stays near one.
 
@@ -39,7 +40,7 @@ def flight(kind: str, seed: int, *, volume: bool = False) -> Trajectory:
         InputError: the kind is unknown, or the seed is not a whole number of 0 or more.
     """
     made = plan(kind, seed)
-    rng = np.random.default_rng([made.seed, zlib.crc32(kind.encode()), 1])
+    rng = np.random.default_rng([made.seed, zlib.crc32(Path(kind).name.encode()), 1])
     level = _level_path(made.open_area, rng)
     spacing = rng.uniform(*SPACING_M)
     s = _arc(level)
@@ -59,7 +60,7 @@ def rig(kind: str, seed: int) -> Rig:
         InputError: the kind is unknown, or the seed is not a whole number of 0 or more.
     """
     made = plan(kind, seed)
-    rng = np.random.default_rng([made.seed, zlib.crc32(kind.encode()), 2])
+    rng = np.random.default_rng([made.seed, zlib.crc32(Path(kind).name.encode()), 2])
     if rng.random() < 0.5:
         return Rig.preset("thesis-4")
     azimuth, elevation = rng.uniform(45, 85, 2)

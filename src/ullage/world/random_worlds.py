@@ -11,8 +11,9 @@ import difflib
 import itertools
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.errors import InputError
 from ullage.world import shapes
+from ullage.world.materials import material
 from ullage.world.scene import Scene
 from ullage.world.shapes import Shape
 from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, moved, scene_of
@@ -35,6 +37,7 @@ KINDS = (*TUNING, *TESTING)
 WALLS = ("concrete", "brick", "steel", "plasterboard", "wood")
 TANK_WALLS = ("steel", "concrete")
 MARGIN_M = 0.3  # above and below the heights of flight in which objects count as obstacles
+THIN_M = 0.02  # half width that surfaces of a world file get when room to fly is sought
 SEGMENT_M = 0.1  # chord of a facet of a round wall; flat facets this narrow still act as a curved mirror
 
 
@@ -45,6 +48,7 @@ class Plan:
     kind: str
     seed: int
     rng: np.random.Generator
+    base: Scene | None = None  # the world of a file, to which objects are added
     footprint: Any = None  # shapely polygon: the level area that the walls leave open [m]
     band_m: tuple[float, float] = (0.0, 0.0)  # least and greatest height of flight [m]
     parts: list[Solid] = field(default_factory=list)
@@ -72,14 +76,16 @@ class Plan:
     @property
     def scene(self) -> Scene:
         """The world itself."""
-        return scene_of(self.parts, name=f"{self.kind}-{self.seed}")
+        name = f"{Path(self.kind).stem}-{self.seed}"
+        added = scene_of(self.parts, name=name)
+        return added if self.base is None else Scene.union([self.base, added], name=name)
 
 
 def random(kind: str, seed: int) -> Scene:
     """Draw a world of a kind; the same kind and seed always give the same world.
 
     Args:
-        kind: one of `KINDS`.
+        kind: one of `KINDS`, or a world file: its materials vary, and objects are added where there is room.
         seed: 0 or more.
 
     Raises:
@@ -88,21 +94,31 @@ def random(kind: str, seed: int) -> Scene:
     return plan(kind, seed).scene
 
 
-@lru_cache(maxsize=8)
 def plan(kind: str, seed: int) -> Plan:
-    """Draw a world of a kind together with its room to fly.
+    """Draw a world of a kind, or a variation of a world file, together with its room to fly.
 
     Raises:
-        InputError: the kind is unknown, or the seed is not a whole number of 0 or more.
+        InputError: the kind is unknown, the file cannot be read, or the seed is not a whole number of 0 or more.
     """
-    if kind not in KINDS:
+    path = Path(kind)
+    if path.suffix and path.exists():
+        return _planned(kind, seed, path.stat().st_mtime_ns)
+    return _planned(kind, seed, 0)
+
+
+@lru_cache(maxsize=8)
+def _planned(kind: str, seed: int, mtime_ns: int) -> Plan:
+    """As `plan`; `mtime_ns` makes a file that has changed a new key."""
+    if kind not in KINDS and not mtime_ns:
         near = difflib.get_close_matches(str(kind), KINDS, 1, 0.4)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise InputError(f"no kind of world {kind!r}{hint}", where="worlds", allowed=", ".join(KINDS))
+        raise InputError(
+            f"no kind of world {kind!r}{hint}", where="worlds", allowed=f"{', '.join(KINDS)}, or a world file"
+        )
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed is {seed!r}", where="worlds", allowed="a whole number, 0 or more")
-    out = Plan(kind, int(seed), np.random.default_rng([int(seed), zlib.crc32(kind.encode())]))
-    _BUILDERS[kind](out)
+    out = Plan(kind, int(seed), np.random.default_rng([int(seed), zlib.crc32(Path(kind).name.encode())]))
+    _BUILDERS.get(kind, _of_file)(out)
     return out
 
 
@@ -256,7 +272,7 @@ def _tank(made: Plan) -> None:
     rng = made.rng
     radius, height, stuff = rng.uniform(2.4, 6.0), rng.uniform(3.0, 7.0), made.pick(TANK_WALLS)
     body = moved(shapes.cylinder(radius, height, segment_m=SEGMENT_M), (0, 0, height / 2))
-    made.parts.append(Part("tank", stuff, body))
+    made.parts.append(Part("tank", stuff, _seen_from_within(body)))
     made.footprint = _disc((0.0, 0.0), radius)
     _heights(made, height)
     if radius > 4 and rng.random() < 0.4:
@@ -274,11 +290,16 @@ def _lying_tank(made: Plan) -> None:
     else:
         body = shapes.capsule(radius, length, segment_m=2 * SEGMENT_M)
     body = moved(moved(body, pitch_deg=90.0), (0, 0, radius))
-    made.parts.append(Part("tank", stuff, body))
+    made.parts.append(Part("tank", stuff, _seen_from_within(body)))
     off = rng.uniform(0.1, 0.4) * radius
     made.band_m = (radius - off, radius + off)
     half = np.sqrt(radius**2 - min(off + MARGIN_M, 0.9 * radius) ** 2)
     made.footprint = _rectangle(length, 2 * half)
+
+
+def _seen_from_within(mesh: Shape) -> Shape:
+    """A closed body whose faces look inward."""
+    return mesh[0], np.ascontiguousarray(mesh[1][:, ::-1])
 
 
 def _machines(made: Plan) -> None:
@@ -423,6 +444,40 @@ def _spot(made: Plan, radius_m: float, *, apart_m: float = 0.3) -> tuple[float, 
         if clear and made.footprint.contains(disc):
             return float(at[0]), float(at[1])
     return None
+
+
+def _of_file(made: Plan) -> None:
+    """A variation of a world file: other materials here and there, and up to three objects more."""
+    from ullage.world.load import load_scene
+
+    scene, rng = load_scene(made.kind), made.rng
+    objects = [
+        replace(thing, material=material(made.pick(WALLS))) if rng.random() < 0.3 else thing for thing in scene.objects
+    ]
+    made.base = replace(scene, objects=tuple(objects))
+    low, high = scene.bounds[:, 2]
+    foot = low + rng.uniform(0.25, 0.45) * (high - low)
+    made.band_m = (float(foot), float(foot + 0.2 * (high - low)))
+    made.footprint = _inside(scene, made.band_m)
+    for k in range(rng.integers(4)):
+        size = rng.uniform((0.3, 0.3, 0.5), (1.5, 1.2, 0.6 * (high - low)))
+        _stand(made, f"added_{k + 1}", made.pick(("steel", "wood", "plastic")), size, float(low))
+
+
+def _inside(scene: Scene, band_m: tuple[float, float]) -> Any:
+    """The largest level area that no surface crosses at the heights of flight, a shapely polygon."""
+    from shapely import MultiLineString, box, get_parts, unary_union
+
+    from ullage.world.section import section, wire_section
+
+    heights = np.linspace(band_m[0] - MARGIN_M, band_m[1] + MARGIN_M, 5)
+    cuts = [MultiLineString(list(section(scene, float(z)))).buffer(THIN_M) for z in heights]
+    cuts += [_disc(at, THIN_M) for z in heights for at in wire_section(scene, float(z), slab_m=MARGIN_M)]
+    (x0, y0, _), (x1, y1, _) = scene.bounds
+    parts = get_parts(box(x0, y0, x1, y1) - unary_union(cuts))
+    if not len(parts):
+        raise InputError("the world leaves no room to fly", where=scene.name)
+    return max(parts, key=lambda part: float(part.area))
 
 
 def _disc(at: Sequence[float], radius_m: float) -> Any:
