@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import sys
 import time
 import traceback
@@ -66,6 +65,12 @@ READERS: dict[str, Callable[[Path], object]] = {
 }  # fmt: skip
 
 
+def peak_mb() -> float:
+    """Peak memory of this process alone; getrusage would count that of the process that started it too."""
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1024
+
+
 def main() -> None:
     warnings.simplefilter("ignore")
     warnings.simplefilter("error", DamageWarning)  # damaged messages are left out, and one line says so
@@ -79,7 +84,7 @@ def main() -> None:
             said = str(error)
         except Exception:
             trouble = traceback.format_exc()
-        megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        megabytes = peak_mb()
         out = {"file": name, "said": said, "trouble": trouble, "mb": megabytes, "s": time.process_time() - begun}
         print(json.dumps(out), flush=True)
 
