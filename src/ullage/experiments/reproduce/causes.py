@@ -209,7 +209,8 @@ def wire(bench: Bench) -> None:
         f"at the wire's place {whole[0]:.1f} dB by rays, {whole[1]:.1f} dB by waves: the other order",
         f"world, and method. By rays the wire of 4 mm adds {whole[0] - no_wire[0]:.1f} dB at its place: that is floor "
         f"and half-pipe. By waves the half-pipe shines: without the wire {no_wire[1]:.1f} dB, without the pipe "
-        f"{no_pipe[1]:.1f} dB, without both {neither[1]:.1f} dB. Ruled out: a tilt by 30 deg and radii up to 5 cm. "
+        f"{no_pipe[1]:.1f} dB, without both {neither[1]:.1f} dB. "
+        "A tilt by 30 deg does not explain it; the radius matters (table). "
         "A flight by hand hides both (next row). Whether the real pipe was as bright is unknown.",
     )  # fmt: skip
 
@@ -355,8 +356,9 @@ def east_wall(bench: Bench) -> None:
         f"{100 * found['as flown']:.0f} % of the east wall is occupied at 0.1 m",
         f"world and threshold: floor and ceiling echo before the wall, and pass 0.038. Without them "
         f"{100 * free:.0f} % of the wall is occupied, with twice the threshold {100 * twice:.0f} %. {rest}Ruled out: "
-        "noise, cell size, height. More rays or a longer average help in part (table). The thesis prints neither the "
-        "scale of its amplitudes nor the floor's coefficient, and its path only as a picture.",
+        "noise, cell size, a flight 0.4 m higher. More rays or a longer average help in part (table). "
+        "The thesis prints neither the scale of its amplitudes nor the floor's coefficient, "
+        "and its path only as a picture.",
     )  # fmt: skip
 
 
