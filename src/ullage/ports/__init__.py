@@ -5,42 +5,37 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
-import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
-import numpy as np
-
-from ullage.data import Floats, Frames, Times, Trajectory
-from ullage.errors import InputError, UllageWarning, need
+from ullage.errors import InputError, need
 from ullage.grids import OccupancyMap
+from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
-from ullage.specs import MountSpec
+from ullage.ports.tracked import RailSource, open_tracked
 from ullage.untrusted import read_yaml, reading, regular_size
 
-__all__ = ["Sink", "Source", "open", "read_map", "sink", "write_map"]
+__all__ = ["RailSource", "Sink", "Source", "open", "read_map", "sink", "write_map"]
 
 Made = TypeVar("Made")
 SOURCES = (
-    ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, "
+    ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, an .npz of plain arrays, "
     "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and a track (mocap.csv, track.csv, "
     "track.txt)"
 )
 SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
 LOGS = (".lsf", ".lsf.gz")
-TRACKS = ("mocap.csv", "track.csv", "track.txt", "track.tum")
-"""Names of the radar's track in a folder with radar.out or radar.npz."""
-PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf"), "mavlink": ("pymavlink",)}
 """Libraries of live ports beyond those of every installation, in the extra of the port's name."""
 FILES = {
     ".mcap": ("ros2.bags", "open_mcap"),
     ".zarr": ("store", "ZarrSource"),
     ".dat": ("x4", "X4Source"),
+    ".npz": ("tracked", "open_arrays"),
     ".bag": ("ros2.bags", "RosbagSource"),
     ".db3": ("ros2.bags", "RosbagSource"),
 }
@@ -57,9 +52,10 @@ def open(target: str | Path, **options: Any) -> Source:
     """A recording, whatever its kind, or a live port.
 
     Args:
-        target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, a folder with
-            radar.out or radar.npz and mocap.csv, or a live port as `scheme:place?key=value`.
-        **options: of that kind: X4 takes fps and range_start_m; a PulsON folder takes mount (a MountSpec).
+        target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, an `.npz` of plain
+            arrays, a folder with radar.out or radar.npz and a track, or a live port as `scheme:place?key=value`.
+        **options: of that kind: X4 takes fps and range_start_m; an `.npz` takes preset and mount (a MountSpec), and so
+            does a folder with a track.
 
     Raises:
         InputError: it is not there, of no known kind, or damaged; so do the methods of what is returned.
@@ -82,7 +78,7 @@ def _opened(path: Path, options: dict[str, Any]) -> Source:
             return _open_folder(path, options)
     else:
         regular_size(path, allowed=SOURCES)
-        _refuse_pickle(path)
+        refuse_pickle(path)
     if path.name.lower().endswith(LOGS):
         from ullage.ports.imc import open_log
 
@@ -244,45 +240,21 @@ def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any])
     return make(path, **options)
 
 
-class RailSource(WholeSource):
-    """A PulsON log beside the motion capture of the radar, with reflectors as truth where they were surveyed."""
-
-    def __init__(self, frames: Frames, *, path: Trajectory, reflectors: Floats, floor_z_m: float | None = None) -> None:
-        super().__init__({frames.sensor: frames}, path=path)
-        self._reflectors = reflectors
-        self.floor_z_m = floor_z_m  # height of the floor, where the track's kind says it [m]
-
-    def reflectors(self) -> Floats:
-        """Where the reflectors truly stood (r, 3), world ENU [m]; never handed to processing."""
-        return self._reflectors
-
-
 def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
     from ullage.ports.ros2.bags import open_mcap
 
     if (folder / "radar.out").exists() or (folder / "radar.npz").exists():
-        return with_options(_open_rail, folder, options)
+        return with_options(open_tracked, folder, options)
     if (folder / "frames.mcap").exists():
         return with_options(open_mcap, folder / "frames.mcap", options)
     if any(folder.glob("*.db3")):
         return _open_file(next(iter(folder.glob("*.db3"))), options)
     for name in sorted([*folder.glob("*.pkl"), *folder.glob("*.pickle")]):
-        _refuse_pickle(name)
+        refuse_pickle(name)
     bags = sorted(folder.glob("*.mcap"))
     if len(bags) == 1:
         return with_options(open_mcap, bags[0], options)
     raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
-
-
-def _refuse_pickle(path: Path) -> None:
-    with path.open("rb") as file:
-        start = file.read(2)
-    if start in PICKLES:
-        raise InputError(
-            "a Python pickle: not opened, because it can run code",
-            where=path,
-            allowed="a radar.npz: convert it with numpy.savez in a program that trusts the file; docs/recordings.md",
-        )
 
 
 def _open_file(path: Path, options: dict[str, Any]) -> Source:
@@ -291,59 +263,3 @@ def _open_file(path: Path, options: dict[str, Any]) -> Source:
     if path.suffix.lower() == ".db3" and os.path.exists(metadata := path.parent / "metadata.yaml"):
         read_yaml(metadata)  # the library that reads it knows no limits
     return with_options(door, path, options)
-
-
-def _open_rail(folder: Path, *, mount: MountSpec | None = None) -> RailSource:
-    """Scans with poses from motion capture, as if both clocks had started together; `calibrate` finds the rest."""
-    from ullage.ports.motive import read_tracks
-    from ullage.ports.pulson import read_arrays, read_log
-    from ullage.ports.tracks import read_bodies
-
-    both = [name for name in ("radar.out", "radar.npz") if (folder / name).exists()]
-    if len(both) > 1:
-        raise InputError("two radar recordings", where=folder, allowed="radar.out or radar.npz, not both")
-    log = read_log(folder / "radar.out") if both == ["radar.out"] else read_arrays(folder / "radar.npz")
-    spec = log.spec.but(mount=mount) if mount else log.spec
-    there = [name for name in TRACKS if (folder / name).exists()]
-    if len(there) > 1:
-        raise InputError(f"two tracks, {' and '.join(there)}", where=folder, allowed="one of " + ", ".join(TRACKS))
-    tracks = read_bodies(folder / (there[0] if there else TRACKS[0]))
-    name = _radar_body(tracks)
-    body = tracks[name]
-    sensor = body.mounted(spec.mount.body_from_sensor())
-    t_ns = log.t_ns + body.t_ns[0]
-    poses = _held(sensor, t_ns, folder)
-    frames = Frames(
-        log.scans.astype(np.float32),
-        log.range_m,
-        t_ns,
-        spec,
-        poses=poses,
-        track=sensor,
-        sensor="pulson",
-        unit="normalised",
-    )
-    surveyed = read_tracks(folder / "reflector.csv") if (folder / "reflector.csv").exists() else {}
-    points = [np.median(track.position, axis=0) for key, track in surveyed.items() if key != name]
-    floor_z_m = 0.0 if there == ["mocap.csv"] else None  # Motive's ground plane is set on the floor
-    return RailSource(frames, path=body, reflectors=np.array(points).reshape(-1, 3), floor_z_m=floor_z_m)
-
-
-def _held(track: Trajectory, t_ns: Times, folder: Path) -> Trajectory:
-    """The track at these times, standing still before its start and after its end."""
-    inside, row = np.unique(np.clip(t_ns, track.t_ns[0], track.t_ns[-1]), return_inverse=True)
-    if outside := int(((t_ns < track.t_ns[0]) | (t_ns > track.t_ns[-1])).sum()):
-        warnings.warn(
-            f"{folder}: {outside} of {len(t_ns)} scans lie outside the motion capture; its ends were held",
-            UllageWarning,
-            stacklevel=4,
-        )
-    known = track.at(inside)
-    velocity, spin = known.rates
-    return Trajectory(t_ns, known.position[row], known.quat_xyzw[row], velocity[row], spin[row])
-
-
-def _radar_body(tracks: dict[str, Trajectory]) -> str:
-    """The rigid body that carries the radar: named so, or the one that moved farthest."""
-    named = [name for name in tracks if "radar" in name.lower()]
-    return max(named or tracks, key=lambda name: float(np.ptp(tracks[name].position, axis=0).max()))

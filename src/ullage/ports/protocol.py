@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,3 +163,13 @@ def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int6
     step = step.copy()
     step[bad] = usual
     return np.asarray(np.concatenate([t_ns[:1], t_ns[0] + np.cumsum(step)]), np.int64)
+
+
+def warn_of_saturation(samples: NDArray[Any], path: Path) -> None:
+    """Warn where samples stay at the greatest value of the recording for three bins in a row: an echo never does."""
+    size = np.abs(samples)
+    full = (size == size.max()) & (size > 8 * np.median(size))
+    rows = (full[:, 2:] & full[:, 1:-1] & full[:, :-2]).any(axis=1)
+    if rows.any():
+        what = f"{int(rows.sum())} of {len(size)} scans are saturated, first scan {int(np.argmax(rows))}"
+        warnings.warn(f"{path}: {what}; their strongest echoes are cut off", UllageWarning, stacklevel=4)

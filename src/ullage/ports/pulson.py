@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import struct
 import warnings
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,8 @@ from numpy.typing import NDArray
 from ullage.data import Floats, Times
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
-from ullage.ports.protocol import mend_clock
+from ullage.ports.arrays import load
+from ullage.ports.protocol import mend_clock, warn_of_saturation
 from ullage.specs import RadarSpec
 
 STEP_S = 61e-12
@@ -69,7 +68,7 @@ def read_log(path: str | Path) -> Log:
         _warn(path, f"cut within packet {whole}; the {whole} before are used")
     scans, t_ms = _assemble(packets, path)
     t_ns = mend_clock((t_ms - t_ms[0]) * 1_000_000, where=path)
-    _warn_of_saturation(scans, path)
+    warn_of_saturation(scans, path)
     range_m = C0 / 2 * (start_ps * 1e-12 - LEAD_S) + C0 / 2 * STEP_S * np.arange(scans.shape[1])
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, integration))
 
@@ -87,13 +86,10 @@ def read_arrays(path: str | Path) -> Log:
         InputError: a key is missing, or shapes and values do not fit together.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            if missing := [name for name in ARRAYS if name not in stored]:
-                raise InputError(f"no {', '.join(missing)}", where=path, allowed=", ".join(ARRAYS))
-            scans, t_ms, range_m, _, _, _, pii = (np.asarray(stored[name]) for name in ARRAYS)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"cannot be read: {error}", where=path, allowed="plain arrays in a .npz file") from None
+    held = load(path, ARRAYS)
+    if missing := [name for name in ARRAYS if name not in held]:
+        raise InputError(f"no {', '.join(missing)}", where=path, allowed=", ".join(ARRAYS))
+    scans, t_ms, range_m, _, _, _, pii = (held[name] for name in ARRAYS)
     if scans.ndim != 2 or scans.dtype.kind not in "iuf" or scans.shape != (t_ms.size, range_m.size) or not scans.size:
         shapes = f"scans {scans.shape}, t_ms {t_ms.shape}, range_m {range_m.shape}"
         raise InputError(shapes, where=path, allowed="scans (n, b) of numbers, t_ms (n), range_m (b)")
@@ -104,7 +100,7 @@ def read_arrays(path: str | Path) -> Log:
         raise InputError("range_m does not rise", where=path, allowed="at least 8 rising, finite ranges [m]")
     ticks = t_ms.astype(np.int64)
     t_ns = mend_clock((ticks - ticks[0]) * 1_000_000, where=path)
-    _warn_of_saturation(scans, path)
+    warn_of_saturation(scans, path)
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, int(pii.ravel()[0])))
 
 
@@ -150,16 +146,6 @@ def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32],
     if dropped > 0:
         _warn(path, f"{dropped} packets are missing; their samples are zero")
     return scans.reshape(len(scans), -1)[:, :bins], kept["t_ms"][new].astype(np.int64)
-
-
-def _warn_of_saturation(scans: NDArray[Any], path: Path) -> None:
-    """Warn where samples stay at the greatest value of the recording for three bins in a row: an echo never does."""
-    size = np.abs(scans)
-    full = (size == size.max()) & (size > 8 * np.median(size))
-    rows = (full[:, 2:] & full[:, 1:-1] & full[:, :-2]).any(axis=1)
-    if rows.any():
-        _warn(path, f"{int(rows.sum())} of {len(scans)} scans are saturated, first scan {int(np.argmax(rows))}; "
-                    "their strongest echoes are cut off")  # fmt: skip
 
 
 def _warn(path: Path, what: str) -> None:
