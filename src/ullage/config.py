@@ -146,6 +146,9 @@ class MapSpec(Spec):
         description="height of a level floor, whose echoes a plane leaves out (0 for a Motive capture); none: only "
         "floors that show themselves",
     )
+    scatterer_pfa: float = Field(
+        0.01, gt=0, lt=1, description="probability that a recording's clutter alone adds one coherent scatterer"
+    )
     reach_m: float = Field(
         6.0, gt=0, le=1000, description="room around the flight, or a live port's first pose, where no world is known"
     )

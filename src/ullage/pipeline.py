@@ -294,6 +294,7 @@ class MapStage:
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     floor_z_m: float | None = None  # height of a level floor, whose echoes are left out of a plane [m]
     target_z_m: float | None = None  # height of scatterers where the track is straight; None: that of the track [m]
+    scatterer_pfa: float = 0.01  # probability that clutter alone gives a coherent scatterer
     scatterers: list[Scatterer] = field(default_factory=list)  # of calibrated frames, once finished
     _calibrated: dict[str, list[Frames]] = field(default_factory=dict)
     _away: bool = False
@@ -347,8 +348,8 @@ class MapStage:
         omap = self._mapper.map()
         for parts in self._calibrated.values():
             whole = joined(parts)
-            found = find_scatterers(whole, z_m=self.target_z_m)
-            omap = with_scatterers(omap, found, whole.believed.position)
+            found = find_scatterers(whole, z_m=self.target_z_m, pfa=self.scatterer_pfa)
+            omap = with_scatterers(omap, found)
             self.scatterers += found
         return (omap,)
 

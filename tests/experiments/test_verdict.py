@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import ullage as ul
 from ullage.data import Calibration
@@ -27,8 +28,16 @@ def test_the_verdict_compares_the_map_with_the_survey_and_the_path() -> None:
     assert "(1.00, 2.00, 0.50) m is on the map" in text
     assert "(0.00, 3.00, 0.50) m is not on the map at its survey" in text
     assert "flown path" in text
-    assert {one.name for one in metrics} == {"scatterers", "occupied_to_path", "reflector_to_map"}
-    percent[tuple(grid.index((1.0, 0.1, 1.0))[0][0])] = 100
-    words, _ = verdict(frames, ul.OccupancyMap(grid, percent), [], None)
+    assert {one.name for one in metrics} == {"scatterers", "occupied_to_path", "reflector_to_map", "offset_shift"}
+    assert "moves what is mapped by 0.005 m along the track and by 0.020 m in range" in text
+    assert "settled" not in text
+    words, _ = verdict(frames, omap, [], place[None], settled=True)
+    assert any("reflectors settled the offsets" in one for one in words)
+    on_path = np.array([1.0, 0.1, 0.4])  # in plan on the path, 0.6 m under it
+    percent[tuple(grid.index(on_path)[0][0])] = 100
+    both = ul.OccupancyMap(grid, percent)
+    words, metrics = verdict(frames, both, [Scatterer(on_path, 90.0, True)], None)
+    assert next(one.value for one in metrics if one.name == "occupied_to_path") == pytest.approx(0.61, abs=0.02)
+    words, _ = verdict(frames, both, [], None)
     assert any("the map is wrong there" in one for one in words)
     assert any("No place reflects coherently" in one for one in words)

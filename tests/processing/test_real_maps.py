@@ -13,7 +13,7 @@ from ullage.data import Calibration
 from ullage.processing.baseband import as_baseband, to_baseband
 from ullage.processing.floor import floor_echo
 from ullage.processing.own_echo import without_own_echo
-from ullage.processing.scatterers import find_scatterers
+from ullage.processing.scatterers import Scatterer, find_scatterers, with_scatterers
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "pulson440"
 OFFSETS = {"rail_a": (4.44, -0.425), "flight_a": (6.60, -0.30)}  # clock [s] and range [m], from the data's README
@@ -37,6 +37,12 @@ def rf_frames(position: np.ndarray, distances: list[np.ndarray], *, noise: float
     return ul.Frames(samples, spec.range_m, path.t_ns, spec, poses=path, sensor="pulson", unit="normalised")
 
 
+def near(frames: ul.Frames, bins: int = 330) -> ul.Frames:
+    """The first bins, to 3.7 m: a smaller volume to search."""
+    spec = frames.spec.but(bins=bins)
+    return replace(frames, samples=frames.samples[:, :bins], range_m=frames.range_m[:bins], spec=spec)
+
+
 def curved(n: int = 300) -> np.ndarray:
     s = np.linspace(0, 1, n)
     return np.stack([0.5 * np.sin(3 * s), 4 * s, 1.2 + 0.5 * np.sin(5 * s)], axis=1)
@@ -57,10 +63,60 @@ def test_baseband_keeps_range_phase_and_amplitude() -> None:
 def test_a_reflector_under_the_noise_of_a_profile_is_found_from_the_track() -> None:
     position, place = curved(), np.array([3.0, 2.0, 0.3])
     frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=1.0)
-    found = find_scatterers(frames)
+    found = find_scatterers(near(frames))
     assert np.linalg.norm(found[0].place - place) < 0.05
     assert found[0].height_known
-    assert find_scatterers(rf_frames(position, [], noise=1.0)) == []
+    assert find_scatterers(near(rf_frames(position, [], noise=1.0))) == []
+
+
+def clutter(position: np.ndarray, *, seed: int, length: float = 25.0) -> ul.Frames:
+    """Frames in which every range bin fades slowly along the track, with noise of a third, and nothing focuses."""
+    rng = np.random.default_rng(seed)
+    white = rng.normal(size=(len(position), 900))
+    lag = np.arange(len(position))
+    window = np.exp(-0.5 * (np.minimum(lag, len(lag) - lag) / length) ** 2)
+    slow = np.fft.irfft(np.fft.rfft(white, axis=0) * np.fft.rfft(window)[:, None], len(position), axis=0)
+    samples = slow / slow.std() + 0.3 * rng.normal(size=slow.shape)
+    return replace(rf_frames(position[:1], []), samples=samples.astype(np.float32), t_ns=path_of(position).t_ns,
+                   poses=path_of(position))  # fmt: skip
+
+
+def test_clutter_that_fades_slowly_along_the_track_is_no_scatterer() -> None:
+    assert find_scatterers(near(clutter(curved(), seed=0))) == []
+
+
+@pytest.mark.slow
+def test_scatterers_are_false_as_often_as_asked() -> None:
+    """Of 24 recordings of clutter at a probability of 0.3, 2 to 13 give alarms in all but one case in 100."""
+    alarms = sum(bool(find_scatterers(near(clutter(curved(), seed=seed)), pfa=0.3)) for seed in range(24))
+    assert 2 <= alarms <= 13
+
+
+def test_a_scatterer_in_clutter_is_found_among_no_others() -> None:
+    position, place = curved(), np.array([3.0, 2.0, 0.3])
+    echo = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=0.0)
+    frames = clutter(position, seed=2)
+    found = find_scatterers(near(replace(frames, samples=frames.samples + 2 * echo.samples)))
+    assert found
+    assert all(np.linalg.norm(one.place - place) < 0.2 for one in found)
+    assert found[0].chance < 0.01
+
+
+@pytest.mark.parametrize("pfa", [0.0, 1.0, float("nan")])
+def test_a_false_alarm_probability_has_bounds(pfa: float) -> None:
+    with pytest.raises(ul.InputError, match=r"pfa is .*allowed: between 0 and 1"):
+        find_scatterers(clutter(curved(40), seed=0), pfa=pfa)
+
+
+def test_a_scatterer_where_the_vehicle_flew_shows_only_where_it_outweighs_the_flight() -> None:
+    grid = ul.Grid((0.0, 0.0, 1.0), 0.1, (20, 20))
+    percent = np.full(grid.shape, -1, np.int8)
+    percent[:, 5] = 0  # flown through
+    omap = ul.OccupancyMap(grid, percent)
+    for x, chance, shown in ((0.55, 0.01, False), (0.55, 1e-5, True), (1.55, 0.01, True), (1.55, 0.1, False)):
+        got = with_scatterers(omap, [Scatterer(np.array([x, 1.05, 1.0]), 100.0, True, chance)])
+        assert got.occupied.any() == shown, (x, chance)
+    assert with_scatterers(omap, []).percent is omap.percent
 
 
 def test_a_straight_track_takes_the_height_that_is_given() -> None:
@@ -71,11 +127,11 @@ def test_a_straight_track_takes_the_height_that_is_given() -> None:
     np.testing.assert_allclose(best.place, place, atol=0.06)
 
 
-def test_calibrated_frames_map_their_scatterers_and_keep_the_path_free() -> None:
+def test_calibrated_frames_map_their_scatterers_and_nothing_on_the_path() -> None:
     position, place = curved(), np.array([3.0, 2.0, 0.3])
     frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=1.0)
     grid = ul.Grid.covering(np.array([[-2.0, -2, 0], [5, 6, 2]]), 0.1)
-    omap = ul.map_occupancy(replace(frames, calibration=KNOWN), grid, remove_own_echo=False)
+    omap = ul.map_occupancy(replace(near(frames), calibration=KNOWN), grid, remove_own_echo=False)
     assert to_nearest(omap, place[None]) < 0.15
     assert to_nearest(omap, position) > 0.3
 

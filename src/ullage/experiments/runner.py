@@ -45,6 +45,7 @@ class Run:
     scene: Scene | None = None
     flown: Trajectory | None = None
     marks: Floats | None = None  # surveyed places of reflectors (m, 3) [m], for the pictures only
+    settled: bool = False  # whether these settled clock and range
     live: bool = False  # `flown` is then the first pose, and the rest is learned on the way
     tasks: tuple[Task, ...] = ("detect", "image", "map")
     detect: DetectStage = field(default_factory=DetectStage)
@@ -238,7 +239,8 @@ def _stages(job: Run) -> list[Stage]:
         plane_m = float(job.plane.grid.origin_m[2]) if job.plane is not None and job.plane.grid.dims == 2 else None
         every_s = plan.map.every_s or (LIVE_S if job.live else 1.0)
         job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
-                           floor_z_m=plan.map.floor_z_m, target_z_m=plane_m)  # fmt: skip
+                           floor_z_m=plan.map.floor_z_m, target_z_m=plane_m,
+                           scatterer_pfa=plan.map.scatterer_pfa)  # fmt: skip
         out.append(job.map)
     if job.plane is not None:
         image_s = plan.image.every_s or (LIVE_S if job.live else None)
@@ -289,7 +291,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         out["own_echo_extent"] = Metric("own_echo_extent", max(one.extent_m for one in own), "m")
     if (part := _calibrated(job)) is not None:
         places = job.map.scatterers if job.map is not None else []
-        job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks)
+        job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
         out |= {one.name: one for one in found}
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality

@@ -9,15 +9,21 @@ from numpy.typing import NDArray
 
 from ullage.data import Frames, Metric
 from ullage.grids import OccupancyMap
-from ullage.processing.scatterers import CLEAR_M, Scatterer
+from ullage.processing.scatterers import Scatterer
 
 Floats = NDArray[np.float64]
 
+CLEAR_M = 0.3  # something occupied this close to the flown path contradicts the flight
 ON_MAP_M = 0.15  # a surveyed reflector this close to an occupied cell is on the map
 
 
 def verdict(
-    frames: Frames, omap: OccupancyMap | None, scatterers: Sequence[Scatterer], marks: Floats | None
+    frames: Frames,
+    omap: OccupancyMap | None,
+    scatterers: Sequence[Scatterer],
+    marks: Floats | None,
+    *,
+    settled: bool = False,
 ) -> tuple[list[str], list[Metric]]:
     """Say how certain the offsets are, what reflects coherently, and whether the map agrees with what is known.
 
@@ -26,21 +32,23 @@ def verdict(
         omap: the last map, if one was made.
         scatterers: found along the track.
         marks: (m, 3) surveyed reflectors [m].
+        settled: whether these settled the offsets.
     """
-    words, metrics = [_offsets(frames), _scatterers(scatterers)], [Metric("scatterers", len(scatterers))]
-    if omap is not None:
-        cells = np.argwhere(omap.occupied)[:, ::-1]
-        dims = omap.grid.dims
-        places = np.asarray(omap.grid.origin_m)[:dims] + (cells + 0.5) * omap.grid.step_m
-        near = _least(frames.believed.position[:, :dims], places)
-        metrics.append(Metric("occupied_to_path", near, "m"))
+    words, metrics = [_offsets(frames)], [Metric("scatterers", len(scatterers))]
+    if frames.calibration is not None:
+        along_m = frames.calibration.t_sigma_s * _speed_m_s(frames)
+        range_m = frames.calibration.range_sigma_m
+        metrics.append(Metric("offset_shift", float(np.hypot(along_m, range_m)), "m"))
         words.append(
-            f"Something is marked {near:.2f} m from the flown path, nearer than {CLEAR_M} m: the map is wrong there."
-            if near < CLEAR_M
-            else f"The nearest occupied cell is {near:.2f} m from the flown path."
-            if np.isfinite(near)
-            else "No cell is occupied."
+            f"One standard deviation of the offsets moves what is mapped by {along_m:.3f} m along the track and by "
+            f"{range_m:.3f} m in range."
         )
+    if settled:
+        words.append("The surveyed reflectors settled the offsets, so the map's agreement with them proves little.")
+    words.append(_scatterers(scatterers))
+    if omap is not None:
+        words += _on_path(frames, omap, scatterers, metrics)
+        dims, places = omap.grid.dims, _occupied(omap)
         for mark in marks if marks is not None else []:
             off = _least(mark[None, :dims], places)
             metrics.append(Metric("reflector_to_map", off, "m"))
@@ -51,6 +59,38 @@ def verdict(
         f"{mount.pitch_deg:g} deg; this was not measured. Another mounting goes in by ul.open(..., mount=)."
     )
     return words, metrics
+
+
+def _on_path(frames: Frames, omap: OccupancyMap, scatterers: Sequence[Scatterer], metrics: list[Metric]) -> list[str]:
+    """Say how near to the flown path something is occupied.
+
+    A plane shows scatterers of every height, so those of known height count in three dimensions.
+    """
+    path, dims = frames.believed.position, omap.grid.dims
+    known = np.array([one.place for one in scatterers if one.height_known]).reshape(-1, 3)
+    index, inside = omap.grid.index(known)
+    percent = np.array(omap.percent)
+    percent[tuple(index[inside].T)] = 0
+    rest = _occupied(OccupancyMap(omap.grid, percent, omap.method, omap.occupied_from, omap.free_to))
+    near = min(_least(path[:, :dims], rest), _least(path, known))
+    metrics.append(Metric("occupied_to_path", near, "m"))
+    if near < CLEAR_M:
+        return [
+            f"Something is marked {near:.2f} m from the flown path, nearer than {CLEAR_M} m: the map is wrong there."
+        ]
+    return [f"The nearest occupied place is {near:.2f} m from the flown path." if np.isfinite(near)
+            else "No cell is occupied."]  # fmt: skip
+
+
+def _occupied(omap: OccupancyMap) -> Floats:
+    """Centres of the occupied cells (k, dims) [m]."""
+    cells = np.argwhere(omap.occupied)[:, ::-1]
+    return np.asarray(np.asarray(omap.grid.origin_m)[: omap.grid.dims] + (cells + 0.5) * omap.grid.step_m)
+
+
+def _speed_m_s(frames: Frames) -> float:
+    """Root mean square of the speed along the track [m/s]."""
+    return float(np.sqrt((frames.believed.rates[0] ** 2).sum(1).mean()))
 
 
 def _offsets(frames: Frames) -> str:
@@ -72,7 +112,10 @@ def _scatterers(found: Sequence[Scatterer]) -> str:
     x, y, z = best.place
     height = "" if best.height_known else "; heights are assumed, since the track is straight"
     place = f"({x:.2f}, {y:.2f}, {z:.2f}) m"
-    return f"{len(found)} places reflect coherently along the track, the clearest at {place}{height}."
+    return (
+        f"{len(found)} places reflect coherently along the track, the clearest at {place}{height}. Clutter alone would "
+        f"give the faintest of them with a probability of {max(one.chance for one in found):.1g}."
+    )
 
 
 def _reflector(mark: Floats, off_m: float) -> str:

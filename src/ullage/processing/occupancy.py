@@ -8,7 +8,7 @@ from ullage.data import Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap
 from ullage.processing.own_echo import without_own_echo
-from ullage.processing.scatterers import find_scatterers, with_scatterers
+from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
 Method = Literal["ullage", "elfes"]
 
@@ -54,6 +54,7 @@ def map_occupancy(
     drift_m: float = 0.0,
     remove_own_echo: bool = True,
     target_z_m: float | None = None,
+    scatterer_pfa: float = PFA,
     **options: float | None,
 ) -> OccupancyMap:
     """The occupancy map that a recording gives.
@@ -67,6 +68,7 @@ def map_occupancy(
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
         target_z_m: height of coherent scatterers on a straight track; None: that of the track. Frames that
             `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
+        scatterer_pfa: probability that clutter alone adds one coherent scatterer or more.
         options: those of the method's mapper: `threshold` of "elfes"; `floor_z_m` of "ullage", a level floor's height
             [m], whose echoes a plane leaves out.
 
@@ -85,5 +87,5 @@ def map_occupancy(
     mapper.finish()
     omap = mapper.map()
     for part in calibrated:
-        omap = with_scatterers(omap, find_scatterers(part, z_m=target_z_m), part.believed.position)
+        omap = with_scatterers(omap, find_scatterers(part, z_m=target_z_m, pfa=scatterer_pfa))
     return omap
