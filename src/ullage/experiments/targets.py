@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 
 from ullage.config import Scenario, Task, make_scenario
-from ullage.data import Frames, Trajectory, strung
+from ullage.data import Floats, Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import find_scenario, scenario_names
 from ullage.experiments.draft import begin_run, check_free, place_of
@@ -161,11 +161,12 @@ def _of_recording(
     first = next(iter(source.stream()), None)
     if not first:
         raise InputError("no frames", where=target)
-    marks = source.reflectors() if isinstance(source, RailSource) else None
-    tree: dict[str, Any] = {"map": {"floor_z_m": source.floor_z_m}} if isinstance(source, RailSource) else {}
+    rail = source if isinstance(source, RailSource) else None
+    survey = None if rail is None else rail.survey
+    tree: dict[str, Any] = {} if rail is None else {"map": {"floor_z_m": rail.floor_z_m}}
     if any(part.track is not None for part in first.values()):
         floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
-        source = Held(_on_one_clock(source, say, floor_z_m))
+        source = Held(_on_one_clock(source, say, floor_z_m, None if survey is None else survey.places))
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
     if tasks is None:
@@ -177,7 +178,8 @@ def _of_recording(
     tree["title"] = f"Recording {Path(target).name}"
     scenario = make_scenario(tree, options=options)
     flown = _track(source) if placed else None
-    return Run(Path(), scenario, source, flown=flown, marks=marks, tasks=scenario.do)
+    marks = None if rail is None else rail.reflectors()
+    return Run(Path(), scenario, source, flown=flown, marks=marks, settled=survey is not None, tasks=scenario.do)
 
 
 class _Begun:
@@ -337,29 +339,34 @@ def _controls(by: str, scenario: Scenario, say: Callable[[str], None]) -> Contro
     return controls
 
 
-def _on_one_clock(source: Any, report: Callable[[str], None], floor_z_m: float | None) -> dict[str, Frames]:
+def _on_one_clock(
+    source: Any, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None
+) -> dict[str, Frames]:
     """The frames with the radar's clock and zero range found against the track; what was found is reported."""
     from ullage.data import sensors_of
 
     report("finding clock and range offsets")
-    parts = [_calibrated(part, report, floor_z_m) for part in sensors_of(source.frames())]
+    parts = [_calibrated(part, report, floor_z_m, places) for part in sensors_of(source.frames())]
     return {part.sensor: part for part in parts}
 
 
-def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | None) -> Frames:
-    """Calibrate one sensor; where the floor's echo contradicts the range offset, once more with the floor as prior."""
+def _calibrated(part: Frames, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None) -> Frames:
+    """Calibrate one sensor, by surveyed reflectors where there are any.
+
+    Without them, where the floor's echo contradicts the range offset, calibrate once more with the floor as prior.
+    """
     from ullage.processing.calibrate import calibrate
     from ullage.processing.floor import floor_echo
     from ullage.processing.own_echo import without_own_echo
 
-    out = calibrate(part, progress=_every_tenth(report))
+    out = calibrate(part, reflectors=places, progress=_every_tenth(report))
     _report_offsets(out, report)
     floor = None if floor_z_m is None else floor_echo(without_own_echo(out)[0], floor_z_m)
     found = out.calibration
     if floor is None or found is None:
         return out
     report(f"{part.sensor}: the floor's echo reads {floor.long_m:+.2f} m from the height flown")
-    if abs(floor.long_m) < CONTRADICTION * float(np.hypot(floor.sigma_m, found.range_sigma_m)):
+    if places is not None or abs(floor.long_m) < CONTRADICTION * float(np.hypot(floor.sigma_m, found.range_sigma_m)):
         return out
     report("calibrating again with the floor as the range's zero")
     range_m = found.range_offset_m - floor.long_m
