@@ -328,13 +328,20 @@ def validate(
     out: Annotated[Path, typer.Option("--out", help="Folder for the page and its pictures.", metavar="DIR")] = Path(
         "validation"
     ),
+    recordings: Annotated[
+        Path | None, typer.Option("--recordings", help="Compare with the real recordings here instead.", metavar="DIR")
+    ] = None,
 ) -> None:
-    """Hold the physical radar against theory and published values; exit 1 when a bound is broken."""
+    """Hold the physical radar against theory, or against recordings; exit 1 when a bound is broken."""
+    from ullage.experiments.validate import against_recordings
     from ullage.experiments.validate import validate as hold_against
     from ullage.view.progress import console, say
 
-    with console.status("computing every oracle (about half a minute)"):
-        rows = hold_against(out)
+    if recordings is not None:
+        rows = against_recordings(recordings, out, report=say)
+    else:
+        with console.status("computing every oracle (about half a minute)"):
+            rows = hold_against(out)
     for row in rows:
         text = f" {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}"
         say(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")

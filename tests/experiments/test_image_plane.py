@@ -86,7 +86,11 @@ def test_a_survey_off_the_plane_is_warned_of() -> None:
     frames = past_points([(1.5, 0.0, -0.8)], rise_m=0.0)
     image = ul.focus(frames, ul.Grid((0.5, -1.5, 0.0), 0.02, (150, 90)))
     with pytest.warns(ul.UllageWarning, match=r"at z = -0.80 m, the image plane at 0.00 m.*image.z_m=-0.80"):
-        plane_findings(image, {"radar": frames}, marks=np.array([[1.5, 0.0, -0.8]]))
+        said = plane_findings(image, {"radar": frames}, marks=np.array([[1.5, 0.0, -0.8]]))
+    assert "heights not resolved" in said
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert plane_findings(image, {"radar": frames}, marks=np.array([[1.5, 0.0, 0.1]])) == said
 
 
 def test_kept_frames_know_their_number_in_the_recording() -> None:

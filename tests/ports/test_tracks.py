@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -124,7 +125,12 @@ def test_saturated_scans_are_reported(folder: Path) -> None:
         arrays = dict(stored)
     arrays["scans"][7, 10:14] = 32767
     arrays["scans"][40, 20] = 32767
-    np.savez(folder / "radar.npz", **arrays)
     (folder / "track.txt").write_text(tum())
-    with pytest.warns(ul.UllageWarning, match="1 of 100 scans are saturated, first scan 7"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         ul.open(folder)
+    np.savez(folder / "radar.npz", **arrays)
+    with pytest.warns(ul.UllageWarning, match="1 of 100 scans are saturated, first scan 7"):
+        frames = ul.open(folder).frames()
+    assert isinstance(frames, ul.Frames)
+    np.testing.assert_array_equal(frames.samples, arrays["scans"])

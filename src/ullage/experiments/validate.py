@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Trajectory
+from ullage.errors import InputError
 from ullage.experiments import oracles
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.ball_bounces import fan_weights
@@ -323,6 +324,20 @@ def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
     scratch = page.with_suffix(".tmp")
     scratch.write_text(_page(rows, drawn))
     scratch.replace(page)
+    return rows
+
+
+def against_recordings(folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print) -> list[Row]:
+    """Compare real recordings with simulations of them; see `recorded_page.beside_recordings`.
+
+    Raises:
+        InputError: there is no recording in the folder.
+    """
+    from ullage.experiments.recorded_page import beside_recordings
+
+    rows = beside_recordings(folder, out_dir, report=report)
+    if not rows:
+        raise InputError("no recording", where=folder, allowed="a folder with pulson440 or x4; docs/recordings.md")
     return rows
 
 

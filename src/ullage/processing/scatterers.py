@@ -45,6 +45,7 @@ class Scatterer:
     gain: float  # log-likelihood of a steady point over noise
     height_known: bool  # False: the track is straight, and the height was assumed
     chance: float = PFA  # probability that clutter alone gives so high a log-likelihood anywhere
+    in_front: bool = True  # of the antenna, where it is received best
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,9 @@ class Tail:
         return float(max(-np.expm1(-PEAKS * np.exp(-max(gain - self.level, 0.0) / self.excess)), LEAST_CHANCE))
 
 
-def find_scatterers(frames: Frames, *, z_m: float | None = None, pfa: float = PFA) -> list[Scatterer]:
+def find_scatterers(
+    frames: Frames, *, z_m: float | None = None, pfa: float = PFA, everywhere: bool = False
+) -> list[Scatterer]:
     """Find the places that reflect coherently along a calibrated track, best first.
 
     A track that turns or climbs gives places in three dimensions. A straight one leaves a circle about the track; the
@@ -71,6 +74,7 @@ def find_scatterers(frames: Frames, *, z_m: float | None = None, pfa: float = PF
         frames: with poses whose clock and range offset are right, and without the radar's own echo.
         z_m: height of scatterers seen from a straight track [m]; None: the height of the track.
         pfa: probability that the clutter of this recording alone gives one scatterer or more.
+        everywhere: keep places behind the antenna, where the track is not straight.
 
     Raises:
         InputError: `pfa` is not between 0 and 1.
@@ -90,8 +94,11 @@ def find_scatterers(frames: Frames, *, z_m: float | None = None, pfa: float = PF
     for point in points:
         place = _on_circle(point.place, path, ahead.mean(0), z_m) if straight else point.place
         chance = tail.chance(point.gain)
-        if chance <= pfa and place is not None and _in_front(place, point.amplitude, path, ahead):
-            out.append(Scatterer(place, point.gain, not straight, chance))
+        if chance > pfa or place is None:
+            continue
+        in_front = _in_front(place, point.amplitude, path, ahead)
+        if everywhere or in_front:
+            out.append(Scatterer(place, point.gain, not straight, chance, in_front))
     return out
 
 
