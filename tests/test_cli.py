@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from ullage.cli import main
+from ullage.experiments.catalog import Variant, families, scenario_names
 
 ROOM = """<?xml version="1.0"?><sdf version="1.9"><world name="w">
 <model name="east"><static>true</static><pose>3 0 1 0 0 0</pose><link name="l"><collision name="c">
@@ -184,3 +185,48 @@ def test_ctrl_c_leaves_a_whole_run(place: Path) -> None:
     assert "interrupted" in said
     assert json.loads((place / "cut/latest/provenance.json").read_text())["interrupted"] is True
     assert (place / "cut/latest/report.html").exists()
+
+
+def test_the_overview_fits_a_screen_and_names_every_family(tmp_path: Path) -> None:
+    told = subprocess.run(
+        [sys.executable, "-m", "ullage", "list"],
+        cwd=tmp_path, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "80"},
+    ).stdout.splitlines()  # fmt: skip
+    assert sum(max(-(-len(line) // 80), 1) for line in told) <= 24
+    assert max(map(len, told[:10])) <= 80
+    names = {line.split()[0].rstrip("*") for line in told if line.startswith(" ")}
+    assert names >= set(families())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("run", "cargo-hld"), "no scenario, recording or port 'cargo-hld'; did you mean 'cargo-hold'"),
+        (("config", "ntnu-plat45"), "did you mean 'ntnu-plate45'"),
+        (("fly", "clutered-room"), "did you mean 'cluttered-room'"),
+        (("config", "cargo-hold", "--law", "optics"), "no law 'optics' .allowed: thesis, physical."),
+        (("config", "cargo-hold", "--by-hand"), "no scenario 'cargo-hold --by-hand' .allowed: cargo-hold --law"),
+        (("config", "walls.yaml", "--law", "physical"), "'walls.yaml' is no shipped scenario"),
+        (("run", "ntnu-wir", "--by-hand"), "no shipped scenario; did you mean 'ntnu-wire'"),
+        (("list", "wolds"), "did you mean 'worlds'"),
+    ],
+)
+def test_a_wrong_name_gets_the_nearest_right_one(
+    place: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
+) -> None:
+    told = Told(words, place, capsys)
+    assert told.returncode == 2
+    assert re.search(says, told.stderr)
+    assert len(told.stderr.strip().splitlines()) == 1
+
+
+def test_a_family_with_options_is_the_scenario_of_the_older_name(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for variants in families().values():
+        for one in variants:
+            (older,) = [name for name in scenario_names() if Variant.of(name) == one]
+            assert Told(("config", *one.words.split()), place, capsys).stdout == Told(
+                ("config", older), place, capsys
+            ).stdout.replace(f'name: "{one.words}"', f'name: "{older}"')
+    assert len(families()) == 8

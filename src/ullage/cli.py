@@ -26,7 +26,14 @@ Options = Annotated[
     list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
 ]
 MAP_SCORES = ("f1", "precision", "recall", "recall_in_view", "flyable_found", "flyable_false")
+NEWEST = 3
+"""Runs that the overview names."""
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
+LawOption = Annotated[
+    str | None,
+    typer.Option("--law", help="Law of a shipped scenario's echoes: thesis or physical", metavar="LAW"),
+]
+ByHand = Annotated[bool, typer.Option("--by-hand", help="A shipped scenario as flown by hand.")]
 
 
 def _trust(wanted: bool) -> None:
@@ -106,18 +113,22 @@ def run(
         list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
     ] = None,
     option: Options = None,
+    law: LawOption = None,
+    by_hand: ByHand = False,
     out: Out = None,
     force: Annotated[bool, typer.Option("--force", help="Run again where the run exists.")] = False,
     trust_xacro: Trust = False,
 ) -> None:
     """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
     repair(source)
+    from ullage.experiments.catalog import variant_name
     from ullage.experiments.runner import execute
     from ullage.experiments.targets import make_run, record, tasks_of
     from ullage.pipeline import check_sink
     from ullage.view.progress import progress_bar, say
 
     tasks, options, sinks = tasks_of(do), option or [], to or []
+    source = variant_name(source, law=law, by_hand=by_hand)
     for target in sinks:
         check_sink(target)
     under_way = warm_up(source, options)
@@ -139,16 +150,18 @@ def fly(
         list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
     ] = None,
     option: Options = None,
+    law: LawOption = None,
     duration_s: Annotated[float | None, typer.Option("--duration-s", min=0.1, help="End after so long.")] = None,
     out: Out = None,
 ) -> None:
     """Fly a multirotor by hand while its radars measure and the map grows; Ctrl-C ends the flight."""
+    from ullage.experiments.catalog import variant_name
     from ullage.experiments.runner import execute
     from ullage.experiments.targets import flight_scenario, make_flight, record, tasks_of
     from ullage.experiments.warmup import compile_kernels, compiled, parts_of
     from ullage.view.progress import console, progress_bar, say
 
-    scenario = flight_scenario(target, tasks=tasks_of(do), options=option or [])
+    scenario = flight_scenario(variant_name(target, law=law), tasks=tasks_of(do), options=option or [])
     parts = tuple({*parts_of(scenario), "hector"})
     if not compiled(parts):
         with console.status("compiling kernels (once after installation)"):
@@ -227,31 +240,97 @@ def _tell(report: Report) -> None:
 
 
 @app.command("list")
-def list_(out: Out = None) -> None:
+def list_(
+    what: Annotated[
+        str, typer.Argument(help="scenarios, worlds or runs in full; left out: an overview.", metavar="[WHAT]")
+    ] = "",
+    out: Out = None,
+) -> None:
     """List scenarios, worlds, radars and runs."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    from ullage.experiments import folder as folders
-    from ullage.experiments.catalog import find_scenario, scenario_names
+    from ullage.errors import InputError
+    from ullage.experiments.catalog import suggestion
+    from ullage.experiments.folder import RUNS
     from ullage.specs import RadarSpec, Rig
-    from ullage.view.progress import console, say
+    from ullage.view.progress import say
     from ullage.world.library import WORLDS
 
-    table = Table("scenario", "what it does", box=None, title="Scenarios: ullage run NAME", title_justify="left")
-    for name in scenario_names():
-        table.add_row(name, find_scenario(name).title)
+    match what:
+        case "scenarios":
+            _list_scenarios()
+        case "worlds":
+            _list_worlds()
+        case "runs":
+            _list_runs(out or RUNS)
+        case "":
+            _list_families()
+            rigs = f"Radars: {', '.join(RadarSpec.names())}\nRigs: {', '.join(Rig.presets)}"
+            say(f"\nWorlds: {', '.join(WORLDS)}\n{rigs}")
+            _list_runs(out or RUNS, most=NEWEST)
+        case _:
+            tables = ("scenarios", "worlds", "runs")
+            raise InputError(f"nothing to list: {what!r}{suggestion(what, tables)}", allowed=", ".join(tables))
+
+
+def _list_families() -> None:
+    """Print each family of scenarios on one line."""
+    from ullage.experiments.catalog import families, find_scenario
+    from ullage.view.progress import console, say
+
+    say("Scenarios: ullage run NAME")
+    width = 3 + max(map(len, families()))
+    for family, variants in families().items():
+        mark = "*" if any(one.by_hand for one in variants) else ""
+        line = f" {family + mark:<{width}}{find_scenario(family).title}"
+        say(line if len(line) <= console.width else f"{line[: console.width - 3]}...")
+    say(" --law physical: physical echoes. *: --by-hand too. ullage list scenarios: all")
+
+
+def _list_scenarios() -> None:
+    """Print every shipped scenario: its family and options, its own name, and its title."""
+    from rich.table import Table
+
+    from ullage.experiments.catalog import Variant, find_scenario, scenario_names
+    from ullage.view.progress import console
+
+    table = Table("scenario", "other name", "what it does", box=None)
+    for name in sorted(scenario_names(), key=Variant.of):
+        words = Variant.of(name).words
+        table.add_row(words, name if name != words else "", find_scenario(name).title)
     console.print(table)
-    table = Table("world", "what it is", box=None, title="\nWorlds: -o world.name=NAME", title_justify="left")
+
+
+def _list_worlds() -> None:
+    """Print the shipped worlds."""
+    from rich.table import Table
+
+    from ullage.view.progress import console
+    from ullage.world.library import WORLDS
+
+    table = Table("world", "what it is", box=None, title="Worlds: -o world.name=NAME", title_justify="left")
     for world in WORLDS.values():
         table.add_row(world.name, world.title)
     console.print(table)
-    say(f"\nRadars: {', '.join(RadarSpec.names())}\nRigs: {', '.join(Rig.presets)}")
-    if runs := folders.runs_in(out or folders.RUNS):
-        table = Table("run", "state", box=None, title="\nRuns: ullage show RUN", title_justify="left")
-        for place in runs:
-            table.add_row(escape(str(place)), folders.describe(place))
-        console.print(table)
+
+
+def _list_runs(root: Path, *, most: int | None = None) -> None:
+    """Print the runs of a folder, or only the newest."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from ullage.experiments.folder import describe, runs_in
+    from ullage.view.progress import console, say
+
+    runs = runs_in(root)
+    newest = sorted(runs, key=lambda place: (place / "provenance.json").stat().st_mtime, reverse=True)
+    shown = [place for place in runs if place in newest[:most]]
+    if not shown:
+        return
+    table = Table("run", "state", box=None, title="\nRuns: ullage show RUN", title_justify="left")
+    for place in shown:
+        table.add_row(escape(str(place)), describe(place))
+    console.print(table)
+    if len(shown) < len(runs):
+        say(f"and {len(runs) - len(shown)} more: ullage list runs")
 
 
 @app.command()
@@ -309,18 +388,21 @@ def report(run: Annotated[str, typer.Argument(help="Run folder, its name, or lat
 def config(
     scenario: Annotated[str, typer.Argument(help="Scenario name or file.")] = "cargo-hold",
     option: Options = None,
+    law: LawOption = None,
+    by_hand: ByHand = False,
     schema: Annotated[bool, typer.Option("--schema", help="The JSON schema of scenario files instead.")] = False,
 ) -> None:
     """Print a scenario as commented YAML, ready to save and change."""
     import json
 
     from ullage.config import scenario_schema, scenario_text
-    from ullage.experiments.catalog import find_scenario
+    from ullage.experiments.catalog import find_scenario, variant_name
 
     if schema:
         typer.echo(json.dumps(scenario_schema(), indent=2))
     else:
-        typer.echo(scenario_text(find_scenario(scenario, options=option or [])), nl=False)
+        name = variant_name(scenario, law=law, by_hand=by_hand)
+        typer.echo(scenario_text(find_scenario(name, options=option or [])), nl=False)
 
 
 @app.command()
@@ -399,6 +481,8 @@ def sweep(
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each combination.")] = 1,
     metric: Annotated[list[str] | None, typer.Option("--metric", help="To show, of those measured.")] = None,
     option: Options = None,
+    law: LawOption = None,
+    by_hand: ByHand = False,
     out: Annotated[Path, typer.Option("--out", help="Folder of the runs and of sweep.csv.", metavar="DIR")] = Path(
         "sweep"
     ),
@@ -408,8 +492,10 @@ def sweep(
 ) -> None:
     """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
     from ullage.experiments import sweep as sweeps
+    from ullage.experiments.catalog import variant_name
     from ullage.view.progress import progress_bar, say
 
+    scenario = variant_name(scenario, law=law, by_hand=by_hand)
     axes = dict(sweeps.axis_of(text) for text in over or [])
     points = sweeps.plan(scenario, axes, seeds=seeds, options=option or [], out=out)
     warm_up(scenario, list(points[0].options))

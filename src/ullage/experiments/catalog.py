@@ -1,21 +1,95 @@
-"""The scenarios that come with ullage, by name."""
+"""The scenarios that come with ullage: families, their variants by law and hand, and every name of each."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ullage.config import Scenario, is_set_by, read_scenario
 from ullage.errors import InputError, shown
 from ullage.world.sdf_resolve import SEARCH_VARIABLES, search_folders
 
 FOLDER = Path(__file__).parent / "scenarios"
+CLOSE = 0.6
+"""Least likeness of a name to one that is suggested in its place, 0 to 1."""
+_PARTS = re.compile(r"(?P<law>-physical)|(?P<hand>-by-hand)|-(?P<cells>\d+cm)$")
+
+Law = Literal["thesis", "physical"]
+LAWS: tuple[Law, ...] = ("thesis", "physical")
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Variant:
+    """One shipped scenario as a member of its family."""
+
+    family: str
+    law: str = "thesis"
+    by_hand: bool = False
+    cells: str = ""  # size of the map's cells, where the name has one
+
+    @classmethod
+    def of(cls, name: str) -> Variant:
+        """Split a scenario's name into family, law, hand and cells."""
+        parts = {match.lastgroup: match[match.lastgroup or 0] for match in _PARTS.finditer(name)}
+        law = "physical" if "law" in parts else "thesis"
+        return cls(_PARTS.sub("", name), law, "hand" in parts, parts.get("cells", ""))
+
+    @property
+    def words(self) -> str:
+        """Its family and options as one writes them after `ullage run`."""
+        family = f"{self.family}-{self.cells}" if self.cells else self.family
+        return " ".join([family, *(["--law physical"] * (self.law == "physical")), *(["--by-hand"] * self.by_hand)])
 
 
 def scenario_names() -> list[str]:
-    """Names of the shipped scenarios."""
+    """Names of the shipped scenarios, one for each variant."""
     return sorted(path.stem for path in FOLDER.glob("*.yaml"))
+
+
+def families() -> dict[str, list[Variant]]:
+    """The variants of each family, by the family's name."""
+    out: dict[str, list[Variant]] = {}
+    for variant in sorted(map(Variant.of, scenario_names())):
+        out.setdefault(variant.family, []).append(variant)
+    return out
+
+
+def variant_name(name: str, *, law: str | None = None, by_hand: bool = False) -> str:
+    """Give the name of a shipped scenario's variant.
+
+    Args:
+        name: a family or any other shipped scenario; a file or a recording only without `law` and `by_hand`.
+        law: of the echoes, thesis or physical; None: that of the name.
+        by_hand: flown by hand.
+
+    Raises:
+        InputError: there is no such law or variant, or `name` is no shipped scenario.
+    """
+    if law is None and not by_hand:
+        return name
+    if law is not None and law not in LAWS:
+        raise InputError(f"no law {law!r}", where="--law", allowed=", ".join(LAWS))
+    names = {Variant.of(known): known for known in scenario_names()}
+    if name not in names.values():
+        option = "--law" if law is not None else "--by-hand"
+        what = f"{name!r} is no shipped scenario{suggestion(name, families())}"
+        raise InputError(what, where=option, allowed=f"one of {', '.join(families())}, or no {option}")
+    given = Variant.of(name)
+    wanted = Variant(given.family, law or given.law, by_hand or given.by_hand, given.cells)
+    if wanted not in names:
+        allowed = ", ".join(known.words for known in families()[given.family])
+        raise InputError(f"no scenario {wanted.words!r}", allowed=allowed)
+    return names[wanted]
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Suggest the known name nearest to a wrong one, as the end of a sentence; nothing where none is near."""
+    near = difflib.get_close_matches(name, list(known), 1, CLOSE)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def find_scenario(name_or_path: str, *, options: Sequence[str] = ()) -> Scenario:
@@ -33,7 +107,8 @@ def find_scenario(name_or_path: str, *, options: Sequence[str] = ()) -> Scenario
     if Path(name_or_path).suffix in {".yaml", ".yml"}:
         scenario = read_scenario(name_or_path, options=options)
         return _with_files(scenario, Path(name_or_path), options)
-    raise InputError(f"no scenario {name_or_path!r}", allowed="a .yaml file or one of " + ", ".join(scenario_names()))
+    what = f"no scenario {name_or_path!r}{suggestion(name_or_path, scenario_names())}"
+    raise InputError(what, allowed=f"a .yaml file or one of {', '.join(families())}; ullage list shows their options")
 
 
 def _with_files(scenario: Scenario, file: Path, options: Sequence[str]) -> Scenario:

@@ -14,7 +14,7 @@ import numpy as np
 from ullage.config import Scenario, Task, make_scenario
 from ullage.data import Floats, Frames, Trajectory, strung
 from ullage.errors import InputError
-from ullage.experiments.catalog import find_scenario, scenario_names
+from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.draft import begin_run, check_free, place_of
 from ullage.experiments.runner import Run, into, of_scenario
 from ullage.experiments.simulated import prepare
@@ -76,10 +76,8 @@ def make_run(
     if there or ":" in target:
         return _begin(_of_recording(target, tasks, options, say), to, out, force=force)
     raise InputError(
-        f"no scenario, recording or port {target!r}",
-        allowed="a scenario ("
-        + ", ".join(scenario_names())
-        + f"), a scenario.yaml, a recording, or a live port: {LISTED}",
+        f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}",
+        allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a recording, or a live port: {LISTED}",
     )
 
 
@@ -277,8 +275,9 @@ def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, optio
         found = find_scenario(target, options=options)
         return found.but(name=name, title=title, do=found.do if tasks is None else tasks, expect={})
     if target not in WORLDS and not path.suffix:
-        allowed = f"a scenario ({', '.join(scenario_names())}), a world ({', '.join(WORLDS)}), or a file of either"
-        raise InputError(f"no scenario or world {target!r}", where="fly", allowed=allowed)
+        allowed = f"a scenario ({', '.join(families())}), a world ({', '.join(WORLDS)}), or a file of either"
+        near = suggestion(target, [*scenario_names(), *WORLDS])
+        raise InputError(f"no scenario or world {target!r}{near}", where="fly", allowed=allowed)
     world = {"name": target} if target in WORLDS else {"file": target}
     tree = {"name": name, "title": title, "world": world, "do": ("detect", "map") if tasks is None else tasks}
     return make_scenario(tree, options=options)

@@ -15,6 +15,17 @@ names those that come with ullage, `ullage config NAME` prints one in full, `ull
 runs it.
 Written by `python -m ullage.view.reference`.
 
+| option | does | for |
+|---|---|---|
+| `--law thesis` | simulates the ray model of 2018 and maps with Elfes' grid | every family; used if no law is named |
+| `--law physical` | simulates physical echoes and maps with ullage's own mapper | every family |
+| `--by-hand` | adds the errors of a human pilot, at 1 m/s | `ntnu-plate`, `ntnu-plate45`, `ntnu-pole`, `ntnu-wire` |
+
+The options work with `ullage run`, `config` and `sweep`; `ullage fly` takes `--law`. Each variant also has a name of
+its own. For example, `ullage run ntnu-wire --law physical --by-hand` is `ullage run ntnu-wire-physical-by-hand`.
+`ullage list scenarios` shows both names of every variant. Three of them differ from `ntnu-mapping` only in the size of
+their cells: `ntnu-mapping-5cm`, `ntnu-mapping-20cm` and `ntnu-mapping-50cm`.
+
 - What a file leaves out has the default below. `name` is the file's own name unless it says otherwise.
 - `-o a.b=value` changes one field; values are YAML, e.g. `-o flight.waypoints='[[0, 0, 1], [2, 0, 1]]'`.
 - A field that does not exist, or a value out of bounds, is refused with its name.
