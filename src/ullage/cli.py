@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -115,30 +116,41 @@ def run(
     option: Options = None,
     law: LawOption = None,
     by_hand: ByHand = False,
+    compare: Annotated[
+        str | None,
+        typer.Option("--compare", help="Fly a shipped scenario once more by this law and compare", metavar="LAW"),
+    ] = None,
     out: Out = None,
     force: Annotated[bool, typer.Option("--force", help="Run again where the run exists.")] = False,
+    open_report: Annotated[bool, typer.Option("--open", help="Open the report in a browser.")] = False,
     trust_xacro: Trust = False,
 ) -> None:
     """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
     repair(source)
     from ullage.experiments.catalog import variant_name
+    from ullage.experiments.comparison import fly_again, rival_scenario
     from ullage.experiments.runner import execute
     from ullage.experiments.targets import make_run, record, tasks_of
     from ullage.pipeline import check_sink
-    from ullage.view.progress import progress_bar, say
+    from ullage.view.progress import open_page, progress_bar, say
 
     tasks, options, sinks = tasks_of(do), option or [], to or []
     source = variant_name(source, law=law, by_hand=by_hand)
     for target in sinks:
         check_sink(target)
+    rival = rival_scenario(source, compare, options=options) if compare is not None else None
     under_way = warm_up(source, options)
     with progress_bar("getting ready", total=1.0) as tell:
         job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=tell, say=say, to=sinks)
+    if rival is not None and compare is not None:
+        job.rival = partial(fly_again, rival, compare)
     recording = record(job)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
         report = execute(job, sinks=[recording], progress=tell, say=tell.say, under_way=under_way)
     _tell(report)
+    if open_report:
+        open_page(report.folder / "report.html")
 
 
 @app.command()
@@ -187,7 +199,7 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
     """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
     from ullage.experiments.catalog import find_scenario, scenario_names
     from ullage.experiments.simulated import load_world
-    from ullage.experiments.warmup import ahead, begin, compiled, parts_of
+    from ullage.experiments.warmup import ahead, begin, compiled, estimated_s, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
     from ullage.view.progress import console, say
@@ -214,7 +226,7 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
         if work is not None:
             work.close()
         return None
-    say(f"compiling kernels for {', '.join(parts)} (once after installation)")
+    say(f"compiling kernels for {', '.join(parts)} (once after installation, about {estimated_s(parts):.0f} s)")
     with console.status("compiling") as line:
         work = begin(parts, tell=lambda what: line.update(f"compiling {what}"), work=work)
         if not patient:
@@ -224,6 +236,7 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
 
 def _tell(report: Report) -> None:
     from ullage.experiments.folder import final_of
+    from ullage.experiments.inspection import found_line
     from ullage.view.progress import say, say_report
 
     outcome = report.outcome
@@ -237,6 +250,10 @@ def _tell(report: Report) -> None:
         if key in report.metrics:
             say(f"  map {key}: {report.metrics[key].value:.3f}")
     say_report(report.folder / "report.html")
+    if report.objects:
+        say(found_line(report.objects, report.metrics))
+    if report.compared is not None:
+        say(report.compared.line)
 
 
 @app.command("list")

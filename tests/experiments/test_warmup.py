@@ -24,7 +24,7 @@ from ullage.experiments.warmup import (
     parts_of,
 )
 from ullage.pipeline import sink
-from ullage.radar.warmup import Compiling, Job, radar_parts, shared, unswept
+from ullage.radar.warmup import Compiling, Job, estimated_s, radar_parts, shared, unswept
 from ullage.world.library import WORLDS
 
 
@@ -141,6 +141,16 @@ def test_what_the_other_process_leaves_undone_is_done_here() -> None:
     work.wait_later()
     work.wait_later()
     assert sorted(done) == ["a", "b", "c", "d"]
+
+
+def test_compiling_announces_the_time_that_is_left() -> None:
+    said: list[str] = []
+    work = Compiling([Job(name, "", 4.0, lambda: None, needs=("x",)) for name in "abc"], tell=said.append)
+    assert estimated_s(work.now) == 12
+    work.wait()
+    assert said[0] == "a, about 12 s left"
+    assert work.left_s == 0
+    assert said[-1] == "c"  # the first ones took no time, so nor will the last
 
 
 class _Watched(Compiling):

@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from ullage.config import Scenario, Task, scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
+from ullage.experiments.comparison import Compared
 from ullage.experiments.draft import Draft, running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
+from ullage.experiments.inspection import ObjectOnMap, inspect, object_rows
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
@@ -59,6 +61,8 @@ class Run:
     timing: dict[str, float] = field(default_factory=dict)
     draft: Draft | None = None  # that folder, if it is one to be swapped in
     sinks: list[Sink] = field(default_factory=list)  # those that were asked for, open
+    rival: Callable[[], Compared] | None = None  # runs another method on the same flight
+    objects: list[ObjectOnMap] = field(default_factory=list)  # what the map shows of each, where the world is known
 
     @property
     def title(self) -> str:
@@ -81,6 +85,8 @@ class Report:
     outcome: Outcome
     metrics: dict[str, Metric]
     figures: tuple[Path, ...]
+    objects: tuple[ObjectOnMap, ...] = ()
+    compared: Compared | None = None
 
 
 def of_scenario(folder: Path | Draft, simulated: Simulated) -> Run:
@@ -168,6 +174,8 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say |
         if isinstance(item, OccupancyMap):
             write_map_files(job.folder, item)
     metrics = _metrics(job, outcome)
+    compared = _compared(job, outcome, say)
+    write_json(job.folder / "findings.json", _findings(job, compared))
     if job.findings:
         write_text(job.folder / "verdict.txt", "\n".join(job.findings) + "\n")
     write_json(job.folder / "metrics.json", metric_tree(metrics))
@@ -180,7 +188,24 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say |
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
     write_report(job.folder, origin={**origin, **done})
     write_json(job.folder / "provenance.json", {**origin, **done})
-    return Report(job.folder, outcome, metrics, figures)
+    return Report(job.folder, outcome, metrics, figures, tuple(job.objects), compared)
+
+
+def _compared(job: Run, outcome: Outcome, say: Say | None) -> Compared | None:
+    """Run the other method on the whole flight, if one was asked for."""
+    if job.rival is None or outcome.interrupted:
+        return None
+    if say is not None:
+        say("flying once more for the comparison")
+    return job.rival()
+
+
+def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
+    """What the report says first, as plain values."""
+    other = {} if compared is None else {
+        "compared": {"name": compared.name, "scenario": compared.scenario, "metrics": metric_tree(compared.metrics)}
+    }  # fmt: skip
+    return {"objects": object_rows(job.objects), **other}
 
 
 def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException) -> None:
@@ -297,6 +322,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         from ullage.processing.metrics import map_quality
 
         out |= map_quality(maps[-1], job.scene, job.looks.frames())
+        job.objects = inspect(maps[-1], job.scene, job.looks.frames())
     return out
 
 

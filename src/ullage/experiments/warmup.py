@@ -50,6 +50,12 @@ def compiled(parts: Iterable[str] = tuple(NEEDED)) -> bool:
     return all(kernels.compiled(stem) for part in parts for stem in NEEDED[part])
 
 
+def estimated_s(parts: Iterable[str]) -> float:
+    """Estimate how long it takes to compile what a run of these parts cannot begin without [s]."""
+    wanted = {part for part in parts if part not in LATER and not compiled((part,))}
+    return radar.estimated_s([job for job in JOBS if job.part in wanted])
+
+
 def begin(parts: Iterable[str], *, tell: Tell | None = None, work: Compiling | None = None) -> Compiling:
     """Compile what a run of these parts cannot begin without, in two processes where there are two cores.
 

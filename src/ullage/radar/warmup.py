@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -150,7 +151,7 @@ class Compiling:
         now: what must be compiled before anything else begins.
         later: what may be compiled while other things go on.
         module: what Python runs beside this process; it takes names of jobs, and tells each that is done.
-        tell: called with what is being compiled.
+        tell: called with what is being compiled, and about how long all of it still takes.
     """
 
     now: Sequence[Job] = ()
@@ -159,6 +160,10 @@ class Compiling:
     tell: Tell | None = None
     _beside: subprocess.Popen[str] | None = field(default=None, init=False)
     _open: list[str] = field(default_factory=list, init=False)  # not yet done beside
+    _mine: list[Job] = field(default_factory=list, init=False)  # not yet done in this process
+    _worked: tuple[float, float] = field(
+        default=(0.0, 0.0), init=False
+    )  # what jobs done in this process took, and what they were to take [s]
 
     def open(self) -> None:
         """Start the process beside, where it has a core: it gets ready and then waits to be told what to do."""
@@ -178,12 +183,14 @@ class Compiling:
             mine, others = [*mine, *others], []
         elif others or self.later:
             self._start([job.name for job in (*others, *self.later)])
+        self._mine = mine
         try:
             with in_haste():
-                for job in mine:
+                for job in tuple(mine):
                     self._await([other for other in others if other.name in job.needs])
                     self._say([job.name, *self._open[:1]])
-                    job.run()
+                    self._run(job)
+                    self._mine.remove(job)
             self._await(others)
         except BaseException:
             self.close()
@@ -231,11 +238,27 @@ class Compiling:
             if self._beside is None or job.name in self._open:
                 self._say([job.name])
                 with in_haste():
-                    job.run()
+                    self._run(job)
+
+    def _run(self, job: Job) -> None:
+        """Do a job in this process, and learn from it how fast this machine compiles."""
+        start = time.perf_counter()
+        job.run()
+        took, planned = self._worked
+        self._worked = took + time.perf_counter() - start, planned + job.seconds
+
+    @property
+    def left_s(self) -> float:
+        """Estimate the time until all is compiled, from what was compiled so far [s]."""
+        took, planned = self._worked
+        beside = {job.name: job.seconds for job in (*self.now, *self.later)}
+        most = max(sum(job.seconds for job in self._mine), sum(beside.get(name, 0.0) for name in self._open))
+        return most * (took / planned if planned else 1.0)
 
     def _say(self, names: list[str]) -> None:
         if self.tell is not None and names:
-            self.tell(", ".join(names))
+            left = self.left_s
+            self.tell(", ".join(names) + (f", about {left:.0f} s left" if left >= 1 else ""))
 
 
 def shared(jobs: Sequence[Job]) -> tuple[list[Job], list[Job]]:
@@ -249,6 +272,12 @@ def shared(jobs: Sequence[Job]) -> tuple[list[Job], list[Job]]:
         spent[less] += job.seconds
     one, other = ([job for job in jobs if job in share] for share in shares)
     return one, other
+
+
+def estimated_s(jobs: Sequence[Job]) -> float:
+    """Estimate how long jobs take on this machine's cores [s]."""
+    shares = shared(jobs) if cores() > 1 else (jobs, ())
+    return max(sum(job.seconds for job in share) for share in shares)
 
 
 _START_S = 1.0  # what the other process takes to start, about [s]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +32,14 @@ def say(text: str, *, mark: str = "", style: str = "") -> None:
 def say_report(page: Path) -> None:
     """Where a report is, to be clicked on in terminals that can."""
     console.print(Text.assemble("report: ", (str(page), f"link {page.resolve().as_uri()}")))
+
+
+def open_page(page: Path) -> None:
+    """Open a page in the browser of a desktop; without a desktop, do nothing."""
+    import webbrowser
+
+    if sys.platform in {"darwin", "win32"} or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(page.resolve().as_uri())
 
 
 @dataclass(slots=True)
