@@ -22,6 +22,7 @@ from ullage.experiments.folder import metric_tree, provenance, write_json, write
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.inspection import ObjectOnMap, inspect, object_rows
 from ullage.experiments.map_files import MapSaver, write_map_files
+from ullage.experiments.replay_parts import keep_replay
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
 from ullage.experiments.watch import Looks, RangeTime, Rest
@@ -29,6 +30,7 @@ from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.radar.warmup import Compiling
+from ullage.view.replay import MapHistory
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -55,6 +57,7 @@ class Run:
     looks: Looks = field(default_factory=Looks)
     rest: Rest = field(default_factory=Rest)
     own_echo: OwnEchoFilter = field(default_factory=OwnEchoFilter)
+    history: MapHistory = field(default_factory=MapHistory)
     plane: ImagePlane | None = None
     map: MapStage | None = None
     findings: list[str] = field(default_factory=list)  # what the report says in words
@@ -148,8 +151,9 @@ def _receive(
     """Run the loop; the map so far is saved every minute."""
     stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, say)
     wall, cpu = time.perf_counter(), time.process_time()
+    keeping: list[Sink] = [MapSaver(job.folder), job.history]
     try:
-        outcome = run(job.source, stages=stages, sinks=[*sinks, *job.sinks, MapSaver(job.folder)], progress=progress)
+        outcome = run(job.source, stages=stages, sinks=[*sinks, *job.sinks, *keeping], progress=progress)
     finally:
         if under_way is not None:
             under_way.close()
@@ -184,6 +188,9 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say |
             say(sentence)
         say("drawing figures")
     figures = _draw(job, outcome) if say is not None else ()
+    if say is not None:
+        say("gathering what the report replays")
+        keep_replay(job, outcome)
     state = "interrupted" if outcome.interrupted else "complete"
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
     write_report(job.folder, origin={**origin, **done})

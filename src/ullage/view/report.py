@@ -1,18 +1,22 @@
-"""One HTML page for a run: settings, figures, metrics, provenance, everything inside the file."""
+"""One HTML page for a run: verdict, replay in 3D, figures, metrics and settings; everything is inside the file."""
 
 from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
 
 from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.untrusted import load_yaml
+from ullage.view.metric_words import grouped, meaning
+from ullage.view.replay import FILE as REPLAY
 
 CAPTIONS = {
     "map": "Occupancy map over the flown path (blue); red: true walls; circles: surveyed reflectors.",
@@ -24,36 +28,10 @@ CAPTIONS = {
     "explain": "Where the strongest echoes of a frame in the middle of the run came from, and a plan at its height.",
     "snapshot": "One profile of each radar in the middle of the run.",
 }
-
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{{ name }} - ullage</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>
- body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1f2933}
- h1{margin-bottom:0} h2{margin-top:2rem;border-bottom:1px solid #d5dae0}
- figure{margin:1rem 0} figure img{max-width:100%;border:1px solid #e3e7eb} figcaption{color:#52606d}
- table{border-collapse:collapse} td,th{padding:.2rem .8rem;text-align:left;border-bottom:1px solid #e3e7eb}
- td.n{text-align:right;font-variant-numeric:tabular-nums} .bad{color:#b3261e;font-weight:600} .good{color:#1b7f3b}
- pre{background:#f5f7fa;padding:1rem;overflow:auto;font-size:13px}
-</style></head><body>
-<h1>{{ title }}</h1>
-<p>{{ name }}, run {{ provenance.started }} with ullage {{ provenance.ullage }}
-{%- if provenance.interrupted %} <span class="bad">interrupted: what had been received by then</span>{% endif %}
-{%- if unfinished %} <span class="bad">unfinished: {{ unfinished }}</span>{% endif %}</p>
-{% if verdict %}<h2>Verdict</h2><ul>{% for sentence in verdict %}<li>{{ sentence }}</li>{% endfor %}</ul>{% endif %}
-<h2>Figures</h2>
-{% for figure in figures %}<figure><img alt="{{ figure.caption }}" src="data:image/png;base64,{{ figure.data }}">
-<figcaption>{{ figure.caption }}</figcaption></figure>
-{% endfor %}
-<h2>Metrics</h2>
-<table><tr><th>metric</th><th>value</th><th>unit</th><th>bounds</th></tr>
-{% for m in metrics %}<tr><td>{{ m.name }}</td><td class="n">{{ m.value }}</td><td>{{ m.unit }}</td>
-<td class="{{ m.verdict }}">{{ m.bounds }}</td></tr>
-{% endfor %}</table>
-<h2>Settings</h2><pre>{{ settings }}</pre>
-<h2>Provenance</h2><pre>{{ origin }}</pre>
-</body></html>
-"""
+KINDS = {"mapped": "good", "missed": "bad"}
+"""How the state of an object is marked."""
+UNSAFE = 0.01
+"""Share of the surface in sight that may be marked as free before the verdict warns."""
 
 
 def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) -> Path:
@@ -72,21 +50,76 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
     unfinished = origin.get("state") in {"running", "unfinished"}
     lacking = unfinished and not (folder / "metrics.json").exists()
     metrics = {} if lacking else json.loads(_text(folder / "metrics.json"))
-    page = Environment(autoescape=True, undefined=StrictUndefined).from_string(PAGE)
+    findings = json.loads(_text(folder / "findings.json")) if (folder / "findings.json").exists() else {}
+    replay = base64.b64encode((folder / REPLAY).read_bytes()).decode() if (folder / REPLAY).exists() else ""
+    page = Environment(autoescape=True, undefined=StrictUndefined).from_string(_part("report.html"))
     html = page.render(
         name=plan["name"],
         title=plan.get("title") or plan["name"],
         provenance={"interrupted": False} | origin,
         unfinished=str(origin.get("refused", "its process was ended, or is still at work")) if unfinished else "",
-        verdict=_text(folder / "verdict.txt").splitlines() if (folder / "verdict.txt").exists() else [],
+        verdict=verdict_lines(folder, findings, metrics),
+        objects=[_object(one) for one in findings.get("objects", [])],
         figures=[_figure(path) for path in _pictures(folder)],
-        metrics=[_row(name, m, plan.get("expect") or {}) for name, m in metrics.items()],
+        groups=_groups(metrics, plan.get("expect") or {}),
         settings=settings,
         origin=json.dumps(origin, indent=2),
+        style=Markup(_part("report.css")),
+        replay=replay,
+        library=Markup(_part("three.min.js")) if replay else "",
+        program=Markup(_part("report.js")) if replay else "",
     )
     out = folder / "report.html"
     write_whole(out, lambda file: file.write(html.encode()))
     return out
+
+
+def verdict_lines(folder: Path, findings: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Say in plain sentences what was mapped and what was missed; what is bad is marked."""
+    out = _mapped(findings.get("objects", []), metrics)
+    if (declared := _value(metrics, "surface_declared_free")) is not None:
+        unsafe = declared > UNSAFE
+        text = f"The map marks {_percent(declared)} of the surface in sight of the radars as free."
+        out.append(_line(text + (" Do not fly by this map." if unsafe else ""), "bad" if unsafe else ""))
+    if (compared := findings.get("compared")) and (score := _value(compared["metrics"], "f1")) is not None:
+        name = compared["name"][:1].upper() + compared["name"][1:]
+        out.append(_line(f"{name} on the same flight reaches F1 {score:.3f}."))
+    said = _text(folder / "verdict.txt").splitlines() if (folder / "verdict.txt").exists() else []
+    return [*out, *map(_line, said)]
+
+
+def _mapped(objects: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+    """What of the surface and of the objects is on the map."""
+    out = []
+    recall, precision, f1 = (_value(metrics, name) for name in ("recall", "precision", "f1"))
+    if recall is not None and precision is not None and f1 is not None:
+        out.append(_line(
+            f"The map shows {_percent(recall)} of the surface that the radars could observe. "
+            f"{_percent(precision)} of its occupied cells lie on a true surface (F1 {f1:.3f})."
+        ))  # fmt: skip
+    shown = [one["name"] for one in objects if one["state"] in ("mapped", "partly mapped")]
+    if objects:
+        out.append(_line(f"{len(shown)} of the {len(objects)} objects in sight are on the map.", "good" * bool(shown)))
+    out += [_line(f"{one['name']}: missed", "bad") for one in objects if one["state"] == "missed"]
+    return out
+
+
+def _line(text: str, kind: str = "") -> dict[str, str]:
+    return {"text": text, "kind": kind}
+
+
+def _value(metrics: Mapping[str, Any], name: str) -> float | None:
+    value = (metrics.get(name) or {}).get("value")
+    return None if value is None else float(value)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share == 0 or share >= 0.1 else f"{100 * share:.2g} %"
+
+
+def _part(name: str) -> str:
+    """A part of the page that comes with the package."""
+    return (resources.files("ullage.view") / "web" / name).read_text(encoding="utf-8")
 
 
 def _text(path: Path) -> str:
@@ -107,11 +140,23 @@ def _figure(path: Path) -> dict[str, str]:
     return {"data": data, "caption": CAPTIONS.get(path.stem, path.stem.replace("_", " "))}
 
 
-def _row(name: str, metric: dict[str, Any], expect: dict[str, dict[str, float | None]]) -> dict[str, str]:
-    value, bound = metric["value"], expect.get(name) or {}
-    low, high = bound.get("min"), bound.get("max")
+def _object(one: Mapping[str, Any]) -> dict[str, str]:
+    shares = {name: _percent(float(one[name])) for name in ("mapped", "observable")}
+    return {"name": one["name"], "state": one["state"], "kind": KINDS.get(one["state"], ""), **shares}
+
+
+def _groups(metrics: Mapping[str, Any], expect: Mapping[str, Mapping[str, float | None]]) -> list[dict[str, Any]]:
+    return [
+        {"title": title, "rows": [_row(name, metrics[name], expect.get(name) or {}) for name in names]}
+        for title, names in grouped(metrics).items()
+    ]
+
+
+def _row(name: str, metric: Mapping[str, Any], bound: Mapping[str, float | None]) -> dict[str, str]:
+    value, low, high = metric["value"], bound.get("min"), bound.get("max")
     text = " .. ".join("" if k is None else f"{k:g}" for k in (low, high)) if bound else ""
     inside = value is not None and (low is None or value >= low) and (high is None or value <= high)
     verdict = ("good" if inside else "bad") if bound else ""
     shown = "unknown" if value is None else f"{value:.4g}"
-    return {"name": name.replace("_", " "), "value": shown, "unit": metric["unit"], "bounds": text, "verdict": verdict}
+    return {"name": name.replace("_", " "), "value": shown, "unit": metric["unit"], "bounds": text,
+            "verdict": verdict, "meaning": meaning(name)[1]}  # fmt: skip

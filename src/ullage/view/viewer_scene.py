@@ -43,7 +43,7 @@ def entity(*names: str) -> str:
 
 def log_scene(rec: Any, scene: Scene) -> None:
     """Draw every object, walls of the hull only from within, so that one looks into holds and rooms from outside."""
-    hull = _hull(scene)
+    hull = hull_objects(scene)
     for index, thing in enumerate(scene.objects):
         mine = scene.face_object == index
         wires = scene.wires.object_id == index
@@ -60,7 +60,7 @@ def log_scene(rec: Any, scene: Scene) -> None:
             log_poses(rec, path, thing.motion.at(thing.motion.t_ns))
 
 
-def _hull(scene: Scene) -> NDArray[np.bool_]:
+def hull_objects(scene: Scene) -> NDArray[np.bool_]:
     """Which objects are walls, floors and decks around everything else: long, and of large triangles."""
     size = np.ptp(scene.bounds, axis=0)
     surface = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
@@ -82,16 +82,22 @@ def _mesh(corners: Floats, color: tuple[int, int, int, int], *, center: Floats |
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     side = "DoubleSided"
     if center is not None:
-        away = np.einsum("fk,fk->f", normal, center - corners.mean(axis=1)) < 0
-        corners = np.where(away[:, None, None], corners[:, ::-1], corners)
-        normal = np.where(away[:, None], -normal, normal)
-        side = "Front"
+        turned = turned_inwards(corners, center)
+        normal = np.where((turned != corners).any(axis=(1, 2))[:, None], -normal, normal)
+        corners, side = turned, "Front"
     return rr.Mesh3D(
         vertex_positions=corners.reshape(-1, 3).astype(np.float32),
         vertex_normals=np.repeat(normal, 3, axis=0).astype(np.float32),
         albedo_factor=color,
         face_rendering=side,
     )
+
+
+def turned_inwards(corners: Floats, center: Floats) -> Floats:
+    """Order the corners of triangles (f, 3, 3) so that the front of each is towards a point (3)."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    away = np.einsum("fk,fk->f", normal, center - corners.mean(axis=1)) < 0
+    return np.where(away[:, None, None], corners[:, ::-1], corners)
 
 
 def _wires(scene: Scene, mine: NDArray[np.bool_]) -> Any:

@@ -1,0 +1,50 @@
+"""Gathers what a run's report replays: world, flight, maps over time, image, and explained frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ullage.grids import Image
+from ullage.pipeline import Outcome
+from ullage.radar.explain import explain
+from ullage.view.replay import Explained, Parts, write_replay
+
+if TYPE_CHECKING:
+    from ullage.experiments.runner import Run
+
+EXPLAINED = 12
+"""Instants of a run at which every radar's frame is explained, evenly over the flight."""
+ECHOES = 8
+"""Echoes of each explained frame."""
+
+
+def keep_replay(job: Run, outcome: Outcome) -> None:
+    """Write what the report replays into the run's folder, where the radars' poses are known.
+
+    Raises:
+        InputError: the disk is full.
+    """
+    frames = {name: part for name, part in job.looks.frames().items() if part.poses is not None}
+    if not frames:
+        return
+    images = [item for item in outcome.results if isinstance(item, Image)]
+    states = {one.name: one.state for one in job.objects}
+    parts = Parts(job.title, frames, job.scene, job.history.maps(), images[-1] if images else None,
+                  explained_frames(job), states)  # fmt: skip
+    write_replay(job.folder, parts)
+
+
+def explained_frames(job: Run) -> list[Explained]:
+    """Explain the frames of all radars at some instants of a simulated flight with physical echoes."""
+    sensing = job.scenario.sensing
+    if job.scene is None or job.live or sensing.fidelity != "physical":
+        return []
+    out = []
+    for name, part in job.looks.frames().items():
+        for index in np.unique(np.linspace(0, len(part) - 1, EXPLAINED).round().astype(int)):
+            found = explain(part, int(index), scene=job.scene, max_bounces=sensing.max_bounces, count=ECHOES,
+                            seed=job.scenario.seed)  # fmt: skip
+            out.append(Explained(name, int(part.t_ns[index]), found))
+    return out
