@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ class ElfesMapper:
             stops growing while readings are weak.
         certain: the most that emptiness and occupancy may reach. At 1, as in the formulas, a cell that was seen empty
             often enough rounds to 1, and no later reading can make it occupied. At 0.99 some 200 readings can.
+        kernel: blends one reading into emptiness and occupancy, with the arguments of `kernels.elfes.insert_reading`;
+            None: that one.
 
     Raises:
         InputError: the grid is a volume, no such number of bits, or `certain` out of bounds.
@@ -52,6 +55,7 @@ class ElfesMapper:
         spread_m: float = SPREAD_M,
         bits: float = 32,
         certain: float = 1.0,
+        kernel: Callable[..., None] | None = None,
     ) -> None:
         if not 0.5 < certain <= 1:
             raise InputError(f"certain is {certain}", where="elfes", allowed="above 0.5, at most 1")
@@ -65,6 +69,7 @@ class ElfesMapper:
         self._threshold, self._half = threshold, np.radians(lobe_deg) / 2
         self._spread = max(spread_m, grid.step_m)
         self._certain = certain
+        self._kernel = insert_reading if kernel is None else kernel
         self._layers = (  # emptiness and occupancy; or one layer of their difference in percent
             [np.zeros(grid.shape, np.int8)] if bits == 8 else [np.zeros(grid.shape, np.float32) for _ in range(2)]
         )
@@ -141,8 +146,8 @@ class ElfesMapper:
         """Run the kernel on layers whose first cell is row and column `first` of the grid."""
         at, yaw, near, (reach, found) = reading
         step, (x0, y0) = self.grid.step_m, self.grid.origin_m[:2]
-        insert_reading(empty, occupied, x0 + first[1] * step, y0 + first[0] * step, step, at[0], at[1], yaw, near,
-                       reach, self._spread, found, self._half, box)  # fmt: skip
+        self._kernel(empty, occupied, x0 + first[1] * step, y0 + first[0] * step, step, at[0], at[1], yaw, near,
+                     reach, self._spread, found, self._half, box)  # fmt: skip
 
     def map(self) -> OccupancyMap:
         """The map so far: 50 + 50 Occ where Occ >= Emp, else 50 - 50 Emp, unknown where neither is known."""

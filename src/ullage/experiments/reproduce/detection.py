@@ -11,8 +11,8 @@ from ullage.data import Frames
 from ullage.experiments.laws import TARGETS, alone
 from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.experiments.reproduce.detection_laws import brightness, clutter, tail
-from ullage.grids import Grid, Image
-from ullage.processing.sar import focus
+from ullage.experiments.reproduce.strafes import IMAGE_BOX, level_db, strafe_image, target_place
+from ullage.grids import Image
 from ullage.processing.summation import apex
 from ullage.view.thesis_detection import Pass, draw_images, draw_target
 from ullage.world.section import section, wire_section
@@ -27,10 +27,6 @@ WAYS = {
     "physical law, by hand": "-physical-by-hand",
 }
 """Ways of flying and simulating, and what the scenario's name has at its end."""
-BOX = np.array([[-1.5, -2.0, 1.1], [4.3, 2.0, 1.1]])
-"""Where images are made: from beyond the direct path to the wall behind the targets [m]."""
-IMAGE_M = 0.05
-"""Cells of the images [m]."""
 NEAR_M = 0.6
 """Echoes this near to the target are its own [m]."""
 
@@ -95,10 +91,7 @@ def show_images(bench: Bench, world: str, ways: dict[str, Flown]) -> None:
 
 def place(flown: Flown) -> Floats:
     """Where the target's steel truly is, as the radar meets it (3) [m]: its near face, or a turned plate's middle."""
-    world = flown.simulated.scenario.world.name
-    low, high = alone(flown.scene, TARGETS[world][0]).bounds
-    x = (low[0] + high[0]) / 2 if world == "ntnu-plate45" else low[0]
-    return np.array([x, (low[1] + high[1]) / 2, flown.height_m])
+    return np.array([*target_place(flown.simulated.scenario.world.name), flown.height_m])
 
 
 def middle(flown: Flown) -> int:
@@ -111,12 +104,12 @@ def true_range(flown: Flown) -> Floats:
     return np.asarray(np.linalg.norm(flown.only.believed.position - place(flown), axis=1))
 
 
-def image_of(flown: Flown, method: Any, *, around: Floats = BOX) -> Image:
+def image_of(flown: Flown, method: Any, *, around: Floats = IMAGE_BOX) -> Image:
     """An image of the strafe, without the frames in which the drone stood still before and after."""
     part = flown.only
     velocity, _ = part.believed.rates
     moving = np.linalg.norm(velocity, axis=1) > 0.2
-    return focus(part[moving], Grid.covering(around, IMAGE_M, z_m=flown.height_m), method=method)
+    return strafe_image(part[moving], method=method, around=around, height_m=flown.height_m)
 
 
 def peak_range(frames: Frames, number: int, near_m: float) -> float:
@@ -176,7 +169,11 @@ def places(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
 
 def levels(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
     """How bright each target is in its summation image, over the brightest cell, and what the thesis says of it."""
-    found = {(world, way): _level(flown) for world, ways in looks.items() for way, flown in ways.items()}
+    found = {
+        (world, way): level_db(image_of(flown, "summation"), place(flown))
+        for world, ways in looks.items()
+        for way, flown in ways.items()
+    }
     rows = [(TARGETS[world][1], way, f"{value:.1f}") for (world, way), value in found.items()]
     head = ("target", "flight", "over the brightest cell [dB]")
     note = "Brightest cell within 0.3 m of the target, over the brightest of the image."
@@ -184,13 +181,6 @@ def levels(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
     law = "thesis law"
     bench.findings.hold("ray law: the facing plate over the turned one in their images", "figure 6.7",
                         found["ntnu-plate", law] - found["ntnu-plate45", law], "dB", low=3)  # fmt: skip
-
-
-def _level(flown: Flown) -> float:
-    image = image_of(flown, "summation")
-    y, x = np.meshgrid(image.grid.y_m, image.grid.x_m, indexing="ij")
-    near = np.hypot(x - place(flown)[0], y - place(flown)[1]) < 0.3
-    return float(20 * np.log10(image.amplitude[near].max() / image.amplitude.max()))
 
 
 def shapes(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,12 +53,13 @@ def run(bench: Bench) -> None:
         "ullage's mapper on physical frames. Circled: postbox and stop sign.",
     )  # fmt: skip
     bench.findings.tabulate("Scores", HEAD, rows)
-    _things(bench, rays[0], waves[0] if waves else None)
-    _smears(bench, rays, waves)
-    _hovering(bench, rays[0], waves[0] if waves else None)
+    things(bench, rays[0], waves[0] if waves else None)
+    smears(bench, rays, waves)
+    hovering(bench, rays[0], waves[0] if waves else None)
 
 
-def _smears(bench: Bench, rays: list[Flown], waves: list[Flown]) -> None:
+def smears(bench: Bench, rays: list[Flown], waves: list[Flown]) -> None:
+    """False cells round two things, two runs with other noise, and both methods' scores."""
     hold = bench.findings.hold
     smear = {}
     for method, runs in (("Elfes", rays), ("ullage", waves)):
@@ -88,7 +91,7 @@ def _unlike(first: OccupancyMap, second: OccupancyMap) -> float:
     return float(np.sum(first.occupied ^ second.occupied) / max(either.sum(), 1))
 
 
-def _things(bench: Bench, rays: Flown, waves: Flown | None) -> None:
+def things(bench: Bench, rays: Flown, waves: Flown | None) -> None:
     """How much of each thing's outline at the flight's height is on the map."""
     rows, found = [], {}
     for name in THINGS:
@@ -126,26 +129,40 @@ def _occupied(omap: OccupancyMap, flown: Flown) -> NDArray[np.float64]:
     return np.asarray(cell_centres(omap.grid.at_height(flown.height_m), cells)[:, :2])
 
 
-def _hovering(bench: Bench, rays: Flown, waves: Flown | None) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Hover:
+    """A map on arrival and after the drone has waited there."""
+
+    before: OccupancyMap
+    after: OccupancyMap
+    false: tuple[int, int]  # cells far from everything true
+    at_person: tuple[int, int]  # occupied cells near the person
+
+    @property
+    def new_false(self) -> int:
+        """False cells that waiting added."""
+        return self.false[1] - self.false[0]
+
+    @property
+    def new_at_person(self) -> int:
+        """Cells near the person that waiting added."""
+        return self.at_person[1] - self.at_person[0]
+
+
+BY_FORMULAS, CAPPED, OURS = "Elfes", f"Elfes, limited to {LIMITED:g}", "ullage"
+
+
+def hovering(bench: Bench, rays: Flown, waves: Flown | None) -> None:
     """The drone waits where the flight ends: what that does to the map already made."""
-    rows, panels, grown = [], [], {}
-    cases: list[tuple[str, Flown | None, Method, dict[str, float]]] = [
-        ("Elfes", rays, "elfes", {}),
-        (f"Elfes, limited to {LIMITED:g}", rays, "elfes", {"certain": LIMITED}),
-        ("ullage", waves, "ullage", {}),
+    bench.say("hovering")
+    found = {BY_FORMULAS: hovered(rays, "elfes"), CAPPED: hovered(rays, "elfes", certain=LIMITED)}
+    if waves is not None:
+        found[OURS] = hovered(waves, "ullage")
+    track = rays.track
+    panels = [
+        [Panel(f"{name}, on arrival", each.before, track), Panel(f"{name}, after hovering", each.after, track)]
+        for name, each in found.items()
     ]
-    for name, flown, method, options in cases:
-        if flown is None or flown.omap is None:
-            continue
-        bench.say(f"hovering, {name}")
-        before, after = hovered(flown, method, options)
-        wrong = [false_cells(omap, flown) for omap in (before, after)]
-        at_person = [_near(omap, flown, "person") for omap in (before, after)]
-        grown[name] = wrong[1] - wrong[0], at_person[1] - at_person[0]
-        rows.append((name, str(HOVER_FRAMES), *(str(count) for count in (*wrong, *at_person))))
-        panels.append(
-            [Panel(f"{name}, on arrival", before, flown.track), Panel(f"{name}, after hovering", after, flown.track)]
-        )
     path = bench.folder / "hover.png"
     draw_panels(path, panels, walls=walls_of(rays), title="Waiting at the end of the flight", width_in=5.0)
     bench.findings.show(
@@ -154,23 +171,25 @@ def _hovering(bench: Bench, rays: Flown, waves: Flown | None) -> None:
     )  # fmt: skip
     bench.findings.tabulate(
         "Hovering", ("method", "frames of each radar", "false cells on arrival", "after hovering",
-                     "cells within 1.2 m of the person on arrival", "after hovering"), rows,
+                     "cells within 1.2 m of the person on arrival", "after hovering"),
+        [(name, str(HOVER_FRAMES), *map(str, (*each.false, *each.at_person))) for name, each in found.items()],
         note=f"All wait {HOVER_FRAMES / HOVER_HZ:.0f} s at {HOVER_HZ:g} frames a second.",
     )  # fmt: skip
-    _ghosts(bench, grown)
+    state_hovers(bench, found)
 
 
-def _ghosts(bench: Bench, grown: dict[str, tuple[int, int]]) -> None:
-    hold, limited = bench.findings.hold, grown[f"Elfes, limited to {LIMITED:g}"]
-    hold("Elfes: hovering makes false cells", "7.2", grown["Elfes"][0], "cells", low=5)
+def state_hovers(bench: Bench, found: dict[str, Hover]) -> None:
+    """Ghosts that waiting makes, by the row of the table."""
+    hold, plain, limited = bench.findings.hold, found[BY_FORMULAS], found[CAPPED]
+    hold("Elfes: hovering makes false cells", "7.2", plain.new_false, "cells", low=5)
     hold(f"Elfes limited to {LIMITED:g}: hovering beside the person makes cells along the lobe", "figure 6.14",
-         limited[1], "cells", low=10)  # fmt: skip
-    if "ullage" in grown:
-        hold("ullage: hovering makes no false cell", "beyond", grown["ullage"][0], "cells", high=0)
+         limited.new_at_person, "cells", low=10)  # fmt: skip
+    if OURS in found:
+        hold("ullage: hovering makes no false cell", "beyond", found[OURS].new_false, "cells", high=0)
     bench.findings.differ(
         "figure 6.14", "hovering marks cells along the lobe at the person",
-        f"{grown['Elfes'][1]} new cells within 1.2 m of the person by the formulas, {limited[1]} with both values "
-        f"limited to {LIMITED:g}",
+        f"{plain.new_at_person} new cells within 1.2 m of the person by the formulas, {limited.new_at_person} with "
+        f"both values limited to {LIMITED:g}",
         "method: on arrival emptiness there is 1 after rounding, and a reading's f_o is multiplied by 1 less "
         "emptiness. Shown: with the limit hovering makes cells, without it none. Not shown: that the thesis' node had "
         "such a limit, or that rounding made its figure. Whole percent (`bits=8`) alone does not do it.",
@@ -183,24 +202,36 @@ def _near(omap: OccupancyMap, flown: Flown, name: str) -> int:
     return int(np.sum(away < 1.2))
 
 
-def hovered(flown: Flown, method: Method, options: dict[str, float]) -> tuple[OccupancyMap, OccupancyMap]:
-    """The map of a flight on arrival, and after the drone has waited."""
+def hovered(flown: Flown, method: Method, *, count: int = HOVER_FRAMES, **options: float) -> Hover:
+    """Map a flight, then a while of waiting at its end.
+
+    Args:
+        flown: the flight, with its map.
+        method: of mapping.
+        count: frames of each radar while the drone waits.
+        **options: of the mapper.
+
+    Raises:
+        ValueError: the flight has no map.
+    """
     if flown.omap is None:
         raise ValueError("a flight without a map")
     mapper = Mapper(flown.omap.grid, method=method, **options)
     mapper.update(flown.frames)
     before = mapper.map()
-    mapper.update(_at_end(flown))
-    return before, mapper.map()
+    mapper.update(_at_end(flown, count))
+    both = before, mapper.map()
+    false = tuple(false_cells(omap, flown) for omap in both)
+    return Hover(*both, (false[0], false[1]), (_near(before, flown, "person"), _near(both[1], flown, "person")))
 
 
-def _at_end(flown: Flown) -> dict[str, Frames]:
+def _at_end(flown: Flown, count: int) -> dict[str, Frames]:
     """Frames of a while of standing still at the end of a flight."""
     end = flown.track[-1:]
-    still = np.zeros((HOVER_FRAMES, 3))
+    still = np.zeros((count, 3))
     path = Trajectory(
-        end.t_ns[0] + (np.arange(1, HOVER_FRAMES + 1) * 1e9 / HOVER_HZ).astype(np.int64), end.position + still,
-        np.repeat(end.quat_xyzw, HOVER_FRAMES, axis=0), still, still,
+        end.t_ns[0] + (np.arange(1, count + 1) * 1e9 / HOVER_HZ).astype(np.int64), end.position + still,
+        np.repeat(end.quat_xyzw, count, axis=0), still, still,
     )  # fmt: skip
     scenario = flown.simulated.scenario
     found = simulate(

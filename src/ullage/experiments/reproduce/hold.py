@@ -50,31 +50,31 @@ def run(bench: Bench) -> None:
         "it is left ambiguous.",
     )  # fmt: skip
     bench.findings.tabulate("Scores", HEAD, rows)
+    state(bench, rays, waves)
+    _detected(bench, rays)
+    far(bench, rays.track)
+
+
+def state(bench: Bench, rays: Flown, waves: Flown) -> None:
+    """What ullage's map holds, beside Elfes' of the same flight."""
     hold = bench.findings.hold
     hold("ullage: surface declared free (share)", "beyond", waves.number("surface_declared_free"), high=0.01)
-    hold(
-        "ullage: cells held known over 0.3 m behind a surface (share)",
-        "beyond",
-        waves.number("known_behind"),
-        high=0.005,
-    )
-    if not bench.quick:
-        hold("ullage's F1 over Elfes'", "beyond", waves.number("f1") - rays.number("f1"), low=0.1)
-    _detected(bench, rays)
-    _far(bench, rays)
+    hold("ullage: cells held known over 0.3 m behind a surface (share)", "beyond", waves.number("known_behind"),
+         high=0.005)  # fmt: skip
+    hold("ullage's F1 over Elfes'", "beyond", waves.number("f1") - rays.number("f1"), low=0.1)
 
 
-def _far(bench: Bench, flown: Flown) -> None:
+def far(bench: Bench, path: Trajectory) -> None:
     """The same track in a room of 8 x 6 m and in empty space: CPU of each mapper for a profile."""
     bench.say("cost of a profile near and far")
     loud, _ = radars()
     rig = Rig.preset("thesis-4", radar=loud)
-    track = flown.track[: 60 if bench.quick else 200]
+    track = path[: 60 if bench.quick else 200]
     around = scenes.room(size_m=(8, 6, 3))
     middle = track.position.mean(0)
     shifted = Scene(around.vertices + middle, around.faces, around.face_object, around.objects)
     grid = Grid.covering(np.stack([track.position.min(0) - 12, track.position.max(0) + 12]), 0.1)
-    rows = []
+    rows, ratios = [], {}
     methods: tuple[tuple[Method, str], ...] = (("elfes", "Elfes"), ("ullage", "ullage"))
     for method, name in methods:
         law: Fidelity = "thesis" if method == "elfes" else "physical"
@@ -84,16 +84,16 @@ def _far(bench: Bench, flown: Flown) -> None:
         ]
         costs = np.min(taken, axis=0)  # by turns, the least of five: other work on the machine only adds
         rows.append((name, f"{costs[0]:.3f}", f"{costs[1]:.3f}", f"{costs[1] / costs[0]:.2f}"))
-        bench.findings.numbers[f"{method} far over near"] = costs[1] / costs[0]
+        ratios[name] = bench.findings.numbers[f"{method} far over near"] = float(costs[1] / costs[0])
     bench.findings.tabulate(
         "CPU for a profile [ms]", ("mapper", "walls 3 to 4 m away", "nothing in range", "far over near"), rows,
         note="The thesis' mapping node took 21 times as much in the hold as in the NTNU room (Causes).",
     )  # fmt: skip
     cells = [_cells(grid, shifted, track), _cells(grid, Scene.empty(), track)]
-    hold, far = bench.findings.hold, bench.findings.numbers
+    hold = bench.findings.hold
     hold("Elfes: cells that a reading traverses where nothing is in range, over walls 3 to 4 m away", "7.3",
          cells[1] / cells[0], low=6)  # fmt: skip  # the square of 10 m over 4 m
-    hold("ullage: a profile costs no more where nothing is in range", "7.3", far["ullage far over near"], high=1.3)
+    hold("ullage: a profile costs no more where nothing is in range", "7.3", ratios["ullage"], high=1.3)
 
 
 def _cells(grid: Grid, scene: Scene, track: Trajectory) -> float:

@@ -109,7 +109,7 @@ def run(bench: Bench) -> None:
     draw_panels(path, [panels[:3], panels[3:]], walls=np.zeros((0, 2, 2)), title="Three poles of 1 cm, one flight",
                 width_in=4.0, view=view)  # fmt: skip
     bench.findings.show(path, "", "Images of three poles of 1 cm from one flight; circled: where they stand.")
-    _statements(bench, scores)
+    state(bench, scores)
 
 
 NOTE = (
@@ -119,7 +119,9 @@ NOTE = (
 )
 
 
-def _statements(bench: Bench, scores: Scores) -> None:
+def state(bench: Bench, scores: Scores) -> None:
+    """Place, width and entropy of the images."""
+
     def gain(key: str, over: str, name: str) -> float:
         return mean_of(scores, over, key) - mean_of(scores, name, key)
 

@@ -97,9 +97,10 @@ def run(bench: Bench) -> None:
         "Methods on the plane", ("method", *COLUMNS.values()), flights.rows_of(scores, COLUMNS), note=NOTE
     )
     _show(bench, scene, panels)
-    _compare(bench, scores)
+    state(bench, scores)
     if not bench.quick:
-        _aim(bench, scores, hover)
+        state_targets(bench, scores, hover)
+        bench.findings.tabulate("Beside the best seen", ("", "best seen", "target", "ours"), _targets(scores, hover))
 
 
 NOTE = (
@@ -116,14 +117,16 @@ def _show(bench: Bench, scene: Scene, panels: list[Panel]) -> None:
     bench.findings.show(path, "", "The first flight, mapped by every method; red: what truly stands there.")
 
 
-def _compare(bench: Bench, scores: Scores) -> None:
+def state(bench: Bench, scores: Scores) -> None:
+    """Ullage's map of exact poses, beside Elfes'."""
     better = mean_of(scores, EXACT, "f1") - mean_of(scores, RAYS, "f1")
     bench.findings.hold("ullage's F1 over Elfes', both on their own frames", "beyond", better, low=0.1)
     for key, most in (("surface_declared_free", 0.01), ("known_behind", 0.005)):
         bench.findings.hold(f"exact poses: {COLUMNS[key]} (share)", "beyond", mean_of(scores, EXACT, key), high=most)
 
 
-def _aim(bench: Bench, scores: Scores, hover: list[dict[str, float]]) -> None:
+def state_targets(bench: Bench, scores: Scores, hover: list[dict[str, float]]) -> None:
+    """Every row against its target, and what hovering changes."""
     hold = bench.findings.hold
     bounds = {EXACT: 0.92, BARE: 0.78, WHITE[0.003]: 0.88, WHITE[0.01]: 0.72, DRIFT_KNOWN: 0.85}
     for name, least in bounds.items():
@@ -136,7 +139,6 @@ def _aim(bench: Bench, scores: Scores, hover: list[dict[str, float]]) -> None:
     change = max(abs(row["hover_f1"]) for row in hover)
     hold("60 s of hover: largest change of F1", "beyond", change, high=0.005)
     hold("60 s of hover: most new false cells", "beyond", max(r["hover_false_occupied"] for r in hover), high=0)
-    bench.findings.tabulate("Beside the best seen", ("", "best seen", "target", "ours"), _targets(scores, hover))
 
 
 def _targets(scores: Scores, hover: list[dict[str, float]]) -> list[tuple[str, ...]]:

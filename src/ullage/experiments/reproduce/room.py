@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ullage.data import Metric
 from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.experiments.reproduce.maps import HEAD, map_at, middle_of, row_of, show_world, walls_of
 from ullage.grids import Grid, OccupancyMap
@@ -29,13 +30,12 @@ def run(bench: Bench) -> None:
     rays = {step: bench.fly(STEPS[step]) for step in steps}
     waves = bench.fly("ntnu-mapping-physical", ["sensing.rate_hz=10"] if bench.quick else [])
     bench.say("mapping on every grid")
-    rows, memory, top, bottom, scored = [], [], [], [], {}
+    rows, memory, top, bottom = [], [], [], []
+    mapped = {step: map_at(waves, step, "ullage") for step in rays}
     for step, flown in rays.items():
-        ours, scores = map_at(waves, step, "ullage")
+        ours, scores = mapped[step]
         if flown.omap is None:
             continue
-        scored["elfes", step] = {name: metric.value for name, metric in flown.metrics.items()}
-        scored["ullage", step] = {name: metric.value for name, metric in scores.items()}
         rows += [row_of(f"Elfes, {step:g} m", flown.omap, flown.metrics), row_of(f"ullage, {step:g} m", ours, scores)]
         top.append(Panel(f"Elfes, {step:g} m (thesis law)", flown.omap, flown.track))
         bottom.append(Panel(f"ullage, {step:g} m (physical law)", ours, waves.track))
@@ -57,7 +57,9 @@ def run(bench: Bench) -> None:
         "bits. The thesis' figures hold for its 10^6 cells; its equation 5.2 prints 50000 in their place.",
     )  # fmt: skip
     _images(bench, rays[0.1], waves)
-    _statements(bench, scored, rays, waves)
+    state(bench, rays, mapped[0.1])
+    if 0.05 in rays:
+        _finest_differs(bench, rays[0.05])
 
 
 def _memory(step: float, omap: OccupancyMap) -> tuple[str, ...]:
@@ -83,43 +85,42 @@ def _images(bench: Bench, rays: Flown, waves: Flown) -> None:
     bench.findings.show(path, "figure 6.9", "The room as a SAR image while it is traversed with four radars.")
 
 
-def _statements(
-    bench: Bench, scored: dict[tuple[str, float], dict[str, float]], rays: dict[float, Flown], waves: Flown
-) -> None:
-    hold = bench.findings.hold
+def state(bench: Bench, rays: dict[float, Flown], ours: tuple[OccupancyMap, dict[str, Metric]]) -> None:
+    """What the thesis says of its maps, and what ullage's mapper adds.
+
+    Args:
+        bench: takes the statements.
+        rays: flights under the ray law by the size of a cell [m]; 0.1 m is among them.
+        ours: ullage's map in cells of 0.1 m, and its scores.
+    """
+    hold, fine = bench.findings.hold, rays[0.1]
     if 0.5 in rays:
-        worse = scored["elfes", 0.5]["accuracy_mean"] - scored["elfes", 0.1]["accuracy_mean"]
-        hold(
-            "Elfes: 0.5 m is unclear; occupied cells lie farther off than at 0.1 m, mean",
-            "7.2",
-            worse,
-            "m",
-            low=0.1,
-            high=0.5,
-        )
-        false = {step: scored["elfes", step]["false_occupied"] * step**2 for step in (0.2, 0.1)}
-        hold("Elfes: 0.2 m gives more falsely occupied area than 0.1 m", "7.2", false[0.2] - false[0.1], "m2", low=1)
-    plate = middle_of(waves.scene, "steel_plate")
+        hold("Elfes: 0.5 m is unclear; occupied cells lie farther off than at 0.1 m, mean", "7.2",
+             rays[0.5].number("accuracy_mean") - fine.number("accuracy_mean"), "m", low=0.1, high=0.5)  # fmt: skip
+    false = {step: flown.number("false_occupied") * _cell_m(flown) ** 2 for step, flown in rays.items()}
+    hold("Elfes: 0.2 m gives more falsely occupied area than 0.1 m", "7.2", false[0.2] - false[0.1], "m2", low=1)
+    plate = middle_of(fine.scene, "steel_plate")
     for step, flown in rays.items():
         if step < 0.5 and flown.omap is not None:
             hold(f"Elfes: the plate is on the map at {step:g} m", "7.2", _gap(flown.omap, plate), "m", high=0.05)
-    hold("Elfes: occupied cells at 0.1 m from the true surface, median", "7.2",
-         scored["elfes", 0.1]["accuracy_median"], "m", high=0.1)  # fmt: skip
-    hold(
-        "Elfes: space behind walls is mapped (share of known cells)",
-        "7.2",
-        scored["elfes", 0.1]["known_behind"],
-        low=0.02,
-    )
-    hold("Elfes: surface found at 0.1 m (recall)", "7.2", scored["elfes", 0.1]["recall"], low=0.5)
-    ours, _ = map_at(waves, 0.1, "ullage")
-    hold("ullage: the plate is on the map at 0.1 m", "beyond", _gap(ours, plate), "m", high=0.15)
-    mine, theirs = scored["ullage", 0.1], scored["elfes", 0.1]
-    hold("ullage's F1 over Elfes', both on their own frames, 0.1 m", "beyond", mine["f1"] - theirs["f1"], low=0.05)
-    hold("ullage: cells held known over 0.3 m behind a surface (share)", "beyond", mine["known_behind"], high=0.005)
-    hold("ullage: surface declared free (share)", "beyond", mine["surface_declared_free"], high=0.01)
+    hold("Elfes: occupied cells at 0.1 m from the true surface, median", "7.2", fine.number("accuracy_median"), "m",
+         high=0.1)  # fmt: skip
+    hold("Elfes: space behind walls is mapped (share of known cells)", "7.2", fine.number("known_behind"), low=0.02)
+    hold("Elfes: surface found at 0.1 m (recall)", "7.2", fine.number("recall"), low=0.5)
+    if 0.05 in rays:
+        hold("Elfes at 0.05 m: few falsely occupied cells (precision)", "7.2", rays[0.05].number("precision"), low=0.8)
+    omap, scores = ours
+    hold("ullage: the plate is on the map at 0.1 m", "beyond", _gap(omap, plate), "m", high=0.15)
+    hold("ullage's F1 over Elfes', both on their own frames, 0.1 m", "beyond", scores["f1"].value - fine.number("f1"),
+         low=0.05)  # fmt: skip
+    hold("ullage: cells held known over 0.3 m behind a surface (share)", "beyond", scores["known_behind"].value,
+         high=0.005)  # fmt: skip
+    hold("ullage: surface declared free (share)", "beyond", scores["surface_declared_free"].value, high=0.01)
     _memory_of_nodes(bench)
-    _differences(bench, scored, rays)
+
+
+def _cell_m(flown: Flown) -> float:
+    return float("nan") if flown.omap is None else flown.omap.grid.step_m
 
 
 def _memory_of_nodes(bench: Bench) -> None:
@@ -132,25 +133,20 @@ def _memory_of_nodes(bench: Bench) -> None:
     hold("the same with one byte a cell; the thesis: 1 MB", "5.3.1", small, "MB", low=0.95, high=1.03)
 
 
-def _differences(bench: Bench, scored: dict[tuple[str, float], dict[str, float]], rays: dict[float, Flown]) -> None:
+def _finest_differs(bench: Bench, flown: Flown) -> None:
     """Figure 6.13: the finest grid."""
-    if 0.05 in rays:
-        fine, flown = scored["elfes", 0.05], rays[0.05]
-        mapper = ElfesMapper(Grid.covering(flown.scene.bounds, 0.05, margin_m=1.0), spread_m=0.05)
-        mapper.update(flown.frames)
-        thin = map_quality(mapper.map(), flown.scene, flown.frames)
-        bench.findings.hold(
-            "Elfes at 0.05 m: few falsely occupied cells (precision)", "7.2", fine["precision"], low=0.8
-        )
-        bench.findings.differ(
-            "figure 6.13 d", "0.05 m is as good as 0.1 m",
-            f"few false cells (precision {fine['precision']:.2f}), but recall {fine['recall']:.2f}, and "
-            f"{100 * fine['surface_declared_free']:.0f} % of the surface declared free",
-            "method: a reading's f_o is normalised to a sum of 1 over its arc. Half the side of a cell means four "
-            "times as many cells, each with a quarter of the evidence, at the same number of readings. An arc of half "
-            f"the thickness 0.05 m in place of 0.15 m gives recall {thin['recall'].value:.2f} and "
-            f"{100 * thin['surface_declared_free'].value:.0f} % free. A slower flight was not tried.",
-        )  # fmt: skip
+    mapper = ElfesMapper(Grid.covering(flown.scene.bounds, 0.05, margin_m=1.0), spread_m=0.05)
+    mapper.update(flown.frames)
+    thin = map_quality(mapper.map(), flown.scene, flown.frames)
+    bench.findings.differ(
+        "figure 6.13 d", "0.05 m is as good as 0.1 m",
+        f"few false cells (precision {flown.number('precision'):.2f}), but recall {flown.number('recall'):.2f}, and "
+        f"{100 * flown.number('surface_declared_free'):.0f} % of the surface declared free",
+        "method: a reading's f_o is normalised to a sum of 1 over its arc. Half the side of a cell means four "
+        "times as many cells, each with a quarter of the evidence, at the same number of readings. An arc of half "
+        f"the thickness 0.05 m in place of 0.15 m gives recall {thin['recall'].value:.2f} and "
+        f"{100 * thin['surface_declared_free'].value:.0f} % free. A slower flight was not tried.",
+    )  # fmt: skip
 
 
 def _gap(omap: OccupancyMap, point: np.ndarray) -> float:

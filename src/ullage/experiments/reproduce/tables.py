@@ -94,11 +94,17 @@ def run(bench: Bench) -> None:
             )
         bench.findings.numbers[f"speed {table}"] = _factor(thesis)
         bench.findings.numbers[f"physical speed {table}"] = _factor(physical)
-        faster = f"the thesis' methods run faster than the thesis' {speed:g} times real time"
-        bench.findings.hold(faster, f"table {table}", _factor(thesis), "times", low=speed)
-        if "map" in printed:
-            bench.findings.hold("Elfes' map takes less CPU at real time than the thesis' node", f"table {table}",
-                                thesis.percent("map"), "%", high=printed["map"] / speed)  # fmt: skip
+        state(bench, table, thesis)
+
+
+def state(bench: Bench, table: str, spent: Spent) -> None:
+    """Set speed and CPU of the thesis' methods against what a table of the thesis prints."""
+    _, speed, printed = PRINTED[table]
+    faster = f"the thesis' methods run faster than the thesis' {speed:g} times real time"
+    bench.findings.hold(faster, f"table {table}", _factor(spent), "times", low=speed)
+    if "map" in printed:
+        bench.findings.hold("Elfes' map takes less CPU at real time than the thesis' node", f"table {table}",
+                            spent.percent("map"), "%", high=printed["map"] / speed)  # fmt: skip
 
 
 def _factor(spent: Spent) -> float:

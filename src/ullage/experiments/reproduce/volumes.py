@@ -106,7 +106,7 @@ def run(bench: Bench) -> None:
     bench.findings.tabulate("Methods in a volume", ("method", *COLUMNS.values()), rows, note=NOTE)
     level = [tuple(interval([row[key] for row in scores[LEVEL]]) for key in FLAGGED)]
     bench.findings.tabulate("Flown level: what a second height would tell", tuple(FLAGGED.values()), level, note=OPEN)
-    _statements(bench, scores)
+    state(bench, scores)
 
 
 NOTE = (
@@ -119,7 +119,8 @@ OPEN = (
 )
 
 
-def _statements(bench: Bench, scores: Scores) -> None:
+def state(bench: Bench, scores: Scores) -> None:
+    """Scores of the maps, and what a level flight leaves open."""
     hold = bench.findings.hold
     hold(f"F1: {EXACT}", "beyond", mean_of(scores, EXACT, "f1"), low=0.8)
     for name in (EXACT, BARE, WHITE, LEVEL):
