@@ -79,10 +79,13 @@ def clutter(bench: Bench, scene: Scene, path: Trajectory, wire_m: Floats) -> Non
 
 
 def _left(before: Frames, after: Frames, where: NDArray[np.bool_], *, less: Frames | None = None) -> float:
-    """What suppression leaves within some bins, rms over rms [dB]; `less` holds what ought to be left."""
+    """What suppression leaves within some bins, rms over rms [dB]; `less` holds what ought to be left.
+
+    NaN where there was no echo to suppress.
+    """
     wanted = 0.0 if less is None else less.amplitude[where]
     rms = [float(np.sqrt(np.mean((f.amplitude[where] - wanted) ** 2))) for f in (before, after)]
-    return float(decibel(rms[1] / rms[0]))
+    return float(decibel(rms[1] / rms[0])) if rms[0] else float("nan")
 
 
 def tail(bench: Bench, scene: Scene, path: Trajectory) -> None:
