@@ -39,7 +39,10 @@ class GuardSpec(Spec):
     on: bool = Field(False, description="fly in closed loop with the guard")
     margin_m: float = Field(0.3, gt=0, le=10, description="gap kept between hull and obstacle")
     braking_m_s2: float = Field(0.8, gt=0, le=10, description="deceleration that the vehicle surely reaches")
-    latency_s: float = Field(0.5, ge=0, le=5, description="from an echo until the vehicle slows down")
+    latency_s: float = Field(
+        0.3, ge=0, le=5, description="from an echo until the command of the next frame acts: a frame period and delays"
+    )
+    lag_s: float = Field(0.25, ge=0, le=5, description="time constant with which the vehicle follows a velocity")
     sigmas: float = Field(2.0, ge=0, le=6, description="standard deviations by which distances are shortened")
     release_m: float = Field(0.15, ge=0, le=5, description="more room than at the stop before it flies on")
     recovery_m_s2: float = Field(0.6, gt=0, le=10, description="growth of the limit once the path is free")

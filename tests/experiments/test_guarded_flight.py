@@ -74,6 +74,12 @@ def test_one_waypoint_is_no_guarded_flight() -> None:
         Loop(plan, ROOM, plan.sensing.radars(), 10.0).fly(POINTS[:1])
 
 
+def test_a_latency_shorter_than_a_frame_is_refused() -> None:
+    plan = scenario()
+    with pytest.raises(InputError, match=r"flight.guard.latency_s: 2 frames a second.*>= one frame, 0.5 s"):
+        Loop(plan, ROOM, plan.sensing.radars(), 2.0).fly(POINTS)
+
+
 @pytest.mark.slow
 def test_run_with_the_guard_on_writes_a_run_and_says_why_it_ended(tmp_path: Path) -> None:
     file = tmp_path / "wall.yaml"

@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import ullage as ul
 from ullage.config import GuardSpec, make_scenario
 from ullage.data import Trajectory
 from ullage.errors import InputError
-from ullage.processing.guard import Guard, Limit, allowed_speed
+from ullage.flight.live import Steered, Wish
+from ullage.processing.braking import allowed_speed, distance_to_rest, stopping_distance
+from ullage.processing.guard import Guard, Limit
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage, ObstacleTracks
 
 HULL_M = 0.4
 NAMES = ("front", "left", "back", "right")
 STEP_S = 1 / 17
+EMPTY = ObstacleStage(expected=ul.Rig.preset("thesis-4").sensors).sectors(0)
 Echo = tuple[str, float, float]  # sensor, distance [m], closing speed [m/s]
 
 
 def sectors(
-    row: int, *echoes: Echo, dead: tuple[str, ...] = (), outside: bool = False, sigma_m: float = 0.0
+    row: float, *echoes: Echo, dead: tuple[str, ...] = (), outside: bool = False, sigma_m: float = 0.0
 ) -> ObstacleSectors:
     """Four sectors of 95 degrees with given tracks."""
-    empty = ObstacleStage(expected=ul.Rig.preset("thesis-4").sensors).sectors(0)
     valid = np.array([name not in dead for name in NAMES])
     rows = len(echoes)
     tracks = ObstacleTracks(
@@ -34,8 +39,8 @@ def sectors(
         np.full(rows, 30.0), np.full(rows, outside),
     )  # fmt: skip
     return ObstacleSectors(
-        round(row * STEP_S * 1e9), NAMES, empty.boresight, empty.centre_rad, empty.width_rad, empty.least_m,
-        empty.reach_m, empty.distance_m, empty.sigma_m, empty.closing_speed_m_s, empty.closing_sigma_m_s, valid,
+        round(row * STEP_S * 1e9), NAMES, EMPTY.boresight, EMPTY.centre_rad, EMPTY.width_rad, EMPTY.least_m,
+        EMPTY.reach_m, EMPTY.distance_m, EMPTY.sigma_m, EMPTY.closing_speed_m_s, EMPTY.closing_sigma_m_s, valid,
         ~valid, tuple("" if ok else "silent" for ok in valid), tracks,
     )  # fmt: skip
 
@@ -60,36 +65,94 @@ def settled(
     return limits[-1]
 
 
-@pytest.mark.parametrize("speed", [0.3, 0.7, 1.0, 2.0])
-@pytest.mark.parametrize("latency_s", [0.1, 0.5, 1.0])
-@pytest.mark.parametrize("braking", [0.4, 0.8, 2.0])
-def test_a_vehicle_with_the_latency_given_never_enters_the_margin(
-    speed: float, latency_s: float, braking: float
+@dataclass
+class Vehicle:
+    """One dimension: it follows the last command that has arrived, with a lag and a limited deceleration."""
+
+    gap_m: float  # from the hull to the obstacle
+    lag_s: float
+    braking_m_s2: float
+    speed: float = 0.0
+    now_s: float = 0.0
+    commands: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0)])  # when each acts, and its speed
+
+    def ask(self, speed: float, delay_s: float) -> None:
+        """Commands arrive in their order."""
+        self.commands.append((max(self.now_s + delay_s, self.commands[-1][0]), speed))
+
+    def fly(self, time_s: float) -> None:
+        count = math.ceil(time_s / 0.005)
+        step_s = time_s / count
+        for _ in range(count):
+            while len(self.commands) > 1 and self.commands[1][0] <= self.now_s:
+                del self.commands[0]
+            pull = (self.commands[0][1] - self.speed) / max(self.lag_s, step_s)
+            self.speed += step_s * min(max(pull, -self.braking_m_s2), 5.0)
+            self.gap_m -= self.speed * step_s
+            self.now_s += step_s
+
+
+SPECS = st.builds(
+    GuardSpec, latency_s=st.floats(0.1, 1.0), lag_s=st.floats(0.0, 1.0), braking_m_s2=st.floats(0.3, 3.0),
+    back_off_m_s=st.just(0.0), release_m=st.just(0.0), recovery_m_s2=st.just(5.0),
+)  # fmt: skip
+
+
+@settings(max_examples=20, deadline=None)
+@given(spec=SPECS, wanted=st.floats(0.1, 3.0), share=st.floats(0.2, 1.0), part=st.floats(0.0, 1.0),
+       harder=st.floats(1.0, 4.0), phase=st.floats(0.0, 1.0), seed=st.integers(0, 9))  # fmt: skip
+def test_no_vehicle_within_the_limits_enters_the_margin(
+    spec: GuardSpec, wanted: float, share: float, part: float, harder: float, phase: float, seed: int
 ) -> None:
-    """It closes at a constant speed; a latency after the limit falls below that, it brakes at the given rate."""
-    spec = GuardSpec(latency_s=latency_s, braking_m_s2=braking, back_off_m_s=0.0)
-    guard, gap, first = Guard(spec, hull_m=HULL_M), 12.0, None
-    step_s, now = 0.001, speed
-    for row in range(60_000):
-        if row % 58 == 0:  # a frame: nearly 17 a second
-            echo = ("front", gap + HULL_M - speed * 0.059, now)  # the echo may be one frame old when it counts
-            limit = guard.limit((speed, 0, 0), sectors(row // 58, echo), odometry((now, 0, 0)))
-            if first is None and row > 58 * 70 and limit.velocity[0] < speed:
-                first = row * step_s
-        if first is not None and row * step_s >= first + latency_s:
-            now = max(now - braking * step_s, 0.0)
-        gap -= now * step_s if row > 58 * 70 else 0.0  # the limit has grown to the speed before it flies
-        if now == 0:
-            break
-    assert spec.margin_m - 1e-3 <= gap < spec.margin_m + 0.2
+    """Any frame period, delay that changes from command to command, lag and deceleration that the settings allow."""
+    period_s = max(share * spec.latency_s, 0.03)
+    room = float(stopping_distance(wanted, spec)) + spec.margin_m
+    car = Vehicle(room + phase * wanted * period_s, part * spec.lag_s, spec.braking_m_s2 * harder)
+    guard, draw = Guard(spec, hull_m=HULL_M), np.random.default_rng(seed)
+    for row in range(round(min(15.0, 4 * room / wanted + 6) / period_s)):
+        echo = ("front", car.gap_m + HULL_M, car.speed)
+        limit = guard.limit((wanted, 0, 0), sectors(row * period_s / STEP_S, echo), odometry((car.speed, 0, 0)))
+        car.ask(float(limit.velocity[0]), draw.uniform(0, max(spec.latency_s - period_s, 0.0)))
+        car.fly(period_s)
+        assert car.gap_m > spec.margin_m - 5e-3 * wanted
+    assert car.gap_m < spec.margin_m + 0.1 + 0.1 * room  # and it comes as near as it may
+
+
+def test_a_law_of_the_distance_alone_lets_a_lagging_vehicle_into_the_margin() -> None:
+    """The reason for the prediction: tracking v t + v^2 / (2 a) = d with the same delay and lag overshoots."""
+    spec = GuardSpec(latency_s=0.3, lag_s=0.5)
+    car = Vehicle(4.0, spec.lag_s, spec.braking_m_s2)
+    for _ in range(160):
+        waiting = float(allowed_speed(car.gap_m - spec.margin_m, spec))
+        car.ask(min(waiting, 1.5), 0.2)
+        car.fly(0.1)
+    assert car.gap_m < spec.margin_m - 0.02
+
+
+@pytest.mark.parametrize("wind", [0.0, 3.0])
+def test_the_default_settings_bound_the_multirotor_shipped(wind: float) -> None:
+    """It comes to rest from a command of zero within the distance that the law gives it, less one frame at 10 Hz."""
+    spec = GuardSpec()
+    for speed in (0.2, 0.5, 1.0, 1.5):
+        drone = Steered("hector", start=(0, 0, 1, 0), wind_m_s=(wind, 0, 0), gust_m_s=wind / 5, moving_s=12)
+        drone.ask(Wish(velocity_m_s=(speed, 0.0), heading_rad=0.0))
+        drone.advance(round(8e9))
+        start, fast = drone.position[0], drone.velocity[0]
+        drone.ask(Wish(velocity_m_s=(0.0, 0.0)))
+        places = []
+        for k in range(1, 40):
+            drone.advance(round((8 + k / 10) * 1e9))
+            places.append(drone.position[0] - start)
+        assert max(places) < float(fast * (spec.latency_s - 0.1) + distance_to_rest(fast, spec))
 
 
 def test_allowed_speed_is_what_stops_within_the_free_distance() -> None:
     spec = GuardSpec()
-    speed = allowed_speed([0.0, -1.0, 1.0], spec)
-    assert speed[0] == 0.0
-    assert speed[1] == 0.0
-    assert speed[2] * spec.latency_s + speed[2] ** 2 / (2 * spec.braking_m_s2) == pytest.approx(1.0)
+    assert allowed_speed([0.0, -1.0], spec).tolist() == [0.0, 0.0]
+    speeds = np.linspace(0.01, 3, 50)
+    assert allowed_speed(stopping_distance(speeds, spec), spec) == pytest.approx(speeds)
+    fast = 1.0 * spec.latency_s + 1.0 / (2 * spec.braking_m_s2)
+    assert stopping_distance(1.0, spec) == pytest.approx(fast + spec.braking_m_s2 * spec.lag_s**2 / 2)
 
 
 def test_a_wall_abeam_does_not_stop_a_flight_along_it() -> None:
@@ -101,7 +164,7 @@ def test_a_wall_abeam_does_not_stop_a_flight_along_it() -> None:
 def test_from_a_hover_an_obstacle_bounds_its_whole_sector() -> None:
     ahead = settled(Guard(GuardSpec(), hull_m=HULL_M), (1, 0, 0), ("front", 1.2, 0.0)).velocity[0]
     aslant = settled(Guard(GuardSpec(), hull_m=HULL_M), (0.8, 0.6, 0), ("front", 1.2, 0.0)).velocity
-    assert ahead == pytest.approx(float(allowed_speed(0.5, GuardSpec())), rel=1e-6)
+    assert ahead == pytest.approx(float(allowed_speed(0.5, GuardSpec())), rel=2e-3)
     assert np.linalg.norm(aslant) == pytest.approx(ahead, rel=1e-6)  # 37 degrees off: still in the main lobe
     away = settled(Guard(GuardSpec(), hull_m=HULL_M), (-1, 0, 0), ("front", 1.2, 0.0))
     assert away.state == "free"
@@ -118,7 +181,7 @@ def test_an_obstacle_that_approaches_by_itself_costs_its_own_speed() -> None:
     still = settled(Guard(GuardSpec(), hull_m=HULL_M), (0.5, 0, 0), ("front", 2.0, 0.3), own=(0.3, 0, 0))
     person = settled(Guard(GuardSpec(), hull_m=HULL_M), (0.5, 0, 0), ("front", 2.0, 1.3), own=(0.3, 0, 0))
     assert still.state == "free"
-    assert person.velocity[0] < 0.1
+    assert 0 <= person.velocity[0] < allowed_speed(2.0 - HULL_M - 0.3, GuardSpec()) - 1.0 + 0.005
 
 
 def test_a_silent_sensor_stops_its_own_direction_and_no_other() -> None:

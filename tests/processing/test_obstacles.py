@@ -128,6 +128,18 @@ def test_a_silent_sensor_has_an_unknown_distance(hall: dict[str, Frames]) -> Non
     assert not stage.sectors(after.t_ns + 10**9).valid.any()
 
 
+def test_distances_go_on_closing_between_the_frames_of_a_sensor(hall: dict[str, Frames]) -> None:
+    """A sensor that is late but not yet stale does not leave its obstacle where it was."""
+    stage = ObstacleStage()
+    last = one_by_one(stage, hall)[-1]
+    front = last.sensors.index("front")
+    later = stage.sectors(last.t_ns + 400_000_000)
+    assert later.valid[front]
+    assert last.distance_m[front] - later.distance_m[front] == pytest.approx(0.4 * 0.7, abs=0.03)
+    assert later.sigma_m[front] > last.sigma_m[front]
+    assert np.isclose(later.tracks.distance_m, later.distance_m[front]).any()
+
+
 @pytest.mark.parametrize("fault", ["zeros", "frozen"])
 def test_a_sensor_that_repeats_itself_is_not_alive(hall: dict[str, Frames], fault: str) -> None:
     samples = hall["front"].samples.copy()

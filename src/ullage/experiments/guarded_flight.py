@@ -144,12 +144,17 @@ class Loop:
             progress: called with the fraction of the longest possible flight, 0 to 1.
 
         Raises:
-            InputError: the start is in or too near to something, or there is one waypoint only.
+            InputError: the start is in or too near to something, there is one waypoint only, or a frame takes longer
+                than the guard's latency.
         """
         plan, guard_spec = self.scenario.flight, self.scenario.flight.guard
         check_clear(points[0], plan.vehicle, self.scene)
         if len(points) < 2:
             raise InputError("one waypoint", where="flight.waypoints", allowed="two or more with flight.guard.on")
+        if 1 / self.rate_hz > guard_spec.latency_s:
+            what = f"{self.rate_hz:g} frames a second and a latency of {guard_spec.latency_s:g} s"
+            least = f">= one frame, {1 / self.rate_hz:.3g} s"
+            raise InputError(what, where="flight.guard.latency_s", allowed=least)
         longest_s = _longest_s(points, plan.speed_m_s) + plan.hover_s + guard_spec.give_up_s
         vehicle = Steered(plan.vehicle, scene=self.scene, start=_start(points), wind_m_s=plan.wind_m_s,
                           gust_m_s=plan.gust_m_s, seed=self.scenario.seed, moving_s=longest_s)  # fmt: skip

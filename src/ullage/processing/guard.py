@@ -1,15 +1,15 @@
 """Limit a wanted velocity so that the drone stops before the obstacles that its radars follow.
 
-The braking law is that of autopilots' collision prevention [PX4Collision]: the speed towards an obstacle stays below
-what can be braked within the free distance after a known latency. Radars measure no bearing. What a velocity closes on
-an obstacle is bounded by the main lobe, and more sharply by the closing speed that the present velocity causes.
-The guard uses obstacle distances and odometry alone.
+A velocity is safe where the drone still stops in time if every later command is zero (`processing.braking`). Radars
+measure no bearing. The main lobe bounds the speed at which a velocity closes on an obstacle, and the closing speed that
+the present velocity causes bounds it more sharply. The guard uses obstacle distances and odometry alone.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from ullage.config import GuardSpec
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
+from ullage.processing.braking import Approach, safe_shares
 from ullage.processing.obstacles import ObstacleSectors
 
 Floats = NDArray[np.float64]
@@ -36,18 +37,6 @@ class Limit:
     state: State
     sensor: str  # whose obstacle or silence decided; "" where none did
     free_m: float  # distance to that obstacle, less hull, margin and uncertainty; NaN where none decided [m]
-
-
-def allowed_speed(free_m: ArrayLike, spec: GuardSpec) -> Floats:
-    """Greatest closing speed that stops within a free distance: v t + v^2 / (2 a) = d [m/s].
-
-    Args:
-        free_m: distances (n) left after hull and margin [m].
-        spec: latency t and deceleration a.
-    """
-    lag = spec.braking_m_s2 * spec.latency_s
-    free = np.maximum(np.asarray(free_m, float), 0.0)
-    return np.asarray(np.sqrt(lag**2 + 2 * spec.braking_m_s2 * free) - lag)
 
 
 class Guard:
@@ -68,6 +57,7 @@ class Guard:
         self._speed = 0.0  # last limit along the wanted direction
         self._last_ns: int | None = None
         self._held = False  # stopped, until there is clearly more room
+        self._commands: deque[tuple[int, Floats]] = deque()  # time and velocity in the world of those that may act
 
     def limit(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory | None) -> Limit:
         """The velocity to fly now.
@@ -87,19 +77,47 @@ class Guard:
             raise InputError("the guard has no odometry", where="Guard", allowed="believed poses with velocities")
         world_from_body = quat_matrix(odometry.quat_xyzw[-1])
         own = world_from_body.T @ odometry.rates[0][-1]
-        table = _table(sectors, self.spec, self._hull_m + (self.spec.release_m if self._held else 0.0))
+        table = self._table(own, sectors, world_from_body)
+        limit = self._limit(want, own, sectors, table, world_from_body)
+        self._commands.append((sectors.t_ns, limit.velocity))
+        return limit
+
+    def _limit(
+        self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table, world_from_body: Floats
+    ) -> Limit:
         speed = float(np.linalg.norm(want))
-        share, k, free_m = self._share(world_from_body.T @ want, own, sectors, table)
+        kept = table.nearer_by(self.spec.release_m) if self._held else table
+        share, k, free_m = self._share(world_from_body.T @ want, own, sectors, kept)
         now = self._recovered(share * speed, sectors.t_ns)
         self._held = speed > _STOPPED_M_S and share * speed < _STOPPED_M_S
         sensor = sectors.sensors[k] if k >= 0 else ""
-        away = self._back_off(own, sectors, _table(sectors, self.spec, self._hull_m))
+        away = self._back_off(own, sectors, table)
         if away is not None:
             return Limit(world_from_body @ away, "back_off", sensor, free_m)
         if speed - now < 1e-6:
             return Limit(want, "free", "", math.nan)
         velocity = want * (now / speed)
         return Limit(velocity, "stop" if self._held else "limited", sensor, free_m)
+
+    def _table(self, own: Floats, sectors: ObstacleSectors, world_from_body: Floats) -> _Table:
+        while self._commands and self._end_s(self._commands[0][0], sectors.t_ns) <= 0:
+            self._commands.popleft()
+        tracks, spec = sectors.tracks, self.spec
+        still = np.zeros(len(tracks))
+        free = tracks.distance_m - spec.sigmas * tracks.sigma_m - self._hull_m - spec.margin_m
+        moving = np.maximum(tracks.closing_speed_m_s - np.linalg.norm(own), 0.0)
+        table = _Table(tracks.sensor, tracks.outside, tracks.closing_speed_m_s, spec.sigmas * tracks.closing_sigma_m_s,
+                       Approach(free, still, moving, still[None], still[:0]))  # fmt: skip
+        issued = [_closing(world_from_body.T @ velocity, own, sectors, table) for _, velocity in self._commands]
+        return replace(table, approach=replace(
+            table.approach, speed_m_s=_closing(own, own, sectors, table),
+            issued_m_s=np.array(issued).reshape(len(issued), len(tracks)),
+            ends_s=np.array([self._end_s(t_ns, sectors.t_ns) for t_ns, _ in self._commands]),
+        ))  # fmt: skip
+
+    def _end_s(self, issued_ns: int, now_ns: int) -> float:
+        """Time until when a command may act [s]; one of the future is from before the clock was set back."""
+        return (issued_ns - now_ns) * 1e-9 + self.spec.latency_s if issued_ns <= now_ns else 0.0
 
     def _share(self, want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table) -> tuple[float, int, float]:
         """Share of a wanted velocity in the body that is safe; the sensor that decides and its free distance."""
@@ -110,12 +128,11 @@ class Guard:
             silent = np.flatnonzero(~sectors.valid)
             return min(1.0, self.spec.unseen_m_s / level), int(silent[0]) if len(silent) else -1, math.nan
         closing = _closing(want, own, sectors, table)
-        room = allowed_speed(table.free_m, self.spec) - np.maximum(table.closing - np.linalg.norm(own), 0.0)
-        shares = np.where(closing > 1e-9, np.maximum(room, 0.0) / np.maximum(closing, 1e-9), 1.0)
+        shares = safe_shares(table.approach, closing, self.spec)
         if not len(shares) or shares.min() >= 1:
             return 1.0, -1, math.nan
         worst = int(np.argmin(shares))
-        return float(shares[worst]), int(table.sensor[worst]), float(table.free_m[worst])
+        return float(shares[worst]), int(table.sensor[worst]), float(table.approach.free_m[worst])
 
     def _recovered(self, speed: float, t_ns: int) -> float:
         """The limit falls at once and grows slowly."""
@@ -128,7 +145,7 @@ class Guard:
         """A velocity in the body that leaves an obstacle well inside the margin; None: not needed, or no room."""
         if not self.spec.back_off_m_s:
             return None
-        near = (table.free_m < -self.spec.back_off_share * self.spec.margin_m) & ~table.outside
+        near = (table.approach.free_m < -self.spec.back_off_share * self.spec.margin_m) & ~table.outside
         push = -sectors.boresight[np.unique(table.sensor[near])].sum(0) * np.array([1.0, 1.0, 0.0])
         size = float(np.linalg.norm(push))
         if size < 0.5:  # none, or opposite ones
@@ -143,21 +160,20 @@ class _Table:
     """Tracks of working sensors, as the guard uses them."""
 
     sensor: NDArray[np.int64]  # (m)
-    free_m: Floats  # (m)
-    closing: Floats  # (m) [m/s]
-    sigma: Floats  # (m) of the closing speed, times the factor of the settings [m/s]
     outside: NDArray[np.bool_]  # (m)
+    closing: Floats  # (m) measured [m/s]
+    sigma: Floats  # (m) of it, times the factor of the settings [m/s]
+    approach: Approach
 
     def only(self, rows: NDArray[np.bool_]) -> _Table:
         """Some of them."""
-        return _Table(self.sensor[rows], self.free_m[rows], self.closing[rows], self.sigma[rows], self.outside[rows])
+        return _Table(
+            self.sensor[rows], self.outside[rows], self.closing[rows], self.sigma[rows], self.approach.only(rows)
+        )
 
-
-def _table(sectors: ObstacleSectors, spec: GuardSpec, kept_m: float) -> _Table:
-    tracks = sectors.tracks
-    free = tracks.distance_m - spec.sigmas * tracks.sigma_m - kept_m - spec.margin_m
-    sigma = spec.sigmas * tracks.closing_sigma_m_s
-    return _Table(tracks.sensor, free, tracks.closing_speed_m_s, sigma, tracks.outside)
+    def nearer_by(self, length_m: float) -> _Table:
+        """The same with less room."""
+        return replace(self, approach=replace(self.approach, free_m=self.approach.free_m - length_m))
 
 
 def _covered(want: Floats, sectors: ObstacleSectors) -> bool:

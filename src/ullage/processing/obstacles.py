@@ -3,6 +3,7 @@
 Detections come from CFAR [Rohling1983] after the radar's own echo is removed. A Kalman filter follows each echo in
 range (`processing.range_tracks`). A radar measures no bearing, so an obstacle bounds the whole sector of its main
 lobe. Ego-motion tells the floor and side lobes apart: they do not close as fast as things in the main lobe must.
+Distances hold for the time asked for: between the frames of a sensor, its tracks move on at their closing speeds.
 A sensor that is silent, or repeats one frame, has an unknown distance: whoever steers has to stop.
 """
 
@@ -114,6 +115,14 @@ class _Sensor:
     wrong_way: int = 0  # frames in which the strongest echo moves as if the sensor pointed the other way
     fault: str = ""
 
+    def tracks_at(self, t_ns: int) -> list[Track]:
+        """The confirmed tracks at a time after the last frame, moved on at their closing speeds, nearest first."""
+        age_s = 0.0 if self.fresh_ns is None else max(t_ns - self.fresh_ns, 0) * 1e-9
+        if not age_s:
+            return self.confirmed
+        noise = self.tracker.spec.acceleration_m_s2**2 * age_s**2
+        return sorted((track.after(age_s, noise) for track in self.confirmed), key=lambda track: track.range_m)
+
 
 @dataclass(slots=True)
 class ObstacleStage:
@@ -169,7 +178,8 @@ class ObstacleStage:
         stale = np.array([s.fresh_ns is None or t_ns - s.fresh_ns > self.stale_s * 1e9 for s in parts], bool)
         fault = tuple(s.fault or ("no new frame" if late else "") for s, late in zip(parts, stale, strict=True))
         valid = np.array([not text for text in fault], bool)
-        near = [next((track for track in s.confirmed if not track.outside), None) for s in parts]
+        tracks = [s.tracks_at(t_ns) for s in parts]
+        near = [next((track for track in found if not track.outside), None) for found in tracks]
         bore = np.array([s.boresight for s in parts]).reshape(-1, 3)
         arm = np.array([s.arm_m for s in parts])
 
@@ -186,7 +196,7 @@ class ObstacleStage:
             sigma_m=column(lambda track: math.sqrt(track.var_r), math.nan),
             closing_speed_m_s=column(lambda track: track.closing_m_s, math.nan),
             closing_sigma_m_s=column(lambda track: math.sqrt(track.var_v), math.nan),
-            valid=valid, stale=stale, fault=fault, tracks=_table(parts, valid),
+            valid=valid, stale=stale, fault=fault, tracks=_table(parts, tracks, valid),
         )  # fmt: skip
 
     def _steps(
@@ -285,8 +295,8 @@ def _check_mount(sensor: _Sensor, motion: Motion) -> None:
         sensor.fault = "its strongest echo recedes where the mount says that it approaches: mounted upside down?"
 
 
-def _table(parts: list[_Sensor], valid: Bools) -> ObstacleTracks:
-    rows = [(k, s, track) for k, s in enumerate(parts) if valid[k] for track in s.confirmed]
+def _table(parts: list[_Sensor], tracks: list[list[Track]], valid: Bools) -> ObstacleTracks:
+    rows = [(k, s, track) for k, s in enumerate(parts) if valid[k] for track in tracks[k]]
 
     def column(get: Any) -> Floats:
         return np.array([get(s, track) for _, s, track in rows], float)

@@ -8,7 +8,7 @@ that change across the boresight counts as process noise. Tracks are confirmed b
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,25 @@ class Track:
     def closing_m_s(self) -> float:
         """Closing speed [m/s], above zero where the obstacle approaches."""
         return -self.rate_m_s
+
+    def after(self, time_s: float, noise: float) -> Track:
+        """The track a time later, without a new frame.
+
+        Args:
+            time_s: since its last frame [s].
+            noise: variance that accelerations add to the rate in that time [m^2/s^2].
+        """
+        later = replace(self)
+        later.move(time_s, noise)
+        later.range_m = max(later.range_m, 0.0)
+        return later
+
+    def move(self, time_s: float, noise: float) -> None:
+        """Predict range, rate and their covariance; arguments as for `after`."""
+        self.range_m += self.rate_m_s * time_s
+        self.var_r += 2 * time_s * self.cov + time_s**2 * self.var_v + noise * time_s**2 / 4
+        self.cov += time_s * self.var_v + noise * time_s / 2
+        self.var_v += noise
 
     @property
     def outside(self) -> bool:
@@ -132,10 +151,8 @@ class RangeTracker:
         noise = self.spec.acceleration_m_s2**2 * dt**2
         for track in self.tracks:
             track.rate_m_s -= along
-            track.range_m += track.rate_m_s * dt
-            track.var_r += 2 * dt * track.cov + dt**2 * track.var_v + noise * dt**2 / 4
-            track.cov += dt * track.var_v + noise * dt / 2
-            track.var_v += noise + spread
+            track.move(dt, noise)
+            track.var_v += spread
             track.history = (track.history << 1) & ((1 << self.spec.window) - 1)
 
     def _associate(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[int]:
