@@ -69,6 +69,19 @@ def test_a_track_is_born_of_three_hits_in_five_frames_and_no_fewer() -> None:
     assert not any(feed(rare, row, [3.0] if row % 3 == 0 else []) for row in range(30))
 
 
+def test_a_score_keeps_out_tracks_that_jump_between_unrelated_echoes() -> None:
+    false = {}
+    for odds in (1.0, TrackerSpec().odds):
+        rng, tracker, found, false[odds] = np.random.default_rng(3), RangeTracker(TrackerSpec(odds=odds)), 0, 0
+        for row in range(120):
+            tracks = feed(tracker, row, [*rng.uniform(1.0, 9.0, 24), 3.0 + rng.normal(0, 0.01)])
+            near = [abs(track.range_m - 3.0) < 0.1 for track in tracks]
+            found += any(near)
+            false[odds] += len(near) - sum(near)
+        assert found > 100
+    assert false[TrackerSpec().odds] < false[1.0] / 8
+
+
 def test_a_track_dies_when_its_echo_stays_away_but_not_inside_the_blind_range() -> None:
     for place, alive in ((2.0, False), (0.4, True)):
         tracker = RangeTracker(TrackerSpec(coast_s=0.4, blind_s=5.0))

@@ -250,6 +250,7 @@ class ObstacleStage:
         sensor = self._sensors[name]
         sensor.tracker.blind_m = blind_m(part)
         sensor.range_m = (float(part.range_m[0]), float(part.range_m[-1]))
+        sensor.tracker.span_m = sensor.range_m[1] - sensor.range_m[0]
 
 
 def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:

@@ -2,7 +2,9 @@
 
 Each track is a constant-velocity filter [BarShalomEtAl2001, ch. 6]. A change of the sensor's own velocity is known
 from odometry and moves the predicted closing speed. A radar without bearing does not know by how much, so the part of
-that change across the boresight counts as process noise. Tracks are confirmed by M hits in N frames [Blackman1986].
+that change across the boresight counts as process noise. A track is confirmed by M hits in N frames, and by a score:
+the logarithm of how much likelier its detections are from one obstacle than from unrelated echoes [Blackman1986].
+Among many echoes this keeps out tracks that jump from one echo to the next.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ class TrackerSpec(Spec):
         1.0, ge=0, le=50, description="of obstacles themselves, sigma before the first fit"
     )
     gate_sigma: float = Field(3.5, gt=0, le=10, description="how far a detection may lie from its track")
+    odds: float = Field(300.0, ge=1, le=1e9, description="how much likelier one obstacle is than unrelated echoes")
     hits: int = Field(3, ge=1, le=20, description="M: detections that confirm a track")
     window: int = Field(5, ge=1, le=30, description="N: among so many frames")
     coast_s: float = Field(0.4, gt=0, le=10, description="a track without detections lives so long")
@@ -51,6 +54,7 @@ class Track:
     born_ns: int
     seen_ns: int
     history: int = 1  # one bit a frame, the newest lowest
+    score: float = 0.0  # log likelihood ratio of one obstacle to unrelated echoes
     confirmed: bool = False
     evidence: int = _UNDECIDED  # frames that contradict the main lobe, less those that agree
 
@@ -108,11 +112,12 @@ class RangeTracker:
     Args:
         spec: settings.
         blind_m: range below which the sensor detects nothing [m].
+        span_m: length of the range axis [m].
     """
 
-    def __init__(self, spec: TrackerSpec | None = None, *, blind_m: float = 0.0) -> None:
+    def __init__(self, spec: TrackerSpec | None = None, *, blind_m: float = 0.0, span_m: float = 10.0) -> None:
         self.spec = spec or TrackerSpec()
-        self.blind_m = blind_m
+        self.blind_m, self.span_m = blind_m, span_m
         self.tracks: list[Track] = []
         self._last_ns: int | None = None
         self._velocity = np.zeros(3)
@@ -149,10 +154,12 @@ class RangeTracker:
         across = max(float(change @ change) - along**2, 0.0)
         spread = across + (along * math.sin(min(motion.half_lobe_rad, math.pi / 2))) ** 2
         noise = self.spec.acceleration_m_s2**2 * dt**2
+        missed = math.log(max(1 - self.spec.hits / self.spec.window, 0.05))  # hits in so many frames are expected
         for track in self.tracks:
             track.rate_m_s -= along
             track.move(dt, noise)
             track.var_v += spread
+            track.score += 0.0 if track.history & 1 else missed
             track.history = (track.history << 1) & ((1 << self.spec.window) - 1)
 
     def _associate(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[int]:
@@ -162,12 +169,19 @@ class RangeTracker:
             place = np.array([track.range_m for track in self.tracks])
             var = np.array([track.var_r for track in self.tracks])
             apart = (range_m[None, :] - place[:, None]) ** 2 / (var[:, None] + sigma_m[None, :] ** 2)
+            confirmed = np.array([track.confirmed for track in self.tracks])
+            inside = apart <= self.spec.gate_sigma**2
+            clutter_m = (
+                max(int((~inside[confirmed].any(0)).sum()), 1) / self.span_m
+            )  # echoes a metre that none explains
             # a confirmed track chooses before one that may be a false alarm
-            rank = apart + np.where([track.confirmed for track in self.tracks], 0.0, 1e6)[:, None]
-            rank[apart > self.spec.gate_sigma**2] = np.inf
+            rank = np.where(inside, apart + np.where(confirmed, 0.0, 1e6)[:, None], np.inf)
             while np.isfinite(rank).any():
                 i, k = divmod(int(np.argmin(rank)), rank.shape[1])
-                self._update(self.tracks[i], t_ns, float(range_m[k]), float(sigma_m[k]), float(snr_db[k]), motion)
+                track, sigma = self.tracks[i], float(sigma_m[k])
+                density = math.exp(-apart[i, k] / 2) / math.sqrt(2 * math.pi * (track.var_r + sigma**2))
+                track.score += math.log(max(density / clutter_m, 1e-9))
+                self._update(track, t_ns, float(range_m[k]), sigma, float(snr_db[k]), motion)
                 rank[i, :] = rank[:, k] = np.inf
                 free.remove(k)
         return free
@@ -182,7 +196,8 @@ class RangeTracker:
         track.var_r *= 1 - gain_r
         track.snr_db, track.seen_ns = snr_db, t_ns
         track.history |= 1
-        track.confirmed = track.confirmed or track.history.bit_count() >= self.spec.hits
+        often = track.history.bit_count() >= self.spec.hits and track.score >= math.log(self.spec.odds)
+        track.confirmed = track.confirmed or often or self.spec.hits == 1
         track.evidence = _weighed(track, motion)
 
     def _end_tracks(self, t_ns: int) -> None:
