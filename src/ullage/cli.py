@@ -109,7 +109,9 @@ def top(
 @app.command()
 def run(
     source: Annotated[str, typer.Argument(help="Scenario name, scenario.yaml, recording, or live port.")],
-    do: Annotated[str | None, typer.Option("--do", help="What to make of the frames: detect,image,map")] = None,
+    do: Annotated[
+        str | None, typer.Option("--do", help="What to make of the frames: detect,image,map,obstacles")
+    ] = None,
     to: Annotated[
         list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
     ] = None,
@@ -157,7 +159,9 @@ def run(
 def fly(
     target: Annotated[str, typer.Argument(help="World name or file, scenario name or scenario.yaml.")],
     by: Annotated[str, typer.Option("--by", help="keys, or ros2:NAMESPACE for cmd_vel, set-points and joy.")] = "keys",
-    do: Annotated[str | None, typer.Option("--do", help="What to make of the frames: detect,image,map")] = None,
+    do: Annotated[
+        str | None, typer.Option("--do", help="What to make of the frames: detect,image,map,obstacles")
+    ] = None,
     to: Annotated[
         list[str] | None, typer.Option("--to", help="Also write there: a file or live port", metavar="SINK")
     ] = None,

@@ -190,7 +190,7 @@ class Bound(Spec):
     max: float | None = None
 
 
-Task = Literal["detect", "image", "map"]
+Task = Literal["detect", "image", "map", "obstacles"]
 
 
 class Scenario(Spec):

@@ -22,12 +22,14 @@ from ullage.experiments.folder import metric_tree, provenance, write_json, write
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.inspection import ObjectOnMap, inspect, object_rows
 from ullage.experiments.map_files import MapSaver, write_map_files
+from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.replay_parts import keep_replay
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
 from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
+from ullage.processing.obstacles import ObstacleStage
 from ullage.processing.own_echo import OwnEchoFilter
 from ullage.radar.warmup import Compiling
 from ullage.view.replay import MapHistory
@@ -60,6 +62,7 @@ class Run:
     history: MapHistory = field(default_factory=MapHistory)
     plane: ImagePlane | None = None
     map: MapStage | None = None
+    obstacles: ObstacleTable | None = None
     findings: list[str] = field(default_factory=list)  # what the report says in words
     timing: dict[str, float] = field(default_factory=dict)
     draft: Draft | None = None  # that folder, if it is one to be swapped in
@@ -152,6 +155,8 @@ def _receive(
     stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, say)
     wall, cpu = time.perf_counter(), time.process_time()
     keeping: list[Sink] = [MapSaver(job.folder), job.history]
+    if job.obstacles is not None:
+        keeping.append(job.obstacles)
     try:
         outcome = run(job.source, stages=stages, sinks=[*sinks, *job.sinks, *keeping], progress=progress)
     finally:
@@ -263,6 +268,10 @@ def _stages(job: Run) -> list[Stage]:
     if "detect" in job.tasks:
         job.detect = DetectStage(plan.detect.method, plan.detect.threshold, own_echo=own)
         out.append(job.detect)
+    if "obstacles" in job.tasks:
+        stage = ObstacleStage(stale_s=plan.flight.guard.stale_s)
+        out.append(stage if plan.remove_own_echo else replace(stage, own_echo=None))
+        job.obstacles = ObstacleTable(job.folder)
     margin, height = plan.map.margin_m, _height(job)
     if "image" in job.tasks:
         job.plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
@@ -325,6 +334,9 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         places = job.map.scatterers if job.map is not None else []
         job.findings, found = verdict(part, maps[-1] if maps else None, places, job.marks, settled=job.settled)
         out |= {one.name: one for one in found}
+    if job.obstacles is not None:
+        job.findings = [*job.findings, *job.obstacles.lines()]
+        out |= {one.name: one for one in job.obstacles.metrics()}
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality
 

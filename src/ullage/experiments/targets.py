@@ -107,7 +107,7 @@ def check_options(options: Sequence[str]) -> None:
 
 
 def tasks_of(text: str | None) -> tuple[Task, ...] | None:
-    """The tasks of `detect,image,map`; None where nothing was asked for.
+    """The tasks of text such as `detect,map`; None where nothing was asked for.
 
     Raises:
         InputError: there is no such task.
@@ -116,7 +116,7 @@ def tasks_of(text: str | None) -> tuple[Task, ...] | None:
         return None
     words = tuple(word.strip() for word in text.split(",") if word.strip())
     if unknown := set(words) - set(get_args(Task)):
-        raise InputError(f"no task {min(unknown)!r}", where="--do", allowed="detect, image, map")
+        raise InputError(f"no task {min(unknown)!r}", where="--do", allowed=", ".join(get_args(Task)))
     return cast("tuple[Task, ...]", words)
 
 

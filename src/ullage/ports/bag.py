@@ -24,9 +24,10 @@ from ullage.grids import Image, OccupancyMap
 from ullage.ports import messages as ros
 from ullage.ports.protocol import Item, Passed
 from ullage.ports.publisher import Message, Publisher, Quality, Role
+from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 
-RECORDED = (Frames, Mapping, Trajectory, OccupancyMap, Detections, Scene, Image, Passed)
+RECORDED = (Frames, Mapping, Trajectory, OccupancyMap, Detections, ObstacleSectors, Scene, Image, Passed)
 FLUSH_NS = 500_000_000
 QUALITIES: dict[Quality, tuple[int, str, str]] = {  # depth, reliability, durability: as the live topics have them
     "sensor": (5, "best_effort", "volatile"),

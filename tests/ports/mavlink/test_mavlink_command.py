@@ -1,14 +1,20 @@
-"""The command line: what cannot be used is one line and exit code 2."""
+"""The command line: a run between an autopilot and itself; what cannot be used is one line and exit code 2."""
 
 from __future__ import annotations
 
+import csv
+import math
 import socket
+import time
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 pytest.importorskip("pymavlink")
+
+from mavlink_autopilot import Autopilot, local_poses
+from test_mavlink_source import SDF
 
 from ullage.cli import app
 from ullage.errors import UllageError
@@ -34,3 +40,21 @@ def test_a_sink_that_cannot_be_used_is_refused(tmp_path: Path, place: str, words
     assert found.exception.exit_code == 2
     assert words in str(found.exception)
     assert "\n" not in str(found.exception)
+
+
+def test_a_run_takes_poses_from_an_autopilot_and_sends_it_distances(tmp_path: Path) -> None:
+    """Without TIMESYNC frames keep the autopilot's time, so that no distance is late on a slow machine."""
+    world = tmp_path / "wall.sdf"
+    world.write_text(SDF)
+    poses, ahead_ns = local_poses(lambda t_s: (0.0, 0.0, -1.0), math.radians(90)), 50 * 10**9 - time.monotonic_ns()
+    with Autopilot(poses=poses, boot_ns=ahead_ns, timesync=False) as autopilot:
+        place = f"mavlink:udp://127.0.0.1:{autopilot.port}"
+        source = f"{place}?world={world}&rig=single&rate_hz=20&duration_s=1"
+        to = ["--do", "obstacles", "--to", f"{place}?pace=0", "--out", str(tmp_path)]
+        found = CliRunner().invoke(app, ["run", source, *to])
+        assert found.exit_code == 0, found.output
+        sent = [one.distances[0] for one in autopilot.of("OBSTACLE_DISTANCE")]
+    rows = list(csv.DictReader((tmp_path / "latest" / "obstacles.csv").open()))
+    assert len(sent) == len(rows) >= 20
+    assert sent[-1] == pytest.approx(100 * float(rows[-1]["distance_m"]), abs=1)
+    assert sent[-1] == pytest.approx(295, abs=10)

@@ -53,6 +53,8 @@ class MavlinkSink:
             leave(self.link, "sink")
             raise
         self._stage: ObstacleStage | None = ObstacleStage()  # None: the run has its own
+        self._first: Mapping[str, Frames] | None = None  # the first frames: a run's own distances come after them
+        self._own = False  # the run has none
         self._pace = Pace(options.pace)
         self._at_once: bool | None = None if options.pace else True  # None: the first distances decide
         self._due_ns: int | None = None  # when the next distances are sent, by the clock of the stream
@@ -72,10 +74,22 @@ class MavlinkSink:
         if self._thread is None:
             raise InputError("the sink is closed", where=f"mavlink:{self.link.name}")
         if isinstance(item, ObstacleSectors):
-            self._stage = None
+            self._stage, self._first = None, None
             self._queue_up([item])
         elif isinstance(item, Frames | Mapping) and self._stage is not None:
-            self._queue_up(self._stage.update({item.sensor: item} if isinstance(item, Frames) else item))
+            chunk = {item.sensor: item} if isinstance(item, Frames) else item
+            if self._first is None and not self._own:
+                self._first = chunk
+                return
+            self._begin()
+            self._queue_up(self._stage.update(chunk))
+
+    def _begin(self) -> None:
+        """Make distances of the frames that waited to see whether the run has its own."""
+        first, self._first = self._first, None
+        if first is not None and self._stage is not None:
+            self._own = True
+            self._queue_up(self._stage.update(first))
 
     def _queue_up(self, found: Iterable[ObstacleSectors]) -> None:
         """Hand over at most `obstacle_hz` a second; waits while the thread is far behind."""
@@ -143,10 +157,12 @@ class MavlinkSink:
 
     def close(self) -> None:
         """Send what waits, and leave the link."""
-        thread, self._thread = self._thread, None
+        thread = self._thread
         if thread is None:
             return
+        self._thread = None
         try:
+            self._begin()
             while thread.is_alive() and self._error is None:
                 try:
                     self._queue.put(None, timeout=0.1)
