@@ -116,7 +116,7 @@ $(ROS2)/.run: $(VENV)/.dev pyproject.toml src/ullage/ports/ros2/build.py src/ull
 lock:
 	$(BIN)/uv pip compile pyproject.toml --group build --python-version 3.11 --generate-hashes --no-emit-index-url \
 	  --no-header --no-annotate -q -o requirements.lock
-	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra gazebo --extra mavlink --extra octomap --extra zarr -c requirements.lock --python-version 3.11 \
+	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra gazebo --extra mavlink --extra octomap --extra scale --extra zarr -c requirements.lock --python-version 3.11 \
 	  --generate-hashes --no-emit-index-url --no-header --no-annotate -q -o requirements-dev.lock
 
 clean:
