@@ -43,6 +43,29 @@ def _trust(wanted: bool) -> None:
 
 
 Trust = Annotated[bool, typer.Option("--trust-xacro", callback=_trust, help="Expand .xacro, which may run code.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option("--jobs", min=1, help="How many at a time; default: the cores, or 1 without ullage[scale]."),
+]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", help="A Dask cluster that stands already.", metavar="tcp://HOST:PORT")
+]
+
+
+def local_workers(jobs: int | None) -> int | None:
+    """Worker processes: as many as asked for, else one for each core (None) with Dask, or this process (1) without."""
+    from importlib.util import find_spec
+
+    return jobs or (None if find_spec("distributed") else 1)
+
+
+def where_to_run(jobs: int | None, scheduler: str | None) -> int | str | None:
+    """A scheduler's address, or the number of worker processes here."""
+    from ullage.errors import InputError
+
+    if scheduler and jobs:
+        raise InputError("a cluster has its own workers", where="--jobs", allowed="--jobs or --scheduler")
+    return scheduler or local_workers(jobs)
 
 
 def main() -> None:
@@ -462,7 +485,7 @@ def reproduce(
     recordings: Annotated[
         Path, typer.Option("--recordings", help="Folder of the real recordings.", metavar="DIR")
     ] = Path("../shared/data"),
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many experiments at a time.")] = 2,
+    jobs: Jobs = None,
 ) -> None:
     """Run every experiment of the thesis, both ways; exit 1 when a bound is broken. Run again to go on after Ctrl-C."""
     from ullage.experiments.reproduce.loop import reproduce as run_all
@@ -480,7 +503,9 @@ def reproduce(
             bar.retitle(text)
             bar(done)
 
-        done = run_all(out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=jobs, tell=tell)
+        done = run_all(
+            out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=local_workers(jobs), tell=tell
+        )
     for line in done.broken:
         say(f"  {line}", mark="OUT", style="red")
     holding, total = done.counts
@@ -508,7 +533,8 @@ def sweep(
         "sweep"
     ),
     force: Annotated[bool, typer.Option("--force", help="Run again what is there.")] = False,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="How many runs at a time.")] = 2,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
     trust_xacro: Trust = False,
 ) -> None:
     """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
@@ -518,15 +544,18 @@ def sweep(
 
     scenario = variant_name(scenario, law=law, by_hand=by_hand)
     axes = dict(sweeps.axis_of(text) for text in over or [])
+    where = where_to_run(jobs, scheduler)
     points = sweeps.plan(scenario, axes, seeds=seeds, options=option or [], out=out)
     warm_up(scenario, list(points[0].options))
-    with progress_bar(f"{len(points)} runs", total=float(len(points))) as bar:
+    with progress_bar(f"{len(points)} runs", total=float(len(points)), unit="runs", rated=True) as bar:
 
         def tell(done: int, text: str) -> None:
-            bar.retitle(text)
+            (say if text.startswith("dashboard") else bar.retitle)(text)
             bar(done)
 
-        done = sweeps.sweep(points, out=out, jobs=jobs, tell=tell, again=force)
+        done = sweeps.sweep(points, out=out, where=where, tell=tell, again=force)
+    for name, why in done.failed.items():
+        say(f"  {name}: {why}", mark="FAIL", style="red")
     if done.done:
         shown: list[str] = [
             name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics
@@ -536,6 +565,8 @@ def sweep(
     if done.interrupted:
         say(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130)
+    if done.failed:
+        raise typer.Exit(2)
 
 
 def _tabulate(done: Sweep, metrics: list[str]) -> None:

@@ -108,11 +108,17 @@ class Apart(Experiment):
 
 
 def test_experiments_are_done_in_processes_of_their_own(tmp_path):
-    pair = [Apart("one", "One", "6.1"), Apart("two", "Two", "6.2", weight=2.0)]
-    done = reproduce(tmp_path, pair, jobs=2)
-    assert [c.experiment.name for c in done.chapters] == ["one", "two"]
+    trio = [
+        Apart("one", "One", "6.1"),
+        Apart("two", "Two", "6.2", weight=2.0),
+        Apart("three", "Three", "6.3", how="fails"),
+    ]
     with pytest.raises(UllageError, match="Three: the radar is on fire"):
-        reproduce(tmp_path, [*pair, Apart("three", "Three", "6.3", how="fails")], jobs=2)
+        reproduce(tmp_path, trio, jobs=2)
+    seen: list[int] = []
+    done = reproduce(tmp_path, trio[:2], tell=lambda done, text: seen.append(done))
+    assert [c.experiment.name for c in done.chapters] == ["one", "two"]
+    assert min(seen) == 2  # both were done before
 
 
 def test_ctrl_c_ends_the_processes_and_keeps_what_is_done(tmp_path):

@@ -104,11 +104,31 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
     assert len(tmp_path.joinpath("sweep.csv").read_text().splitlines()) == 2
 
 
+class Failing(Point):
+    """A run that cannot be made."""
+
+    def do(self, say):
+        raise ul.InputError("no such wall", where="world") if self.seed == 2 else ZeroDivisionError("by nought")
+
+
+def test_a_run_that_fails_is_a_row_with_its_reason(tmp_path):
+    points = [
+        planted(tmp_path, 1, 0.5),
+        *(Failing("s", (("a", "1"),), (), seed, tmp_path / f"s-{seed}") for seed in (2, 3)),
+    ]
+    found = sweep(points, out=tmp_path)
+    assert not found.interrupted
+    rows = list(csv.DictReader(found.table.open()))
+    assert [row["seed"] for row in rows] == ["1", "2", "3"]
+    assert [row["f1"] for row in rows] == ["0.5", "", ""]
+    assert [row["failed"] for row in rows] == ["", "world: no such wall", "ZeroDivisionError: by nought"]
+
+
 SLEEPERS = """
 import sys, time
 from dataclasses import dataclass
 from pathlib import Path
-from ullage.experiments.crew import carry_out
+from ullage.experiments.cluster import carry_out
 
 @dataclass
 class Sleeper:
@@ -126,7 +146,7 @@ class Sleeper:
         time.sleep(600)  # says nothing, so that no broken pipe ends it either
 
 if __name__ == "__main__":
-    carry_out([Sleeper(str(n), Path(sys.argv[1])) for n in range(2)], jobs=2)
+    carry_out([Sleeper(str(n), Path(sys.argv[1])) for n in range(2)], where=2)
 """
 
 

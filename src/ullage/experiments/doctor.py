@@ -28,7 +28,7 @@ NEEDED = (
     "rosbags",
     "matplotlib",
 )
-OPTIONAL = {"pyoctomap": "octomap", "zarr": "zarr", "rerun": "view", "pymavlink": "mavlink"}
+OPTIONAL = {"pyoctomap": "octomap", "zarr": "zarr", "rerun": "view", "pymavlink": "mavlink", "distributed": "scale"}
 
 
 @dataclass(frozen=True, slots=True)

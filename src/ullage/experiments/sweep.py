@@ -7,12 +7,12 @@ import io
 import itertools
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageError
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.crew import Tell, carry_out
+from ullage.experiments.cluster import Outcome, Report, Where, carry_out
 from ullage.experiments.folder import read_json, state_of, write_text
 from ullage.experiments.runner import execute
 from ullage.experiments.targets import make_run
@@ -74,6 +74,7 @@ class Sweep:
     points: tuple[Point, ...]
     table: Path
     interrupted: bool
+    failed: Mapping[str, UllageError] = field(default_factory=dict)  # why runs could not be made, by name
 
     @property
     def done(self) -> tuple[Point, ...]:
@@ -145,34 +146,40 @@ def plan(
 
 
 def sweep(
-    points: Sequence[Point], *, out: Path, jobs: int = 1, tell: Tell = lambda *_: None, again: bool = False
+    points: Sequence[Point],
+    *,
+    out: Path,
+    where: Where = 1,
+    tell: Report = lambda *_: None,
+    again: bool = False,
 ) -> Sweep:
-    """Run what is not there yet, several at a time, and write `sweep.csv`, a row for each run.
+    """Run what is not there yet, several at a time, and write `sweep.csv`, a row for each run or for why it failed.
 
     Args:
         points: from `plan`.
         out: folder of the table.
-        jobs: how many at a time, each in a process of its own.
-        tell: told the number done and what goes on.
+        where: number of worker processes here, or address of a Dask scheduler whose workers see the same folders.
+        tell: called with the number done and what goes on.
         again: run again what is there; each old run lives until its new one is complete.
 
     Raises:
-        UllageError: one of them cannot be run; the table holds those before it.
+        UllageError: the cluster is gone; the table holds the runs that were finished.
     """
-    interrupted = False
+    outcome = Outcome({}, interrupted=False)
     try:
-        carry_out(points, jobs=jobs, tell=tell, again=again)
-    except KeyboardInterrupt:
-        interrupted = True
+        outcome = carry_out(points, where=where, tell=tell, again=again)
     finally:
         table = out / "sweep.csv"
-        if done := [point for point in points if point.done]:
-            write_text(table, _rows(done))
-    return Sweep(tuple(points), table, interrupted)
+        if ended := [point for point in points if point.done or point.name in outcome.failed]:
+            write_text(table, _rows(ended, outcome.failed))
+    return Sweep(tuple(points), table, outcome.interrupted, outcome.failed)
 
 
-def _rows(done: Sequence[Point]) -> str:
-    rows = [{"run": p.name, **dict(p.settings), "seed": p.seed, **p.metrics} for p in done]
+def _rows(ended: Sequence[Point], failed: Mapping[str, UllageError]) -> str:
+    rows = []
+    for point in ended:
+        row: dict[str, object] = {"run": point.name, **dict(point.settings), "seed": point.seed}
+        rows.append(row | ({"failed": failed[point.name]} if point.name in failed else point.metrics))
     names = list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, names, lineterminator="\n")

@@ -21,8 +21,10 @@ PAYS_S = 2.0
 
 
 def cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many this process may use; OMP_NUM_THREADS bounds it, as Dask sets it in its workers."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    bound = os.environ.get("OMP_NUM_THREADS", "")
+    return min(usable, int(bound)) if bound.isdecimal() and int(bound) else usable
 
 
 class Crew(Generic[T]):

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 from rich.console import Console
@@ -52,14 +53,28 @@ class Teller:
     total: float | None
     unit: str
     last_s: float
+    rated: bool = False
+    first: tuple[float, float] | None = None  # amount that was done before, and when [s]
 
     def __call__(self, done: float) -> None:
         """Tell how much is done, in the bar's unit."""
-        self.bar.update(self.task, completed=done)
+        forecast = self._forecast(done) if self.rated else ""
+        self.bar.update(self.task, completed=done, forecast=forecast)
         if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
             self.last_s = time.monotonic()
             share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
-            say(f"{self.title}: {share}")
+            say(", ".join(filter(None, (f"{self.title}: {share}", forecast))))
+
+    def _forecast(self, done: float) -> str:
+        """Rate since the start and remaining time in words; nothing before the first unit is done."""
+        now = time.monotonic()
+        if self.first is None:
+            self.first = done, now
+        rate = (done - self.first[0]) / max(now - self.first[1], 1e-9)
+        if rate <= 0 or self.total is None:
+            return ""
+        left_s = timedelta(seconds=round((self.total - done) / rate))
+        return f"{60 * rate:.3g} {self.unit}/min, {left_s} left"
 
     def retitle(self, text: str) -> None:
         """Change what the bar says it is doing, as often as one likes."""
@@ -74,17 +89,23 @@ class Teller:
 
 
 @contextmanager
-def progress_bar(title: str, *, total: float | None, unit: str = "") -> Iterator[Teller]:
-    """A progress bar for one job; call what it yields with the amount done."""
+def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool = False) -> Iterator[Teller]:
+    """A progress bar for one job; call what it yields with the amount done.
+
+    Args:
+        title: what is done.
+        total: amount in all.
+        unit: of the amounts.
+        rated: show the rate since the first call, and the remaining time at that rate; for jobs with few long steps.
+    """
     if not console.is_terminal:
         say(title)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
+        *((TextColumn("{task.fields[forecast]}"),) if rated else (TextColumn("left"), TimeRemainingColumn())),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(title, total=total)
-        yield Teller(bar, task, title, total, unit, time.monotonic())
+        task = bar.add_task(title, total=total, forecast="")
+        yield Teller(bar, task, title, total, unit, time.monotonic(), rated)

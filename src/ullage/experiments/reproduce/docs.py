@@ -20,7 +20,7 @@ and every figure.
 
 What the thesis says of its results is held against numbers with bounds. The command exits 1 when one bound is broken.
 After Ctrl-C the same command continues where it stopped. `--quick` runs a small version, `--only NAME` one experiment,
-`--jobs N` runs N at a time.
+`--jobs N` runs N at a time, with `pip install 'ullage[scale]'`.
 
 Every flight is also a scenario: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`. `ullage list` names
 them all. This page comes from one whole run, by `python -m ullage.experiments.reproduce.docs`. The thesis' pictures are

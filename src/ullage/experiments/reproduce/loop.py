@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ullage.experiments.crew import Tell, carry_out
+from ullage.errors import UllageError
+from ullage.experiments.cluster import Report, carry_out
 from ullage.experiments.folder import write_json
 from ullage.experiments.reproduce.plan import Experiment
 from ullage.experiments.reproduce.task import Chapter, Task, code_now
@@ -52,8 +53,8 @@ def reproduce(
     recordings: Path = RECORDINGS,
     quick: bool = False,
     fresh: bool = False,
-    jobs: int = 1,
-    tell: Tell = lambda *_: None,
+    jobs: int | None = 1,
+    tell: Report = lambda *_: None,
 ) -> Reproduction:
     """Run every experiment that is not yet done, then write the report.
 
@@ -63,11 +64,11 @@ def reproduce(
         recordings: folder of the real recordings; what needs those that are not there is left out.
         quick: small, in two minutes.
         fresh: do again what is done.
-        jobs: how many at a time, each in a process of its own; 1: here, one after another.
-        tell: told the number of experiments done and what goes on.
+        jobs: worker processes on this machine; 1: this process; None: one for each core. More than one needs Dask.
+        tell: called with the number of experiments done and what goes on.
 
     Raises:
-        InputError: the folder cannot be written.
+        UllageError: an experiment failed; the others are done, and are kept.
     """
     root = out / ("quick" if quick else "whole")
     code = code_now()
@@ -75,12 +76,11 @@ def reproduce(
     if fresh:
         for task in tasks:
             task.forget()
-    interrupted = False
-    try:
-        carry_out(tasks, jobs=jobs, tell=tell)
-    except KeyboardInterrupt:
-        interrupted = True
-    return _finished(root, [task.chapter() for task in tasks if task.done], interrupted, quick, len(wanted))
+    outcome = carry_out(tasks, where=jobs, tell=tell)
+    for task in tasks:
+        if why := outcome.failed.get(task.name):
+            raise UllageError(f"{task.title}: {why}")
+    return _finished(root, [task.chapter() for task in tasks if task.done], outcome.interrupted, quick, len(wanted))
 
 
 def _finished(root: Path, chapters: list[Chapter], interrupted: bool, quick: bool, wanted: int) -> Reproduction:
