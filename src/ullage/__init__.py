@@ -50,6 +50,7 @@ _HOMES = {
     "open": "ports",
     "sink": "pipeline",
     "run": "pipeline",
+    "dataset": "experiments.dataset",
 }
 _MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics", "worlds": "worlds"}
 

@@ -569,6 +569,49 @@ def sweep(
         raise typer.Exit(2)
 
 
+@app.command()
+def dataset(
+    kinds: Annotated[list[str], typer.Argument(help="Kinds of random worlds, tuning, testing, all, or world files.")],
+    n: Annotated[int, typer.Option("--n", help="Samples in all.")],
+    to: Annotated[Path, typer.Option("--to", help="The data set.", metavar="DIR.zarr")],
+    seed: Annotated[int, typer.Option("--seed", help="Of worlds, flights and noise.")] = 0,
+    frames: Annotated[int, typer.Option("--frames", help="Of each radar in a sample.")] = 64,
+    bounces: Annotated[str, typer.Option("--bounces", help="Reflections; one of these is drawn for a sample.")] = "1",
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Make a training set of random worlds and flights. Run again to go on after Ctrl-C, or with a larger --n."""
+    from ullage.errors import InputError
+    from ullage.experiments import dataset as sets
+    from ullage.experiments.warmup import compile_kernels, compiled
+    from ullage.radar.warmup import radar_parts
+    from ullage.view.progress import console, progress_bar, say
+
+    if not all(word in ("1", "2", "3") for word in bounces.split(",")):
+        raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="1 to 3, with commas between")
+    drawn, where = [int(word) for word in bounces.split(",")], where_to_run(jobs, scheduler)
+    parts = radar_parts("physical", max(drawn))
+    if not compiled(parts):
+        with console.status("compiling kernels (once after installation)"):
+            compile_kernels(parts)
+    try:
+        with progress_bar(f"{n} samples", total=float(n), unit="samples", rated=True) as bar:
+
+            def tell(done: int, total: int, text: str) -> None:
+                (say if text.startswith("dashboard") else bar.retitle)(text)
+                bar(done)
+
+            made = sets.dataset(kinds, to, n=n, seed=seed, frames=frames, bounces=drawn, where=where, progress=tell)
+    except KeyboardInterrupt:
+        say(": run the same command again to go on", mark="interrupted", style="yellow")
+        raise typer.Exit(130) from None
+    rows = sets.read_index(made)
+    failed = [row["failed"] for row in rows if row["failed"]]
+    say(f"{len(rows)} samples in {to}, described in {to.with_suffix('.md')}")
+    if failed:
+        say(f"{len(failed)} samples are empty; the first: {failed[0]}", mark="FAIL ", style="red")
+
+
 def _tabulate(done: Sweep, metrics: list[str]) -> None:
     from rich.table import Table
 
