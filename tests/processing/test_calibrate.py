@@ -43,7 +43,7 @@ def test_planted_offsets_are_found_without_knowing_the_targets(focused):
     record = focused.calibration
     assert record is not None
     assert record.t_offset_s == pytest.approx(2.5, abs=0.02)
-    assert record.range_offset_m == pytest.approx(-0.3, abs=0.04)
+    assert record.range_offset_m == pytest.approx(-0.3, abs=0.01)
     assert 0 < record.t_sigma_s < 0.1
     assert 0 < record.range_sigma_m < 0.1
     assert record.gain_db > 0
@@ -52,6 +52,21 @@ def test_planted_offsets_are_found_without_knowing_the_targets(focused):
     assert np.array_equal(focused.believed.t_ns, focused.t_ns)
     image = ul.focus(focused, ul.Grid((2.2, 0.3, 1.0), 0.02, (30, 30)))
     assert np.linalg.norm(image.peak_m - (2.5, 0.6, 1.0)) < 0.05
+
+
+@pytest.mark.slow
+def test_range_is_found_to_millimetres_where_the_antenna_is_tracked(planted, focused):
+    record = ul.calibrate(planted, guess=(2.5, 0.1), t_span_s=2.7, lever_arm_sigma_m=0).calibration
+    assert record.range_offset_m == pytest.approx(-0.3, abs=0.006)
+    assert abs(record.range_offset_m + 0.3) < 4 * record.range_sigma_m
+    assert record.range_sigma_m < 0.005
+    assert focused.calibration.range_sigma_m == pytest.approx(0.05, abs=0.005)  # the unknown place of the antenna
+
+
+@pytest.mark.parametrize("sigma_m", [-0.1, np.nan, np.inf])
+def test_an_unusable_sigma_of_the_antenna_is_refused(planted, sigma_m):
+    with pytest.raises(ul.InputError, match=r"lever_arm_sigma_m is .*allowed: metres"):
+        ul.calibrate(planted, lever_arm_sigma_m=sigma_m)
 
 
 def test_a_standing_sensor_cannot_be_calibrated():

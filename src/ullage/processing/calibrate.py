@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from ullage.data import Calibration, Frames, Trajectory
 from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.processing.baseband import checked
+from ullage.processing.bundle import CLOCK, PARAMETERS, RANGE, RATE, Bundle, adjusted
 from ullage.processing.motion_match import Gains, MotionMatch
-from ullage.processing.point_focus import PointFocus
+from ullage.processing.point_focus import Point, PointFocus, Start
 from ullage.specs import RadarSpec
 
 Floats = NDArray[np.float64]
@@ -27,11 +28,11 @@ COARSE_S, FINE_S, MODE_S = 0.1, 0.02, 0.15  # steps of the clock search, and hal
 LEAST_OVERLAP = 0.2  # of the shorter of track and recording
 DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
-RANGE_SPREAD = 2.0  # by which points err together in range beyond what they disagree: benchmarks/calibrate_offsets.py
+LEVER_ARM_SIGMA_M = 0.05
+RATE_SIGMA = 5e-5  # of the radar's clock rate
 SURVEY_S = 0.15  # search for surveyed places around the clock that motion says [s]
 LEAST_PER_SAMPLE = 1.2  # the same per independent sample, on tracks so long that chance finds more
-CLOCK_STEP_S, CLOCK_HALVES_S = 0.02, (0.08, 0.03, 0.01)
-RANGE_STEP_M = 0.06
+CLOCK_HALF_S, RANGE_STEP_M, REDRAWN_M = 0.08, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
 MOST_SPEED_M_S = 50.0
 LEAST_GAIN = 200.0  # of the three most coherent points: 227 to 545 on real recordings, 175 with the track of another
@@ -45,6 +46,7 @@ def calibrate(
     t_span_s: float | None = ...,
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
+    lever_arm_sigma_m: float = ...,
     progress: Progress | None = ...,
 ) -> Frames: ...
 @overload
@@ -55,6 +57,7 @@ def calibrate(
     t_span_s: float | None = ...,
     range_span_m: float = ...,
     reflectors: ArrayLike | None = ...,
+    lever_arm_sigma_m: float = ...,
     progress: Progress | None = ...,
 ) -> dict[str, Frames]: ...
 
@@ -66,6 +69,7 @@ def calibrate(
     t_span_s: float | None = None,
     range_span_m: float = 1.0,
     reflectors: ArrayLike | None = None,
+    lever_arm_sigma_m: float = LEVER_ARM_SIGMA_M,
     progress: Progress | None = None,
 ) -> Frames | dict[str, Frames]:
     """Put frames on the track's clock and correct their range axis; refuse where the recording does not decide.
@@ -83,6 +87,7 @@ def calibrate(
         t_span_s: search clock offsets of at most this, of either sign [s]; None: wherever track and frames overlap.
         range_span_m: search range offsets of at most this, positive or negative [m].
         reflectors: (r, 3) surveyed places of reflectors, world [m]; these alone then settle clock and range.
+        lever_arm_sigma_m: how far the antenna may be from the tracked point, one sigma of each axis [m].
         progress: called with the share of the work done.
 
     Raises:
@@ -97,13 +102,16 @@ def calibrate(
                 t_span_s=t_span_s,
                 range_span_m=range_span_m,
                 reflectors=reflectors,
+                lever_arm_sigma_m=lever_arm_sigma_m,
                 progress=progress,
             )
             for name, part in frames.items()
         }
     track = frames.track if frames.track is not None else frames.believed
     _check_track(track, frames.sensor)
-    prior = _Prior.of(guess, frames, range_span_m)
+    if not 0 <= lever_arm_sigma_m < np.inf:
+        raise InputError(f"lever_arm_sigma_m is {lever_arm_sigma_m}", where="calibrate", allowed="metres, 0 or more")
+    prior = replace(_Prior.of(guess, frames, range_span_m), lever_sigma_m=lever_arm_sigma_m)
     places = None if reflectors is None else _places(reflectors)
     if places is not None and (guess is None or (not isinstance(guess, Calibration) and len(guess) < 4)):
         prior = replace(prior, range_m=0.0, range_sigma_m=np.inf)  # the survey takes the place of the radar's own zero
@@ -153,6 +161,7 @@ class _Prior:
     range_m: float
     range_sigma_m: float  # infinite: unknown
     span_m: float
+    lever_sigma_m: float = 0.0  # of the antenna's place along the line of sight, which focus cannot tell from range
 
     @classmethod
     def of(cls, guess: Guess | None, frames: Frames, span_m: float) -> _Prior:
@@ -191,15 +200,51 @@ class _Prior:
         mean = float(density @ at)
         return mean, float(np.sqrt(density @ (at - mean) ** 2))
 
-    def of_range(self, range_m: Floats) -> Floats:
+    def of_survey(self, range_m: Floats) -> Floats:
         """Logarithm of the normal prior of range offsets."""
         return np.asarray(-0.5 * ((range_m - self.range_m) / self.range_sigma_m) ** 2)
 
+    @property
+    def spread_m(self) -> float:
+        """Standard deviation of the range offset at which echoes focus [m]."""
+        return float(np.hypot(self.range_sigma_m, self.lever_sigma_m))
+
+    def of_range(self, range_m: Floats) -> Floats:
+        """Logarithm of the prior density of range offsets at which echoes focus; it has wide tails."""
+        if not np.isfinite(self.range_sigma_m):
+            return np.zeros_like(range_m)
+        away = range_m - self.range_m
+        core = (1 - TAIL) / self.spread_m * np.exp(-0.5 * (away / self.spread_m) ** 2)
+        return np.asarray(np.log(core + TAIL / TAIL_M * np.exp(-0.5 * (away / TAIL_M) ** 2)))
+
+    def of_bundle(self, mode_s: float, range_m: float) -> tuple[Floats, Floats]:
+        """Mean and precision (6) of the parameters of a bundle that starts at these offsets."""
+        mean, precision = np.zeros(PARAMETERS), np.full(PARAMETERS, 1e18)
+        weight = np.array([1 / MODE_S**2, 0.0 if self.t_s is None else 1 / self.t_sigma_s**2])
+        mean[CLOCK] = weight @ [mode_s, self.t_s or 0.0] / weight.sum()
+        precision[CLOCK] = weight.sum()
+        near = np.isfinite(self.range_sigma_m) and abs(range_m - self.range_m) < 4 * self.spread_m
+        mean[RANGE] = self.range_m if near else range_m
+        precision[RANGE] = 1 / self.spread_m**2 if near else 1 / self.span_m**2
+        precision[RATE] = 1 / RATE_SIGMA**2
+        return mean, precision
+
+    def with_focus(self, range_m: float, sigma_m: float, precision: float) -> tuple[float, float]:
+        """Posterior of the range offset from the one at which echoes focus, fitted under a prior of `precision`."""
+        own = max(1 / sigma_m**2 - precision, 1e-6)  # of the echoes alone
+        prior_m = self.range_m if np.isfinite(self.range_sigma_m) else range_m
+        near = np.isfinite(self.range_sigma_m) and abs(range_m - self.range_m) < 4 * self.spread_m
+        alone_m = range_m + (range_m - prior_m) * precision / own if near else range_m
+        return self.with_range(alone_m, float(np.hypot(1 / np.sqrt(own), self.lever_sigma_m)))
+
+    @property
+    def centre_m(self) -> float:
+        """Range offset to start from [m]."""
+        return float(np.clip(self.range_m, -self.span_m, self.span_m)) if np.isfinite(self.range_sigma_m) else 0.0
+
     def ranges(self) -> Floats:
-        """Range offsets to start from [m]."""
-        width = min(self.span_m, 4 * self.range_sigma_m + 0.2)
-        centre = self.range_m if np.isfinite(self.range_sigma_m) else 0.0
-        return centre + width * np.linspace(-1, 1, 2 * max(1, int(np.ceil(width / RANGE_STEP_M))) + 1)
+        """Range offsets to search [m]: all of the span, since the prior may be wrong."""
+        return self.span_m * np.linspace(-1, 1, 2 * max(1, int(np.ceil(self.span_m / RANGE_STEP_M))) + 1)
 
 
 def _clock_range(frames: Frames, track: Trajectory, span_s: float | None) -> tuple[float, float]:
@@ -354,47 +399,53 @@ def _thinned(offset_s: Floats, log_posterior: Floats) -> tuple[tuple[float, floa
 
 
 def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, places: Floats | None) -> _Focus:
-    """The posterior around one mode: with the range prior, or without it where the echoes contradict the prior."""
+    """The posterior of clock and range around one mode of the clock."""
     focus = PointFocus(frames, track, mode_s)
     if places is not None:
         return _surveyed(focus, mode_s, prior, places)
-    held = _profiled(focus, mode_s, prior)
-    if not np.isfinite(prior.range_sigma_m):
-        return held
-    free = _profiled(focus, mode_s, replace(prior, range_m=0.0, range_sigma_m=np.inf))
-    away = (free.mean[1] - prior.range_m) / TAIL_M
-    tail = np.log(TAIL * prior.range_sigma_m / TAIL_M) - 0.5 * away**2  # density there over that at the prior's centre
-    return free if (free.evidence - held.evidence) / RANGE_SPREAD**2 + tail > 0 else held
+    kept, clock_s, range_m = _searched(focus, mode_s, prior)
+    points = focus.drawn(kept, clock_s, range_m)
+    points = [points[k] for k in focus.distinct(points, clock_s)]
+    if not points:
+        return _Focus(np.array([mode_s, range_m]), np.array([MODE_S, prior.span_m]), 0.0, 0.0, 0, 0.0)
+    mean, precision = prior.of_bundle(mode_s, range_m)
+    found = adjusted(focus, points, np.array([clock_s, range_m, 0, 0, 0, 0]), mean, precision)
+    return _judged(focus, found, prior, precision[RANGE])
 
 
-def _profiled(focus: PointFocus, mode_s: float, prior: _Prior) -> _Focus:
-    """Range and clock profiles around one mode, with each scatterer placed anew at every value."""
-    ranges = prior.ranges()
-    centre = float(np.median(ranges))
-    starts = focus.starts(mode_s, centre)
-    kept = [starts[k] for k in focus.distinct(focus.drawn(starts, mode_s, centre), mode_s)]
-
-    def gains(clock_s: float, range_m: float) -> list[float]:
-        return [one.gain for one in focus.drawn(kept, clock_s, range_m)]
-
-    clock_s, sigma_s, range_m, sigma_m, best = mode_s, CLOCK_STEP_S, centre, prior.span_m, 0.0
-    for half_s in CLOCK_HALVES_S:
-        by_range = np.array([gains(clock_s, float(r)) for r in ranges])
-        if not by_range.any():
+def _searched(focus: PointFocus, mode_s: float, prior: _Prior) -> tuple[list[Start], float, float]:
+    """Scatterers of different echoes, and the clock and range offsets at which they are most coherent, on a grid."""
+    clock_s, centre = mode_s, prior.centre_m
+    ranges, clocks = prior.ranges(), mode_s + CLOCK_HALF_S * np.linspace(-1, 1, 9)
+    kept: list[Start] = []
+    for _ in range(2):  # once more where the scatterers were drawn far from where they focus
+        starts = focus.starts(clock_s, centre)
+        kept = [starts[k] for k in focus.distinct(focus.drawn(starts, clock_s, centre), clock_s)]
+        value = prior.of_range(ranges) + [_total(focus.drawn(kept, clock_s, float(r))) for r in ranges]
+        best_m = float(ranges[np.argmax(value)])
+        if abs(best_m - centre) < REDRAWN_M:
             break
-        focused_m, spread_m = _resampled(ranges, by_range)
-        range_m, sigma_m = prior.with_range(focused_m, RANGE_SPREAD * spread_m)
-        clocks = clock_s + half_s * np.linspace(-1, 1, 9)
-        by_clock = np.array([gains(float(t), range_m) for t in clocks])
-        clock_s, sigma_s = _resampled(clocks, by_clock)
-        best = float(by_clock.sum(1).max())
-    found = [one for one in focus.drawn(kept, clock_s, range_m) if one.gain > 0]
-    samples = sum((focus.weight * (one.amplitude > 0)).sum() for one in found) / (focus.wave_m / 2)
-    gain = float((sum(one.gain for one in found) - sum(gains(0.0, 0.0))) / max(samples, 1e-9))
-    mean, sigma = np.array([clock_s, range_m]), np.array([sigma_s, sigma_m])
+        centre = best_m
+    by_clock = [_total(focus.drawn(kept, float(t), best_m)) for t in clocks]
+    return kept, float(clocks[np.argmax(by_clock)]), best_m
+
+
+def _total(points: Sequence[Point]) -> float:
+    return sum(one.gain for one in points) / POINT_DISPERSION
+
+
+def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: float) -> _Focus:
+    """Offsets with the range prior, and how coherent the scatterers are."""
+    sigma = np.sqrt(np.diag(found.covariance))
+    range_m, sigma_m = prior.with_focus(float(found.theta[RANGE]), float(sigma[RANGE]), precision)
+    samples = sum((focus.weight * (one.amplitude > 0)).sum() for one in found.points) / (focus.wave_m / 2)
+    total = sum(one.gain for one in found.points)
+    raw = focus.redrawn(np.array([one.place for one in found.points]).reshape(-1, 3), np.zeros(6), 0.0)
+    gain = float((total - sum(one.gain for one in raw)) / max(samples, 1e-9))
     whole = float(focus.weight.sum()) / (focus.wave_m / 2)  # independent samples of the track
-    strongest = float(sum(sorted(one.gain for one in found)[-3:])) / max(1.0, LEAST_PER_SAMPLE * whole / LEAST_GAIN)
-    return _Focus(mean, sigma, best / POINT_DISPERSION, gain, len(found), strongest)
+    strongest = sum(sorted(one.gain for one in found.points)[-3:]) / max(1.0, LEAST_PER_SAMPLE * whole / LEAST_GAIN)
+    mean = np.array([found.theta[CLOCK], range_m])
+    return _Focus(mean, np.array([sigma[CLOCK], sigma_m]), total / POINT_DISPERSION, gain, len(found.points), strongest)
 
 
 def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -> _Focus:
@@ -402,7 +453,7 @@ def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -
     clocks, ranges = mode_s + SURVEY_S * np.linspace(-1, 1, 41), prior.ranges()
     for _ in range(3):
         each = np.array([focus.brightness(places, float(t), ranges) for t in clocks])  # (clocks, ranges, places)
-        value = each.sum(2) / POINT_DISPERSION + prior.of_range(ranges)
+        value = each.sum(2) / POINT_DISPERSION + prior.of_survey(ranges)
         density = np.exp(value - value.max())
         density /= density.sum()
         by_clock, by_range = density.sum(1), density.sum(0)
@@ -416,25 +467,6 @@ def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -
     raw = float(focus.brightness(places, 0.0, np.zeros(1)).sum())
     gain = np.log(max(float(each[best[0], best[1]].sum()), 1e-9) / max(raw, 1e-9))
     return _Focus(mean, np.maximum(sigma, half / 25), float(value.max()), float(gain), seen, np.inf)
-
-
-def _resampled(at: Floats, gains: Floats, *, draws: int = 200) -> tuple[float, float]:
-    """Mean and standard deviation of an offset from log-likelihoods (k, points) on a grid.
-
-    Points disagree more than their likelihoods say, since phase centres, side lobes and second echoes differ. So the
-    points are weighted at random and the estimate repeated: the weighted likelihood bootstrap [Newton1994].
-    """
-    from scipy.interpolate import PchipInterpolator
-
-    fine = np.linspace(at[0], at[-1], 401)
-    curves = PchipInterpolator(at, gains, axis=0)(fine) / POINT_DISPERSION
-    weight = np.random.default_rng(0).dirichlet(np.ones(gains.shape[1]), draws) * gains.shape[1]
-    log_density = weight @ curves.T
-    density = np.exp(log_density - log_density.max(axis=1, keepdims=True))
-    density /= density.sum(axis=1, keepdims=True)
-    means = density @ fine
-    spread = density @ fine**2 - means**2
-    return float(means.mean()), float(np.sqrt(means.var() + spread.mean()))
 
 
 def _corrected(frames: Frames, track: Trajectory, found: Calibration) -> Frames:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
+from ullage.geometry import quat_matrix
 from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import to_baseband
 from ullage.processing.motion_match import whole_frames
@@ -53,6 +54,16 @@ class Start:
     along_m: float  # travelled distance at which it was found [m]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Echoes:
+    """Echoes of places along a path, with their propagation phase taken off."""
+
+    value: Complexes  # (k, n)
+    slope: Complexes  # (k, n) of the value over range [1/m]
+    ray: Floats  # (k, n, 3) directions from the path to the places
+    level: Floats  # (k, n) typical amplitude at that range
+
+
 class PointFocus:
     """Scatterers of one recording, and how well they focus.
 
@@ -65,6 +76,7 @@ class PointFocus:
     def __init__(self, frames: Frames, track: Trajectory, offset_s: float) -> None:
         self.wave_m = frames.spec.wavelength_m
         self.known_s, self.position = track.t_ns * 1e-9, track.position
+        self.rotation = quat_matrix(track.quat_xyzw)
         self.t_s = t_s = frames.t_ns * 1e-9
         values, good, place = to_baseband(frames), whole_frames(frames), self.path(offset_s)
         inside = (t_s + offset_s >= self.known_s[0]) & (t_s + offset_s <= self.known_s[-1])
@@ -77,16 +89,60 @@ class PointFocus:
         bin_m = float(np.diff(frames.range_m).mean())
         factor = oversampling(frames.spec, bin_m)
         fine = oversampled(np.ascontiguousarray(values[kept]), factor) if len(kept) else values[:0]
-        self.fine = fine / np.maximum(np.sqrt((np.abs(fine) ** 2).sum(0) / max(len(fine), 1)), 1e-30)
+        self.raw = fine
+        self.level = np.maximum(np.sqrt((np.abs(fine) ** 2).sum(0) / max(len(fine), 1)), 1e-30)  # (bins)
+        self.fine = fine / self.level
         self.per_m, self.first_m, self.last_m = factor / bin_m, float(frames.range_m[0]), float(frames.range_m[-1])
         self.t_s, self.along = t_s[kept], along[kept]
         self.weight = np.minimum(np.gradient(self.along), self.wave_m) if len(kept) > 2 else np.ones(len(kept))
         self.window = _neighbourhood(self.along, self.weight)
+        self.per_m_phase = 4 * np.pi / self.wave_m
+        change = np.diff(self.fine, axis=1) * self.per_m
+        self.envelope_bend = float((np.abs(change) ** 2).sum() / max(float((np.abs(self.fine) ** 2).sum()), 1e-30))
+        self.middle_s = float(self.weight @ self.t_s / max(float(self.weight.sum()), 1e-30)) if len(kept) else 0.0
 
     def path(self, offset_s: float) -> Floats:
         """Positions (n, 3) of the sensor under a clock offset, held beyond the ends of the track."""
         when = self.t_s + offset_s
         return np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
+
+    def bent(self, theta: Floats) -> Floats:
+        """Positions (n, 3) of the antenna under clock offset, range offset, clock rate, and its place on the body."""
+        when = self.t_s + theta[0] + theta[2] * (self.t_s - self.middle_s)
+        path = np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
+        return path + self._turned(when) @ theta[3:6] if theta[3:6].any() else path
+
+    def bend(self, theta: Floats) -> Floats:
+        """Displacements (n, 3, 6) of the path per unit of each parameter."""
+        when, step = self.t_s + theta[0], np.zeros(6)
+        step[0] = 0.01
+        velocity = (self.bent(theta + step) - self.bent(theta - step)) / 0.02
+        rate = velocity * (self.t_s - self.middle_s)[:, None]
+        return np.concatenate(
+            [velocity[..., None], np.zeros((len(when), 3, 1)), rate[..., None], self._turned(when)], axis=2
+        )
+
+    def _turned(self, when: Floats) -> Floats:
+        """Rotations (n, 3, 3) world_from_body at the nearest sample of the track."""
+        near = np.clip(np.searchsorted(self.known_s, when), 0, len(self.known_s) - 1)
+        return np.asarray(self.rotation[near])
+
+    def echoes(self, places: Floats, path: Floats, range_m: float) -> Echoes:
+        """Echoes of places (k, 3) on a path (n, 3)."""
+        ray = places[:, None] - path
+        distance = np.linalg.norm(ray, axis=2)
+        at = (distance - range_m - self.first_m) * self.per_m
+        seen = (at >= 1) & (at < self.fine.shape[1] - 2.001)
+        at = np.where(seen, at, 1)
+        low = at.astype(int)
+        share = at - low
+        flat, first = self.raw.ravel(), low + self.raw.shape[1] * np.arange(distance.shape[1])
+        below, here, after, above = (flat[first + k] for k in (-1, 0, 1, 2))
+        turn = np.exp(1j * self.per_m_phase * distance) * seen
+        slope = ((after - below) * (1 - share) + (above - here) * share) * (self.per_m / 2)
+        return Echoes(
+            (here * (1 - share) + after * share) * turn, slope * turn, ray / distance[..., None], self.level[low]
+        )
 
     def seeds(self, offset_s: float, range_m: float) -> list[tuple[float, Floats, float]]:
         """Coherence, place and position along the track of what focuses over parts of the track, best first."""
@@ -239,6 +295,22 @@ class PointFocus:
             places, gain = self._placed(places, amplitude, paths, ranges)
         gains = np.asarray(np.where(amplitude.any(axis=1), gain, 0.0)).tolist()
         return [Point(*one) for one in zip(places, amplitude, gains, strict=True)]
+
+    def line_of_sight(self, points: Sequence[Point], theta: Floats) -> Floats:
+        """Mean direction (3) from the path to the points, in body axes."""
+        ray = np.array([one.place for one in points])[:, None] - self.bent(theta)
+        ray = ray / np.linalg.norm(ray, axis=2, keepdims=True)
+        weight = np.array([one.gain * one.amplitude / max(one.amplitude.sum(), 1e-30) for one in points])
+        turned = np.einsum("kni,nij->knj", ray, self._turned(self.t_s + theta[0]))
+        return np.asarray((weight[..., None] * turned).sum((0, 1)) / max(float(weight.sum()), 1e-30))
+
+    def redrawn(self, places: Floats, theta: Floats, range_m: float) -> tuple[Point, ...]:
+        """Scatterers at these places, with the parts of the track from which they are seen; each echo once."""
+        path, ranges = self.bent(theta)[None], np.full(len(places), range_m)
+        amplitude = self._amplitudes(places, path, ranges)
+        gain = self._gains(self._along_points(places, path, ranges)[0], amplitude)
+        points = [Point(*one) for one in zip(places, amplitude, gain.tolist(), strict=True)]
+        return tuple(points[k] for k in self.distinct(points, float(theta[0])))
 
     def distinct(self, points: Sequence[Point], offset_s: float) -> list[int]:
         """Indices of the scatterers of highest likelihood, each echo once."""
