@@ -42,7 +42,24 @@ def around(t_s: float, distance_m: float = 2.0, *, now_ns: int = 0) -> Any:
     return sectors(YAWS, [distance_m, np.inf, np.inf, np.inf], t_ns=now_ns + round(t_s * 1e9))
 
 
+def deliver(out: MavlinkSink, autopilot: Autopilot) -> None:
+    """Write distances of the present until some arrive: on a busy machine they may be late, and are dropped."""
+    seen, end = len(autopilot.of("OBSTACLE_DISTANCE")), time.monotonic() + 60
+    while len(autopilot.of("OBSTACLE_DISTANCE")) == seen and time.monotonic() < end:
+        gone = seen + late(out)
+        out.write(around(0.0, now_ns=time.time_ns()))
+        while len(autopilot.of("OBSTACLE_DISTANCE")) + late(out) == gone and time.monotonic() < end:
+            time.sleep(0.01)
+    assert len(autopilot.of("OBSTACLE_DISTANCE")) == seen + 1
+
+
+def late(out: MavlinkSink) -> int:
+    """Distances that were dropped because they were too old."""
+    return out.link.counters.dropped("late", topic="OBSTACLE_DISTANCE")
+
+
 def test_a_stream_goes_out_at_its_own_pace_thinned_to_the_rate(autopilot: Autopilot, said: list[str]) -> None:
+    begun = time.monotonic()
     with sink(autopilot, said, obstacle_hz=20) as out:
         for k in range(101):  # two seconds at 50 Hz
             out.write(around(k / 50, 3.0 - k / 50))
@@ -51,8 +68,7 @@ def test_a_stream_goes_out_at_its_own_pace_thinned_to_the_rate(autopilot: Autopi
     assert len(found) == 41  # 20 a second in the mean
     assert set(np.diff(stamps)) == {40_000, 60_000}
     np.testing.assert_allclose([one.distances[0] for one in found], 300 - np.array(stamps) / 10_000, atol=1)
-    times = autopilot.times("OBSTACLE_DISTANCE")
-    assert times[-1] - times[0] > 1.5  # a busy machine may take longer
+    assert time.monotonic() - begun > 1.99  # a busy machine may take longer, and none is quicker
     assert not [line for line in said if "a second are sent" in line]
 
 
@@ -78,36 +94,34 @@ def test_stamps_of_the_present_become_those_of_the_autopilots_clock(said: list[s
         end = time.monotonic() + 20
         while not out.link.clock.known and time.monotonic() < end:
             time.sleep(0.01)
-        boot_s = autopilot.clock_ns() * 1e-9
-        out.write(around(0.0, now_ns=time.time_ns()))
-        (found,) = autopilot.await_("OBSTACLE_DISTANCE")
-        assert found.time_usec * 1e-6 == pytest.approx(boot_s, abs=0.2)
-        assert autopilot.of("DISTANCE_SENSOR")[0].time_boot_ms * 1e-3 == pytest.approx(boot_s, abs=0.2)
+        first = autopilot.clock_ns() * 1e-9
+        deliver(out, autopilot)
+        last, error = autopilot.clock_ns() * 1e-9, 0.5  # of the offset, on a busy machine; the clock says over 77 s
+        (found,) = autopilot.of("OBSTACLE_DISTANCE")
+        assert first - error < found.time_usec * 1e-6 < last + error
+        assert autopilot.of("DISTANCE_SENSOR")[-1].time_boot_ms == found.time_usec // 1000
 
 
 def test_silent_radars_make_the_sink_silent_and_its_state_critical(autopilot: Autopilot, said: list[str]) -> None:
     with sink(autopilot, said) as out:
-        for _ in range(5):
-            out.write(around(0.0, now_ns=time.time_ns()))
-            time.sleep(0.06)
-        sent = len(autopilot.await_("OBSTACLE_DISTANCE", 5))
-        states = autopilot.await_("HEARTBEAT", len(autopilot.of("HEARTBEAT")) + 2)
+        deliver(out, autopilot)
+        sent, end = len(autopilot.of("OBSTACLE_DISTANCE")), time.monotonic() + 60
+        while 5 not in {beat.system_status for beat in autopilot.of("HEARTBEAT")} and time.monotonic() < end:
+            time.sleep(0.01)
+        assert autopilot.of("HEARTBEAT")[-1].system_status == 5  # MAV_STATE_CRITICAL
         assert len(autopilot.of("OBSTACLE_DISTANCE")) == sent
-        assert states[-1].system_status == 5  # MAV_STATE_CRITICAL
         assert any("no distances for 0.5 s, so none are sent" in line for line in said)
-        out.write(around(0.0, now_ns=time.time_ns()))
-        autopilot.await_("OBSTACLE_DISTANCE", sent + 1)
-        assert autopilot.await_("HEARTBEAT", len(states) + 1)
+        deliver(out, autopilot)
 
 
 def test_distances_older_than_half_a_second_are_dropped_and_counted(autopilot: Autopilot, said: list[str]) -> None:
     with sink(autopilot, said) as out:
-        now = time.time_ns()
-        out.write(around(-3.0, now_ns=now))
-        out.write(around(0.0, now_ns=now))
-        found = autopilot.await_("OBSTACLE_DISTANCE")
-        assert len(found) == 1
-        assert out.link.counters.dropped("late", topic="OBSTACLE_DISTANCE") == 1
+        deliver(out, autopilot)  # the stream is of the present
+        before = late(out)
+        out.write(around(-3.0, 1.0, now_ns=time.time_ns()))
+        deliver(out, autopilot)
+        assert late(out) > before
+        assert {one.distances[0] for one in autopilot.of("OBSTACLE_DISTANCE")} == {200}  # not the old one
 
 
 def test_too_few_distances_are_reported(autopilot: Autopilot, said: list[str]) -> None:
