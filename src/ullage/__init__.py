@@ -52,7 +52,7 @@ _HOMES = {
     "run": "pipeline",
     "dataset": "experiments.dataset",
 }
-_MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics", "worlds": "worlds"}
+_MODULES = {"scenes": "world.scenes", "metrics": "processing.metrics", "worlds": "worlds", "figures": "view.figures"}
 
 __all__ = sorted([*_HOMES, *_MODULES])
 

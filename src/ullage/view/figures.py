@@ -25,7 +25,9 @@ TRUTH_COLOR = "#d1495b"
 
 
 @contextmanager
-def drawing(path: Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: int = 1) -> Iterator[tuple[Figure, Any]]:
+def drawing(
+    path: str | Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: int = 1
+) -> Iterator[tuple[Figure, Any]]:
     """A figure that is written to `path` at the end (under a temporary name until whole)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -35,7 +37,7 @@ def drawing(path: Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: i
     axes = figure.subplots(1, columns)
     yield figure, axes
     fit_titles(figure)
-    save_figure(figure, path, dpi=130)
+    save_figure(figure, Path(path), dpi=130)
 
 
 def fit_titles(figure: Figure) -> None:
@@ -122,7 +124,7 @@ def draw_plan(
 
 
 def map_figure(
-    path: Path,
+    path: str | Path,
     omap: OccupancyMap,
     *,
     title: str,
@@ -138,11 +140,11 @@ def map_figure(
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         figure.suptitle(title, fontsize=10)
         axes.set_title(f"{omap.method}, {omap.grid.step_m:g} m cells; grey unknown, amber ambiguous", fontsize=8)
-    return path
+    return Path(path)
 
 
 def image_figure(
-    path: Path,
+    path: str | Path,
     image: Image,
     *,
     title: str,
@@ -171,7 +173,7 @@ def image_figure(
         figure.suptitle(title, fontsize=10)
         about = [f"{image.method}, {image.grid.step_m:g} m cells", *notes[:1]]
         axes.set_title("\n".join([", ".join(about), *notes[1:]]), fontsize=8)
-    return path
+    return Path(path)
 
 
 UNIT_LABEL = {
