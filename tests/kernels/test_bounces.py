@@ -142,10 +142,21 @@ def test_stretches_are_the_legs_of_the_paths_that_are_wanted(seed):
 
 
 @given(seed=seeds)
-def test_the_middle_of_an_outline_is_the_mean_of_its_corners(seed):
+def test_the_middle_of_an_outline_is_that_of_its_length(seed):
     rng = np.random.default_rng(seed)
     first = np.r_[0, np.cumsum(rng.integers(3, 7, 4))]
     edges, out = rng.normal(size=(first[-1], 2, 3)), np.empty((4, 3))
     bounces.middles(first, edges, out)
-    want = [edges[a:b, 0].mean(0) for a, b in pairwise(first)]
+    size = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    want = [np.average(edges[a:b].mean(1), axis=0, weights=size[a:b]) for a, b in pairwise(first)]
     assert out == pytest.approx(np.array(want))
+
+
+def test_a_corner_that_clipping_leaves_twice_does_not_move_the_middle():
+    corners = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]], float)
+    twice = corners[[0, 1, 1, 1, 2, 3]]
+    out = np.empty((2, 3))
+    edges = np.concatenate([np.stack([part, np.roll(part, -1, 0)], 1) for part in (corners, twice)])
+    bounces.middles(np.array([0, 4, 10]), edges, out)
+    assert out[1] == pytest.approx(out[0])
+    assert out[0] == pytest.approx([1, 0.5, 0])

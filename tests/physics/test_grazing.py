@@ -21,13 +21,12 @@ def by_rim(size, one, other):
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * np.array([*size, 0]) / 2
     normal, offset, first, limit = np.array([[0, 0, 1.0]]), np.zeros(1), np.array([0, 4], np.int32), np.array([50.0])
     sphere, pair = np.array([[0, 0, 0, np.hypot(*size) / 2]]), np.stack([one, other])[None]
-    face = np.array([0])
+    face, still = np.array([0]), physical.view_of(RADAR, one, np.eye(3))
     rim = flats.parted(1, 4, lambda *room: edges.cut(
-        face, sphere, normal, offset, first, corners, np.roll(corners, -1, 0), pair, limit, 1e9, READY.pulse.omega,
-        False, *room))  # fmt: skip
+        face, sphere, normal, offset, first, corners, np.roll(corners, -1, 0), pair, still.aside, limit, 1e9,
+        READY.pulse.omega, False, *room))  # fmt: skip
     points = np.empty((1, 9))
     count = kernel.crossings(face, rim.windings, normal, offset, pair, limit, points)
-    still = physical.view_of(RADAR, one, np.eye(3))
     grids = np.zeros((3, READY.places), complex)
     told = normal, np.zeros(1, np.int32), *physical.common(READY, physical.View(pair[0], still.frames, still.fields),
                                                            grids)  # fmt: skip

@@ -29,16 +29,17 @@ def stand_ins(middle, pieces, owner, tips, holders, points, which, least, cut, o
         for k in range(3):
             out[i, k] = middle[i, k]
     for j in range(len(pieces)):
-        i, path = owner[j], pieces[j, 6] + pieces[j, 7]
+        i = owner[j]
         cut[i] = True
-        if path <= least[i]:
-            least[i] = path
-            for k in range(3):
-                out[i, k] = 0.5 * (pieces[j, k] + pieces[j, 3 + k])
+        for end in range(2):  # two pieces on either side of the least path may be as long: they share this end
+            if pieces[j, 6 + end] < least[i]:
+                least[i] = pieces[j, 6 + end]
+                for k in range(3):
+                    out[i, k] = pieces[j, 3 * end + k]
     for j in range(len(tips)):
         i = holders[j]
-        if not cut[i] and 2 * tips[j, 3] <= least[i]:
-            least[i] = 2 * tips[j, 3]
+        if not cut[i] and tips[j, 3] < least[i]:
+            least[i] = tips[j, 3]
             for k in range(3):
                 out[i, k] = tips[j, k]
     for j in range(len(points)):
@@ -118,13 +119,21 @@ def stretches(paths, wanted, starts, ends, owner):  # type: ignore[no-untyped-de
 
 @lean(nogil=True, error_model="numpy")
 def middles(first, edges, out):  # type: ignore[no-untyped-def]
-    """Mean corner (b, 3) of the outlines of beams."""
+    """Middle (b, 3) of the outlines of beams, by length: corners that clipping leaves twice do not count twice."""
     for i in range(len(first) - 1):
+        whole = 0.0
         for k in range(3):
             out[i, k] = 0.0
         for e in range(first[i], first[i + 1]):
+            square = 0.0
             for k in range(3):
-                out[i, k] += edges[e, 0, k] / (first[i + 1] - first[i])
+                square += (edges[e, 1, k] - edges[e, 0, k]) ** 2
+            size = math.sqrt(square)
+            whole += size
+            for k in range(3):
+                out[i, k] += size * 0.5 * (edges[e, 0, k] + edges[e, 1, k])
+        for k in range(3):
+            out[i, k] = out[i, k] / whole if whole > 0 else edges[first[i], 0, k]
 
 
 @lean(nogil=True, error_model="numpy")

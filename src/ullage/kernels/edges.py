@@ -175,7 +175,7 @@ def _end(spots, i, line, strong, y, into, normals, p, sign, tie, ends, holders, 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ignore[no-untyped-def]
+def _before(normals, offsets, spheres, p, origins, o, aside, limit, line):  # type: ignore[no-untyped-def]
     """Whether face p can echo within the limit to radar o; its image, the receiver and the axis go to `line`.
 
     Gives the length of that axis, less than 0 where the face cannot echo.
@@ -196,9 +196,9 @@ def _before(normals, offsets, spheres, p, origins, o, limit, line):  # type: ign
         line[1, k] += (below - behind) * normals[p, k]
     # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it, with the
     # image alone, so that of both ways about a corner one goes over each of its faces
-    line[0, 0], line[0, 1], line[0, 2] = line[0, 0] + 3.1e-7, line[0, 1] - 4.3e-7, line[0, 2] + 2.7e-7
     length = 0.0
     for k in range(3):
+        line[0, k] += aside[k]
         line[2, k] = line[1, k] - line[0, k]
         length += line[2, k] * line[2, k]
     length = math.sqrt(length)
@@ -355,8 +355,8 @@ def _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, wh
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits, most, omega, whole, pieces, owner,  # type: ignore[no-untyped-def]
-        tips, holders, ties, windings, line, spots, marks, at):  # fmt: skip
+def cut(patches, spheres, normals, offsets, first, starts, ends, origins, aside, limits, most, omega, whole, pieces,  # type: ignore[no-untyped-def]
+        owner, tips, holders, ties, windings, line, spots, marks, at):  # fmt: skip
     """Parts the rims of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
 
     Args:
@@ -368,6 +368,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
         starts: (e, 3) edge starts, counter-clockwise about the normal [m].
         ends: (e, 3) edge ends [m].
         origins: (1 or p, 2, 3) transmitter and receiver, or their images, for all or for each face [m].
+        aside: (3) a hair by which images stand beside their places, so that no rim lies on the axis [m].
         limits: (1 or p) greatest mean range, for all or for each face [m].
         most: rim whose path exceeds the mirror path by more is left out [m].
         omega: carrier [rad/s].
@@ -389,7 +390,7 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, limits
         p = patches[i]
         limit = limits[p] if len(limits) > 1 else limits[0]
         windings[i] = 0.0
-        length = _before(normals, offsets, spheres, p, origins, p if len(origins) > 1 else 0, limit, line)
+        length = _before(normals, offsets, spheres, p, origins, p if len(origins) > 1 else 0, aside, limit, line)
         if length >= 0:
             windings[i] = _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces,
                                owner, tips, holders, ties, line, spots, marks, at)  # fmt: skip

@@ -146,8 +146,8 @@ def _lay_strips(
     faces = strips.faces
     limits, many, ends = np.array(ready.gate[1:]), np.arange(len(strips.on)), ways.ends[strips.of]
     rim = parted(len(many), len(faces.starts), lambda *room: edges.cut(
-        many, faces.spheres, faces.normals, faces.offsets, faces.first, faces.starts, faces.ends, ends, limits,
-        1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
+        many, faces.spheres, faces.normals, faces.offsets, faces.first, faces.starts, faces.ends, ends,
+        view.aside, limits, 1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
     if not (len(rim.pieces) or len(rim.tips) or (rim.windings > 0.5).any()):
         return []
 

@@ -222,7 +222,8 @@ def _wedges(order: Longs, first: Longs, count: Longs, inward: Floats) -> Longs:
         widest = int(gap.argmax())
         if gap[widest] > np.pi + np.radians(TURN_DEG):
             out.append(halves[rank[[widest, (widest + 1) % many]]][None])
-    return np.concatenate(out).astype(np.int64)
+    wedges = np.concatenate(out).astype(np.int64)
+    return wedges[np.argsort(wedges.min(1))]  # in an order that does not depend on coordinates
 
 
 def _turn(a: Floats, b: Floats) -> Floats:
@@ -275,10 +276,12 @@ def _free(edges: Edges, rays: Raycaster) -> Edges:
     if not len(edges):
         return edges
     length = np.linalg.norm(edges.ends - edges.starts, axis=1)
-    parts = np.maximum(np.ceil(length / _STEP_M), 1).astype(int)
+    parts = np.maximum(np.ceil(length / _STEP_M - 1e-6), 1).astype(
+        int
+    )  # lengths are mostly whole steps, but for rounding
     of = np.repeat(np.arange(len(edges)), parts)
     step = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
-    share = (step + 0.5) / parts[of]
+    share = (step + 0.49) / parts[of]  # just off the middle, in whose plane other bodies often end
     middle = edges.starts[of] + share[:, None] * (edges.ends - edges.starts)[of]
     open_ = _circled(edges.take(of), middle, rays)
     return _strung(edges, of, step, parts, open_)
@@ -286,7 +289,7 @@ def _free(edges: Edges, rays: Raycaster) -> Edges:
 
 def _circled(edges: Edges, middle: Floats, rays: Raycaster) -> NDArray[np.bool_]:
     """Whether an arc from face to face about each point meets nothing."""
-    steps = 12
+    steps = 11  # odd, so that no chord ends half way round, where surfaces through the edge mostly lie
     share = np.linspace(0, 1, steps + 1)
     turn = 0.12 + share * (edges.angles[:, None] * np.pi - 0.24)
     x, n = edges.inward[:, 0], edges.normals[:, 0]

@@ -68,7 +68,7 @@ def facing_pairs(
     xa, xb, n = inward[a, sa], inward[b, sb], normals[a, sa]
     apart = np.einsum("ni,ni->n", starts[b] - starts[a], xa)
     level = abs(np.einsum("ni,ni->n", starts[b] - starts[a], n))
-    near = (np.einsum("ni,ni->n", xa, xb) < -0.9999) & (apart > 0) & (apart < WIDEST_M) & (level < 1e-4)
+    near = (np.einsum("ni,ni->n", xa, xb) < -0.9999) & (apart > 0) & (apart < WIDEST_M * (1 + 1e-6)) & (level < 1e-4)
     near &= abs(np.einsum("ni,ni->n", n, normals[b, sb])) > 0.9999
     near &= (abs(widths[a, sa] - apart) < 0.01 * apart) & (abs(widths[b, sb] - apart) < 0.01 * apart)
     a, b, sa, sb, xa, n, apart = (v[near] for v in (a, b, sa, sb, xa, n, apart))

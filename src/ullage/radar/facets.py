@@ -28,6 +28,8 @@ ROUNDED = (1e-5, 1e-7, 1e-9)
 """So far off one plane may corners be, as a share of their triangles' size; the next where a patch so bends."""
 BENT_M = 5e-4
 """Off its plane by which a patch is none: an eightieth of a wave [m]."""
+EVEN = 1e-6
+"""Edges whose lengths differ by a smaller share are as long: no rounding of coordinates chooses between them."""
 _CLUSTER = 16  # triangles, about
 
 
@@ -196,12 +198,20 @@ def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDAr
 
 
 def _extents(corners: Floats, patch: NDArray[np.int64]) -> Floats:
-    """Diagonal of the box around each patch [m]."""
-    count = int(patch.max()) + 1 if len(patch) else 0
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, patch, corners.min(1))
-    np.maximum.at(high, patch, corners.max(1))
-    return np.asarray(np.linalg.norm(high - low, axis=1))
+    """Twice the greatest distance of each patch from its centre of area [m].
+
+    A rectangle's is its diagonal. Unlike a box along the axes, it stays the same when the world is turned.
+    """
+    if not len(patch):
+        return np.zeros(0)
+    count = int(patch.max()) + 1
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    middles = corners.mean(1)
+    centre: Floats = np.stack([np.bincount(patch, area * m, count) for m in middles.T], 1)
+    centre /= np.bincount(patch, area, count)[:, None]
+    out = np.zeros(count)
+    np.maximum.at(out, patch, np.linalg.norm(corners - centre[patch, None], axis=2).max(1))
+    return 2 * out
 
 
 def _flats(
@@ -227,30 +237,40 @@ def _flats(
     offsets = np.einsum("ni,ni->n", normal, turned[lead, 0])
     order, loop_of, loops = _ordered(start[rim], end[rim], first)
     a, b = np.ascontiguousarray(a[order]), np.ascontiguousarray(b[order])
-    spheres = _spheres(np.stack([a, b], 1), first)
     mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
+    across = _across(normal, first, a, b)
+    spheres, widths = _extent(normal, offsets, across, first, a)
     return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of,
-                 _widths(normal, first, a, b), _across(normal), curved[lead])  # fmt: skip
+                 widths, across, curved[lead])  # fmt: skip
 
 
-def _across(normals: Floats) -> Floats:
-    """Two unit vectors (p, 2, 3) at right angles to each normal and to each other."""
-    u = np.cross(normals, np.where(abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return np.stack([u, np.cross(normals, u)], 1)
+def _across(normals: Floats, first: Ints, starts: Floats, ends: Floats) -> Floats:
+    """Two unit vectors (p, 2, 3) in each face: along its longest edge, the first of those as long, and across it.
 
-
-def _widths(normals: Floats, first: Ints, starts: Floats, ends: Floats) -> Floats:
-    """Extent (p, 2) of each face along its longest edge and across it [m]."""
+    They turn with the face, so that what is asked for along them does not change when the world is turned.
+    """
+    if not len(normals):
+        return np.zeros((0, 2, 3))
     edge = ends - starts
     size = np.linalg.norm(edge, axis=1)
-    of = np.repeat(np.arange(len(normals)), np.diff(first))
-    rank = np.lexsort((np.arange(len(size)), -size, of))
-    longest = rank[first[:-1]]
-    along = edge[longest] / size[longest, None]
-    axes = np.stack([along, np.cross(normals, along)], 1)
-    places = np.einsum("nij,nj->ni", axes[of], starts)
-    return np.asarray(np.maximum.reduceat(places, first[:-1]) - np.minimum.reduceat(places, first[:-1]))
+    most = np.repeat(np.maximum.reduceat(size, first[:-1]), np.diff(first))
+    long = np.flatnonzero(size > (1 - EVEN) * most)
+    longest = long[np.searchsorted(long, first[:-1])]
+    along = edge[longest] - np.einsum("ni,ni->n", edge[longest], normals)[:, None] * normals
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack([along, np.cross(normals, along)], 1)
+
+
+def _extent(normals: Floats, offsets: Floats, across: Floats, first: Ints, starts: Floats) -> tuple[Floats, Floats]:
+    """Sphere (p, 4) about the middle of each face, and its extent (p, 2), along two unit vectors (p, 2, 3) [m]."""
+    if not len(across):
+        return np.zeros((0, 4)), np.zeros((0, 2))
+    of, begin = np.repeat(np.arange(len(across)), np.diff(first)), first[:-1]
+    places = np.einsum("nij,nj->ni", across[of], starts)
+    low, high = np.minimum.reduceat(places, begin), np.maximum.reduceat(places, begin)
+    middle = np.einsum("ni,nij->nj", (low + high) / 2, across) + offsets[:, None] * normals
+    radius = np.maximum.reduceat(np.linalg.norm(starts - middle[of], axis=1), begin)
+    return np.column_stack([middle, radius]), high - low
 
 
 def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> tuple[NDArray[np.int64], Ints, Ints]:

@@ -65,7 +65,7 @@ def rims(ready: Bench, flats: Flats, view: View, which: Longs, limits: Floats) -
     """The rims of some faces, each as far as its limit (p) [m]."""
     return parted(len(which), len(flats.starts), lambda *room: kernel.cut(
         which, flats.spheres, flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
-        view.origins[None], limits, 1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
+        view.origins[None], view.aside, limits, 1e9, ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
 
 
 def lay_flats(

@@ -173,8 +173,8 @@ def _lay(ready: Bench, parts: list[Surfaces], flats: Flats, view: View, beams: B
     weights = np.maximum(weights - FAINT, 0)
     which = np.flatnonzero(weights)
     rim = parted(len(which), len(starts), lambda *room: edges.cut(
-        which, spheres, normals, offsets, beams.first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
-        ready.whole_rims, *room))  # fmt: skip
+        which, spheres, normals, offsets, beams.first, starts, ends, origins, view.aside, gate, EXCESS_M,
+        ready.pulse.omega, ready.whole_rims, *room))  # fmt: skip
     points = np.empty((len(which), 9))
     count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points)
     points, which = points[:count], which[:count]
@@ -252,8 +252,8 @@ def image_lengths(ready: Bench, view: View, order: int) -> Floats:
     normals, offsets, spheres = flats.normals[on], flats.offsets[on], flats.spheres[on]
     which = np.flatnonzero(asked)
     rim = parted(len(which), len(starts), lambda *room: edges.cut(
-        which, spheres, normals, offsets, first, starts, ends, origins, gate, EXCESS_M, ready.pulse.omega,
-        False, *room))  # fmt: skip
+        which, spheres, normals, offsets, first, starts, ends, origins, view.aside, gate, EXCESS_M,
+        ready.pulse.omega, False, *room))  # fmt: skip
     points = np.empty((len(which), 9))
     count = draw.crossings(which, rim.windings, normals, offsets, origins, gate, points)
     return np.sort(points[:count, 3])

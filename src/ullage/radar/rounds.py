@@ -152,6 +152,8 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
     axis = turn[:, 0]
     if area[kept].sum() < _MOST * area.sum() or not settled:
         return None
+    climb = np.diff((corners[kept][0] @ axis)[[0, 1, 2, 0]])
+    axis = axis * np.sign(climb[(abs(climb) > 0.1 * abs(climb).max()).argmax()])  # as the mesh is turned, not the world
     axes = np.stack([turn[:, 2], np.cross(axis, turn[:, 2]), axis])
     points = corners[kept] @ axes.T
     flat = points[..., :2].reshape(-1, 2)
@@ -162,6 +164,10 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
     away = np.linalg.norm(flat - centre, axis=1)
     if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or _arc(flat - centre) < np.deg2rad(_ARC_DEG):
         return None
+    # angles begin opposite a corner of the mesh: they turn with it, and no strip lies across their seam
+    turned = -_about(flat[0] - centre)
+    axes = np.concatenate([turned @ axes[:2], axes[2:]])
+    points[..., :2], centre = points[..., :2] @ turned.T, turned @ centre
     halves = (points + np.roll(points, 1, 1))[..., :2] / 2 - centre  # of sides: exact for squares
     gaps = np.linalg.norm(halves, axis=2)
     radius = float(away.mean())
@@ -171,6 +177,12 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
     return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
                  float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff,
                  strips=_strips(points, centre, area[kept]))  # fmt: skip
+
+
+def _about(direction: Floats) -> Floats:
+    """Rows (2, 2): a direction (2) as a unit vector, and the one a quarter turn on."""
+    x, y = direction / np.linalg.norm(direction)
+    return np.array([[x, y], [-y, x]])
 
 
 def _leveled(normals: Floats, area: Floats) -> tuple[NDArray[np.bool_], Floats, bool]:
