@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ullage.kernels import beams, impulses, rims
 
@@ -24,11 +25,13 @@ def test_backs_are_hidden_from_outside_and_only_from_there():
     rng = np.random.default_rng(1)
     normals, middles = rng.normal(size=(40, 3)), rng.normal(size=(40, 3))
     outward = np.concatenate([normals, -(normals * middles).sum(1)[:, None]], 1)
-    boxes = np.stack([middles - 0.5, middles + 0.5], 1)
+    axes, halves = Rotation.random(40, random_state=2).as_matrix(), rng.uniform(0.2, 1.0, (40, 3))
     origins, opaque, out = np.array([[0.2, 0.1, 0.0], [0.3, -0.4, 0.1]]), rng.random(40) > 0.2, np.empty(40, np.bool_)
-    rims.hidden(outward, boxes, origins, opaque, 1e-3, out)
+    held = np.empty((40, 2), np.bool_)
+    rims.held_by(middles, axes, halves, origins, 1e-3, held)
+    rims.hidden(outward, np.arange(40, dtype=np.int32), held, origins, opaque, out)
     behind = [outward[:, :3] @ o + outward[:, 3] < 0 for o in origins]
-    inside = [((boxes[:, 0] - 1e-3 <= o) & (o <= boxes[:, 1] + 1e-3)).all(1) for o in origins]
+    inside = [(abs(np.einsum("nki,ni->nk", axes, o - middles)) <= halves + 1e-3).all(1) for o in origins]
     expected = opaque & behind[0] & behind[1] & ~inside[0] & ~inside[1]
     assert list(out) == list(expected)
     assert any(expected)

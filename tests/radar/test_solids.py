@@ -48,3 +48,15 @@ def test_what_is_left_out_would_not_have_echoed(monkeypatch):
     without = ul.simulate(scene, path, radar).samples
     assert abs(with_cull).max() > 1e-6
     np.testing.assert_allclose(with_cull, without, atol=1e-9 * abs(without).max())
+
+
+def test_a_radar_beside_an_oblique_plate_does_not_hear_its_back():
+    """It stands in the plate's box along the world's axes, but not in the plate."""
+    vertices, faces = shapes.box((0.003, 1.0, 1.0))
+    radar = ul.RadarSpec.preset("x4m05", noise=None)
+    here = ul.Trajectory.stationary((-0.4, 0.05, 0.1))
+    straight = ul.simulate(Scene.of_mesh(vertices, faces, name="plate"), here, radar).samples
+    turn = np.array([[1, -1, 0], [1, 1, 0], [0, 0, np.sqrt(2)]]) / np.sqrt(2)
+    beside = ul.Trajectory.stationary(turn @ here.position[0], yaw_deg=45)
+    oblique = ul.simulate(Scene.of_mesh(vertices @ turn.T, faces, name="plate"), beside, radar).samples
+    assert abs(oblique - straight).max() < 1e-3 * abs(straight).max()

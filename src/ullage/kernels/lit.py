@@ -147,7 +147,7 @@ def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-unty
 
 @lean(nogil=True, error_model="numpy")
 def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, stuffs,  # type: ignore[no-untyped-def]
-               outward, boxes, first, starts, table, flat, most, wave, of, on, gains, louds, paths,
+               outward, inside, first, starts, table, flat, most, wave, of, on, gains, louds, paths,
                scratch):  # fmt: skip
     """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
 
@@ -156,7 +156,7 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
         gate: largest mean range [m].
         items: (k) faces to ask for.
         spheres: (p, 4), normals: (p, 3), offsets: (p), stuffs: (p), first: (p + 1), starts: (e, 3) of the faces.
-        outward: (p, 4) and boxes: (p, 2, 3) as in `solids.Backs`.
+        outward: (p, 4) as in `solids.Backs`; inside: (p) whether the antennas may be in the body of a face.
         table, flat: as in `facets.deposit`; most: as in `_kept`; wave: wave number [1/m].
         of, on: (m), (m) get way and face of each pair.
         gains: (m) gets the antennas' gains there, times the way's weight and what it reflects.
@@ -171,13 +171,12 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
     count = 0
     for p in items:
         x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
-        direct, inside = 0.0, True
+        direct = 0.0
         for side in range(2):
             square = 0.0
             for k in range(3):
                 here = images[0, side, 0, k]
                 square += (spheres[p, k] - here) ** 2
-                inside = inside and boxes[p, 0, k] - 1e-3 <= here <= boxes[p, 1, k] + 1e-3
             direct += 0.5 * math.sqrt(square)
         if direct - radius > gate:  # no way is shorter
             continue
@@ -185,7 +184,7 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
             one, other = images[i, 0, 2], images[i, 1, 2]
             if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
                 continue
-            if not _faced(one, other, normals[p], offsets[p], outward[p], inside):
+            if not _faced(one, other, normals[p], offsets[p], outward[p], inside[p]):
                 continue
             if not _cornered(planes[i], counts[i], starts, first[p], first[p + 1]):
                 continue
@@ -256,13 +255,13 @@ def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_triangles(images, planes, counts, gate, spheres, first, corners, normals, outward, boxes, lit):  # type: ignore[no-untyped-def]
+def meet_triangles(images, planes, counts, gate, spheres, first, corners, normals, outward, inside, lit):  # type: ignore[no-untyped-def]
     """Which small triangles each way can reach, so that both legs end on the same side of them.
 
     Args:
         images, planes, counts, gate: as in `meet_faces`.
         spheres: (c, 4) and first: (c + 1) of the clusters; corners: (f, 3, 3) and normals: (f, 3) of the triangles.
-        outward: (f, 4) and boxes: (f, 2, 3) as in `solids.Backs`.
+        outward: (f, 4) and inside: (f) as in `meet_faces`.
         lit: (n, f) gets True where a way can reach a triangle.
     """
     for i in range(len(images)):
@@ -272,14 +271,12 @@ def meet_triangles(images, planes, counts, gate, spheres, first, corners, normal
             if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
                 continue
             for f in range(first[c], first[c + 1]):
-                out, inside, ahead, behind = outward[f, 3], True, 0.0, 0.0
+                out, ahead, behind = outward[f, 3], 0.0, 0.0
                 for k in range(3):
                     out += outward[f, k] * one[k]
                     ahead += normals[f, k] * (one[k] - corners[f, 0, k])
                     behind += normals[f, k] * (other[k] - corners[f, 0, k])
-                    for side in range(2):
-                        inside = inside and boxes[f, 0, k] - 1e-3 <= images[i, side, 0, k] <= boxes[f, 1, k] + 1e-3
-                if ahead * behind > 0 and (out >= 0 or inside):
+                if ahead * behind > 0 and (out >= 0 or inside[f]):
                     lit[i, f] = _cornered(planes[i], counts[i], corners[f], 0, 3)
 
 

@@ -291,24 +291,36 @@ def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def
 
 
 @lean(nogil=True, error_model="numpy")
-def hidden(outward, boxes, origins, opaque, clear, out):  # type: ignore[no-untyped-def]
+def held_by(centres, axes, halves, origins, clear, out):  # type: ignore[no-untyped-def]
+    """Which boxes (m) hold which places (k, 3) or have them no farther outside than `clear` [m]: out (m, k)."""
+    for i in range(len(out)):
+        for s in range(len(origins)):
+            out[i, s] = True
+            for k in range(3):
+                away = 0.0
+                for j in range(3):
+                    away += axes[i, k, j] * (origins[s, j] - centres[i, j])
+                out[i, s] = out[i, s] and abs(away) <= halves[i, k] + clear
+
+
+@lean(nogil=True, error_model="numpy")
+def hidden(outward, body, inside, origins, opaque, out):  # type: ignore[no-untyped-def]
     """Which faces turn their backs to all of some places outside their bodies.
 
     Args:
-        outward: (n, 4) and boxes: (n, 2, 3) as in `radar.solids.Backs`.
+        outward: (n, 4) and body: (n) as in `radar.solids.Backs`.
+        inside: (m, k) whether a place may be in a body.
         origins: (k, 3) the places [m].
         opaque: (n) whether nothing goes through.
-        clear: a place so far outside a body's box is outside the body [m].
         out: (n) gets the answer.
     """
     for i in range(len(out)):
         out[i] = opaque[i]
         for s in range(len(origins) if opaque[i] else 0):
-            above, inside = outward[i, 3], True
+            above = outward[i, 3]
             for k in range(3):
                 above += outward[i, k] * origins[s, k]
-                inside = inside and boxes[i, 0, k] - clear <= origins[s, k] <= boxes[i, 1, k] + clear
-            out[i] = out[i] and above < 0 and not inside
+            out[i] = out[i] and above < 0 and not inside[body[i], s]
 
 
 @lean(nogil=True, error_model="numpy")

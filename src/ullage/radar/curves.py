@@ -114,8 +114,9 @@ def _lay_small(
 def lit_by(ready: Bench, part: Surfaces, ways: Ways) -> Bools:
     """Which small triangles each way can reach (n, f), if nothing stands between."""
     out = np.zeros((len(ways), len(part.corners)), np.bool_)
+    inside = part.backs.inside(ways.images[:1, :, 0].reshape(-1, 3))
     lit.meet_triangles(ways.images, ways.planes, ways.counts, ready.gate[1], part.spheres, part.first, part.corners,
-                       part.normals, part.backs.outward, part.backs.boxes, out)  # fmt: skip
+                       part.normals, part.backs.outward, inside, out)  # fmt: skip
     return out
 
 
@@ -139,7 +140,7 @@ def _lay_strips(
 ) -> list[Laid]:  # fmt: skip
     backs = parts[0].flat_backs
     if len(parts) > 1:
-        backs = Backs(*(np.concatenate([getattr(p.flat_backs, row) for p in parts]) for row in ("outward", "boxes")))
+        backs = Backs.joined([part.flat_backs for part in parts])
     strips = met(ready, flats, backs, ways, smooth, peak)
     if not len(strips.on):
         return []
@@ -179,13 +180,13 @@ def rims_heard(ready: Bench, rim: Rim, gains: Floats, rest: float) -> Bools:
 
 def met(ready: Bench, flats: Flats, backs: Backs, ways: Ways, smooth: Longs, peak: float) -> Strips:
     """Those of some faces that ways meet within the gate, but for what is too faint."""
-    size = min(len(ways) * len(smooth), 8192)
+    size, inside = min(len(ways) * len(smooth), 8192), backs.inside(ways.images[:1, :, 0].reshape(-1, 3))
     while True:
         of, on = np.empty(size, np.int64), np.empty(size, np.int64)
         gains, louds, paths = np.empty((3, size))
         count = lit.meet_faces(ways.images, ways.frames, ways.faces, ways.planes, ways.counts, ways.weights,
                                ready.gate[1], smooth, flats.spheres, flats.normals, flats.offsets, flats.stuffs,
-                               backs.outward, backs.boxes, flats.first, flats.starts, ready.table,
+                               backs.outward, inside, flats.first, flats.starts, ready.table,
                                ready.spec.antenna.kind == "isotropic", _most(ready), ready.pulse.omega / C0, of, on,
                                gains, louds, paths, np.empty((7, 6)))  # fmt: skip
         if count <= size:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.radar.solids import WELD_M, Backs, backs
+from ullage.radar.solids import EVEN, WELD_M, Backs, backs
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -28,8 +28,6 @@ ROUNDED = (1e-5, 1e-7, 1e-9)
 """So far off one plane may corners be, as a share of their triangles' size; the next where a patch so bends."""
 BENT_M = 5e-4
 """Off its plane by which a patch is none: an eightieth of a wave [m]."""
-EVEN = 1e-6
-"""Edges whose lengths differ by a smaller share are as long: no rounding of coordinates chooses between them."""
 _CLUSTER = 16  # triangles, about
 
 

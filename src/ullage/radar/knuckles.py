@@ -180,11 +180,12 @@ def _backs(middles: Floats, still: Surfaces, parent: NDArray[np.int64], corners:
     flats = still.flats
     centres = np.concatenate([still.corners.mean(1), flats.spheres[:, :3]])
     sides = np.concatenate([still.backs.outward, still.flat_backs.outward])
-    boxes = np.concatenate([still.backs.boxes, still.flat_backs.boxes])
+    body = np.concatenate([still.backs.body, still.flat_backs.body])
     nearest = np.asarray(cKDTree(centres).query(middles)[1], np.int64)[parent]
     sign = np.sign(np.einsum("ni,ni->n", sides[nearest, :3], normals))
     outward = sign[:, None] * normals
-    return Backs(np.column_stack([outward, -np.einsum("ni,ni->n", outward, corners[:, 0])]), boxes[nearest])
+    return Backs(np.column_stack([outward, -np.einsum("ni,ni->n", outward, corners[:, 0])]), body[nearest],
+                 still.backs.boxes)  # fmt: skip
 
 
 def lay_heads(

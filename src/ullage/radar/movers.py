@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ullage.geometry import invert
 from ullage.radar.facets import Flats, Surfaces, gather, joined, only
-from ullage.radar.solids import Backs
+from ullage.radar.solids import Backs, Boxes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -59,8 +59,8 @@ def _together(parts: Sequence[Surfaces], solid: Scene) -> Surfaces:
 
     ends = np.cumsum([0, *(len(part.corners) for part in parts)])
     first = [part.first[1:] + end for part, end in zip(parts, ends, strict=False)]
-    backs = Backs(loose(lambda p: p.backs.outward), loose(lambda p: p.backs.boxes))
-    flat_backs = Backs(loose(lambda p: p.flat_backs.outward), loose(lambda p: p.flat_backs.boxes))
+    backs = Backs.joined([part.backs for part in parts])
+    flat_backs = Backs.joined([part.flat_backs for part in parts])
     return Surfaces(
         loose(lambda p: p.corners), loose(lambda p: p.normals), loose(lambda p: p.stuffs), loose(lambda p: p.spheres),
         np.concatenate([np.zeros(1, np.int32), *first]).astype(np.int32), backs, joined([p.flats for p in parts]),
@@ -84,12 +84,13 @@ def _rolled(spheres: Floats, moves: Floats, owner: Ints) -> Floats:
 
 
 def _backs(backs: Backs, moves: Floats, owner: Ints) -> Backs:
-    """Planes as they lie now, and boxes around the boxes."""
+    """Planes and boxes as they lie now."""
     normals = _turned(backs.outward[:, :3], moves, owner)
     level = backs.outward[:, 3] - np.einsum("ni,ni->n", normals, moves[owner, :3, 3])
-    middle = _carried(backs.boxes.mean(1), moves, owner)
-    half = np.einsum("nij,nj->ni", abs(moves[owner, :3, :3]), np.ptp(backs.boxes, axis=1) / 2)
-    return Backs(np.concatenate([normals, level[:, None]], 1), np.stack([middle - half, middle + half], 1))
+    boxes, object_ = backs.boxes, np.zeros(len(backs.boxes.centres), np.int32)
+    object_[backs.body] = owner
+    moved = Boxes(_carried(boxes.centres, moves, object_), _turned(boxes.axes, moves, object_), boxes.halves)
+    return Backs(np.concatenate([normals, level[:, None]], 1), backs.body, moved)
 
 
 def _flats(flats: Flats, moves: Floats) -> Flats:
