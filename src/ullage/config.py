@@ -149,6 +149,9 @@ class MapSpec(Spec):
         description="height of a level floor, whose echoes a plane leaves out (0 for a Motive capture); none: only "
         "floors that show themselves",
     )
+    vehicle_radius_m: float = Field(
+        0.25, gt=0, le=10, description="radius of the ball about the antenna that the vehicle fills, and so shows free"
+    )
     scatterer_pfa: float = Field(
         0.01, gt=0, lt=1, description="probability that a recording's clutter alone adds one coherent scatterer"
     )

@@ -294,6 +294,7 @@ class MapStage:
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     floor_z_m: float | None = None  # height of a level floor, whose echoes are left out of a plane [m]
     target_z_m: float | None = None  # height of scatterers where the track is straight; None: that of the track [m]
+    vehicle_radius_m: float | None = None  # of the ball about the antenna that the vehicle fills; None: 0.25 m
     scatterer_pfa: float = 0.01  # probability that clutter alone gives a coherent scatterer
     scatterers: list[Scatterer] = field(default_factory=list)  # of calibrated frames, once finished
     _calibrated: dict[str, list[Frames]] = field(default_factory=dict)
@@ -311,7 +312,8 @@ class MapStage:
             return
         if self._mapper is None:
             # the mapper "ullage" has its own level for every profile
-            options = {"floor_z_m": self.floor_z_m} if self.method == "ullage" else {"threshold": self.threshold}
+            own = {"floor_z_m": self.floor_z_m, "vehicle_radius_m": self.vehicle_radius_m}
+            options = own if self.method == "ullage" else {"threshold": self.threshold}
             known = {name: value for name, value in options.items() if value is not None}
             self._mapper = Mapper(self.grid, method=self.method, **known)
         self._mapper.update(chunk)

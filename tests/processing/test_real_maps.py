@@ -11,6 +11,7 @@ import pytest
 import ullage as ul
 from ullage.data import Calibration
 from ullage.processing.baseband import as_baseband, to_baseband
+from ullage.processing.blocks import Blocks
 from ullage.processing.floor import floor_echo
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import Scatterer, find_scatterers, with_scatterers
@@ -87,9 +88,9 @@ def test_clutter_that_fades_slowly_along_the_track_is_no_scatterer() -> None:
 
 @pytest.mark.slow
 def test_scatterers_are_false_as_often_as_asked() -> None:
-    """Of 24 recordings of clutter at a probability of 0.3, 2 to 13 give alarms in all but one case in 100."""
-    alarms = sum(bool(find_scatterers(near(clutter(curved(), seed=seed)), pfa=0.3)) for seed in range(24))
-    assert 2 <= alarms <= 13
+    """Of 12 recordings of clutter at a probability of 0.4, 1 to 9 give alarms in all but one case in 190."""
+    alarms = sum(bool(find_scatterers(near(clutter(curved(), seed=k)), pfa=0.4, everywhere=True)) for k in range(12))
+    assert 1 <= alarms <= 9
 
 
 def test_a_scatterer_in_clutter_is_found_among_no_others() -> None:
@@ -117,6 +118,27 @@ def test_a_scatterer_where_the_vehicle_flew_shows_only_where_it_outweighs_the_fl
         got = with_scatterers(omap, [Scatterer(np.array([x, 1.05, 1.0]), 100.0, True, chance)])
         assert got.occupied.any() == shown, (x, chance)
     assert with_scatterers(omap, []).percent is omap.percent
+
+
+def test_what_the_vehicle_fills_is_free_unless_a_later_echo_stands_there() -> None:
+    grid = ul.Grid((0.0, 0.0, 1.0), 0.1, (40, 40))
+    place = np.array([2.05, 2.05, 1.0])
+    for radius, free in ((0.25, False), (0.5, True)):
+        blocks = Blocks(grid)
+        blocks.lay(place + np.array([0.4, 0, 0]), np.array([1.0, 0, 0]), (0.02, 0.05, 3.0))
+        before = int(blocks.pools.hits.astype(int).sum())
+        blocks.clear(place, radius)
+        left = int(blocks.pools.hits.astype(int).sum())
+        assert before > 0
+        assert (left == 0) == free
+        blocks.lay(place + np.array([0.4, 0, 0]), np.array([1.0, 0, 0]), (0.02, 0.05, 3.0))
+        assert blocks.pools.hits.max() > 0
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), 11.0])
+def test_no_vehicle_of_impossible_size(radius: float) -> None:
+    with pytest.raises(ul.InputError, match=r"vehicle_radius_m is .*above 0, at most 10 m"):
+        ul.map_occupancy(clutter(curved(40), seed=0), ul.Grid((-3, -3, 0), 0.1, (90, 90)), vehicle_radius_m=radius)
 
 
 def test_a_straight_track_takes_the_height_that_is_given() -> None:
@@ -181,7 +203,8 @@ def test_the_surveyed_reflector_is_on_the_map_and_nothing_on_the_path(name: str)
                      range_m=raw.range_m + range_m, calibration=KNOWN)  # fmt: skip
     position = frames.believed.position
     bounds = np.stack([position.min(0) - 7, position.max(0) + 7])
-    omap = ul.map_occupancy(frames, ul.Grid.covering(bounds, 0.1), floor_z_m=0.0, target_z_m=float(mark[2]))
+    omap = ul.map_occupancy(frames, ul.Grid.covering(bounds, 0.1), floor_z_m=0.0, target_z_m=float(mark[2]),
+                            vehicle_radius_m=0.3)  # fmt: skip
     assert to_nearest(omap, mark[None]) < 0.15
     assert to_nearest(omap, position) > 0.3
     if name == "flight_a":

@@ -281,6 +281,7 @@ def _stages(job: Run) -> list[Stage]:
         every_s = plan.map.every_s or (LIVE_S if job.live else 1.0)
         job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
                            floor_z_m=plan.map.floor_z_m, target_z_m=plane_m,
+                           vehicle_radius_m=plan.map.vehicle_radius_m,
                            scatterer_pfa=plan.map.scatterer_pfa)  # fmt: skip
         out.append(job.map)
     if job.plane is not None:

@@ -26,6 +26,7 @@ from ullage.ports.protocol import Passing
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
 
+VEHICLE_M = 0.3  # radius of what carries a real radar, where no setting says it [m]
 CONTRADICTION = 3.0  # standard deviations between the floor's echo and a calibrated range axis
 FLOOR_CLOCK_S = 0.2  # sigma of the first clock offset where the range is calibrated again [s]
 
@@ -161,7 +162,8 @@ def _of_recording(
         raise InputError("no frames", where=target)
     rail = source if isinstance(source, RailSource) else None
     survey = None if rail is None else rail.survey
-    tree: dict[str, Any] = {} if rail is None else {"map": {"floor_z_m": rail.floor_z_m}}
+    known = {} if rail is None else {"floor_z_m": rail.floor_z_m, "vehicle_radius_m": VEHICLE_M}
+    tree: dict[str, Any] = {} if rail is None else {"map": known}
     if any(part.track is not None for part in first.values()):
         floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
         source = Held(_on_one_clock(source, say, floor_z_m, None if survey is None else survey.places))

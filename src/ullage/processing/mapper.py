@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.data import Recording
+from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap, Tiles
 from ullage.kernels.occupancy import RING, TORN
 from ullage.kernels.occupancy_reach import Beam
@@ -48,7 +49,7 @@ HEARD_ODDS, SIDE_NATS = {2: -1.2, 3: -0.7}, 0.8
 SOLID = 65
 SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
-FLOWN_M = 0.25
+FLOWN_M, MOST_RADIUS_M = 0.25, 10.0
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
 FLAT_SHARE = 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
@@ -70,10 +71,19 @@ class UllageMapper:
         grid: holds the flight; a plane without a height takes that of the first frames.
         phase: whether phase may be used; it is left aside anyway while echoes do not keep it along the track.
         floor_z_m: height of a level floor [m]; a plane leaves its echoes out. None: only floors that show themselves.
+        vehicle_radius_m: radius of the ball about the antenna that the vehicle fills, and so shows free [m].
+
+    Raises:
+        InputError: the radius is not a positive number.
     """
 
-    def __init__(self, grid: Grid, *, phase: bool = True, floor_z_m: float | None = None) -> None:
-        self.grid = grid
+    def __init__(
+        self, grid: Grid, *, phase: bool = True, floor_z_m: float | None = None, vehicle_radius_m: float = FLOWN_M
+    ) -> None:
+        if not 0 < vehicle_radius_m <= MOST_RADIUS_M:
+            raise InputError(f"vehicle_radius_m is {vehicle_radius_m}", where="mapper",
+                             allowed=f"above 0, at most {MOST_RADIUS_M:g} m")  # fmt: skip
+        self.grid, self._radius_m = grid, vehicle_radius_m
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
         self._order = InOrder()
@@ -240,7 +250,7 @@ class UllageMapper:
         heard = look.heard
         if self.grid.dims == 2:
             arcs[[ways_apart(heard.axes, arc, hit[0]) > APART_M for arc in arcs], 8] = TORN
-        self.blocks.clear(heard.position, max(FLOWN_M, self.grid.step_m))
+        self.blocks.clear(heard.position, max(self._radius_m, self.grid.step_m))
         self._flown[cell_of(heard.position, self.grid)] = None
         quiet = np.concatenate([[0], np.cumsum(heard.quiet)])
         beam = Beam(

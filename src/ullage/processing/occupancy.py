@@ -69,8 +69,9 @@ def map_occupancy(
         target_z_m: height of coherent scatterers on a straight track; None: that of the track. Frames that
             `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
         scatterer_pfa: probability that clutter alone adds one coherent scatterer or more.
-        options: those of the method's mapper: `threshold` of "elfes"; `floor_z_m` of "ullage", a level floor's height
-            [m], whose echoes a plane leaves out.
+        options: those of the method's mapper: `threshold` of "elfes"; of "ullage" `floor_z_m`, a level floor's height
+            [m], whose echoes a plane leaves out, and `vehicle_radius_m`, the radius of the ball about the antenna
+            that the vehicle fills (0.25 m).
 
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.
