@@ -83,7 +83,7 @@ def clutter(position: np.ndarray, *, seed: int, length: float = 25.0) -> ul.Fram
 
 
 def test_clutter_that_fades_slowly_along_the_track_is_no_scatterer() -> None:
-    assert find_scatterers(near(clutter(curved(), seed=0))) == []
+    assert find_scatterers(near(clutter(curved(), seed=0)), everywhere=True) == []
 
 
 @pytest.mark.slow
@@ -133,6 +133,17 @@ def test_what_the_vehicle_fills_is_free_unless_a_later_echo_stands_there() -> No
         assert (left == 0) == free
         blocks.lay(place + np.array([0.4, 0, 0]), np.array([1.0, 0, 0]), (0.02, 0.05, 3.0))
         assert blocks.pools.hits.max() > 0
+
+
+def test_the_mapper_frees_what_the_vehicle_fills() -> None:
+    position = curved(60)
+    frames = near(rf_frames(position, [], noise=1.0))
+    grid = ul.Grid.covering(np.array([[-2.0, -2, 0], [3, 6, 2]]), 0.1)
+    x, y = np.meshgrid(grid.x_m, grid.y_m)
+    first = np.hypot(x - position[0, 0], y - position[0, 1]) < 0.55
+    for radius, whole in ((0.25, False), (0.6, True)):
+        omap = ul.map_occupancy(frames, grid, remove_own_echo=False, vehicle_radius_m=radius)
+        assert bool((omap.percent[first] == 0).all()) == whole
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), 11.0])
