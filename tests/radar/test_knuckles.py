@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 import ullage as ul
 from ullage.geometry import rpy_quat
 from ullage.radar import physical
 from ullage.radar.prepared import prepare
+from ullage.radar.rounds import Round
 from ullage.world import shapes
 from ullage.world.scene import Scene
 
@@ -90,3 +92,22 @@ def test_other_ends_are_no_knuckles(shape):
         "ellipsoid": lambda: shapes.ellipsoid((1.0, 1.0, 0.7), edge_m=0.1),
     }[shape]()
     assert prepare(Scene.of_mesh(*mesh, name="thing", made_of="pec")).knuckles == ()
+
+
+def test_walls_are_searched_for_caps_and_knuckles_near_their_own_ends(monkeypatch):
+    """The points that are brought into walls' frames grow with their number, not with its square."""
+    asked = []
+    whole = Round.local
+    monkeypatch.setattr(Round, "local", lambda self, points: asked.append(points.size) or whole(self, points))
+
+    def points(count):
+        pipe = trimesh.creation.cylinder(0.1, 1.0, sections=24)
+        pipes = [pipe.copy().apply_translation((1.5 * k, 0, 0)) for k in range(count)]
+        mesh, start = trimesh.util.concatenate(pipes), len(asked)
+        world = prepare(Scene.of_mesh(mesh.vertices, mesh.faces.astype(np.int32), name="pipes"))
+        assert len(world.rounds) == count
+        assert all((wall.caps == 1).all() for wall in world.rounds)
+        assert world.knuckles == ()
+        return sum(asked[start:])
+
+    assert points(12) < 2.5 * points(6)

@@ -82,16 +82,21 @@ class Tube:
 
 def knuckles_of(shells: Sequence[Shell], walls: Sequence[Round], still: Surfaces) -> tuple[Knuckle, ...]:
     """The knuckles among smooth surfaces that stand still, beside round walls."""
-    found = []
+    low, high = (np.array([of(s.corners, axis=(0, 1)) for s in shells]).reshape(-1, 3) for of in (np.min, np.max))
+    stuffs, found = np.array([shell.stuff for shell in shells]), []
     for wall in walls:
-        mine = [shell for shell in shells if shell.stuff == wall.stuff and not wall.ball]
-        if not mine:
-            continue
-        corners, normals, area = (np.concatenate([getattr(shell, row) for shell in mine])
-                                  for row in ("corners", "normals", "area"))  # fmt: skip
-        whole = Shell(corners, normals, area, wall.stuff)  # knuckles of few facets bend enough to come apart
-        tubes = (_tube(whole, wall, end, side) for end, side in ((wall.low, -1), (wall.high, 1)))
-        found += [_knuckle(whole, tube, still) for tube in tubes if tube is not None]
+        for end, side in () if wall.ball else ((wall.low, -1), (wall.high, 1)):
+            # all of a tube lies so near to the middle of the wall's end
+            middle, reach = wall.centre + end * wall.axes[2], np.sqrt(2) * wall.radius + OFF_M
+            apart = np.maximum(np.maximum(low - middle, middle - high), 0.0)
+            mine = np.flatnonzero((stuffs == wall.stuff) & (np.linalg.norm(apart, axis=1) < reach)).tolist()
+            if not mine:
+                continue
+            corners, normals, area = (np.concatenate([getattr(shells[k], row) for k in mine])
+                                      for row in ("corners", "normals", "area"))  # fmt: skip
+            whole = Shell(corners, normals, area, wall.stuff)  # knuckles of few facets bend enough to come apart
+            tube = _tube(whole, wall, end, side)
+            found += [] if tube is None else [_knuckle(whole, tube, still)]
     return tuple(found)
 
 

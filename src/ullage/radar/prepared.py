@@ -42,7 +42,7 @@ class Prepared:
     @cached_property
     def rounds(self) -> tuple[Round, ...]:
         """Round walls and bodies, as they stand at the start."""
-        return tuple(capped(wall, self.scene) for wall in rounds_of(self._shells))
+        return capped(rounds_of(self._shells), self.scene)
 
     @cached_property
     def balls(self) -> tuple[Ball, ...]:

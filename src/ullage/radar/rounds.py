@@ -52,7 +52,7 @@ class Round:
 
     def local(self, points: Floats) -> Floats:
         """Points (..., 3) as seen from the centre along the axes [m]."""
-        return np.asarray((points - self.centre) @ self.axes.T)
+        return np.asarray(((points - self.centre).reshape(-1, 3) @ self.axes.T).reshape(points.shape))
 
     def holds(self, other: Round) -> bool:
         """Whether another body stands within this wall, as far as its middle tells."""
@@ -104,26 +104,41 @@ def rounds_of(shells: Sequence[Shell]) -> tuple[Round, ...]:
     return tuple(found)
 
 
-def capped(wall: Round, scene: Scene) -> Round:
-    """The wall, knowing at which ends of its strips flat faces of its object end, square to the axis."""
-    if not len(wall.strips):
-        return wall
+def capped(walls: Sequence[Round], scene: Scene) -> tuple[Round, ...]:
+    """The walls, each knowing at which ends of its strips flat faces of its object end, square to the axis."""
+    corners, out = scene.corners(), list(walls)
+    striped = [k for k, wall in enumerate(walls) if len(wall.strips)]
+    for stuff in np.unique([walls[k].stuff for k in striped]):
+        mine = corners[scene.face_object == stuff]
+        sides = cKDTree(((mine + np.roll(mine, -1, 1)) / 2).reshape(-1, 3), balanced_tree=False, compact_nodes=False)
+        for k in striped:
+            if walls[k].stuff == stuff:
+                out[k] = replace(walls[k], caps=_caps(walls[k], mine, sides))
+    return tuple(out)
+
+
+def _caps(wall: Round, triangles: Floats, sides: cKDTree) -> Floats:
+    """Flat faces (s, 2) at the ends of a wall's strips, of triangles (n, 3, 3) and the middles of their sides."""
     angle, half, *ends = wall.strips.T
-    corners = wall.local(scene.corners()[scene.face_object == wall.stuff])
-    level = corners[np.ptp(corners[..., 2], axis=1) < OFF_M]
-    middles, sides = (level + np.roll(level, -1, 1)) / 2, np.roll(level, -1, 1) - level
     across = wall.radius * np.cos(half)
     chords = np.stack([across * np.cos(angle), across * np.sin(angle)], 1)
     wanted = np.concatenate([np.column_stack([chords, end]) for end in ends])
-    told, near = cKDTree(wanted).query(middles.reshape(-1, 3), distance_upper_bound=OFF_M)
-    apart, at = np.asarray(told), np.asarray(near, np.int64)
-    size = np.append(np.tile(2 * wall.radius * np.sin(half), 2), -1.0)
-    on = np.isfinite(apart) & (abs(np.linalg.norm(sides, axis=2).ravel() - size[at]) < OFF_M)
-    at = at[on]
-    inside = (np.repeat(level.mean(1), 3, 0)[on, :2] * wanted[at, :2]).sum(1) < (wanted[at, :2] ** 2).sum(1)
+    size = np.tile(2 * wall.radius * np.sin(half), 2)
+    near: list[list[int]] = list(sides.query_ball_point(wall.centre + wanted @ wall.axes, OFF_M))  # type: ignore[arg-type]
+    at = np.repeat(np.arange(len(wanted)), [len(row) for row in near])
+    side = np.concatenate([np.asarray(row, np.int64) for row in near])
+    corners = wall.local(triangles[side // 3])
+    row, first = np.arange(len(side)), side % 3
+    begin, end = corners[row, first], corners[row, (first + 1) % 3]
+    apart = np.linalg.norm((begin + end) / 2 - wanted[at], axis=1)
+    on = np.ptp(corners[..., 2], axis=1) < OFF_M
+    on &= abs(np.linalg.norm(end - begin, axis=1) - size[at]) < OFF_M
+    rank = np.lexsort((apart, side))
+    on[rank[1:]] &= np.diff(side[rank]) > 0  # a side lies on the nearest chord only
+    inside = (corners.mean(1)[on, :2] * wanted[at[on], :2]).sum(1) < (wanted[at[on], :2] ** 2).sum(1)
     caps = np.zeros(len(wanted))
-    np.add.at(caps, at, np.where(inside, 1.0, -1.0))
-    return replace(wall, caps=caps.reshape(2, -1).T)
+    np.add.at(caps, at[on], np.where(inside, 1.0, -1.0))
+    return caps.reshape(2, -1).T
 
 
 def linked(shell: Shell) -> list[Longs]:
