@@ -1,5 +1,7 @@
 """Edges of conductors: strengths against Keller and against exact currents, and which edges of a mesh count."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,6 +10,7 @@ from scipy.special import fresnel
 import ullage as ul
 from ullage.geometry import C0
 from ullage.kernels import double_fringe, fringe
+from ullage.radar.double_diffraction import facing_pairs
 from ullage.radar.physical import path_gain_cw
 from ullage.radar.prepared import prepare
 from ullage.world.scene import Scene
@@ -201,3 +204,21 @@ def rod_along_y(middle):
 def test_a_rod_farther_off_than_the_circle_cuts_no_edge():
     rod = rod_along_y(np.array([2.8, 0.1, 0.2]) + 0.015 * np.array([-0.7, 0, 0.7]))
     assert len(edges_of(Scene.union([cube(0.4), rod]))) == 12
+
+
+def test_a_face_of_many_edges_takes_little_memory():
+    """Of all pairs of its edges only those that face each other are kept, some at a time."""
+    count = 2000
+    turn = 2 * np.pi * np.arange(count + 1) / count
+    ring = 0.4 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
+    middle = (ring[1:] + ring[:-1]) / 2
+    into, size = -middle / np.linalg.norm(middle, axis=1, keepdims=True), 2 * np.linalg.norm(middle[0])
+    both, up = np.stack([into, into], 1), np.tile([0.0, 0, 1], (count, 2, 1))
+    tracemalloc.start()
+    pairs = facing_pairs(ring[:-1], ring[1:], np.full(count, 2.0), both, up, np.full((count, 2), size),
+                         np.zeros(count, np.int32), np.zeros((count, 2), np.int64))  # fmt: skip
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(pairs) == count // 2
+    assert np.linalg.norm(pairs.gaps, axis=1) == pytest.approx(size)
+    assert peak < 100e6

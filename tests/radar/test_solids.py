@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.radar.solids import backs
+from ullage.radar.solids import backs, welded
 from ullage.world import shapes
 from ullage.world.scene import Scene
 
@@ -60,3 +60,12 @@ def test_a_radar_beside_an_oblique_plate_does_not_hear_its_back():
     beside = ul.Trajectory.stationary(turn @ here.position[0], yaw_deg=45)
     oblique = ul.simulate(Scene.of_mesh(vertices @ turn.T, faces, name="plate"), beside, radar).samples
     assert abs(oblique - straight).max() < 1e-3 * abs(straight).max()
+
+
+def test_corners_in_one_place_are_one():
+    rng = np.random.default_rng(4)
+    places = rng.integers(-3, 3, (200, 3, 3)) * 0.5
+    tri = welded(places + rng.uniform(-4e-7, 4e-7, places.shape))
+    _, want = np.unique(places.reshape(-1, 3), axis=0, return_inverse=True)
+    np.testing.assert_array_equal(tri.ravel(), want.ravel())
+    assert welded(np.zeros((0, 3, 3))).shape == (0, 3)

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.radar.facets import Surfaces
 from ullage.radar.rounds import LEAST_M, OFF_M, Shell, leveled, linked
-from ullage.radar.solids import WELD_M
+from ullage.radar.solids import welded
 
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
@@ -60,17 +60,19 @@ def balls_of(shells: Sequence[Shell], still: Surfaces) -> tuple[Ball, ...]:
             found.append(whole)
         if whole is not None or np.linalg.norm(np.ptp(shell.corners.reshape(-1, 3), axis=0)) < _WIDE_M:
             continue
-        closing = [ball for part in _leftovers(shell) if (ball := _fitted(part)) is not None]
+        level = leveled(shell.normals, shell.area)
+        if level.all():
+            continue
+        closing = [ball for part in _leftovers(shell, level) if (ball := _fitted(part)) is not None]
         found += closing or _crowns(shell)
     return tuple(_claimed(ball, still) for ball in found)
 
 
-def _leftovers(shell: Shell) -> list[Shell]:
-    """What closes a cylinder smoothly: parts of a surface that are left when the facets along its axis are taken."""
-    rest = ~leveled(shell.normals, shell.area)
-    if rest.all() or not rest.any():
+def _leftovers(shell: Shell, level: Bools) -> list[Shell]:
+    """What closes a cylinder smoothly: parts of a surface that are left when facets along its axis (n) are taken."""
+    if not level.any():
         return []
-    rest_of = shell.take(np.flatnonzero(rest))
+    rest_of = shell.take(np.flatnonzero(~level))
     return [rest_of.take(mine) for mine in linked(rest_of) if len(mine) >= _FEWEST]
 
 
@@ -129,18 +131,17 @@ def _openings(local: Floats) -> Floats | None:
 
     None where a rim is no circle, or where hardly a corner lies off rims: those of drums and cones lie on balls, too.
     """
-    _, ids = np.unique(np.round(local.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
-    tri = ids.reshape(-1, 3)
+    tri = welded(local)
     edge = np.sort(np.stack([tri, np.roll(tri, -1, 1)], -1), -1).reshape(-1, 2)
     _, first, count = np.unique(edge, axis=0, return_index=True, return_counts=True)
     single = first[count == 1]
     if not len(single):
         return np.zeros((0, 4))
-    ends, size = edge[single], int(ids.max()) + 1
+    ends, size = edge[single], int(tri.max()) + 1
     links = coo_array((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
     loop = connected_components(links, directed=False)[1][ends[:, 0]]
     places = np.empty((size, 3))
-    places[ids.reshape(-1)] = local.reshape(-1, 3)
+    places[tri.ravel()] = local.reshape(-1, 3)
     caps = []
     for name in np.unique(loop):
         rim, inner = places[np.unique(ends[loop == name])], local[single[loop == name] // 3].mean((0, 1))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.radar import double_diffraction as double
+from ullage.radar.solids import welded
 from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -27,7 +28,6 @@ TURN_DEG = 40.0
 """A mesh that turns by less at an edge stands for a smooth surface [deg]."""
 NARROW = 0.25
 """Faces narrower than this part of a wave are the side of a thin plate, or no face at all."""
-_WELD_M = 1e-6
 _AROUND_M = 0.01  # nothing may cut a circle of this radius about an edge
 _FEW = 100  # so many corners are looked at twice sooner than sorted
 _STEP_M = 0.25  # an edge is tested at its middle, and cut so that there is one at least so often
@@ -184,8 +184,7 @@ def _edges(scene: Scene, chosen: NDArray[np.bool_]) -> Edges:
 
 def _halves(corners: Floats) -> tuple[Longs, Longs]:
     """Of every half edge, its triangle and the ids of its two welded corners, the lower first."""
-    _, ids = np.unique(np.round(corners.reshape(-1, 3) / _WELD_M).astype(np.int64), axis=0, return_inverse=True)
-    ids = ids.reshape(-1, 3).astype(np.int64)
+    ids = welded(corners)
     edge = np.sort(np.stack([ids, np.roll(ids, -1, 1)], -1), -1).reshape(-1, 2)
     return np.repeat(np.arange(len(ids)), 3), edge
 

@@ -8,8 +8,8 @@ of parallel edges whose face lies between them, at most `WIDEST_M` apart.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ Longs = NDArray[np.int64]
 
 WIDEST_M = 1.0
 """Edges farther apart than this know nothing of each other [m]."""
+_AT_ONCE = 100_000  # pairs: all of a large mesh would fill the memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,15 +64,22 @@ def facing_pairs(
     order = np.argsort(surfaces[edge, side], kind="stable")
     edge, side = edge[order], side[order]
     bound = np.flatnonzero(np.r_[True, np.diff(surfaces[edge, side]) != 0, True])
-    i, j = _within(bound)
+    near = [np.zeros((0, 2), np.int64)]
+    for one, two in _within(bound):
+        into = inward[edge[one], side[one]], inward[edge[two], side[two]]
+        held = np.flatnonzero(np.einsum("ni,ni->n", *into) < -0.9999)
+        i, j = one[held], two[held]
+        a, b, sa, sb = edge[i], edge[j], side[i], side[j]
+        n, gap = normals[a, sa], starts[b] - starts[a]
+        apart = np.einsum("ni,ni->n", gap, inward[a, sa])
+        kept = (apart > 0) & (apart < WIDEST_M * (1 + 1e-6)) & (abs(np.einsum("ni,ni->n", gap, n)) < 1e-4)
+        kept &= abs(np.einsum("ni,ni->n", n, normals[b, sb])) > 0.9999
+        kept &= (abs(widths[a, sa] - apart) < 0.01 * apart) & (abs(widths[b, sb] - apart) < 0.01 * apart)
+        near.append(np.column_stack([i, j])[kept])
+    i, j = np.concatenate(near).T
     a, b, sa, sb = edge[i], edge[j], side[i], side[j]
-    xa, xb, n = inward[a, sa], inward[b, sb], normals[a, sa]
+    xa, n = inward[a, sa], normals[a, sa]
     apart = np.einsum("ni,ni->n", starts[b] - starts[a], xa)
-    level = abs(np.einsum("ni,ni->n", starts[b] - starts[a], n))
-    near = (np.einsum("ni,ni->n", xa, xb) < -0.9999) & (apart > 0) & (apart < WIDEST_M * (1 + 1e-6)) & (level < 1e-4)
-    near &= abs(np.einsum("ni,ni->n", n, normals[b, sb])) > 0.9999
-    near &= (abs(widths[a, sa] - apart) < 0.01 * apart) & (abs(widths[b, sb] - apart) < 0.01 * apart)
-    a, b, sa, sb, xa, n, apart = (v[near] for v in (a, b, sa, sb, xa, n, apart))
     along = ends[a] - starts[a]
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along /= np.maximum(length, 1e-12)
@@ -84,11 +92,16 @@ def facing_pairs(
     return out.take(held)
 
 
-def _within(bound: Longs) -> tuple[Longs, Longs]:
-    """All pairs i < j within each run of rows."""
-    out = [np.stack(np.triu_indices(b - a, 1)) + a for a, b in pairwise(bound) if b - a > 1]
-    both = np.concatenate(out, axis=1) if out else np.zeros((2, 0), int)
-    return both[0], both[1]
+def _within(bound: Longs) -> Iterator[tuple[Longs, Longs]]:
+    """All pairs i < j within each run of rows, about `_AT_ONCE` at a time."""
+    row = np.arange(bound[-1])
+    count = np.repeat(bound[1:], np.diff(bound)) - row - 1
+    total = np.cumsum(count)
+    cuts = np.searchsorted(total, np.arange(_AT_ONCE, total[-1] if len(total) else 0, _AT_ONCE))
+    for rows in np.split(row, np.unique(cuts)):
+        many = count[rows]
+        i = np.repeat(rows, many)
+        yield i, i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(many) - many, many)
 
 
 def strung(parts: list[Pairs]) -> Pairs:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.radar.solids import EVEN, WELD_M, Backs, backs
+from ullage.radar.solids import EVEN, Backs, backs, welded
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -138,13 +138,12 @@ def strewn(corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: S
 
 def twins(corners: Floats) -> tuple[Longs, Longs]:
     """Pairs of triangles (f, 3, 3) that share an edge."""
-    _, ids = np.unique(np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
-    tri = ids.reshape(-1, 3)
-    edge = np.sort(np.stack([tri, np.roll(tri, -1, 1)], -1), -1).reshape(-1, 2)
-    face = np.repeat(np.arange(len(tri)), 3)
-    order = np.lexsort((face, edge[:, 1], edge[:, 0]))
-    edge, face = edge[order], face[order]
-    twin = np.flatnonzero((edge[1:] == edge[:-1]).all(1))
+    tri = welded(corners)
+    after = np.roll(tri, -1, 1)
+    edge = (np.minimum(tri, after) * (int(tri.max(initial=0)) + 1) + np.maximum(tri, after)).ravel()
+    order = np.argsort(edge, kind="stable")
+    edge, face = edge[order], order // 3
+    twin = np.flatnonzero(edge[1:] == edge[:-1])
     return face[twin], face[twin + 1]
 
 
@@ -221,11 +220,10 @@ def _flats(
     flip = np.einsum("ni,ni->n", normals, normal[patch]) < 0
     turned = corners.copy()
     turned[flip] = corners[flip][:, ::-1]
-    _, ids = np.unique(np.round(turned.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
-    tri = ids.reshape(-1, 3)
+    tri = welded(turned)
     start, end = tri.ravel(), np.roll(tri, -1, 1).ravel()
     of = np.repeat(patch, 3)
-    wide = max(int(ids.max(initial=0)) + 1, 1)
+    wide = int(tri.max(initial=0)) + 1
     key, back = (of * wide + start) * wide + end, (of * wide + end) * wide + start
     rim = np.flatnonzero(~np.isin(key, back))
     rim = rim[np.argsort(of[rim], kind="stable")]

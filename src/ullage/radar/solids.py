@@ -21,6 +21,16 @@ EVEN = 1e-6
 _CLEAR_M = 1e-3  # a radar this far outside a body's box is outside the body
 
 
+def welded(corners: Floats) -> NDArray[np.int64]:
+    """Numbers (f, 3) of the corners of triangles (f, 3, 3), the same for corners in one place."""
+    places = np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64)
+    ids = np.zeros(len(places), np.int64)
+    for k in range(3):  # one coordinate after the other: sorting numbers is ten times faster than sorting rows
+        _, row = np.unique(places[:, k], return_inverse=True)
+        _, ids = np.unique(ids * (int(row.max(initial=0)) + 1) + row, return_inverse=True)
+    return np.asarray(ids.reshape(-1, 3), np.int64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
     """Boxes about bodies, along an axis of their own each: they turn as the bodies do."""
@@ -79,8 +89,8 @@ def backs(corners: Floats, normals: Floats, stuffs: NDArray[np.int32]) -> Backs:
     outward = np.zeros((count, 4))
     if not count:
         return Backs(outward, np.zeros(0, np.int32), Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))))
-    _, ids = np.unique(np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64), axis=0, return_inverse=True)
-    ids = ids.reshape(-1) + np.repeat(stuffs.astype(np.int64), 3) * (int(ids.max()) + 1)
+    ids = welded(corners).reshape(-1)
+    ids = ids + np.repeat(stuffs.astype(np.int64), 3) * (int(ids.max()) + 1)
     tri = ids.reshape(-1, 3)
     start, end = tri.ravel(), np.roll(tri, -1, 1).ravel()
     wide = int(ids.max()) + 1
