@@ -60,7 +60,7 @@ def run_folder(parts: Parts, tmp_path: Path) -> Path:
 def test_the_page_says_first_what_was_mapped_and_what_was_missed(run_folder: Path) -> None:
     page = write_report(run_folder).read_text(encoding="utf-8")
     verdict = page[page.index('class="verdict"') : page.index("<h2>")]
-    assert '<p class="bad">plate: missed</p>' in verdict
+    assert '<p class="bad">Missed: plate.</p>' in verdict
     assert "81 % of the surface that the radars could observe" in verdict
     assert "1 of the 2 objects in sight are on the map" in verdict
     assert "The method of 2018 on the same flight reaches F1 0.400." in verdict
@@ -192,3 +192,13 @@ def test_in_chromium_the_replay_is_drawn_the_slider_moves_the_drone_and_an_echo_
     page.click("#theme")
     assert wrong == []
     page.close()
+
+
+def test_without_a_world_the_replay_spans_flight_and_known_cells(parts: Parts) -> None:
+    from dataclasses import replace
+
+    low, high = replay(replace(parts, scene=None))["bounds"]
+    grid, known = parts.maps[-1][1].grid, np.argwhere(~parts.maps[-1][1].unknown)
+    assert low[0] == pytest.approx(grid.origin_m[0] + known[:, 1].min() * grid.step_m)
+    assert high[1] == pytest.approx(grid.origin_m[1] + (known[:, 0].max() + 1) * grid.step_m)
+    assert replay(parts)["bounds"] == parts.scene.bounds.tolist() if parts.scene else False

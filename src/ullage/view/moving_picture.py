@@ -150,12 +150,13 @@ class _Show:
     def __init__(self, tree: Mapping[str, Any], width_px: int) -> None:
         self._tree, self._width = tree, width_px
         self._path, self._quat = (unpacked(tree["flight"][k]).astype(float) for k in ("position", "quat"))
-        box = np.concatenate([self._path, np.array(tree["world"]["bounds"])]) if tree["world"] else self._path
-        self._size = max(float(np.linalg.norm(np.ptp(box, axis=0))), 1.0)
+        box = np.array(tree["bounds"])
+        self._size = max(float(np.linalg.norm(box[1] - box[0])), 1.0)
         self._radars = [_Radar(one, BEAM_SHARE * self._size) for one in tree["radars"]]
         self.frames = len(self._radars[0].t)
         solids = list(_world(tree["world"], self._size)) if tree["world"] else []
-        points = np.concatenate([self._path, *(one.corners.reshape(-1, 3) for one in solids)])
+        outlines = [one.corners.reshape(-1, 3) for one in solids] or [_corners_of(box)]
+        points = np.concatenate([self._path, *outlines])
         height = round(width_px * 9 / 16)
         self._camera = _Camera.around(points, (2 * height, 2 * width_px))  # two by two rays a pixel
         self._rays = self._camera.rays()
@@ -303,6 +304,11 @@ def _world(tree: Mapping[str, Any], size: float) -> Iterator[_Solid]:
             yield _Solid(
                 _tube(ends.astype(float), max(float(radius), size * (MISSED_SHARE if missed else WIRE_SHARE))), color
             )
+
+
+def _corners_of(box: Floats) -> Floats:
+    """The corners (8, 3) of a box (2, 3)."""
+    return np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
 
 
 def _drone(position: Floats, quat: Floats, span: float) -> Floats:

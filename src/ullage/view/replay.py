@@ -111,6 +111,7 @@ def replay(parts: Parts) -> dict[str, Any]:
     height = float(np.median(body.position[:, 2]))
     return {
         "title": parts.title,
+        "bounds": _bounds(parts, body).tolist(),
         "world": None if parts.scene is None else world_tree(parts.scene, parts.states),
         "flight": path_tree(body, start_ns),
         "radars": [_radar(k, part, start_ns) for k, part in enumerate(placed.values())],
@@ -118,6 +119,21 @@ def replay(parts: Parts) -> dict[str, Any]:
         "image": None if parts.image is None else _image(parts.image, height),
         "explained": [_explained(one, list(placed), start_ns) for one in parts.explained if one.sensor in placed],
     }
+
+
+def _bounds(parts: Parts, body: Trajectory) -> Floats:
+    """The box (2, 3) of world, flight and known cells [m]; a plane of cells adds nothing to its height."""
+    boxes = [body.position]
+    if parts.scene is not None:
+        boxes.append(parts.scene.bounds)
+    elif parts.maps and len(known := np.argwhere(cell_states(parts.maps[-1][1]).reshape(parts.maps[-1][1].grid.shape))):
+        grid = parts.maps[-1][1].grid
+        box = np.tile(body.position.mean(axis=0), (2, 1))
+        ends = np.stack([known.min(axis=0), known.max(axis=0) + 1])[:, ::-1] * grid.step_m
+        box[:, : grid.dims] = np.asarray(grid.origin_m)[: grid.dims] + ends
+        boxes.append(box)
+    cloud = np.concatenate(boxes)
+    return np.stack([cloud.min(axis=0), cloud.max(axis=0)])
 
 
 def write_replay(folder: Path, parts: Parts) -> Path:
@@ -176,7 +192,7 @@ def world_tree(scene: Scene, states: Mapping[str, str]) -> dict[str, Any]:
             "wires": packed(ends.reshape(-1, 3), "f4"),
             "wire_radius": packed(scene.wires.radius_m[wire], "f4"),
         })  # fmt: skip
-    return {"bounds": scene.bounds.tolist(), "objects": objects}
+    return {"objects": objects}
 
 
 def path_tree(path: Trajectory, start_ns: int) -> dict[str, Any]:

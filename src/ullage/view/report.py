@@ -100,7 +100,8 @@ def _mapped(objects: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) ->
     shown = [one["name"] for one in objects if one["state"] in ("mapped", "partly mapped")]
     if objects:
         out.append(_line(f"{len(shown)} of the {len(objects)} objects in sight are on the map.", "good" * bool(shown)))
-    out += [_line(f"{one['name']}: missed", "bad") for one in objects if one["state"] == "missed"]
+    if missed := [one["name"] for one in objects if one["state"] == "missed"]:
+        out.append(_line(f"Missed: {', '.join(missed)}.", "bad"))
     return out
 
 

@@ -7,7 +7,8 @@
   const STATE_COLORS = { "missed": "#e53935", "partly mapped": "#f2a93b" };
   const CELL_COLORS = { 1: [64, 190, 120, 75], 3: [242, 193, 78, 90] }; // free, ambiguous
   const MOST_EDGES = 60000; // triangles of an object whose edges are drawn
-  const WALL_M = 0.8; // height of the columns that stand for occupied cells of a plane
+  // shares of the world's diagonal: drone, columns on occupied cells, beams, echoes, path, wires, wires that are missed
+  const SHARES = { drone: 0.04, column: 0.02, beam: 0.1, echo: 0.0035, path: 0.0012, wire: 0.0009, missed: 0.0024 };
 
   async function readData() {
     const bytes = Uint8Array.from(atob($("data").textContent), (c) => c.charCodeAt(0));
@@ -24,6 +25,9 @@
   $("replay").hidden = false;
   const flight = data.flight, radars = data.radars, frames = radars[0].t.length, end = radars[0].t[frames - 1];
 
+  const [low, high] = data.bounds;
+  const size = Math.max(Math.hypot(...low.map((v, k) => high[k] - v)), 1);
+
   // ---- the scene
   let renderer;
   try {
@@ -39,11 +43,12 @@
     if (!layers[name]) scene.add((layers[name] = new THREE.Group()));
     return layers[name];
   };
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x8c96a3, 2.2));
-  const lamp = new THREE.DirectionalLight(0xffffff, 1.6);
-  camera.add(lamp);
-  lamp.position.set(0.6, 0.9, 0.4);
-  scene.add(camera);
+  scene.add(new THREE.HemisphereLight(0xffffff, 0xaab4c0, 2.1));
+  for (const [strength, ...place] of [[1.7, 0.2, -0.6, 1], [0.7, -1, 0.3, 0.3]]) {
+    const lamp = new THREE.DirectionalLight(0xffffff, strength);
+    lamp.position.set(...place);
+    scene.add(lamp);
+  }
 
   function cylinder(a, b, radius, material) {
     const from = new THREE.Vector3(...a), to = new THREE.Vector3(...b), along = to.clone().sub(from);
@@ -73,7 +78,7 @@
         }
       }
       for (let k = 0; k < thing.wires.length; k += 6) {
-        const least = thing.state === "missed" ? 0.09 : 0.03; // thinner ones would not be seen
+        const least = size * (thing.state === "missed" ? SHARES.missed : SHARES.wire); // thinner is not seen
         const radius = Math.max(thing.wire_radius[k / 6], least);
         group.add(cylinder(thing.wires.slice(k, k + 3), thing.wires.slice(k + 3, k + 6), radius, material));
       }
@@ -101,13 +106,13 @@
       rotor.position.set(0.32 * x, 0.32 * y, 0.05);
       drone.add(rotor);
     }
-    drone.name = "drone";
+    drone.scale.setScalar(SHARES.drone * size / 0.9);
     layer("flight").add(drone);
   }
 
   function beamShape(radar) { // the -3 dB frustum in the sensor's frame
     const wide = Math.tan((radar.azimuth_deg * Math.PI) / 360), tall = Math.tan((radar.elevation_deg * Math.PI) / 360);
-    const reach = Math.min(3, radar.range_m[1]), rim = [];
+    const reach = Math.min(SHARES.beam * size, radar.range_m[1]), rim = [];
     for (const [y, z] of [[wide, tall], [-wide, tall], [-wide, -tall], [wide, -tall]]) {
       rim.push(new THREE.Vector3(1, y, z).setLength(reach));
     }
@@ -138,7 +143,19 @@
   let beams = [], arcs = [], flown;
   function drawFlight() {
     layer("flight").add(line(flight.position, "#8d99ae", 0.6));
-    flown = line(flight.position, "#ff2e63", 1);
+    flown = new THREE.InstancedMesh(new THREE.CylinderGeometry(SHARES.path * size, SHARES.path * size, 1, 6),
+      new THREE.MeshBasicMaterial({ color: "#ff2e63" }), Math.max(frames - 1, 1));
+    flown.frustumCulled = false;
+    const from = new THREE.Vector3(), to = new THREE.Vector3(), stretch = new THREE.Object3D();
+    for (let k = 0; k + 1 < flight.t.length; k++) {
+      from.fromArray(flight.position, 3 * k);
+      to.fromArray(flight.position, 3 * k + 3);
+      stretch.position.copy(from).add(to).multiplyScalar(0.5);
+      stretch.scale.set(1, Math.max(from.distanceTo(to), 1e-6), 1);
+      stretch.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), to.sub(from).normalize());
+      stretch.updateMatrix();
+      flown.setMatrixAt(k, stretch.matrix);
+    }
     layer("flight").add(flown);
     drawDrone();
     beams = radars.map((radar) => layer("beams").add(beamShape(radar)).children.at(-1));
@@ -174,7 +191,7 @@
     cells = new Uint8Array(map.shape.reduce((a, b) => a * b));
     const most = new Set(map.cell.filter((_, k) => map.state[k] === 2)).size;
     const material = new THREE.MeshLambertMaterial({ color: "#f7b500", emissive: "#5a3d00" });
-    const height = map.dims === 2 ? WALL_M : map.step;
+    const height = map.dims === 2 ? Math.max(SHARES.column * size, map.step) : map.step;
     walls = new THREE.InstancedMesh(new THREE.BoxGeometry(map.step, map.step, height), material, Math.max(most, 1));
     walls.frustumCulled = false;
     layer("map").add(walls);
@@ -233,7 +250,7 @@
   function drawPoints(t) {
     picks.splice(0).forEach((pick) => layer("echoes").remove(pick));
     data.explained.filter((one) => Math.abs(one.t - t) < 1e-3).forEach((one) => one.echoes.forEach((echo) => {
-      const ball = new THREE.Mesh(new THREE.SphereGeometry(0.14, 12, 8),
+      const ball = new THREE.Mesh(new THREE.SphereGeometry(SHARES.echo * size, 12, 8),
         new THREE.MeshBasicMaterial({ color: radars[one.radar].color }));
       ball.position.set(...echo.point);
       ball.userData = { radar: one.radar, echo };
@@ -259,7 +276,7 @@
     if (echo) {
       const from = pose(radars[radar], $("time").valueAsNumber).position;
       const glow = new THREE.MeshBasicMaterial({ color: radars[radar].color });
-      pathGroup.add(cylinder(from.toArray(), echo.point, 0.035, glow));
+      pathGroup.add(cylinder(from.toArray(), echo.point, SHARES.path * size, glow));
       if (meshes[echo.object]) meshes[echo.object].material.color.set(radars[radar].color);
     }
     document.querySelectorAll("#profiles li button").forEach((button) =>
@@ -361,7 +378,7 @@
     const t = radars[0].t[frame], { position, turn } = pose(flight, frame);
     drone.position.copy(position);
     drone.quaternion.copy(turn);
-    flown.geometry.setDrawRange(0, Math.max(frame + 1, 2));
+    flown.count = Math.min(frame, flight.t.length - 1);
     radars.forEach((radar, k) => {
       const at = pose(radar, frame);
       for (const thing of [beams[k], arcs[k]]) {
@@ -439,30 +456,29 @@
     render();
   }
   function lookAtAll() { // from outside and above, as near as the whole world fits
-    const points = flight.position, low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    const take = (p) => p.forEach((v, k) => { low[k] = Math.min(low[k], v); high[k] = Math.max(high[k], v); });
-    for (let k = 0; k < points.length; k += 3) take([...points.subarray(k, k + 3)]);
-    if (data.world) data.world.bounds.forEach(take);
     const middle = new THREE.Vector3(...low.map((v, k) => (v + high[k]) / 2));
-    const size = Math.max(Math.hypot(...low.map((v, k) => high[k] - v)), 1);
-    const away = new THREE.Vector3(-0.3, -0.85, 0.62).normalize();
-    const corners = [], shapes = [points, ...(data.world ? data.world.objects.map((one) => one.corners) : [])];
+    const away = new THREE.Vector3(-0.32, -0.85, 0.62).normalize();
+    const box = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((k) => [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[axis]));
+    const corners = [], shapes = [flight.position,
+      ...(data.world ? data.world.objects.map((one) => one.corners) : [new Float32Array(box)])];
     for (const shape of shapes) {
       const stride = 3 * Math.max(1, Math.floor(shape.length / 900));
       for (let k = 0; k + 2 < shape.length; k += stride) corners.push(new THREE.Vector3(...shape.subarray(k, k + 3)));
     }
     camera.near = size / 500;
     camera.far = size * 20;
-    for (let distance = 0.3 * size; distance < 5 * size; distance *= 1.03) {
+    camera.quaternion.setFromRotationMatrix(new THREE.Matrix4().lookAt(away, new THREE.Vector3(), camera.up));
+    const half = 0.97 * Math.tan((camera.fov * Math.PI) / 360), turn = camera.quaternion.clone().invert();
+    for (let step = 0; step < 8; step++) {
+      const local = corners.map((corner) => corner.clone().sub(middle).applyQuaternion(turn));
+      const distance = local.reduce((far, p) =>
+        Math.max(far, Math.abs(p.x) / (half * camera.aspect) + p.z, Math.abs(p.y) / half + p.z), 0);
+      const spots = local.map((p) => [p.x / (distance - p.z), p.y / (distance - p.z)]);
+      const off = [0, 1].map((k) => (Math.max(...spots.map((q) => q[k])) + Math.min(...spots.map((q) => q[k]))) / 2);
+      middle.add(new THREE.Vector3(off[0] * distance, off[1] * distance, 0).applyQuaternion(camera.quaternion));
       camera.position.copy(middle).addScaledVector(away, distance);
-      camera.lookAt(middle);
-      camera.updateProjectionMatrix();
-      camera.updateMatrixWorld();
-      if (corners.every((corner) => {
-        const seen = corner.clone().project(camera);
-        return Math.abs(seen.x) < 0.97 && Math.abs(seen.y) < 0.94 && seen.z < 1;
-      })) break;
     }
+    camera.updateProjectionMatrix();
     return middle;
   }
   resize();
