@@ -275,7 +275,7 @@
     $("explanation").textContent = echo ? words(radar, echo) : "";
     if (echo) {
       const from = pose(radars[radar], $("time").valueAsNumber).position;
-      const glow = new THREE.MeshBasicMaterial({ color: radars[radar].color });
+      const glow = new THREE.MeshBasicMaterial({ color: radars[radar].color, depthTest: false, transparent: true });
       pathGroup.add(cylinder(from.toArray(), echo.point, SHARES.path * size, glow));
       if (meshes[echo.object]) meshes[echo.object].material.color.set(radars[radar].color);
     }
