@@ -48,10 +48,12 @@ def draw_recorded(
         color, style = LINES[name]
         panels[0].plot(range_m, level, style, color=color, linewidth=1.1, label=MEANING[name])
     panels[0].axhline(0, color="#888888", linewidth=0.8)
-    panels[0].set(xlabel="range [m]", ylabel="dB over the noise of one frame", title=title, ylim=(-20, None))
+    panels[0].set(xlabel="range [m]", ylabel="dB over the noise of one frame", title=title)
+    highest = max(float(level.max()) for level in profiles_db.values())
+    panels[0].set_ylim(-20, 1.45 * highest + 10)  # with room for the legend
     panels[0].set_xlim(max(0.0, float(range_m[0])), float(range_m[-1]))
     panels[0].grid(alpha=0.3)
-    panels[0].legend(fontsize=7)
+    panels[0].legend(fontsize=7, loc="upper right")
     for axes, image, name in zip(panels[1:], images or (), ("recorded", "simulated"), strict=False):
         _reflector(axes, image, place, name, figure)
     save_figure(figure, path, dpi=130)
