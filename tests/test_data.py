@@ -114,3 +114,24 @@ def test_frames_without_poses_say_so_when_poses_are_wanted() -> None:
     bare = ul.Frames(good.samples, good.range_m, good.t_ns, good.spec)
     with pytest.raises(ul.InputError, match="no poses"):
         bare.believed.position.sum()
+
+
+def test_what_flows_is_shown_on_one_short_line() -> None:
+    room = ul.scenes.room(size_m=(6, 4, 3))
+    path = ul.Trajectory.line((-1, 0, 0), (-0.5, 0, 0), 0.5, 10)
+    frames = ul.simulate(room, path, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
+    omap = ul.map_occupancy(frames, ul.Grid.covering(room.bounds, 0.5), method="elfes")
+    image = ul.focus(frames, ul.Grid.covering(room.bounds, 0.5), method="summation")
+    shown = [repr(one) for one in (room, path, frames, ul.detect(frames), omap, image)]
+    assert shown[1] == f"Trajectory({len(path)} poses, {path.duration_s:.1f} s, 0.50 m)"
+    assert shown[0].startswith("Scene('room', ")
+    assert shown[2].startswith(f"Frames('radar', {len(path)} x ")
+    assert shown[4].startswith("OccupancyMap(elfes, 12 x 8 cells of 0.5 m: ")
+    assert shown[5].startswith("Image(summation, 12 x 8 cells of 0.5 m, peak at (")
+    assert all(len(text) < 120 and "\n" not in text for text in shown)
+
+
+def test_the_scenes_list_scenes_alone() -> None:
+    names = dir(ul.scenes)
+    assert {"plate", "room", "hold", "cargo_hold", "ntnu_room"} <= set(names)
+    assert all(callable(getattr(ul.scenes, name)) and getattr(ul.scenes, name).__doc__ for name in names)

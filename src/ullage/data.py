@@ -66,6 +66,10 @@ class Trajectory:
         for name, value in zip(self.__slots__, (t_ns, position, quat, velocity, spin), strict=True):
             object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        length = float(np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum())
+        return f"Trajectory({len(self)} poses, {self.duration_s:.1f} s, {length:.2f} m)"
+
     def __len__(self) -> int:
         return len(self.t_ns)
 
@@ -274,6 +278,12 @@ class Frames:
         for name, value in (("samples", samples), ("range_m", range_m), ("t_ns", t_ns)):
             object.__setattr__(self, name, value)
 
+    def __repr__(self) -> str:
+        n, bins = self.samples.shape
+        seconds, known = float(self.t_ns[-1] - self.t_ns[0]) * 1e-9, "with" if self.poses is not None else "without"
+        reach = f"{self.range_m[0]:.2f} to {self.range_m[-1]:.2f} m"
+        return f"Frames({self.sensor!r}, {n} x {bins} bins, {seconds:.1f} s, {reach}, {self.unit}, {known} poses)"
+
     def __len__(self) -> int:
         return len(self.t_ns)
 
@@ -376,6 +386,9 @@ class Detections:
     snr_db: Floats  # (d) over the frame's noise floor [dB], NaN where unknown
     point: Floats  # (d, 3) world [m], NaN where the bearing is unknown
     sensor: str = "radar"
+
+    def __repr__(self) -> str:
+        return f"Detections({self.sensor!r}, {len(self)} echoes in {len(np.unique(self.frame))} frames)"
 
     def __len__(self) -> int:
         return len(self.frame)

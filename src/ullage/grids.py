@@ -129,6 +129,10 @@ class Image:
         if self.values.shape != self.grid.shape:
             raise InputError(f"values have shape {self.values.shape}", where="Image", allowed=f"{self.grid.shape}")
 
+    def __repr__(self) -> str:
+        x, y, z = self.peak_m
+        return f"Image({self.method or 'no method'}, {_cells(self.grid)}, peak at ({x:.2f}, {y:.2f}, {z:.2f}) m)"
+
     @property
     def amplitude(self) -> NDArray[np.float32]:
         """Magnitude of each cell."""
@@ -140,6 +144,11 @@ class Image:
         cell = np.unravel_index(int(np.argmax(self.amplitude)), self.grid.shape)
         z = self.grid.z_m[cell[0] if self.grid.dims == 3 else 0]
         return np.array([self.grid.x_m[cell[-1]], self.grid.y_m[cell[-2]], z])
+
+
+def _cells(grid: Grid) -> str:
+    """A grid in a few words, x first."""
+    return f"{' x '.join(str(n) for n in reversed(grid.shape))} cells of {grid.step_m:g} m"
 
 
 UNKNOWN, AMBIGUOUS = -1, -2
@@ -284,6 +293,11 @@ class OccupancyMap:
             raise InputError(levels, where="OccupancyMap", allowed="0 <= free_to <= occupied_from <= 100")
         tiles = percent if isinstance(percent, Tiles) else Tiles.of(percent)
         self.__setstate__((grid, tiles, method, occupied_from, free_to))
+
+    def __repr__(self) -> str:
+        counts = (("occupied", self.occupied), ("free", self.free), ("ambiguous", self.ambiguous))
+        known = ", ".join(f"{int(flags.sum())} {name}" for name, flags in counts)
+        return f"OccupancyMap({self.method or 'no method'}, {_cells(self.grid)}: {known})"
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"an OccupancyMap does not change: {name}")

@@ -82,6 +82,11 @@ class Scene:
         for key, value in (("vertices", vertices), ("faces", faces), ("face_object", owner)):
             object.__setattr__(self, key, value)
 
+    def __repr__(self) -> str:
+        size = " x ".join(f"{length:.2f}" for length in self.bounds[1] - self.bounds[0])
+        parts = f"{len(self.objects)} objects, {len(self.faces)} faces, {len(self.wires)} wires"
+        return f"Scene({self.name!r}, {parts}, {size} m)"
+
     @property
     def bounds(self) -> Floats:
         """Lower and upper corner (2, 3) of everything that is there, moving things at their start [m]."""

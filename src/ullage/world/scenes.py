@@ -30,6 +30,9 @@ SAGITTA_M = 2.5e-4
 
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
+BUILT = ("plate", "sphere", "cylinder", "wire", "dihedral", "trihedral", "floor", "tank", "room", "hold")
+"""Scenes that are built from a few numbers."""
+
 
 def plate(
     width_m: float,
@@ -355,3 +358,10 @@ def __getattr__(name: str) -> Callable[[], Scene]:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     world = library.WORLDS[name.replace("_", "-")]
     return world.scene
+
+
+def __dir__() -> list[str]:
+    """Name the scenes that can be built, and the shipped worlds."""
+    from ullage.world import library
+
+    return sorted([*BUILT, *(name.replace("-", "_") for name in library.WORLDS)])
