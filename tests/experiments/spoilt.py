@@ -1,4 +1,8 @@
-"""Flights that are flown once, and ways to spoil them: what a broken sensor, world or method would have given."""
+"""Mutants of the experiments: flights that are flown once, and ways to spoil them or the methods.
+
+Each section flies or measures once, then states its results for the sound method and for every mutant. A mutant is
+either a patch of the method or changed material. It names the statements that must fall by a part of their text.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +29,7 @@ from ullage.processing.occupancy import map_occupancy
 
 Patch = pytest.MonkeyPatch
 Change = Callable[[Frames], Frames]
+Material = Any
 
 
 def quiet_bench(folder: Path, *, quick: bool = True) -> Bench:
@@ -44,6 +49,28 @@ class Fleet:
         if key not in self.flown:
             self.flown[key] = quiet_bench(self.folder).fly(name, ["do=[detect, map]", *options])
         return self.flown[key]
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One error: a patch of the method (`patch`), or other material (`change`), and the statements that fall."""
+
+    name: str
+    fells: tuple[str, ...]
+    patch: Callable[[Patch], None] = lambda _: None
+    change: Callable[[Material], Material] = lambda material: material
+
+
+@dataclass(frozen=True)
+class Section:
+    """Statements that are stated together."""
+
+    name: str
+    experiment: str
+    state: Callable[[Bench, Material], None]
+    mutants: tuple[Mutant, ...]
+    material: Callable[[Fleet], Material] = lambda _: None
+    quick: bool = True  # the small form of the experiment is stated
 
 
 def again(flown: Flown, change: Change = lambda part: part, *, method: Any = None) -> Flown:

@@ -13,24 +13,28 @@ Patch = pytest.MonkeyPatch
 
 
 def stated(section: Section, material: Any, folder: Path) -> dict[str, bool]:
+    """Whether each statement holds, by its text and where in the thesis it belongs."""
     bench = quiet_bench(folder, quick=section.quick)
     section.state(bench, material)
-    return {s.text: s.holds for s in bench.findings.statements}
+    return {f"{s.text} ({s.where})": s.holds for s in bench.findings.statements}
 
 
 def survivors(section: Section, fleet: Fleet, folder: Path) -> list[str]:
-    """Mutants that leave a statement standing which they ought to fell, and statements that no mutant fells."""
+    """Statements that stand although a mutant ought to fell them, and statements that no mutant fells."""
     material, out = section.material(fleet), []
     sound = stated(section, material, folder)
     assert all(sound.values()), [text for text, holds in sound.items() if not holds]
+    left = set(sound)
     for mutant in section.mutants:
         with pytest.MonkeyPatch.context() as patch:
             mutant.patch(patch)
             found = stated(section, mutant.change(material), folder)
-        standing = [words for words in mutant.fells if not any(words in text and not found[text] for text in found)]
-        out += [f"{mutant.name}: {words}" for words in standing]
-    expected = [words for mutant in section.mutants for words in mutant.fells]
-    return out + [f"no mutant: {text}" for text in sound if not any(words in text for words in expected)]
+        for words in mutant.fells:
+            mine = {text for text in sound if words in text}
+            left -= mine
+            out += [f"{mutant.name}: {text}" for text in mine if found.get(text)]
+            out += [] if mine else [f"{mutant.name}: no statement has the words {words!r}"]
+    return out + [f"no mutant: {text}" for text in sorted(left)]
 
 
 def test_every_statement_about_a_term_falls_to_a_mutant(tmp_path):

@@ -156,8 +156,11 @@ class ElfesMapper:
         else:
             empty, occupied = self._layers
             signed = np.where(occupied >= empty, occupied, -empty)
-        percent = np.rint(50 + 50 * signed).astype(np.int8)
-        percent[~np.any(self._layers, axis=0)] = UNKNOWN
+        unknown = signed == 0
+        signed *= 50  # in place: a node publishes the whole map five times a second
+        signed += 50
+        percent = np.rint(signed, out=signed).astype(np.int8)
+        percent[unknown] = UNKNOWN
         return OccupancyMap(self.grid, percent, "elfes")
 
     def changed(self) -> Changes:

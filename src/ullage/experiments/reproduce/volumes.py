@@ -123,8 +123,5 @@ def state(bench: Bench, scores: Scores) -> None:
     """Scores of the maps, and what a level flight leaves open."""
     hold = bench.findings.hold
     hold(f"F1: {EXACT}", "beyond", mean_of(scores, EXACT, "f1"), low=0.8)
-    for name in (EXACT, BARE, WHITE, LEVEL):
-        free = mean_of(scores, name, "surface_declared_free")
-        hold(f"surface declared free (share): {name}", "beyond", free, high=0.01)
     hold("a level flight flags what only a second height could tell (share)", "beyond",
          mean_of(scores, LEVEL, "flagged"), low=0.95)  # fmt: skip

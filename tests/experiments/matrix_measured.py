@@ -1,0 +1,262 @@
+"""Which error fells which statement about speed, motion, methods and recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from spoilt import Fleet, Material, Mutant, Patch, Section, emptied, longer
+
+from ullage.data import Frames
+from ullage.experiments.reproduce import (
+    budget,
+    flights,
+    images,
+    methods,
+    motion,
+    speeds,
+    tables,
+    volumes,
+)
+from ullage.experiments.reproduce.bench import Bench
+from ullage.experiments.reproduce.flights import Recordings, Scores
+from ullage.experiments.reproduce.node import NodeCost
+from ullage.processing.metrics import map_quality
+from ullage.processing.occupancy import Mapper, map_occupancy
+
+# --- speed, CPU and memory: what was measured, made worse
+
+Spents = dict[str, tables.Spent]
+
+
+def spent(_: Fleet) -> Spents:
+    """CPU of each stage for ten seconds, as on the page."""
+    printed = {"6.1": (0.5, 0.0, 0.6, 0.1), "6.2": (1.0, 0.0, 0.5, 0.3), "6.3": (1.2, 0.0, 0.6, 0.4),
+               "6.4": (0.8, 0.0, 0.3, 0.7)}  # fmt: skip
+    stages = ("simulation", "amplitudes", "image", "map")
+    return {table: tables.Spent(10.0, {s: percent / 10 for s, percent in zip(stages, row, strict=True)})
+            for table, row in printed.items()}  # fmt: skip
+
+
+def slower(times: float) -> Callable[[Spents], Spents]:
+    return lambda all_: {table: replace(one, cpu_s={s: times * t for s, t in one.cpu_s.items()})
+                         for table, one in all_.items()}  # fmt: skip
+
+
+def state_tables(bench: Bench, all_: Spents) -> None:
+    for table, one in all_.items():
+        tables.state(bench, table, one)
+
+
+TABLES = Section("tables 6.1 to 6.4", "tables", state_tables, (
+    Mutant("every stage takes a thousand times as long", (
+        "the thesis' methods run faster than the thesis' 1 times", "faster than the thesis' 0.5 times",
+        "faster than the thesis' 0.4 times", "Elfes' map takes less CPU",
+    ), change=slower(1000)),
+), spent)  # fmt: skip
+
+Costs = dict[str, NodeCost]
+
+
+def node_costs(_: Fleet) -> Costs:
+    """Rows of the page: CPU of 12 s, peak memory."""
+    percent = {"Elfes": (2.0, 220), "ullage": (38.0, 249), "ullage, 1 Hz": (23.0, 248)}
+    return {f"NTNU room, {name}": NodeCost(12.0, 816, 0.9, 0.12 * cpu, 161, peak, 15)
+            for name, (cpu, peak) in percent.items()}  # fmt: skip
+
+
+def every(**times: float) -> Callable[[Costs], Costs]:
+    return lambda costs: {name: replace(cost, **{key: factor * getattr(cost, key) for key, factor in times.items()})
+                          for name, cost in costs.items()}  # fmt: skip
+
+
+BUDGET = Section("the node on board", "budget", lambda bench, costs: budget.state(bench, costs, 1.0), (
+    Mutant("ullage's mapper at a tenth of its cost", ("ullage's mapper does not",), change=every(cpu_s=0.1)),
+    Mutant("three times the CPU", ("fits one BeagleBone core", "fits one core of the reference machine"),
+           change=every(cpu_s=3)),
+    Mutant("three times the memory", ("the node's peak memory",), change=every(peak_mb=3)),
+), node_costs, quick=False)  # fmt: skip
+
+
+# --- Doppler, speed and frame rate
+
+
+SPEC = speeds.RadarSpec.preset("x4m05")
+Series = dict[str, Any]
+PARTS: dict[str, Callable[[], Any]] = {
+    "loss": lambda: speeds.towards_plate(SPEC),
+    "found": lambda: speeds.towards_wire(SPEC),
+    "image": lambda: speeds.past_wire(SPEC, (0.175, 1.0, 2.0))[0],
+    "scores": lambda: speeds.round_room(SPEC, (0.5, 4.0), seed=1),
+}
+
+
+def measured(names: tuple[str, ...] = tuple(PARTS), spoil: Callable[[Patch], None] = lambda _: None) -> Series:
+    """Series against speed, from three speeds towards a target and a third of the round."""
+    kept = flights.level_round
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(speeds, "RADIAL", (0.05, 0.25, 0.37))
+        patch.setattr(flights, "level_round", lambda seed: kept(seed)[: len(kept(seed)) // 3])
+        spoil(patch)
+        return {name: PARTS[name]() for name in names}
+
+
+def at_an_instant(patch: Patch) -> None:
+    patch.setattr(motion, "groups_of", lambda *_: 1)
+
+
+def one_speed(patch: Patch) -> None:
+    kept = speeds.fly_at
+    patch.setattr(speeds, "fly_at", lambda *a, speed_m_s, **k: kept(*a, speed_m_s=0.5, **k))
+
+
+def flown_longer(patch: Patch) -> None:
+    kept = speeds.fly_at
+    patch.setattr(speeds, "fly_at", lambda *a, **k: {n: longer(0.25)(f) for n, f in kept(*a, **k).items()})
+
+
+SPEEDS = Section("speed", "speeds", lambda bench, series: speeds.state(bench, SPEC, **series), (
+    Mutant("frames of one instant", ("loss within a frame less the law", "at the blind speed"),
+           change=lambda series: series | measured(("loss", "found"), at_an_instant)),
+    Mutant("ranges 0.25 m too long", ("frames that detect it at 0.05 m/s",),
+           change=lambda series: series | measured(("found",), flown_longer)),
+    Mutant("the speed is ignored", ("ambiguous energy", "map by ullage", "map by elfes"),
+           change=lambda series: series | measured(("image", "scores"), one_speed)),
+), lambda _: measured())  # fmt: skip
+
+
+# --- every way of mapping: half a flight, and a short hover
+
+SEED = 0
+Spoil = Callable[[Recordings], Recordings]
+Mapped = tuple[Scores, list[dict[str, float]]]
+ROWS = (methods.RAYS, methods.BARE, methods.EXACT, methods.FINE, *methods.WHITE.values(), methods.BARE_WHITE)
+
+
+def each(change: Callable[[Frames], Frames]) -> Spoil:
+    return lambda frames: {name: change(part) for name, part in frames.items()}
+
+
+def scores_of(rows: tuple[str, ...] = ROWS, spoil: Spoil = lambda frames: frames, *, share: float = 0.4) -> Scores:
+    """Part of a flight, mapped by some rows of the table from spoilt frames."""
+    scene, kept = flights.judged_room(), (flights.heard, flights.level_round)
+    grid, scores = flights.plane_of(scene), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flights, "heard", lambda *a, **k: spoil(kept[0](*a, **k)))
+        patch.setattr(flights, "level_round", lambda seed: kept[1](seed)[: int(share * len(kept[1](seed)))])
+        for name, frames, options in methods.cases(SEED, scene, grid):
+            if name in rows:
+                omap = methods.mapped(scene, grid, frames, options)
+                scores[name] = [flights.values_of(map_quality(omap, scene, frames), tuple(methods.COLUMNS))]
+    return scores
+
+
+def drift_scores(spoil: Spoil = lambda frames: frames) -> Scores:
+    """The row with a slow error of the poses, which is found only where the flight comes back."""
+    return scores_of((methods.DRIFT_KNOWN,), spoil, share=1.0)
+
+
+def hover_of(method: str = "ullage") -> list[dict[str, float]]:
+    """Six seconds of flight, then four of hovering."""
+    scene = flights.judged_room()
+    grid = flights.plane_of(scene)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flights, "HOVER_S", 4.0)
+        patch.setattr(methods, "Mapper", lambda grid: Mapper(grid, method=method))
+        frames = flights.heard(scene, flights.level_round(SEED)[-150:], SEED)
+        return [methods.hovered(scene, grid, frames, SEED)]
+
+
+def state_methods(bench: Bench, mapped: Mapped) -> None:
+    methods.state(bench, mapped[0])
+    methods.state_targets(bench, *mapped)
+
+
+def wrong_sign(part: Frames) -> Frames:
+    return replace(part, samples=part.samples.conj())
+
+
+METHODS = Section("ways of mapping", "methods", state_methods, (
+    Mutant("ranges 0.25 m too long", (
+        "ullage's F1 over Elfes'", "exact poses: surface free", "F1: ullage, exact poses", "F1: ullage, amplitude only",
+        "F1: ullage, 3 mm", "F1: ullage, 10 mm", "error median: ullage, exact", "error p90: ullage, exact",
+        "error median: ullage, amplitude", "error p90: ullage, amplitude",
+    ), change=lambda mapped: (mapped[0] | scores_of(spoil=each(longer(0.25))), mapped[1])),
+    Mutant("a whole flight, ranges 0.25 m too long", ("F1: ullage, the same, drift",),
+           change=lambda mapped: (mapped[0] | drift_scores(each(longer(0.25))), mapped[1])),
+    Mutant("nothing is received", ("exact poses: known behind",),
+           change=lambda mapped: (mapped[0] | scores_of((methods.EXACT,), each(emptied)), mapped[1])),
+    Mutant("the phase has the wrong sign", ("F1 with 10 mm of error over",),
+           change=lambda mapped: (mapped[0] | scores_of((methods.WHITE[0.01],), each(wrong_sign)), mapped[1])),
+    Mutant("Elfes' grid in place of ullage's mapper", ("hover: largest change of F1", "hover: most new false cells"),
+           change=lambda mapped: (mapped[0], hover_of("elfes"))),
+), lambda _: (scores_of() | drift_scores(), hover_of()))  # fmt: skip
+
+
+# --- maps in three dimensions: a third of one flight
+
+
+def one_volume(spoil: Spoil = lambda frames: frames) -> Scores:
+    scene = flights.judged_room()
+    grid = flights.volume_of(scene)
+    scores: Scores = {}
+    frames = spoil(flights.heard(scene, flights.rising_round(SEED)[:220], SEED))
+    for name, recording in volumes.cases(SEED, frames):
+        found = map_quality(map_occupancy(recording, grid), scene, frames)
+        scores[name] = [flights.values_of(found, tuple(volumes.COLUMNS))]
+    frames = spoil(flights.heard(scene, flights.level_round(SEED)[:220], SEED))
+    omap = map_occupancy(frames, grid)
+    row = flights.values_of(map_quality(omap, scene, frames), tuple(volumes.COLUMNS))
+    scores[volumes.LEVEL] = [row | volumes.flagged(omap, scene, frames)]
+    return scores
+
+
+VOLUMES = Section("volumes", "volumes", volumes.state, (
+    Mutant("ranges 0.25 m too long", ("F1: exact poses", "a level flight flags"),
+           change=lambda _: one_volume(each(longer(0.25)))),
+), lambda _: one_volume())  # fmt: skip
+
+
+# --- images of three poles: one flight
+
+
+def one_image(_: Material = None) -> Scores:
+    scores, sharp = {}, None
+    for name, frames, image in images.cases(SEED):
+        sharp = sharp or image
+        scores[name] = [images.scored(frames, image, sharp)]
+    return scores
+
+
+def received_longer(patch: Patch) -> None:
+    kept = images.simulate
+    patch.setattr(images, "simulate", lambda *a, **k: longer(0.1)(kept(*a, **k)))
+
+
+def no_autofocus(patch: Patch) -> None:
+    patch.setattr(images, "autofocus", lambda frames, *_, **__: frames)
+
+
+def no_smoothing(patch: Patch) -> None:
+    patch.setattr(images, "_smoothed", lambda frames: frames)
+
+
+def only_summed(patch: Patch) -> None:
+    kept = images.focus
+    patch.setattr(images, "focus", lambda frames, grid, **_: kept(frames, grid, method="summation"))
+
+
+IMAGES = Section("images of poles", "images", lambda bench, _: images.state(bench, one_image()), (
+    Mutant("ranges 0.1 m too long", (
+        "nearest pole: back-projection, exact", "nearest pole: back-projection, 3 mm",
+        "nearest pole: the same, autofocus", "nearest pole: the same, smoothed over",
+        "nearest pole: the same, smoothed, then",
+    ), received_longer),
+    Mutant("summation for every image", ("so many times as wide across",), only_summed),
+    Mutant("autofocus does nothing", ("autofocus wins back",), no_autofocus),
+    Mutant("poses are not smoothed", ("smoothed poses and autofocus leave",), no_smoothing),
+))  # fmt: skip
+
+MEASURED = (TABLES, BUDGET, SPEEDS, METHODS, VOLUMES, IMAGES)
