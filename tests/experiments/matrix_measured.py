@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
-from spoilt import Fleet, Material, Mutant, Patch, Section, emptied, longer
+from spoilt import RECORDINGS, Fleet, Material, Mutant, Patch, Section, emptied, longer
 
 from ullage.data import Frames
+from ullage.errors import UllageWarning
 from ullage.experiments.reproduce import (
     budget,
     flights,
     images,
     methods,
     motion,
+    rail,
+    rest,
     speeds,
     tables,
     volumes,
@@ -23,8 +28,13 @@ from ullage.experiments.reproduce import (
 from ullage.experiments.reproduce.bench import Bench
 from ullage.experiments.reproduce.flights import Recordings, Scores
 from ullage.experiments.reproduce.node import NodeCost
+from ullage.geometry import C0
+from ullage.ports import open as open_source
+from ullage.processing.calibrate import calibrate
 from ullage.processing.metrics import map_quality
 from ullage.processing.occupancy import Mapper, map_occupancy
+from ullage.radar.receiver import receive, unit
+from ullage.specs import RadarSpec
 
 # --- speed, CPU and memory: what was measured, made worse
 
@@ -83,7 +93,7 @@ BUDGET = Section("the node on board", "budget", lambda bench, costs: budget.stat
 # --- Doppler, speed and frame rate
 
 
-SPEC = speeds.RadarSpec.preset("x4m05")
+SPEC = RadarSpec.preset("x4m05")
 Series = dict[str, Any]
 PARTS: dict[str, Callable[[], Any]] = {
     "loss": lambda: speeds.towards_plate(SPEC),
@@ -259,4 +269,98 @@ IMAGES = Section("images of poles", "images", lambda bench, _: images.state(benc
     Mutant("poses are not smoothed", ("smoothed poses and autofocus leave",), no_smoothing),
 ))  # fmt: skip
 
-MEASURED = (TABLES, BUDGET, SPEEDS, METHODS, VOLUMES, IMAGES)
+# --- recordings beside simulations
+
+Rail = tuple[Frames, Frames, np.ndarray]
+
+
+def real_rail(_: Fleet) -> Rail:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UllageWarning)
+        source = open_source(RECORDINGS / "pulson440" / "rail_a")
+        real = calibrate(source.frames())[::2]
+    place = source.reflectors()[0]
+    return real, rail.simulated(real, place), place
+
+
+def narrow_band(part: Frames) -> Frames:
+    """A fifth of the band, by a running mean of the envelope's carrier: every fifth of a pulse is smeared."""
+    kernel = np.hanning(41)[1:-1]
+    smeared = [np.convolve(abs(row), kernel / kernel.sum(), "same") for row in part.samples]
+    tone = np.cos(4 * np.pi * part.spec.center_hz / C0 * part.range_m)
+    return replace(part, samples=(np.array(smeared) * tone).astype(np.float32))
+
+
+def faded(part: Frames) -> Frames:
+    """A gain that falls by 40 dB from one end of the track to the other."""
+    gain = np.logspace(0, -2, len(part))[:, None]
+    return replace(part, samples=(part.samples * gain).astype(part.samples.dtype))
+
+
+def noisy(part: Frames) -> Frames:
+    level = 0.3 * abs(part.samples).max()
+    noise = np.random.default_rng(0).normal(0, level, part.samples.shape)
+    return replace(part, samples=(part.samples + noise).astype(part.samples.dtype))
+
+
+def middle_fifth(part: Frames) -> Frames:
+    """Frames outside the middle fifth of the track are lost."""
+    there = abs(np.arange(len(part)) / len(part) - 0.5)[:, None] < 0.1
+    return replace(part, samples=np.where(there, part.samples, 0).astype(part.samples.dtype))
+
+
+RAIL = Section("a real rail", "rail", lambda bench, material: rail.compare(bench, *material), (
+    Mutant("the reflector is sought 1 m to the side", ("waveform of the reflector's echo", "frame by frame"),
+           change=lambda m: (m[0], m[1], m[2] + [0.7, 0.7, 0.0])),
+    Mutant("ranges 0.2 m too long", ("the recorded echo lies beyond",),
+           change=lambda m: (longer(0.2)(m[0]), m[1], m[2])),
+    Mutant("a gain that falls along the track", ("peak amplitudes along the track",),
+           change=lambda m: (faded(m[0]), m[1], m[2])),
+    Mutant("a fifth of the band", ("width of the point response in range",),
+           change=lambda m: (narrow_band(m[0]), m[1], m[2])),
+    Mutant("the middle fifth of the track", ("width of the point response across",),
+           change=lambda m: (middle_fifth(m[0]), m[1], m[2])),
+    Mutant("the simulation in place of the recording", ("recorded clutter",), change=lambda m: (m[1], m[1], m[2])),
+    Mutant("noise in the simulation", ("simulated clutter",), change=lambda m: (m[0], noisy(m[1]), m[2])),
+), real_rail, reads=rail.READS)  # fmt: skip
+
+Still = tuple[np.ndarray, np.ndarray, RadarSpec]
+
+
+def at_rest(_: Fleet) -> Still:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UllageWarning)
+        still = open_source(RECORDINGS / rest.READS[0]).frames()[rest.STILL][::4]
+    spec = RadarSpec.preset("x4m05", iterations=4, pulses_per_step=1, bins=still.samples.shape[1])
+    ours = receive(np.zeros(still.samples.shape, np.complex64), spec, seed=1).astype(np.complex128) * unit(spec)
+    return still.samples.astype(np.complex128), ours, spec
+
+
+def state_rest(bench: Bench, still: Still) -> None:
+    rest.state(bench, [rest.measure(rows, still[2]) for rows in still[:2]])
+
+
+def simulated_as(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Still], Still]:
+    return lambda still: (still[0], change(still[1]), still[2])
+
+
+def white(rows: np.ndarray) -> np.ndarray:
+    """The same mean and power, but noise that differs from bin to bin."""
+    rng, mean = np.random.default_rng(0), rows.mean(0)
+    parts = rng.normal(0, np.sqrt(0.5) * (rows - mean).std(), (2, *rows.shape))
+    return np.asarray(mean + parts[0] + 1j * parts[1])
+
+
+def shaken(rows: np.ndarray) -> np.ndarray:
+    return rows * np.exp(1j * np.random.default_rng(0).normal(0, 0.05, (len(rows), 1)))
+
+
+REST = Section("an X4 at rest", "rest", state_rest, (
+    Mutant("everything half as strong again", ("noise: simulated over recorded",),
+           change=simulated_as(lambda rows: 1.5 * rows)),
+    Mutant("no direct path", ("direct path over noise",), change=simulated_as(lambda rows: rows - rows.mean(0))),
+    Mutant("white noise", ("lag 1", "lag 2", "spectrum at the band's edges"), change=simulated_as(white)),
+    Mutant("50 mrad of common phase", ("phase common to a frame",), change=simulated_as(shaken)),
+), at_rest, reads=rest.READS)  # fmt: skip
+
+MEASURED = (TABLES, BUDGET, SPEEDS, METHODS, VOLUMES, IMAGES, RAIL, REST)

@@ -32,9 +32,12 @@ Change = Callable[[Frames], Frames]
 Material = Any
 
 
+RECORDINGS = Path("../shared/data")
+
+
 def quiet_bench(folder: Path, *, quick: bool = True) -> Bench:
     """An experiment's bench that prints nothing."""
-    return Bench(folder, quick, lambda _: None, Path("../shared/data"))
+    return Bench(folder, quick, lambda _: None, RECORDINGS)
 
 
 @dataclass
@@ -71,6 +74,7 @@ class Section:
     mutants: tuple[Mutant, ...]
     material: Callable[[Fleet], Material] = lambda _: None
     quick: bool = True  # the small form of the experiment is stated
+    reads: tuple[str, ...] = ()  # recordings
 
 
 def again(flown: Flown, change: Change = lambda part: part, *, method: Any = None) -> Flown:

@@ -136,7 +136,7 @@ def _state(
         "waveform of the reflector's echo, mean over the track: correlation of recorded and simulated",
         "beyond",
         alike,
-        low=0.6,
+        low=0.8,  # a place without the reflector reaches 0.63, each frame at its best lag
     )
     hold("the same frame by frame, median", "beyond", float(np.median(found.correlation)), low=0.5)
     hold("the recorded echo lies beyond the simulated one by", "beyond", bias, "m", low=-0.15, high=0.15)
