@@ -15,6 +15,7 @@ NEEDS = {
     "real_rail": [DATA / "pulson440" / "rail_a"],
     "receiver_beside_recording": [DATA / "x4" / "xethru_datafloat_20190614_141837.dat"],
 }
+LIBRARIES = {"dataset_torch": ["torch", "zarr", "pyarrow"], "dataset_xarray": ["xarray", "zarr", "pyarrow"]}
 WRITES = {"receiver_beside_recording": ["receiver.png"]}
 
 
@@ -28,6 +29,8 @@ def test_example(path: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     needed = NEEDS.get(path.stem, [])
     if missing := [str(p) for p in needed if not p.exists()]:
         pytest.skip(f"recordings are not part of the package: no {missing[0]}")
+    for library in LIBRARIES.get(path.stem, []):
+        pytest.importorskip(library)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [str(path), *map(str, needed), *WRITES.get(path.stem, [])])
     try:
