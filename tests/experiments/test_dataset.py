@@ -257,3 +257,18 @@ def test_a_second_writer_is_refused(ten: Path) -> None:
         with pytest.raises(ul.InputError, match=r"ten\.zarr: another process writes to it .*one writer at a time"):
             ul.dataset(["room", "polygon"], ten, n=12, **SMALL)
     assert len(read_index(ten)) == 10
+
+
+@pytest.mark.parametrize("page", ["datasets.md", "sweeps.md"])
+def test_the_blocks_of_the_docs_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[2] / "docs" / page).read_text(encoding="utf-8")
+    if page == "sweeps.md":
+        (tmp_path / "sweep").mkdir()
+        lines = ("run,map.step_m,navigation.noise_m,seed,f1,failed", "a,0.1,0,7,0.5,", "b,0.1,0,8,,world: no such wall")
+        (tmp_path / "sweep" / "sweep.csv").write_text("\n".join(lines))
+    names: dict[str, object] = {}
+    blocks = re.findall(r"```python\n(.*?)```", text, re.S)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), names)
