@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.cluster import each_done
+from ullage.experiments.dataset import read_index
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
@@ -34,7 +36,7 @@ def started(module: str, *words: str | Path, path: Path | None = None, cwd: Path
 
 
 def reached(there: Callable[[], bool]) -> bool:
-    end = time.monotonic() + 120
+    end = time.monotonic() + 300
     while not there() and time.monotonic() < end:
         time.sleep(0.02)
     return there()
@@ -156,3 +158,116 @@ def test_a_sweep_gives_the_same_table_in_one_process_and_on_a_cluster(tmp_path: 
     )
     assert both.returncode == 2
     assert b"--jobs or --scheduler" in both.stderr
+
+
+KINDS, N, FRAMES = ["office", "pillars"], 48, 4
+
+
+def making(folder: Path, *words: str, **kept: object) -> subprocess.Popen:
+    command = [
+        sys.executable,
+        "-m",
+        "ullage",
+        "dataset",
+        *KINDS,
+        "--n",
+        str(N),
+        "--frames",
+        str(FRAMES),
+        "--to",
+        "set.zarr",
+    ]
+    return subprocess.Popen(
+        [*command, *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **kept
+    )
+
+
+def shards(path: Path) -> int:
+    return len(list(path.glob("index/*.parquet")))
+
+
+def workers_of(pid: int) -> list[int]:
+    """Worker processes that a client has started."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+            if parent == pid and b"spawn_main" in (stat.parent / "cmdline").read_bytes():
+                found.append(int(stat.parent.name))
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_nothing_is_lost_when_worker_client_and_scheduler_are_killed(tmp_path: Path) -> None:
+    """One set after the other of these, and at the end the bits of a set made in one process."""
+    path = tmp_path / "set.zarr"
+    client = making(tmp_path, "--jobs", "2")
+    try:
+        assert reached(lambda: shards(path) >= 1)
+        first = workers_of(client.pid)
+        os.kill(first[0], signal.SIGKILL)
+        assert reached(lambda: shards(path) >= 2)
+        assert client.poll() is None, client.communicate()
+        at_work = workers_of(client.pid)
+    finally:
+        client.kill()
+        client.wait()
+    assert reached(lambda: not any(map(alive, at_work)))  # workers end with their client
+    assert 0 < len(read_index(path)) < N
+    with scheduler(tmp_path, ["--nthreads", "1"]) as (address, process):
+        client = making(tmp_path, "--scheduler", address)
+        before = shards(path)
+        assert reached(lambda: shards(path) > before)
+        process.kill()
+        _, words = client.communicate(timeout=300)
+        assert client.returncode == 2
+        assert "the scheduler is gone; what was finished is kept" in words
+    assert before * 8 < len(read_index(path)) < N
+    with scheduler(tmp_path, ["--nthreads", "1"]) as (address, _):
+        client = making(tmp_path, "--scheduler", address)
+        _, words = client.communicate(timeout=300)
+        assert client.returncode == 0, words
+    whole = ul.dataset(KINDS, tmp_path / "whole.zarr", n=N, frames=FRAMES, where=1)
+    assert [row["k"] for row in read_index(path)] == list(range(N))
+    assert read_index(path) == read_index(whole)
+    assert same_arrays(path, whole)
+
+
+def same_arrays(one: Path, other: Path) -> bool:
+    import zarr
+
+    mine, theirs = (dict(zarr.open_group(str(path), mode="r").arrays()) for path in (one, other))
+    return mine.keys() == theirs.keys() and all(
+        mine[name][...].tobytes() == theirs[name][...].tobytes() for name in mine
+    )
+
+
+def test_ctrl_c_ends_a_data_set_at_once_and_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    """Files may not grow beyond 64 kB at first, which the system reports as it does a full disk."""
+
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, 1 << 16))
+
+    full = making(tmp_path, "--jobs", "1", preexec_fn=small)
+    _, words = full.communicate(timeout=300)
+    assert full.returncode == 2
+    assert "set.zarr: cannot write: " in words
+    assert "Traceback" not in words
+    assert read_index(tmp_path / "set.zarr") == []
+    pressed = making(tmp_path, "--jobs", "2", start_new_session=True)
+    assert reached(lambda: shards(tmp_path / "set.zarr") >= 1)
+    os.killpg(pressed.pid, signal.SIGINT)  # as a terminal does, to the workers too
+    out, words = pressed.communicate(timeout=300)
+    assert pressed.returncode == 130
+    assert "run the same command again to go on" in out
+    assert words == ""
+    assert 0 < len(read_index(tmp_path / "set.zarr")) < N
