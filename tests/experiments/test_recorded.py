@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.cli import main
 from ullage.experiments.recorded import count_behind
 from ullage.experiments.recorded_page import beside_recordings
 from ullage.experiments.validate import against_recordings
@@ -38,6 +40,19 @@ def test_scatterers_behind_the_antenna_are_counted() -> None:
 def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ul.InputError, match=r"no recording.*pulson440 or x4"):
         against_recordings(tmp_path, tmp_path / "out")
+
+
+def test_the_command_refuses_it_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        sys, "argv", ["ullage", "validate", "--recordings", str(tmp_path), "--out", str(tmp_path / "out")]
+    )
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -41,6 +41,8 @@ def beside_recordings(folder: str | Path, out_dir: str | Path, *, report: Callab
         place = case.reflectors[0] if len(case.reflectors) else None
         draw_recorded(out / "pictures" / "validation" / f"{case.name}.png", one.range_m, one.profiles_db,
                       title=case.what, images=one.images, place=place)  # fmt: skip
+    if not found:
+        return []
     rows = [row for one in found for row in bounded(one)]
     page = _page(found, rows)
     out.mkdir(parents=True, exist_ok=True)
