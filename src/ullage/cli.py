@@ -420,12 +420,19 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
 
 
 @app.command()
-def report(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
+def report(
+    run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest",
+    open_report: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
+) -> None:
     """Write a run's report.html anew."""
     from ullage.experiments.folder import find_folder
+    from ullage.view.progress import open_page
     from ullage.view.report import write_report
 
-    typer.echo(write_report(find_folder(run)))
+    page = write_report(find_folder(run))
+    typer.echo(page)
+    if open_report:
+        open_page(page)
 
 
 @app.command()

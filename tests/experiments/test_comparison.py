@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,25 +11,30 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.cli import main
 from ullage.data import Metric
-from ullage.experiments.comparison import fly_again, rival_scenario
+from ullage.experiments.comparison import rival_scenario
 from ullage.experiments.inspection import found_line, inspect
-from ullage.experiments.runner import execute
-from ullage.experiments.targets import make_run
 
 SHORT = ["flight.waypoints=[[-1.5, -1, 1], [-1, -1, 1]]", "flight.vehicle=ideal", "map.step_m=0.2"]
 
 
-def test_a_run_is_compared_with_another_law_on_the_same_flight(tmp_path: Path) -> None:
-    rival = rival_scenario("ntnu-mapping", "thesis", options=SHORT)
-    job = make_run("ntnu-mapping", options=SHORT, tasks=("map",), out=tmp_path)
-    job.rival = lambda: fly_again(rival, "thesis")
-    report = execute(job, draw=False, say=lambda _: None)
-    kept = json.loads((report.folder / "findings.json").read_text())
-    assert report.compared is not None
-    assert report.compared.metrics["f1"].value == report.metrics["f1"].value  # the same law: the same scores
-    assert kept["compared"]["metrics"]["f1"]["value"] == pytest.approx(report.metrics["f1"].value)
-    assert report.compared.line == f"the method of 2018 on the same flight: F1 {report.metrics['f1'].value:.3f}"
+def test_a_run_is_compared_with_another_law_on_the_same_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = [word for option in SHORT for word in ("-o", option)]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ullage", "run", "ntnu-mapping", "--do", "map", "--compare", "thesis", *options])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    said = capsys.readouterr().out.splitlines()
+    f1 = json.loads(Path("runs/latest/metrics.json").read_text())["f1"]["value"]
+    kept = json.loads(Path("runs/latest/findings.json").read_text())
+    assert kept["compared"]["metrics"]["f1"]["value"] == f1  # the same law: the same score
+    assert said[-2].startswith(f"found: F1 {f1:.3f}, ")
+    assert said[-1] == f"the method of 2018 on the same flight: F1 {f1:.3f}"
+    assert f"The method of 2018 on the same flight reaches F1 {f1:.3f}." in Path("runs/latest/report.html").read_text()
 
 
 def test_only_the_same_flight_is_compared() -> None:
