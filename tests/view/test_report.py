@@ -189,6 +189,9 @@ def test_in_chromium_the_replay_is_drawn_the_slider_moves_the_drone_and_an_echo_
     page.locator("#profiles li button").first.click()
     assert re.match(r"radar: .* bounce, \d+\.\d\d m, -\d+\.\d dB", page.inner_text("#explanation"))
     assert differing(stage.screenshot(), at_start) > 0.002
+    page.uncheck("#layers label:has-text('echoes') input")
+    page.click("#view", position={"x": 500, "y": 300})  # the middle of the picture: some object of the room
+    assert re.match(r"\S+ at \(-?\d+\.\d\d, .*\) m: (missed|not in sight)", page.inner_text("#explanation"))
     page.click("#theme")
     assert wrong == []
     page.close()

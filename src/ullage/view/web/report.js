@@ -58,7 +58,7 @@
     return mesh;
   }
 
-  const meshes = {}; // of each object, by its name
+  const meshes = {}, solids = []; // of each object, by its name; all that can be clicked
   const edge = new THREE.LineBasicMaterial({ color: "#1b2631", transparent: true, opacity: 0.25 });
   function drawWorld(world) {
     for (const thing of world.objects) {
@@ -72,7 +72,10 @@
         const shape = new THREE.BufferGeometry();
         shape.setAttribute("position", new THREE.BufferAttribute(thing.corners, 3));
         shape.computeVertexNormals();
-        group.add(new THREE.Mesh(shape, material));
+        const mesh = new THREE.Mesh(shape, material);
+        mesh.userData = { name: thing.name, state: thing.state };
+        group.add(mesh);
+        solids.push(mesh);
         if (thing.corners.length < 9 * MOST_EDGES && !thing.hull) {
           group.add(new THREE.LineSegments(new THREE.EdgesGeometry(shape, 25), edge));
         }
@@ -283,6 +286,13 @@
       button.setAttribute("aria-pressed", String(Boolean(echo) && button.echo === echo)));
     drawProfiles();
     render();
+  }
+
+  function nameObject(hit) { // what was clicked on, and what the map shows of it
+    choose(0, null);
+    if (!hit) return;
+    const { name, state } = hit.object.userData, [x, y, z] = hit.point.toArray().map((v) => v.toFixed(2));
+    $("explanation").textContent = `${name} at (${x}, ${y}, ${z}) m: ${state || "not in sight at the map's height"}.`;
   }
 
   // ---- profiles
@@ -496,8 +506,9 @@
       const box = $("view").getBoundingClientRect();
       caster.setFromCamera(new THREE.Vector2(
         (2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height), camera);
-      const hit = caster.intersectObjects(picks)[0];
+      const hit = caster.intersectObjects(layers.echoes.visible ? picks : [])[0];
       if (hit) choose(hit.object.userData.radar, hit.object.userData.echo);
+      else nameObject(layers.world && layers.world.visible ? caster.intersectObjects(solids)[0] : null);
     });
   }
   $("theme").hidden = false;
@@ -507,6 +518,13 @@
     root.dataset.theme = dark ? "light" : "dark";
     drawProfiles();
     render();
+  });
+  window.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!step || document.activeElement !== $("view")) return;
+    event.preventDefault();
+    play(false);
+    goTo(Math.min(Math.max($("time").valueAsNumber + step, 0), frames - 1));
   });
   window.addEventListener("resize", resize);
   window.addEventListener("beforeprint", () => { drawProfiles(); render(); });
