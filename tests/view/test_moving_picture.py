@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import ullage as ul
-from ullage.view.moving_picture import moving_picture, still_picture
+from ullage.view.moving_picture import main, moving_picture, still_picture
 from ullage.view.replay import Parts, write_replay
 
 
@@ -49,6 +49,21 @@ def test_a_still_picture_shows_the_end_of_the_run(parts: Parts, tmp_path: Path) 
         assert len(near(still, (225, 40, 90), 45)) > 10
 
 
+def test_a_picture_that_cannot_be_written_is_refused(parts: Parts, tmp_path: Path) -> None:
+    write_replay(tmp_path, parts)
+    with pytest.raises(ul.InputError, match="nowhere"):
+        still_picture(tmp_path, tmp_path / "nowhere" / "end.png", width_px=120)
+
+
 def test_a_run_without_a_replay_has_no_picture(tmp_path: Path) -> None:
     with pytest.raises(ul.InputError, match=r"cannot read: .*newer run"):
         moving_picture(tmp_path, tmp_path / "x.webp")
+
+
+def test_the_command_refuses_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert main([str(tmp_path)]) == 2
+    usage, refused = capsys.readouterr().err.splitlines()
+    assert usage.startswith("usage: ")
+    assert refused.startswith("ullage: ")
+    assert str(tmp_path) in refused

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageError
+from ullage.files import write_whole
 from ullage.geometry import quat_matrix
 from ullage.view.replay import AMBIGUOUS_CELL, FREE_CELL, OCCUPIED_CELL, read_replay, unpacked
 from ullage.world import shapes
@@ -57,16 +58,14 @@ def moving_picture(
         quality: of WebP, 0 to 100.
 
     Raises:
-        InputError: the run has nothing to replay, or there are no frames.
+        InputError: the run has nothing to replay, there are no frames, or the file cannot be written.
     """
     if frames < 1 or width_px < 100:
         raise InputError(f"{frames} pictures of {width_px} pixels", where=out, allowed="1 and 100 or more")
     pictures = list(_pictures(read_replay(run), frames, width_px))
-    draft = out.with_name(f".{out.name}")
     times = [round(1000 / fps)] * (len(pictures) - 1) + [2500]  # the last one stays for a while
-    pictures[0].save(draft, format="WEBP", save_all=True, append_images=pictures[1:], duration=times, loop=0,
-                     quality=quality, method=6)  # fmt: skip
-    draft.replace(out)
+    moving: dict[str, Any] = {"save_all": True, "append_images": pictures[1:], "duration": times, "loop": 0}
+    write_whole(out, lambda file: pictures[0].save(file, format="WEBP", quality=quality, method=6, **moving))
     return out
 
 
@@ -74,12 +73,11 @@ def still_picture(run: Path, out: Path, *, width_px: int = 1100) -> Path:
     """Write the last picture of a run as a PNG.
 
     Raises:
-        InputError: the run has nothing to replay.
+        InputError: the run has nothing to replay, or the file cannot be written.
     """
     (picture,) = _pictures(read_replay(run), 1, width_px)
-    draft = out.with_name(f".{out.name}")
-    picture.quantize(256, dither=Image.Dither.NONE).save(draft, format="PNG", optimize=True)
-    draft.replace(out)
+    small = picture.quantize(256, dither=Image.Dither.NONE)
+    write_whole(out, lambda file: small.save(file, format="PNG", optimize=True))
     return out
 
 
@@ -394,13 +392,19 @@ def _font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
-def main(arguments: list[str]) -> None:
-    """Write the moving picture of a run folder to a file."""
+def main(arguments: list[str]) -> int:
+    """Write the moving picture of a run folder to a file; give the exit code."""
     if not 1 <= len(arguments) <= 2:
-        raise SystemExit("usage: python -m ullage.view.moving_picture RUN [FILE.webp]")
+        print("usage: python -m ullage.view.moving_picture RUN [FILE.webp]", file=sys.stderr)
+        return 2
     run = Path(arguments[0])
-    print(moving_picture(run, Path(arguments[1]) if len(arguments) == 2 else run / "replay.webp"))
+    try:
+        print(moving_picture(run, Path(arguments[1]) if len(arguments) == 2 else run / "replay.webp"))
+    except UllageError as error:
+        print(f"ullage: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    sys.exit(main(sys.argv[1:]))
