@@ -99,7 +99,8 @@ def _mapped(objects: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) ->
         ))  # fmt: skip
     shown = [one["name"] for one in objects if one["state"] in ("mapped", "partly mapped")]
     if objects:
-        out.append(_line(f"{len(shown)} of the {len(objects)} objects in sight are on the map.", "good" * bool(shown)))
+        kind = "good" if 2 * len(shown) >= len(objects) else ""
+        out.append(_line(f"{len(shown)} of the {len(objects)} objects in sight are on the map.", kind))
     if missed := [one["name"] for one in objects if one["state"] == "missed"]:
         out.append(_line(f"Missed: {', '.join(missed)}.", "bad"))
     return out
