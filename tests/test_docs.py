@@ -52,3 +52,15 @@ def test_the_first_python_block_is_at_most_twelve_lines() -> None:
     assert block is not None
     assert block[1].count("\n") <= 12
     compile(block[1], "README.md", "exec")
+
+
+@pytest.mark.slow
+def test_the_first_python_block_leaves_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = [re.search(r"```python\n(.*?)```", (ROOT / name).read_text(encoding="utf-8"), re.S)
+              for name in ("README.md", "docs/index.md")]  # fmt: skip
+    assert blocks[0] is not None
+    assert blocks[1] is not None
+    assert blocks[0][1] == blocks[1][1]
+    monkeypatch.chdir(tmp_path)
+    exec(compile(blocks[0][1], "README.md", "exec"), {"__name__": "README"})
+    assert (tmp_path / "room.png").stat().st_size > 10_000
