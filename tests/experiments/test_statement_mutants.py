@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from spoilt import RECORDINGS, Fleet, quiet_bench
-from statement_matrix import BASELINE, SECTIONS, Section
+from spoilt import RECORDINGS, Fleet, Section, quiet_bench
+from statement_matrix import BASELINE, SECTIONS
 
 Patch = pytest.MonkeyPatch
 
