@@ -33,6 +33,7 @@ from spoilt import (
 from ullage.experiments.laws import TARGETS, radars, strafe
 from ullage.experiments.reproduce import (
     baseline,
+    causes_cpu,
     causes_images,
     causes_maps,
     detection,
@@ -365,4 +366,15 @@ CAUSES = (
 )  # fmt: skip
 
 
-FLIGHTS: tuple[Section, ...] = (*DETECTION, ROOM, HALL, HOVER, HOLD, FAR, *CAUSES)
+READING_COSTS = {"compiled": {"NTNU room": (17e-6, 834.0), "cargo hold": (40e-6, 3350.0),
+                              "cargo hold, no echoes": (66e-6, 8337.0)},
+                 "plain": {"NTNU room": (1.12e-3, 834.0), "cargo hold": (4.17e-3, 3350.0),
+                           "cargo hold, no echoes": (6.63e-3, 8337.0)}}  # fmt: skip
+"""CPU of a reading [s] and its cells, as on the page."""
+
+CPU = Section("CPU of a reading", "causes", lambda bench, costs: causes_cpu.state(bench, **costs), (
+    Mutant("both compiled", ("Elfes in plain Python",), change=lambda costs: costs | {"plain": costs["compiled"]}),
+), lambda _: READING_COSTS)  # fmt: skip
+
+
+FLIGHTS: tuple[Section, ...] = (*DETECTION, ROOM, HALL, HOVER, HOLD, FAR, *CAUSES, CPU)

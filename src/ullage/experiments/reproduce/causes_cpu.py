@@ -78,14 +78,14 @@ def run(bench: Bench) -> None:
     state(bench, compiled, plain)
 
 
-def _over_room(costs: Costs) -> dict[str, float]:
+def over_room(costs: Costs) -> dict[str, float]:
     """CPU of a reading over that in the room."""
     return {name: cost / costs[ROOM][0] for name, (cost, _) in costs.items()}
 
 
 def tabulate(bench: Bench, compiled: Costs, plain: Costs) -> None:
     """Cells and CPU of a reading, and both over those in the room."""
-    over = _over_room(compiled), _over_room(plain)
+    over = over_room(compiled), over_room(plain)
     cells = {name: compiled[name][1] / compiled[ROOM][1] for name in compiled}
     rows = [(name, f"{compiled[name][1]:.0f}", f"{cells[name]:.1f}",
              f"{1e6 * compiled[name][0]:.0f}", f"{over[0][name]:.1f}",
@@ -101,7 +101,7 @@ def tabulate(bench: Bench, compiled: Costs, plain: Costs) -> None:
 def state(bench: Bench, compiled: Costs, plain: Costs) -> None:
     """What the interpreter and the lack of echoes explain of the thesis' ratio."""
     cells = {name: compiled[name][1] / compiled[ROOM][1] for name in compiled}
-    fast, slow = _over_room(compiled), _over_room(plain)
+    fast, slow = over_room(compiled), over_room(plain)
     bench.findings.hold("Elfes in plain Python: CPU grows so many times as much without echoes as compiled", "7.3",
                         slow[EMPTY] / fast[EMPTY], low=1.2)  # fmt: skip
     bench.findings.differ(
