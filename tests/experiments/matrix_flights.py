@@ -86,7 +86,7 @@ BASELINE = Section("baseline", "baseline", lambda bench, _: baseline.run(bench),
     Mutant("eq. 4.2 without the coefficient", ("a wooden plate",), term(coefficient=False)),
     Mutant("ranges 0.25 m too long", ("lie at their ranges",), ranges_too_long),
     Mutant("rays over 20 deg", ("rays: headings between",), rays_as(fov_deg=20.0)),
-    Mutant("Elfes' lobe of 20 deg", ("of the circle known", "cell by cell"), lobe(20.0)),
+    Mutant("Elfes' lobe of 20 deg", ("part of the circle", "cell by cell"), lobe(20.0)),
     Mutant("no moving average", ("local maxima", "white noise"), no_average),
     Mutant("no noise", ("white noise",), no_noise),
     Mutant("an axis that ends at 9.61 m", ("at 9.7 m, within R_max",), short_axis),
@@ -183,7 +183,7 @@ DETECTION = (
         Mutant("a floor of steel", ("as strong as the wire",), change=steel_floor),
         Mutant("the wire is not received", ("it is the wire that is received",), no_wire),
         Mutant("the floor is not suppressed", (
-            "the floor's echo goes", "the floor goes at the wire's range", "so much is left",
+            "what is left of the floor's echo", "of the floor alone", "the floor's part in the whole room",
         ), floor_stays),
     ), wire_pass),
     Section("behind the last wall", "detection", state_tail, (

@@ -83,7 +83,7 @@ def every(**times: float) -> Callable[[Costs], Costs]:
 
 
 BUDGET = Section("the node on board", "budget", lambda bench, costs: budget.state(bench, costs, 1.0), (
-    Mutant("ullage's mapper at a tenth of its cost", ("ullage's mapper does not",), change=every(cpu_s=0.1)),
+    Mutant("ullage's mapper at a tenth of its cost", ("needs more than one BeagleBone core",), change=every(cpu_s=0.1)),
     Mutant("three times the CPU", ("fits one BeagleBone core", "fits one core of the reference machine"),
            change=every(cpu_s=3)),
     Mutant("three times the memory", ("the node's peak memory",), change=every(peak_mb=3)),
@@ -224,7 +224,7 @@ def one_volume(spoil: Spoil = lambda frames: frames) -> Scores:
 
 
 VOLUMES = Section("volumes", "volumes", volumes.state, (
-    Mutant("ranges 0.25 m too long", ("F1: exact poses", "a level flight flags"),
+    Mutant("ranges 0.25 m too long", ("F1: exact poses", "which a level flight marks"),
            change=lambda _: one_volume(each(longer(0.25)))),
 ), lambda _: one_volume())  # fmt: skip
 
@@ -264,8 +264,8 @@ IMAGES = Section("images of poles", "images", lambda bench, _: images.state(benc
         "nearest pole: the same, autofocus", "nearest pole: the same, smoothed over",
         "nearest pole: the same, smoothed, then",
     ), received_longer),
-    Mutant("summation for every image", ("so many times as wide across",), only_summed),
-    Mutant("autofocus does nothing", ("autofocus wins back",), no_autofocus),
+    Mutant("summation for every image", ("width of a pole across",), only_summed),
+    Mutant("autofocus does nothing", ("that autofocus removes",), no_autofocus),
     Mutant("poses are not smoothed", ("smoothed poses and autofocus leave",), no_smoothing),
 ))  # fmt: skip
 

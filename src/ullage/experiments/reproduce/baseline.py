@@ -74,7 +74,9 @@ def intensity(bench: Bench) -> None:
     wall = scenes.plate(12.0, 4.0, 3.0)
     bare = quiet.but(thesis=quiet.thesis.but(smoothing_bins=1))
     tops = [_maxima(_received(wall, spec)) for spec in (quiet, bare)]
-    hold("the moving average leaves so many local maxima of a wall at 3 m (share)", "4.4", tops[0] / tops[1], high=0.6)
+    hold(
+        "share of the local maxima of a wall at 3 m that the moving average leaves", "4.4", tops[0] / tops[1], high=0.6
+    )
     still = Trajectory.stationary(n=40)
     sigma = float(_received(Scene.empty(), loud, still).samples.std())
     expected = loud.thesis.noise_sigma / np.sqrt(loud.thesis.smoothing_bins)
@@ -124,7 +126,7 @@ def opening(bench: Bench) -> None:
     known = map_occupancy(empty, grid, method="elfes", threshold=1.0)
     y, x = np.meshgrid(grid.y_m, grid.x_m, indexing="ij")
     ring = abs(np.hypot(x, y) - 4.5) < 1.0
-    hold("Elfes: four readings without an echo make so much of the circle known", "6.2",
+    hold("Elfes: part of the circle that four readings without an echo make known", "6.2",
          float(360 * (1 - known.unknown[ring].mean())), "deg", low=252, high=262)  # fmt: skip
 
 

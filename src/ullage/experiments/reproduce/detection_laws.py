@@ -67,14 +67,14 @@ def clutter(bench: Bench, scene: Scene, path: Trajectory, wire_m: Floats) -> Non
     hold("physical law: at the wire's own range it is the wire that is received, not the floor", "beyond",
          float(decibel(there / wires.amplitude.max())), "dB", high=-20)  # fmt: skip
     below = abs(under.range_m - path.position[:, 2:3]) < 0.15
-    hold("physical law: the floor's echo goes when the height is known", "7.1",
+    hold("physical law: what is left of the floor's echo when the height is known", "7.1",
          _left(under, suppress_floor(under), below), "dB", high=-15)  # fmt: skip
     whole = simulate(scene, path, quiet, fidelity="thesis")
     bare = simulate(without(scene, "floor"), path, quiet, fidelity="thesis")
     at_wire = abs(whole.range_m - apart) < 0.3
-    hold("ray law: the floor goes at the wire's range when the height and the antenna are known", "7.1",
+    hold("ray law: what is left of the floor alone at the wire's range, with height and antenna known", "7.1",
          _left(rays[0], suppress_floor(rays[0]), at_wire), "dB", high=-15)  # fmt: skip
-    hold("ray law: of all that the room adds to its echo there by its floor, so much is left", "7.1",
+    hold("ray law: what is left there of the floor's part in the whole room", "7.1",
          _left(whole, suppress_floor(whole), at_wire, less=bare), "dB", high=-6)  # fmt: skip
 
 

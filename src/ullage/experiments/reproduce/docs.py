@@ -23,8 +23,9 @@ After Ctrl-C the same command continues where it stopped. `--quick` runs a small
 `--jobs N` runs N at a time, with `pip install 'ullage[scale]'`.
 
 Every flight is also a scenario: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`. `ullage list` names
-them all. This page comes from one whole run, by `python -m ullage.experiments.reproduce.docs`. The thesis' pictures are
-not copied here: hold it beside this page.
+them all. `python -m ullage.experiments.reproduce.docs` writes this page from the results. Each chapter is a whole run
+of its experiment. *Statements and the errors that break them* lists an error for each statement. The thesis' pictures
+are not copied here: hold it beside this page.
 """
 PICTURES = {
     "baseline": (),

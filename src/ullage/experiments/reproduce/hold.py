@@ -46,8 +46,8 @@ def run(bench: Bench) -> None:
     bench.findings.show(
         path, "figure 6.18", "The hold mapped in flying along its walls, 0.1 m: the thesis' method on ray frames, "
         "ullage's mapper on physical frames of the same flight, ten a second. A straight line in the middle, where "
-        "nothing stands, is a far wall: what comes from beyond 9.87 m the X4 hears at its range less 9.87 m; most of "
-        "it is left ambiguous.",
+        "nothing stands, is a far wall: the X4 receives an echo from beyond 9.87 m at its range less 9.87 m. Most of "
+        "these cells stay ambiguous.",
     )  # fmt: skip
     bench.findings.tabulate("Scores", HEAD, rows)
     state(bench, rays, waves)

@@ -130,8 +130,8 @@ def state(bench: Bench, scores: Scores) -> None:
         if name != SUMMED:
             hold(f"place of the nearest pole: {name}", "beyond", mean_of(scores, name, "error"), "cm", high=3)
     ratio = mean_of(scores, SUMMED, "width_y") / mean_of(scores, EXACT, "width_y")
-    hold("a pole is so many times as wide across in the thesis' sum", "beyond", ratio, low=5)
-    hold("autofocus wins back so much of the entropy that errors of 3 mm add (share)", "beyond",
+    hold("width of a pole across in the thesis' sum, over that by back-projection", "beyond", ratio, low=5)
+    hold("share of the entropy added by errors of 3 mm that autofocus removes", "beyond",
          gain("entropy", NOISY, FOCUSED) / gain("entropy", NOISY, EXACT), low=0.3)  # fmt: skip
-    hold("smoothed poses and autofocus leave so much of it (share)", "beyond",
+    hold("share of it that smoothed poses and autofocus leave", "beyond",
          gain("entropy", BOTH, EXACT) / gain("entropy", NOISY, EXACT), high=0.15)  # fmt: skip

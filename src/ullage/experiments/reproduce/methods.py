@@ -28,7 +28,7 @@ EXACT, BARE, FINE = "ullage, exact poses", "ullage, amplitude only", "ullage, ex
 WHITE = {0.003: "ullage, 3 mm white pose error", 0.01: "ullage, 10 mm white pose error"}
 BARE_WHITE = "ullage, amplitude only, the same 10 mm"
 DRIFT, DRIFT_KNOWN = "ullage, 20 cm smooth drift", "ullage, the same, drift_m=0.2"
-TOLD = "told the walls"
+TOLD = "walls given"
 IN_SMALL = (RAYS, EXACT)
 
 
@@ -106,7 +106,7 @@ def run(bench: Bench) -> None:
 NOTE = (
     "Rounds of 27 s through a concrete room of 8 x 6 x 3 m with a steel plate, four X4M05, cells of 0.1 m but where "
     "said, one bounce; mean over the flights and its 95 % interval by Student's t, at the fixed threshold. "
-    '"Told the walls" makes no error: it draws the first Fresnel zone about the foot of every look.'
+    '"Walls given" makes no error: it draws the first Fresnel zone about the specular point of every keyframe.'
 )
 
 

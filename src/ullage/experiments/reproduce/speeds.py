@@ -160,7 +160,13 @@ def state(
     blind = int(np.argmin(abs(loss.speed_m_s - blind_speed_m_s(spec))))
     hold("a plate ahead at the blind speed: loss", "7.1", loss.value[blind], "dB", high=-20)
     hold("a wire ahead: frames that detect it at 0.05 m/s (share)", "7.1", found.value[0], "", low=0.9)
-    hold("at the blind speed", "7.1", found.value[blind], "", high=0.5 * found.value[0])
+    hold(
+        "a wire ahead: frames that detect it at the blind speed (share)",
+        "7.1",
+        found.value[blind],
+        "",
+        high=0.5 * found.value[0],
+    )
     fine = image.value[spacing(spec, image.speed_m_s) <= 0.26].max()
     coarse = image.value[spacing(spec, image.speed_m_s) >= 1.4].min()
     hold("a wire's SAR image: ambiguous energy, spacing over 1.4 wavelengths against lambda/4", "7.1",

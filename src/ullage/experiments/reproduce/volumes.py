@@ -105,7 +105,9 @@ def run(bench: Bench) -> None:
     rows = flights.rows_of(scores, COLUMNS)
     bench.findings.tabulate("Methods in a volume", ("method", *COLUMNS.values()), rows, note=NOTE)
     level = [tuple(interval([row[key] for row in scores[LEVEL]]) for key in FLAGGED)]
-    bench.findings.tabulate("Flown level: what a second height would tell", tuple(FLAGGED.values()), level, note=OPEN)
+    bench.findings.tabulate(
+        "Flown level: what only a second height resolves", tuple(FLAGGED.values()), level, note=OPEN
+    )
     state(bench, scores)
 
 
@@ -123,5 +125,5 @@ def state(bench: Bench, scores: Scores) -> None:
     """Scores of the maps, and what a level flight leaves open."""
     hold = bench.findings.hold
     hold(f"F1: {EXACT}", "beyond", mean_of(scores, EXACT, "f1"), low=0.8)
-    hold("a level flight flags what only a second height could tell (share)", "beyond",
+    hold("share of the cells that only a second height resolves which a level flight marks as ambiguous", "beyond",
          mean_of(scores, LEVEL, "flagged"), low=0.95)  # fmt: skip
