@@ -57,6 +57,7 @@ class Case:
     start_m: float = 4.0  # and begins so far before it
     bounces: int = 1
     noise: float = 1.0
+    radar: dict[str, Any] = field(default_factory=dict)  # changes of every radar
     lost_at_s: float = math.inf
     flight: dict[str, Any] = field(default_factory=dict)
 
@@ -156,6 +157,11 @@ def case_far_wall(draw: np.random.Generator, speed: float) -> Case:
     return Case(placed(shapes.box((0.1, 9.0, 5.0)), np.array([8.0, 0.0, 0.0]), (0, 0, 0)), speed, 2.0)
 
 
+def case_far_wall_slow(draw: np.random.Generator, speed: float) -> Case:
+    """The same with a pulse rate so low that echoes fold at 39.5 m."""
+    return replace(case_far_wall(draw, speed), radar={"prf_div": 64, "iterations": 24})
+
+
 def case_sensor_lost(draw: np.random.Generator, speed: float) -> Case:
     return replace(case_head_on(draw, speed), lost_at_s=draw.uniform(1.0, 4.0))
 
@@ -194,7 +200,7 @@ def drawn(kind: str, seed: int) -> Case:
 def plan_of(case: Case, seed: int) -> Any:
     noise = {"noise": {"thermal": 1.16e-3 * case.noise}} if case.noise != 1 else {}
     flight = {"speed_m_s": case.speed_m_s, "guard": {"on": True, "give_up_s": 1.0}} | case.flight
-    sensing = {"changes": noise, "max_bounces": case.bounces}
+    sensing = {"changes": noise | case.radar, "max_bounces": case.bounces}
     return make_scenario({"name": "guard", "seed": seed, "flight": flight, "sensing": sensing})
 
 
@@ -326,14 +332,20 @@ def _summary(on: list[dict[str, str]], off: list[dict[str, str]]) -> list[str]:
     def numbers(rows: list[dict[str, str]], name: str) -> Floats:
         return np.array([float(row[name]) for row in rows])
 
-    hit, seen = numbers(on, "hit"), numbers(on, "echo_db") >= VISIBLE_DB
-    both = {row["kind"] + row["seed"] for row in off if row["arrived"] == "1" and row["hit"] == "0"}
+    def hits(rows: list[dict[str, str]]) -> NDArray[np.bool_]:
+        """Contacts, and surfaces within the ellipsoid of the hull, which the rotors fill in part."""
+        return np.asarray((numbers(rows, "hit") > 0) | (numbers(rows, "closest_m") <= 0))
+
+    hit, seen = hits(on), numbers(on, "echo_db") >= VISIBLE_DB
+    both = {
+        row["kind"] + row["seed"] for row, bad in zip(off, hits(off), strict=True) if row["arrived"] == "1" and not bad
+    }
     passed = [row for row in on if row["arrived"] == "1" and row["kind"] + row["seed"] in both]
     twins = [row for row in off if row["kind"] + row["seed"] in {p["kind"] + p["seed"] for p in passed}]
     times = [f"{numbers(part, 'flight_s').mean():.1f}" if part else "-" for part in (twins, passed)]
     level, length = numbers(on, "echo_db"), numbers(on, "flight_s").sum()
     return [
-        str(len(on)), f"{level.min():.0f} to {level.max():.0f}", f"{numbers(off, 'hit').sum():.0f}",
+        str(len(on)), f"{level.min():.0f} to {level.max():.0f}", f"{hits(off).sum():.0f}",
         f"{hit[seen].sum():.0f} of {seen.sum()}", f"{hit[~seen].sum():.0f} of {(~seen).sum()}",
         f"{numbers(on, 'closest_m').min():.2f}", f"{60 * numbers(on, 'false_stops').sum() / length:.2f}",
         f"{numbers(on, 'arrived').sum():.0f}", ", ".join(times), f"{numbers(on, 'cpu_s').sum() / length:.2f}",

@@ -15,6 +15,7 @@ from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.experiments.guarded_flight import GuardedFlight, Loop, WaypointFollower
 from ullage.flight.airframe import airframe
+from ullage.world.scene import Scene
 
 HULL_M = airframe("hector").radius_m
 POINTS = np.array([[-1.2, 0.0, -0.3], [2.9, 0.0, -0.3]])
@@ -38,7 +39,7 @@ def test_a_flight_at_a_wall_stops_before_it_and_without_a_guard_hits_it() -> Non
     assert not stopped.arrived
     assert 0.2 < gap < 0.6
     assert stopped.steps[-1].limit.sensor == "front"
-    hit = flight(plan, guarded=False)
+    hit = Loop(plan, ROOM, ul.Rig.preset("single"), 10.0, guarded=False).fly(POINTS)
     assert hit.contacts
 
 
@@ -78,6 +79,21 @@ def test_a_latency_shorter_than_a_frame_is_refused() -> None:
     plan = scenario()
     with pytest.raises(InputError, match=r"flight.guard.latency_s: 2 frames a second.*>= one frame, 0.5 s"):
         Loop(plan, ROOM, plan.sensing.radars(), 2.0).fly(POINTS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("radius_m", "speed_m_s"), [(0.0015, 1.0), (0.01, 0.5)])
+def test_a_thin_thing_across_the_path_stops_the_flight_before_it(radius_m: float, speed_m_s: float) -> None:
+    """A level wire of 3 mm at 1 m/s, and a pole of 2 cm at 0.5 m/s, both without an end in the main lobe."""
+    ends = np.array([[1.5, -2.4, -0.3], [1.5, 2.4, -0.3]] if radius_m < 0.01 else [[1.5, 0.1, -1.5], [1.5, 0.1, 1.5]])
+    scene = Scene.union([ROOM, Scene.of_wires(ends[:1], ends[1:], radius_m, name="thin")])
+    plan = scenario(speed_m_s)
+    points = np.array([[-2.2, 0.0, -0.3], [2.2, 0.0, -0.3]])
+    stopped = Loop(plan, scene, plan.sensing.radars(), 10.0).fly(points)
+    gap = 1.5 - radius_m - stopped.flown.position[:, 0].max() - HULL_M
+    assert not stopped.contacts
+    assert not stopped.arrived
+    assert plan.flight.guard.margin_m - 0.05 < gap < 0.8
 
 
 @pytest.mark.slow

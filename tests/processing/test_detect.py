@@ -129,6 +129,32 @@ def test_os_cfar_sees_two_echoes_that_hide_each_other_from_ca():
     assert near[1] > 2 * near[0]
 
 
+def test_a_low_quantile_finds_a_weak_echo_where_most_bins_hold_strong_ones():
+    """As in a room: walls take more than a quarter of the training cells, and the usual threshold follows them."""
+    rows = noise_frames(200, correlated=False)
+    crowded, sigma = rows.samples.copy(), noise_sigma(rows)
+    for k in (*range(46, 62, 3), *range(72, 88, 3)):
+        crowded[:, k] += 30 * sigma
+    crowded[:, 67] += 8 * sigma
+    frames = ul.Frames(crowded, rows.range_m, rows.t_ns, rows.spec)
+    usual, low = (ul.detect(frames, method="os-cfar", correlation=[1.0], quantile=q) for q in (0.75, 0.25))
+    near = [np.sum(abs(h.range_m - SPEC.range_m[67]) < 0.06) for h in (usual, low)]
+    assert near[0] < 20
+    assert near[1] > 180
+
+
+@pytest.mark.parametrize("quantile", [0.25, 0.5])
+def test_the_false_alarm_rate_of_noise_does_not_depend_on_the_quantile(quantile):
+    rows = noise_frames(2000, correlated=False)
+    over = np.abs(rows.samples) > cfar_threshold(rows, ordered=True, pfa=1e-2, quantile=quantile, correlation=[1.0])
+    assert over[:, 30:-30].mean() == pytest.approx(1e-2, rel=0.1)
+
+
+def test_a_quantile_that_is_no_share_is_refused():
+    with pytest.raises(ul.InputError, match=r"quantile is 1.0 \(allowed: >= 0, < 1\)"):
+        ul.detect(noise_frames(3), method="os-cfar", quantile=1.0)
+
+
 def test_clean_parts_echoes_nearer_than_the_pulse():
     frames = frames_of_points([(2.0, 0, 0), (2.13, 0.0, 0)], STILL[:1], spec=SPEC)
     hits = ul.detect(frames, method="clean", threshold=0.3)

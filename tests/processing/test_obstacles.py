@@ -82,6 +82,15 @@ def test_a_score_keeps_out_tracks_that_jump_between_unrelated_echoes() -> None:
     assert false[TrackerSpec().odds] < false[1.0] / 8
 
 
+def test_a_confirmed_track_ends_when_it_is_hit_too_seldom() -> None:
+    """A hit in four frames is what a track among unrelated echoes gets; a coast alone would keep it for ever."""
+    for every, alive in ((2, True), (4, False)):
+        tracker = RangeTracker()
+        for row in range(60):
+            tracks = feed(tracker, row, [3.0] if row < 8 or row % every == 0 else [])
+        assert bool(tracks) == alive
+
+
 def test_a_track_dies_when_its_echo_stays_away_but_not_inside_the_blind_range() -> None:
     for place, alive in ((2.0, False), (0.4, True)):
         tracker = RangeTracker(TrackerSpec(coast_s=0.4, blind_s=5.0))

@@ -68,17 +68,20 @@ def cfar_threshold(
     pfa: float = 1e-4,
     guard: int = 3,
     train: int = 16,
+    quantile: float = 0.75,
     correlation: ArrayLike | None = None,
 ) -> Floats:
     """Amplitude (n, b) that noise alone exceeds with probability `pfa` in each bin.
 
     Args:
         frames: complex baseband or RF.
-        ordered: the value at three quarters of the ordered training cells (OS-CFAR, unmoved by a few other echoes
-            among them); their mean otherwise (CA-CFAR).
+        ordered: one of the ordered training cells counts (OS-CFAR, unmoved by a few other echoes among them); their
+            mean otherwise (CA-CFAR).
         pfa: false alarm probability a bin.
         guard: cells left out on either side, at least the length of the pulse.
         train: cells used on either side.
+        quantile: share of the training cells below the one that counts, if they are ordered. Echoes among the rest of
+            them do not raise the threshold.
         correlation: of the noise between bins at lags 0, 1, ...; None: what the spec's receiver gives.
 
     Raises:
@@ -92,6 +95,8 @@ def cfar_threshold(
             where="cfar",
             allowed="guard >= 0, train >= 2",
         )
+    if not 0 <= quantile < 1:
+        raise InputError(f"quantile is {quantile}", where="cfar", allowed=">= 0, < 1")
     if not has_phase(frames):
         raise InputError("amplitudes without phase carry no exponential noise", where="cfar", allowed="threshold")
     power = np.abs(to_baseband(frames).astype(np.complex128)) ** 2
@@ -100,7 +105,7 @@ def cfar_threshold(
         return np.sqrt(cell_average_factor(pfa, train, lags, guard) * _window_mean(power, guard, train))
     from ullage.kernels.cfar import windowed_order
 
-    rank = 3 * 2 * train // 4
+    rank = min(int(quantile * 2 * train), 2 * train - 1)
     level = np.empty_like(power)
     windowed_order(power, guard, train, rank, level)
     return np.sqrt(ordered_factor(pfa, train, rank, lags, guard) * level)

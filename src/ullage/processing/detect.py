@@ -33,6 +33,7 @@ def detect(
     pfa: float = ...,
     guard: int = ...,
     train: int = ...,
+    quantile: float = ...,
     correlation: ArrayLike | None = ...,
     max_echoes: int = ...,
     window_m: float = ...,
@@ -48,6 +49,7 @@ def detect(
     pfa: float = ...,
     guard: int = ...,
     train: int = ...,
+    quantile: float = ...,
     correlation: ArrayLike | None = ...,
     max_echoes: int = ...,
     window_m: float = ...,
@@ -64,6 +66,7 @@ def detect(
     pfa: float = 1e-4,
     guard: int = 3,
     train: int = 16,
+    quantile: float = 0.75,
     correlation: ArrayLike | None = None,
     max_echoes: int = 16,
     window_m: float = 0.6,
@@ -84,6 +87,7 @@ def detect(
         pfa: false alarm probability of each bin (CFAR, track).
         guard: cells left out on either side (CFAR).
         train: cells used on either side (CFAR).
+        quantile: share of those cells below the one that counts (os-cfar). A lower one finds echoes among many others.
         correlation: noise correlation between bins at lags 0, 1, ... (CFAR); None: what the receiver's filter gives.
         max_echoes: at most so many a frame (CLEAN).
         window_m: way along the track over which power is added (track) [m].
@@ -95,8 +99,8 @@ def detect(
     if isinstance(frames, Mapping):
         kept: dict[str, Any] = {
             "method": method, "threshold": threshold, "min_range_m": min_range_m, "pfa": pfa, "guard": guard,
-            "train": train, "correlation": correlation, "max_echoes": max_echoes, "window_m": window_m,
-            "remove_own_echo": remove_own_echo,
+            "train": train, "quantile": quantile, "correlation": correlation, "max_echoes": max_echoes,
+            "window_m": window_m, "remove_own_echo": remove_own_echo,
         }  # fmt: skip
         return {name: detect(part, **kept) for name, part in frames.items()}
     _refuse_unknown(method, threshold)
@@ -110,7 +114,7 @@ def detect(
     far = frames.range_m >= least_m
     if method in ("cfar", "os-cfar"):
         settings: dict[str, Any] = {"pfa": pfa, "guard": guard, "train": train, "correlation": correlation}
-        over = values > cfar_threshold(frames, ordered=method == "os-cfar", **settings)
+        over = values > cfar_threshold(frames, ordered=method == "os-cfar", quantile=quantile, **settings)
     else:
         level = echo_level(frames) if threshold is None else np.full(len(frames), float(threshold))
         if method == "clean":

@@ -31,6 +31,7 @@ from ullage.specs import RadarSpec
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+_TRAIN, _QUANTILE = 24, 0.25  # in a room most bins hold echoes of walls: a quarter of them without any is enough
 STALE_S = 0.5
 """Without a new frame for so long, a distance is unknown; autopilots use the same limit [PX4Collision]."""
 
@@ -264,7 +265,8 @@ def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
 
 def _detections(part: Frames, pfa: float, correlation: NDArray[np.complex128]) -> Detections:
     method: Any = "os-cfar" if has_phase(part) else "peaks"
-    return detect(part, method=method, pfa=pfa, correlation=correlation, remove_own_echo=False)
+    return detect(part, method=method, pfa=pfa, train=_TRAIN, quantile=_QUANTILE, correlation=correlation,
+                  remove_own_echo=False)  # fmt: skip
 
 
 def _sigma_m(frames: Frames, snr_db: Floats) -> Floats:

@@ -4,7 +4,8 @@ Each track is a constant-velocity filter [BarShalomEtAl2001, ch. 6]. A change of
 from odometry and moves the predicted closing speed. A radar without bearing does not know by how much, so the part of
 that change across the boresight counts as process noise. A track is confirmed by M hits in N frames, and by a score:
 the logarithm of how much likelier its detections are from one obstacle than from unrelated echoes [Blackman1986].
-Among many echoes this keeps out tracks that jump from one echo to the next.
+Among many echoes this keeps out tracks that jump from one echo to the next. A confirmed track ends when it has no more
+than M hits in 2 N frames.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ class Track:
     snr_db: float
     born_ns: int
     seen_ns: int
-    history: int = 1  # one bit a frame, the newest lowest
+    history: int = 1  # one bit a frame, the newest lowest, of 2 N frames
+    frames: int = 1  # since it began
     score: float = 0.0  # log likelihood ratio of one obstacle to unrelated echoes
     confirmed: bool = False
     evidence: int = _UNDECIDED  # frames that contradict the main lobe, less those that agree
@@ -160,7 +162,8 @@ class RangeTracker:
             track.move(dt, noise)
             track.var_v += spread
             track.score += 0.0 if track.history & 1 else missed
-            track.history = (track.history << 1) & ((1 << self.spec.window) - 1)
+            track.history = (track.history << 1) & ((1 << 2 * self.spec.window) - 1)
+            track.frames += 1
 
     def _associate(self, t_ns: int, range_m: Floats, sigma_m: Floats, snr_db: Floats, motion: Motion) -> list[int]:
         """Update each track with the detection nearest to it; the detections that no track took, nearest first."""
@@ -171,9 +174,8 @@ class RangeTracker:
             apart = (range_m[None, :] - place[:, None]) ** 2 / (var[:, None] + sigma_m[None, :] ** 2)
             confirmed = np.array([track.confirmed for track in self.tracks])
             inside = apart <= self.spec.gate_sigma**2
-            clutter_m = (
-                max(int((~inside[confirmed].any(0)).sum()), 1) / self.span_m
-            )  # echoes a metre that none explains
+            unexplained = int((~inside[confirmed].any(0)).sum())
+            clutter_m = max(unexplained, 1) / self.span_m  # echoes a metre
             # a confirmed track chooses before one that may be a false alarm
             rank = np.where(inside, apart + np.where(confirmed, 0.0, 1e6)[:, None], np.inf)
             while np.isfinite(rank).any():
@@ -196,7 +198,7 @@ class RangeTracker:
         track.var_r *= 1 - gain_r
         track.snr_db, track.seen_ns = snr_db, t_ns
         track.history |= 1
-        often = track.history.bit_count() >= self.spec.hits and track.score >= math.log(self.spec.odds)
+        often = self._recent_hits(track) >= self.spec.hits and track.score >= math.log(self.spec.odds)
         track.confirmed = track.confirmed or often or self.spec.hits == 1
         track.evidence = _weighed(track, motion)
 
@@ -208,14 +210,20 @@ class RangeTracker:
                 # an obstacle may touch the hull unseen: its range stays at zero, not below
                 track.range_m = max(track.range_m, 0.0)
                 hidden = track.range_m < self.blind_m
-                alive = missed_s <= (self.spec.blind_s if hidden else self.spec.coast_s)
+                seldom = track.frames >= 2 * self.spec.window and track.history.bit_count() <= self.spec.hits
+                alive = missed_s <= (self.spec.blind_s if hidden else 0.0 if seldom else self.spec.coast_s)
             else:
                 alive = (
-                    track.range_m > 0 and track.history.bit_count() + _left(track, self.spec.window) >= self.spec.hits
+                    track.range_m > 0
+                    and self._recent_hits(track) + max(self.spec.window - track.frames, 0) >= self.spec.hits
                 )
             if alive:
                 kept.append(track)
         self.tracks = kept
+
+    def _recent_hits(self, track: Track) -> int:
+        """Hits in the last N frames."""
+        return (track.history & ((1 << self.spec.window) - 1)).bit_count()
 
     def _begin(self, t_ns: int, range_m: float, sigma_m: float, snr_db: float, motion: Motion) -> None:
         rate = -float(motion.velocity @ motion.boresight)
@@ -224,11 +232,6 @@ class RangeTracker:
         self.tracks.append(
             Track(self._count, range_m, rate, sigma_m**2, 0.0, var_v, snr_db, t_ns, t_ns, confirmed=self.spec.hits == 1)
         )
-
-
-def _left(track: Track, window: int) -> int:
-    """Frames of the window of birth that are still to come."""
-    return max(window - track.history.bit_length(), 0)
 
 
 def _weighed(track: Track, motion: Motion) -> int:
