@@ -31,6 +31,7 @@ def along_a_bend(places: list[tuple[float, float, float]], *, bend_m: float = 0.
     return ul.Frames(samples, SPEC.range_m, path.t_ns, SPEC, poses=path, unit="normalised")
 
 
+@pytest.mark.slow
 def test_scatterers_behind_the_antenna_are_counted() -> None:
     ahead, behind = (3.0, 2.0, 0.3), (-2.2, 2.5, 0.5)
     assert count_behind(along_a_bend([ahead, behind])) == (1, 2)
