@@ -132,18 +132,30 @@ class Store:
         Raises:
             InputError: the file of the index is damaged.
         """
+        return list(self._read(shard, lambda parquet, file: parquet.read_table(file).to_pylist()))
+
+    def count(self, shard: tuple[int, int]) -> int:
+        """How many rows of the index a shard has so far; reads only the foot of the file.
+
+        Raises:
+            InputError: the file of the index is damaged.
+        """
+        return int(self._read(shard, lambda parquet, file: parquet.read_metadata(file).num_rows) or 0)
+
+    def missing(self) -> list[tuple[int, int]]:
+        """Samples that are not there yet: the first and the one after the last, for each shard."""
+        return [(lo + have, hi) for lo, hi in self.shards if (have := self.count((lo, hi))) < hi - lo]
+
+    def _read(self, shard: tuple[int, int], read: Callable[[Any, Path], Any]) -> Any:
+        """What `read` makes of a shard's file of the index; an empty list where there is none yet."""
         file = self.index_file(shard[0])
         if not file.exists():
             return []
         parquet: Any = need("pyarrow.parquet", extra="scale")
         try:
-            return list(parquet.read_table(file).to_pylist())
+            return read(parquet, file)
         except (OSError, ValueError) as error:  # pyarrow's errors are among these
             raise InputError(f"cannot read: {error}", where=file, allowed="delete it to make it again") from None
-
-    def missing(self) -> list[tuple[int, int]]:
-        """Samples that are not there yet: the first and the one after the last, for each shard."""
-        return [(lo + have, hi) for lo, hi in self.shards if (have := len(self.rows((lo, hi)))) < hi - lo]
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +207,7 @@ def _write_part(part: Part, whole: dict[str, Any], rows: list[Row]) -> None:
     zarr: Any = need("zarr", extra="scale")
     store, file = part.store, part.store.index_file(part.lo)
     first = part.lo // store.shard * store.shard
-    with _locked(file.with_suffix(".lock"), fcntl.LOCK_EX):
+    with _locked(file.with_name(f".{file.stem}.lock"), fcntl.LOCK_EX):  # a point: readers of tables skip it
         before = store.rows((first, part.hi))
         if len(before) >= part.hi - first:
             return
