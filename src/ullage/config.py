@@ -17,7 +17,7 @@ from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 
 Fidelity = Literal["physical", "thesis"]
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
-MapMethod = Literal["ullage", "elfes"]
+MapMethod = Literal["ullage", "elfes", "likelihood"]
 ImageMethod = Literal["backprojection", "summation"]
 RIG_FILES = {".sdf", ".world", ".urdf", ".xacro"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}

@@ -311,9 +311,9 @@ class MapStage:
         if self.live and not (chunk := self._inside(chunk)):
             return
         if self._mapper is None:
-            # the mapper "ullage" has its own level for every profile
+            # the other mappers have their own level for every profile
             own = {"floor_z_m": self.floor_z_m, "vehicle_radius_m": self.vehicle_radius_m}
-            options = own if self.method == "ullage" else {"threshold": self.threshold}
+            options = {"ullage": own, "elfes": {"threshold": self.threshold}}.get(self.method, {})
             known = {name: value for name, value in options.items() if value is not None}
             self._mapper = Mapper(self.grid, method=self.method, **known)
         self._mapper.update(chunk)

@@ -208,6 +208,6 @@ def test_poses_that_jump_are_warned_about():
 
 
 def test_unknown_method_names_the_known_ones():
-    with pytest.raises(ul.InputError, match="ullage, elfes"):
+    with pytest.raises(ul.InputError, match="ullage, elfes, likelihood"):
         ul.map_occupancy(echoes(Trajectory.stationary(), [3.0]), GRID, method="magic")
     warnings.resetwarnings()

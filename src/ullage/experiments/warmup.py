@@ -25,10 +25,11 @@ NEEDED = {
         *("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show", "occupancy_strip"),
         "rolls",
     ),
+    "likelihood": ("matched_sums", "surface_cells"),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""
-LATER = ("elfes", "ullage", "backprojection")
+LATER = ("elfes", "ullage", "likelihood", "backprojection")
 """Parts that a run can begin without."""
 
 
@@ -119,6 +120,16 @@ def _join_legs() -> None:
     deque(legs.tell_all(), maxlen=0)
 
 
+def _surfaces() -> None:
+    from ullage.grids import Grid
+    from ullage.processing.likelihood.mapper import LikelihoodMapper
+
+    mapper = LikelihoodMapper(Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2))
+    mapper.update(_few(0.6))
+    mapper.finish()
+    mapper.map()
+
+
 def _image() -> None:
     from ullage.grids import Grid
     from ullage.processing.sar import focus
@@ -126,13 +137,13 @@ def _image() -> None:
     focus(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2))
 
 
-def _few() -> Frames:
-    """Some frames with one echo, made by no kernel."""
+def _few(half_m: float = 0.1) -> Frames:
+    """Some frames with one echo from a line across it, made by no kernel."""
     from ullage.data import Trajectory
     from ullage.specs import RadarSpec
 
     spec = RadarSpec.preset("x4m05")
-    track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
+    track = Trajectory.line((0, -half_m, 0), (0, half_m, 0), 0.5, 17)
     samples = np.exp(-(((spec.range_m - 2.0) / 0.1) ** 2)) * np.ones((len(track), 1)) * 1e-3
     return Frames(samples.astype(np.complex64), spec.range_m, track.t_ns, spec, track, track, "radar", "path_gain")
 
@@ -142,6 +153,7 @@ JOBS = (
     *radar.JOBS,
     Job("Elfes' map", "elfes", 0.8, partial(_map, "elfes")),
     Job("map", "ullage", 12, partial(_map, "ullage")),
+    Job("map of surfaces", "likelihood", 4, _surfaces),
     Job("images", "backprojection", 1, _image),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from ullage.data import Recording, sensors_of
 from ullage.errors import InputError
@@ -10,7 +10,7 @@ from ullage.grids import Changes, Grid, OccupancyMap
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
-Method = Literal["ullage", "elfes"]
+Method = Literal["ullage", "elfes", "likelihood"]
 
 
 class StreamingMapper(Protocol):
@@ -29,7 +29,7 @@ class StreamingMapper(Protocol):
         """Use what was held back for lack of a successor."""
 
 
-def Mapper(grid: Grid, *, method: Method = "ullage", **options: float | None) -> StreamingMapper:  # noqa: N802
+def Mapper(grid: Grid, *, method: Method = "ullage", **options: Any) -> StreamingMapper:  # noqa: N802
     """A mapper fed with pieces of a recording: `.update(frames)`, `.map()`, `.changed()`, `.finish()`.
 
     Raises:
@@ -38,12 +38,16 @@ def Mapper(grid: Grid, *, method: Method = "ullage", **options: float | None) ->
     if method == "elfes":
         from ullage.processing.elfes import ElfesMapper
 
-        return ElfesMapper(grid, **options)  # type: ignore[arg-type]
+        return ElfesMapper(grid, **options)
     if method == "ullage":
         from ullage.processing.mapper import UllageMapper
 
-        return UllageMapper(grid, **options)  # type: ignore[arg-type]
-    raise InputError(f"no mapping method {method!r}", where="method", allowed="ullage, elfes")
+        return UllageMapper(grid, **options)
+    if method == "likelihood":
+        from ullage.processing.likelihood.mapper import LikelihoodMapper
+
+        return LikelihoodMapper(grid, **options)
+    raise InputError(f"no mapping method {method!r}", where="method", allowed="ullage, elfes, likelihood")
 
 
 def map_occupancy(
@@ -55,14 +59,15 @@ def map_occupancy(
     remove_own_echo: bool = True,
     target_z_m: float | None = None,
     scatterer_pfa: float = PFA,
-    **options: float | None,
+    **options: Any,
 ) -> OccupancyMap:
     """The occupancy map that a recording gives.
 
     Args:
         frames: one sensor's, or several by name; sensors may differ in settings and rate.
         grid: a plane or a volume that holds the flight.
-        method: "ullage", all that each profile says, or "elfes", the thesis' baseline.
+        method: "ullage", all that each profile says; "elfes", the thesis' baseline; or "likelihood", surfaces on
+            a plane by one likelihood ratio.
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it,
             and a warning says where they do not (`processing.drift.correct_drift`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
@@ -71,7 +76,7 @@ def map_occupancy(
         scatterer_pfa: probability that clutter alone adds one coherent scatterer or more.
         options: those of the method's mapper: `threshold` of "elfes"; of "ullage" `floor_z_m`, a level floor's height
             [m], whose echoes a plane leaves out, and `vehicle_radius_m`, the radius of the ball about the antenna
-            that the vehicle fills (0.25 m).
+            that the vehicle fills (0.25 m); of "likelihood" `spec`, a `processing.likelihood.spec.LikelihoodSpec`.
 
     Raises:
         InputError: the method is unknown, or the frames cannot be mapped.

@@ -33,8 +33,8 @@ their cells: `ntnu-mapping-5cm`, `ntnu-mapping-20cm` and `ntnu-mapping-50cm`.
 
 Choices that the comments do not list: `world.geometry` collision or visual; `sensing.fidelity` physical or thesis;
 `do` any of detect, image, map and obstacles; `detect.method` first_peak, peaks, cfar, os-cfar or clean; `map.method`
-ullage or elfes; `map.dims` 2 or 3; `image.method` backprojection or summation. `image.z_m` or `image.volume` choose the
-plane or the heights that are imaged. `remove_own_echo: false` keeps the
+ullage, elfes or likelihood; `map.dims` 2 or 3; `image.method` backprojection or summation. `image.z_m` or
+`image.volume` choose the plane or the heights that are imaged. `remove_own_echo: false` keeps the
 [radar's own echo](imaging.md#the-radars-own-echo).
 
 ## Files that a scenario names

@@ -1,0 +1,232 @@
+"""Loops over matched sums: how well the samples of a synthetic aperture fit one reflector."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.loops import inner, loop
+
+LEAST_GAIN = 0.1  # amplitude against the sensor that faces the direction best; weaker sensors add noise only
+ROUNDS, STEPS = 5, 6  # of the search: each round has smaller steps
+SHRINK = 0.45
+GAIN_CELLS = 2000  # cells of the table of gains, even in 1 - cosine
+
+
+class Aperture(NamedTuple):
+    """Frames of several sensors about one place, as rows."""
+
+    samples: NDArray[np.float32]  # (m, b, 2) baseband, real and imaginary part
+    offset: NDArray[np.float64]  # (m, 3) of the sensor from the place [bin]
+    sensor: NDArray[np.int64]  # (m) row of `axes`
+    axes: NDArray[np.float64]  # (s, 3) boresights
+    gains: NDArray[np.float64]  # (s, GAIN_CELLS + 1) two-way amplitude gain, against 1 - cosine
+    phase: float  # of one bin of range [rad]
+
+
+@inner(fastmath=True)
+def _delay(offset, unit, curvature):  # type: ignore[no-untyped-def]
+    """Range of a reflector less its range from the place [bin]."""
+    along = offset[0] * unit[0] + offset[1] * unit[1] + offset[2] * unit[2]
+    square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
+    return 0.5 * curvature * (square - along * along) - along
+
+
+@inner(fastmath=True)
+def _gains(aperture, unit, out):  # type: ignore[no-untyped-def]
+    """Gain of each sensor in a direction, over that of the one that faces it best."""
+    best = 1e-12
+    for s in range(len(out)):
+        axis = aperture.axes[s]
+        cosine = unit[0] * axis[0] + unit[1] * axis[1] + unit[2] * axis[2]
+        out[s] = aperture.gains[s, min(max(int((1 - cosine) * 0.5 * GAIN_CELLS), 0), GAIN_CELLS)]
+        best = max(best, out[s])
+    for s in range(len(out)):
+        out[s] /= best
+
+
+@loop(fastmath=True)
+def sum_directions(aperture, directions, curvature, low, high, out):  # type: ignore[no-untyped-def]
+    """Energy that one reflector in each direction and bin explains.
+
+    The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
+
+    Args:
+        aperture: the rows.
+        directions: (d, 3) unit vectors.
+        curvature: of the range along the aperture [1/bin].
+        low: first bin.
+        high: bin after the last.
+        out: (d, b) float32, set from `low` to `high`.
+    """
+    samples = aperture.samples
+    rows, bins = samples.shape[0], samples.shape[1]
+    real, imag = np.empty(bins, np.float32), np.empty(bins, np.float32)
+    gain = np.empty(len(aperture.axes))
+    for d in range(len(directions)):
+        _gains(aperture, directions[d], gain)
+        for k in range(low, high):
+            real[k] = 0.0
+            imag[k] = 0.0
+        total = 0.0
+        for i in range(rows):
+            g = gain[aperture.sensor[i]]
+            if g <= LEAST_GAIN:
+                continue
+            delay = _delay(aperture.offset[i], directions[d], curvature)
+            first = math.floor(delay)
+            share = np.float32(delay - first)
+            rest = np.float32(1.0) - share
+            c = np.float32(math.cos(aperture.phase * delay) * g)
+            s = np.float32(math.sin(aperture.phase * delay) * g)
+            total += g * g
+            for k in range(max(low, -first), min(high, bins - 1 - first)):
+                x = samples[i, first + k, 0] * rest + samples[i, first + k + 1, 0] * share
+                y = samples[i, first + k, 1] * rest + samples[i, first + k + 1, 1] * share
+                real[k] += x * c - y * s
+                imag[k] += x * s + y * c
+        for k in range(low, high):
+            out[d, k] = (real[k] * real[k] + imag[k] * imag[k]) / max(total, 1e-9)
+
+
+@loop()
+def strongest(energy, floor, low, high):  # type: ignore[no-untyped-def]
+    """Place of the largest energy over the floor of its bin.
+
+    Args:
+        energy: (c, d, b) explained energy of each curvature, direction and bin.
+        floor: (b) factor that an energy must exceed; what stronger echoes leave behind.
+        low: first bin.
+        high: bin after the last.
+
+    Returns:
+        Energy over the floor, and the three indices.
+    """
+    best, where = 0.0, (0, 0, 0)
+    for c in range(energy.shape[0]):
+        for d in range(energy.shape[1]):
+            for k in range(low, high):
+                if energy[c, d, k] > best * floor[k]:
+                    best = energy[c, d, k] / floor[k]
+                    where = (c, d, k)
+    return best, where
+
+
+@inner(fastmath=True)
+def _fit(aperture, unit, curvature, place, gain, sums):  # type: ignore[no-untyped-def]
+    """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
+    samples = aperture.samples
+    for s in range(len(gain)):
+        sums[s, 0] = 0.0
+        sums[s, 1] = 0.0
+        sums[s, 2] = 0.0
+    energy = total = 0.0
+    _gains(aperture, unit, gain)
+    for i in range(samples.shape[0]):
+        delay = _delay(aperture.offset[i], unit, curvature)
+        at = delay + place
+        k = math.floor(at)
+        if k < 0 or k >= samples.shape[1] - 1:
+            continue
+        share = at - k
+        x = samples[i, k, 0] * (1 - share) + samples[i, k + 1, 0] * share
+        y = samples[i, k, 1] * (1 - share) + samples[i, k + 1, 1] * share
+        real, imag = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
+        mine = aperture.sensor[i]
+        sums[mine, 0] += x * real - y * imag
+        sums[mine, 1] += x * imag + y * real
+        sums[mine, 2] += 1
+        energy += x * x + y * y
+        total += gain[mine] ** 2
+    real, imag = 0.0, 0.0
+    for s in range(len(gain)):
+        real += gain[s] * sums[s, 0]
+        imag += gain[s] * sums[s, 1]
+    return (real * real + imag * imag) / max(total, 1e-9), energy
+
+
+@inner()
+def _turn(level, bearing, unit):  # type: ignore[no-untyped-def]
+    """Unit vector of a level bearing [rad], or straight up or down where `level` is 0."""
+    if level > 0.5:
+        unit[0], unit[1], unit[2] = math.cos(bearing), math.sin(bearing), 0.0
+    else:
+        unit[0], unit[1], unit[2] = 0.0, 0.0, math.copysign(1.0, bearing)
+
+
+@loop(fastmath=True)
+def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore[no-untyped-def]
+    """Search for the reflector that explains most energy near a first estimate, one parameter at a time.
+
+    Args:
+        aperture: the rows.
+        start: (4) level (1, or 0 for up and down), bearing [rad], curvature [1/bin] and range [bin].
+        steps: (3) of bearing, curvature and range in the first round.
+        most_curvature: bound on its size [1/bin].
+        sums: (s, 3) set to real and imaginary part of each sensor's sum, and its rows.
+        found: (5) set to energy explained, all energy, bearing, curvature and range.
+    """
+    unit, gain = np.empty(3), np.empty(len(aperture.axes))
+    now, trial, size = np.empty(3), np.empty(3), np.empty(3)
+    for p in range(3):
+        now[p] = start[p + 1]
+        size[p] = steps[p]
+    _turn(start[0], now[0], unit)
+    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums)
+    for _ in range(ROUNDS):
+        for _ in range(STEPS):
+            better = False
+            for move in range(6):
+                p = move // 2
+                if p == 0 and start[0] < 0.5:
+                    continue
+                for other in range(3):
+                    trial[other] = now[other]
+                trial[p] += size[p] if move % 2 == 0 else -size[p]
+                trial[1] = min(max(trial[1], -most_curvature), most_curvature)
+                _turn(start[0], trial[0], unit)
+                value, all_energy = _fit(aperture, unit, trial[1], trial[2], gain, sums)
+                if value > best * 1.0005:
+                    best, energy, better = value, all_energy, True
+                    for other in range(3):
+                        now[other] = trial[other]
+            if not better:
+                break
+        for p in range(3):
+            size[p] *= SHRINK
+    _turn(start[0], now[0], unit)
+    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums)
+    found[0], found[1] = best, energy
+    for p in range(3):
+        found[2 + p] = now[p]
+
+
+@loop(fastmath=True)
+def subtract(aperture, start, found, sums, pulse):  # type: ignore[no-untyped-def]
+    """Take a reflector out of the samples: each sensor's mean amplitude along it, times a Gaussian pulse.
+
+    Args:
+        aperture: the rows; their samples change.
+        start: (4) as of `refine`.
+        found: (5) as `refine` gave it.
+        sums: (s, 3) as `refine` gave it.
+        pulse: standard deviation of the pulse's envelope [bin].
+    """
+    samples, unit = aperture.samples, np.empty(3)
+    _turn(start[0], found[2], unit)
+    reach = int(3 * pulse) + 1
+    for i in range(samples.shape[0]):
+        mine = aperture.sensor[i]
+        rows = max(sums[mine, 2], 1.0)
+        x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
+        delay = _delay(aperture.offset[i], unit, found[3])
+        at = delay + found[4]
+        c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
+        real, imag = x * c + y * s, y * c - x * s
+        for k in range(max(int(at) - reach, 0), min(int(at) + reach + 2, samples.shape[1])):
+            level = math.exp(-0.5 * ((k - at) / pulse) ** 2)
+            samples[i, k, 0] -= real * level
+            samples[i, k, 1] -= imag * level

@@ -1,0 +1,157 @@
+"""Loops that draw surfaces and the space before them into the cells of a plane."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.loops import inner, loop
+
+BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
+STRANDS = 5  # rays across a tube of free space
+
+
+class Views(NamedTuple):
+    """Echoes of surfaces, one row for each keyframe that saw one."""
+
+    position: NDArray[np.float64]  # (k, 2) of the keyframe [m]
+    state: NDArray[np.float64]  # (k, 3) range [m], bearing [rad], curvature of the range [1/m]
+    half_m: NDArray[np.float64]  # (k) half width of the surface that the echo shows
+    bend: NDArray[np.float64]  # (k) curvature of the surface, above 0 where it bends away from the sensor [1/m]
+    level: NDArray[np.float64]  # (k) amplitude times range [m]
+    weight: NDArray[np.float64]  # (k) evidence of the echo
+
+
+class Plane(NamedTuple):
+    """Cells of a plane."""
+
+    x: float  # lower corner [m]
+    y: float
+    step: float  # edge of a cell [m]
+    rows: int
+    columns: int
+
+
+@inner()
+def _cell(plane, x, y):  # type: ignore[no-untyped-def]
+    """Flat index of the cell that holds a point, or -1."""
+    column, row = math.floor((x - plane.x) / plane.step), math.floor((y - plane.y) / plane.step)
+    if column < 0 or row < 0 or column >= plane.columns or row >= plane.rows:
+        return -1
+    return row * plane.columns + column
+
+
+@inner()
+def _point(views, k, y):  # type: ignore[no-untyped-def]
+    """Point of a surface at a distance `y` along it from the specular point."""
+    c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
+    deep = views.state[k, 0] + 0.5 * y * y * views.bend[k]
+    return views.position[k, 0] + deep * c - y * s, views.position[k, 1] + deep * s + y * c
+
+
+@loop()
+def draw_surfaces(plane, views, alive, evidence, level):  # type: ignore[no-untyped-def]
+    """Add the evidence of each echo to the cells that it shows, once a cell.
+
+    Args:
+        plane: the cells.
+        views: the echoes.
+        alive: (k) which count.
+        evidence: (cells) added to.
+        level: (cells) raised to the level of the strongest echo.
+    """
+    for k in range(len(alive)):
+        if not alive[k]:
+            continue
+        steps = math.ceil(2 * views.half_m[k] / (0.5 * plane.step))
+        last = -1
+        for i in range(steps + 1):
+            y = views.half_m[k] * (2 * i / steps - 1) if steps > 0 else 0.0
+            px, py = _point(views, k, y)
+            cell = _cell(plane, px, py)
+            if cell >= 0 and cell != last:
+                evidence[cell] += views.weight[k]
+                level[cell] = max(level[cell], views.level[k])
+                last = cell
+
+
+@loop()
+def find_hidden(plane, views, evidence, level, least, alive):  # type: ignore[no-untyped-def]
+    """Drop echoes whose path crosses a surface that is surer than theirs and reflects at least as much.
+
+    Args:
+        plane: the cells.
+        views: the echoes.
+        evidence: (cells) of surfaces.
+        level: (cells) of the strongest echo of each [m].
+        least: evidence of an occupied cell.
+        alive: (k) set to False where the path is blocked.
+    """
+    for k in range(len(alive)):
+        if not alive[k]:
+            continue
+        c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
+        px, py = _point(views, k, 0.0)
+        own = _cell(plane, px, py)
+        bound = max(least, 0.5 * evidence[own] if own >= 0 else 0.0)
+        for i in range(8, int((views.state[k, 0] - BEFORE_M) / (0.25 * plane.step))):
+            far = 0.25 * plane.step * i
+            cell = _cell(plane, views.position[k, 0] + far * c, views.position[k, 1] + far * s)
+            if cell >= 0 and cell != own and evidence[cell] > bound and level[cell] > views.level[k]:
+                alive[k] = False
+                break
+
+
+@loop()
+def draw_tubes(plane, views, alive, wavelength_m, width, margins, free):  # type: ignore[no-untyped-def]
+    """Mark the cells between each place and its specular point, as wide as a share of the first Fresnel zone.
+
+    Args:
+        plane: the cells.
+        views: the echoes.
+        alive: (k) which count.
+        wavelength_m: of the carrier [m].
+        width: half width in radii of the first Fresnel zone.
+        margins: (2) distance before the echo at which a tube ends, and at which it ends for sure [m].
+        free: (2, cells) set to True for both.
+    """
+    for k in range(len(alive)):
+        if not alive[k]:
+            continue
+        c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
+        for i in range(int((views.state[k, 0] - margins[0]) / (0.4 * plane.step))):
+            far = 0.4 * plane.step * i
+            half = width * math.sqrt(0.5 * wavelength_m * far * abs(1 - views.state[k, 2] * far))
+            for j in range(STRANDS):
+                aside = half * (2 * j / (STRANDS - 1) - 1)
+                x, y = views.position[k, 0] + far * c - aside * s, views.position[k, 1] + far * s + aside * c
+                cell = _cell(plane, x, y)
+                if cell >= 0:
+                    free[0, cell] = True
+                    if far < views.state[k, 0] - margins[1]:
+                        free[1, cell] = True
+
+
+@loop()
+def draw_extensions(plane, views, alive, extension_m, out):  # type: ignore[no-untyped-def]
+    """Mark the cells in which surfaces may go on to both sides of what was seen.
+
+    Args:
+        plane: the cells.
+        views: the echoes.
+        alive: (k) which count.
+        extension_m: how far [m].
+        out: (cells) set to True.
+    """
+    for k in range(len(alive)):
+        if not alive[k] or views.half_m[k] < 0.5 * plane.step:
+            continue
+        steps = math.ceil(2 * extension_m / (0.5 * plane.step))
+        for i in range(steps + 1):
+            px, py = _point(views, k, extension_m * (2 * i / steps - 1))
+            cell = _cell(plane, px, py)
+            if cell >= 0:
+                out[cell] = True

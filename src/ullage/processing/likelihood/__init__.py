@@ -1,0 +1,1 @@
+"""The likelihood mapper: echoes from matched sums, surfaces tracked over the flight, cells rendered from surfaces."""

@@ -1,0 +1,144 @@
+"""Cells of a plane, rendered from surfaces: occupied where echoes show them, free along the paths of their echoes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ullage.grids import UNKNOWN, Grid, OccupancyMap
+from ullage.kernels.surface_cells import Plane, Views, draw_extensions, draw_surfaces, draw_tubes, find_hidden
+from ullage.processing.likelihood.spec import LikelihoodSpec
+from ullage.processing.likelihood.surfaces import Surface, smoothed, transported
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+FREE, OCCUPIED = 5, 95  # percent
+FULL_NATS = 30.0  # an echo with as many counts in full
+MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo shows
+DOUBT = 0.3  # standard deviations of the curvature by which that piece is narrowed
+FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
+FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
+SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
+SURE_M = 0.4  # a tube frees a possible extension of a surface only where its echo lies so far behind
+BODY_M = 0.25  # radius about the sensor that is free
+ROUNDS = 3  # of hiding: what hides may be hidden itself
+
+
+def render(
+    grid: Grid, surfaces: list[Surface], flown: Floats, wavelength_m: float, fold_m: float, spec: LikelihoodSpec
+) -> tuple[OccupancyMap, Flags]:
+    """Draw a map.
+
+    Args:
+        grid: a plane.
+        surfaces: those that are sure.
+        flown: (f, 2) places of the track [m].
+        wavelength_m: of the carrier [m].
+        fold_m: unambiguous range of the radars [m].
+        spec: parameters.
+
+    Returns:
+        The map, and which surfaces are on it: not hidden behind others, and not flown through.
+    """
+    plane = Plane(*grid.origin_m[:2], grid.step_m, *grid.shape)
+    percent = np.full(grid.size, UNKNOWN, np.int8)
+    kept = np.zeros(len(surfaces), bool)
+    percent[_body(grid, flown)] = FREE
+    if surfaces:
+        views, owner = _views(surfaces, wavelength_m, spec)
+        possible = ~(_flown_through(views, owner, flown) | _folded(surfaces, fold_m))
+        alive, evidence = _visible(plane, views, owner, possible, spec)
+        kept = np.bincount(owner, alive, len(surfaces)) > 0
+        free = np.zeros((2, grid.size), bool)
+        draw_tubes(plane, views, alive, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), free)
+        extension = np.zeros(grid.size, bool)
+        draw_extensions(plane, views, alive, spec.extension_m, extension)
+        percent[free[0] & (free[1] | ~extension)] = FREE
+        percent[evidence >= spec.evidence] = OCCUPIED
+    return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
+
+
+def _body(grid: Grid, flown: Floats) -> NDArray[np.int64]:
+    """Flat index of the cells within the radius of the body about the track."""
+    if not len(flown):
+        return np.zeros(0, np.int64)
+    reach = np.arange(-BODY_M, BODY_M + 1e-9, min(grid.step_m, BODY_M))
+    dx, dy = (part.ravel() for part in np.meshgrid(reach, reach))
+    near = dx**2 + dy**2 <= BODY_M**2 + 1e-9
+    points = flown[:, None] + np.stack([dx[near], dy[near]], axis=1)
+    cell, inside = grid.index(np.unique(points.reshape(-1, 2), axis=0))
+    return np.unique(np.ravel_multi_index(tuple(cell[inside].T), grid.shape))
+
+
+def _views(surfaces: list[Surface], wavelength_m: float, spec: LikelihoodSpec) -> tuple[Views, NDArray[np.int64]]:
+    """All sightings of all surfaces as rows, and the surface of each."""
+    states, sigmas = zip(*(smoothed(one) for one in surfaces), strict=True)
+    state, sigma = np.concatenate(states), np.concatenate(sigmas)
+    seen = [one for surface in surfaces for one in surface.sightings.values()]
+    owner = np.repeat(np.arange(len(surfaces)), [len(one.sightings) for one in surfaces])
+    range_m, curvature = state[:, 0], state[:, 2]
+    flatness = 1 - curvature * range_m  # by which the specular point moves as the sensor moves: 1 for a flat wall
+    narrowed = np.maximum(np.abs(flatness) - DOUBT * sigma * range_m, 0)
+    half = np.minimum(spec.support * np.sqrt(0.5 * wavelength_m * range_m * narrowed), MOST_HALF_M)
+    steep = np.abs(flatness) > 0.2
+    bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
+    views = Views(
+        np.array([one.position for one in seen]),
+        np.ascontiguousarray(state),
+        half,
+        np.clip(bend, -MOST_BEND, MOST_BEND),
+        np.array([one.level for one in seen]),
+        np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0),
+    )
+    return views, owner
+
+
+def _visible(
+    plane: Plane, views: Views, owner: NDArray[np.int64], possible: Flags, spec: LikelihoodSpec
+) -> tuple[Flags, Floats]:
+    """Which echoes come straight from a surface, and the evidence of these in each cell (cells)."""
+    count = np.bincount(owner)
+    alive = possible[owner]
+    evidence, level = np.zeros((2, plane.rows * plane.columns))
+    for _ in range(ROUNDS):
+        evidence[:], level[:] = 0, 0
+        draw_surfaces(plane, views, alive, evidence, level)
+        alive = possible[owner]
+        find_hidden(plane, views, evidence, level, spec.evidence, alive)
+        alive &= (np.bincount(owner, alive) / count > SEEN_SHARE)[owner]
+    evidence[:], level[:] = 0, 0
+    draw_surfaces(plane, views, alive, evidence, level)
+    return alive, evidence
+
+
+def _flown_through(views: Views, owner: NDArray[np.int64], flown: Floats) -> Flags:
+    """Whether the track passes the specular points of each surface, as it passes those of false ones only (s)."""
+    range_m, bearing = views.state[:, 0], views.state[:, 1]
+    unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    along = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    tree = cKDTree(flown)
+    near = np.zeros(len(range_m), bool)
+    for share in (-1.0, -0.5, 0.0, 0.5, 1.0):
+        point = views.position + range_m[:, None] * unit + (share * views.half_m)[:, None] * along
+        near |= tree.query(point)[0] < FLOWN_M
+    return np.asarray(np.bincount(owner, near) / np.bincount(owner) > FLOWN_SHARE)
+
+
+def _folded(surfaces: list[Surface], fold_m: float) -> Flags:
+    """Whether echoes of each surface (s) are those of another one, farther by the unambiguous range."""
+    out = np.zeros(len(surfaces), bool)
+    reference = np.stack([one.position for one in surfaces])
+    state = np.stack([one.state for one in surfaces])
+    for index, one in enumerate(surfaces):
+        seen = list(one.sightings.values())
+        place, mine = np.array([row.position for row in seen]), np.array([row.state for row in seen])
+        step = (place[None] - reference[:, None]).reshape(-1, 2)
+        other = transported(np.repeat(state, len(seen), axis=0), step).reshape(len(surfaces), len(seen), 3)
+        apart_m = other[..., 0] - fold_m - mine[None, :, 0]
+        turned = np.cos(other[..., 1] - mine[None, :, 1])
+        same = (np.abs(apart_m) < FOLD_M) & (turned > np.cos(FOLD_RAD))
+        same[index] = False
+        out[index] = (same.mean(axis=1) > FOLD_SHARE).any()
+    return out

@@ -1,0 +1,185 @@
+"""Echoes of one keyframe: the strongest reflector is found, refined and taken out of the samples; then the next.
+
+The samples of all sensors in the aperture are summed coherently, each with the two-way gain of its antenna in the
+direction of a hypothesis. The energy that the sum explains, over all energy along the same range, is the coherence of
+the hypothesis. A wrong direction fails in phase along the track, and in level between the sensors. Straight up and down
+are hypotheses as all others, so that floor and ceiling explain their own echoes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, strongest, subtract, sum_directions
+from ullage.processing.likelihood.keyframes import Keyframe
+from ullage.processing.likelihood.spec import LikelihoodSpec
+
+Floats = NDArray[np.float64]
+
+CURVATURES = (-0.7, 0.0, 0.7)  # of the first search [1/m]; the aperture's depth of focus is 0.7 /m
+FAR_END_M = 0.3  # of the range axis that the search leaves out
+LEAST_ROWS = 12  # of an aperture: three frames of four sensors
+BEARING_PRIOR_RAD, CURVATURE_PRIOR = 0.5, 1.0  # standard deviation of what an aperture may leave open
+MOST_COHERENCE = 0.995
+COARSE, FINE = (1.5, 0.35, 0.5), (0.5, 0.05, 0.25)  # first steps of the search: deg, 1/m and bins
+SAME_RANGE_M = 0.1  # within which an echo may be that of a known surface
+
+Found = tuple[Floats, Floats, float, float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Echoes:
+    """Level echoes of one keyframe, the strongest first."""
+
+    position: Floats  # (2) of the keyframe [m]
+    state: Floats  # (e, 3) range [m], bearing [rad] and curvature of the range [1/m]
+    covariance: Floats  # (e, 3, 3)
+    coherence: Floats  # (e) share of the energy that the echo explains
+    level: Floats  # (e) amplitude times range [m]
+    nats: Floats  # (e) log-likelihood ratio of the echo against independent samples
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+
+class EchoFinder:
+    """Finds the echoes of keyframes."""
+
+    def __init__(self, spec: LikelihoodSpec) -> None:
+        self._spec = spec
+        bearing = np.arange(spec.directions) * 2 * np.pi / spec.directions
+        self._bearing = np.concatenate([bearing, [1.0, -1.0]])
+        self._level = np.concatenate([np.ones(len(bearing)), [0.0, 0.0]])
+        level = np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+        self._directions = np.concatenate([level, [[0, 0, 1.0], [0, 0, -1.0]]])
+
+    def find(self, key: Keyframe, known: Floats | None = None) -> Echoes:
+        """Find the echoes of a keyframe.
+
+        Args:
+            key: the keyframe.
+            known: (s, 3) range [m], bearing [rad] and curvature [1/m] that known surfaces have from its place. A known
+                surface explains an echo unless another hypothesis explains clearly more of it.
+        """
+        aperture, bins = key.aperture, key.aperture.samples.shape[1]
+        low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
+        found: list[Found] = []
+        if len(aperture.offset) >= LEAST_ROWS and low < high:
+            found = self._clean(key, low, high, np.zeros((0, 3)) if known is None else known)
+        state = np.array([row[0] for row in found]).reshape(-1, 3)
+        covariance = np.array([row[1] for row in found]).reshape(-1, 3, 3)
+        rest = np.array([row[2:] for row in found]).reshape(-1, 3)
+        return Echoes(key.position[:2], state, covariance, *rest.T)
+
+    def _sum(self, key: Keyframe, low: int, high: int, energy: NDArray[np.float32]) -> None:
+        for curvature, out in zip(CURVATURES, energy, strict=True):
+            sum_directions(key.aperture, self._directions, curvature * key.bin_m, low, high, out)
+
+    def _clean(self, key: Keyframe, low: int, high: int, known: Floats) -> list[Found]:
+        """Take the echoes out one after the other, and list the level ones."""
+        spec, aperture, noise = self._spec, key.aperture, key.noise**2
+        bins = aperture.samples.shape[1]
+        energy = np.zeros((len(CURVATURES), len(self._directions), bins), np.float32)
+        self._sum(key, low, high, energy)
+        floor, reach = np.ones(bins), 2 * int(3 * key.pulse) + 2
+        out: list[Found] = []
+        for _ in range(spec.most_echoes):
+            best, (c, d, k) = strongest(energy, floor, low, high)
+            if best <= spec.least_snr * noise:
+                break
+            start = np.array([self._level[d], self._bearing[d], CURVATURES[c] * key.bin_m, k])
+            start, fit, sums = self._refined(key, start, known)
+            if start[0] > 0:
+                out.append(self._echo(key, fit, sums, (floor[k] - 1) * noise))
+            subtract(aperture, start, fit, sums, key.pulse)
+            at = int(fit[4])
+            self._sum(key, max(at - reach, low), min(at + reach, high), energy)
+            pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
+            floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
+        return out
+
+    def _refined(self, key: Keyframe, start: Floats, known: Floats) -> tuple[Floats, Floats, Floats]:
+        """Refine a first estimate, and rival it by the known surfaces at its range.
+
+        Returns:
+            Start, fit and sums of the hypothesis that explains the echo.
+        """
+        fit, sums = self._fitted(key, start, COARSE)
+        at_m = key.start_m + key.bin_m * fit[4]
+        best, best_nats = (start, fit, sums), self._nats(key, fit)
+        for range_m, bearing, curvature in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
+            rival = np.array([1.0, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m])
+            fit, sums = self._fitted(key, rival, FINE)
+            nats = self._nats(key, fit) + self._spec.known_nats
+            if nats > best_nats:
+                best, best_nats = (rival, fit, sums), nats
+        return best
+
+    def _fitted(self, key: Keyframe, start: Floats, steps: tuple[float, float, float]) -> tuple[Floats, Floats]:
+        """Fit and sums of `refine` from a start, with first steps in degrees, 1/m and bins."""
+        sums, fit = np.zeros((len(key.aperture.axes), 3)), np.zeros(5)
+        size = np.array([math.radians(steps[0]), steps[1] * key.bin_m, steps[2]])
+        refine(key.aperture, start, size, self._spec.most_curvature * key.bin_m, sums, fit)
+        return fit, sums
+
+    def _nats(self, key: Keyframe, fit: Floats) -> float:
+        """Log-likelihood ratio of a fit over all rows."""
+        return len(key.aperture.offset) * -math.log(1 - min(fit[0] / max(fit[1], 1e-30), MOST_COHERENCE))
+
+    def _echo(self, key: Keyframe, fit: Floats, sums: Floats, left: float) -> Found:
+        """State, covariance, coherence, level and log-likelihood ratio of one echo.
+
+        Args:
+            key: the keyframe.
+            fit: as of `refine`.
+            sums: as of `refine`.
+            left: energy that stronger echoes may have left at its range; it counts as not explained.
+        """
+        explained, energy, bearing, curvature, place = fit
+        coherence = min(explained / max(energy + left, 1e-30), MOST_COHERENCE)
+        aperture = key.aperture
+        unit = np.array([math.cos(bearing), math.sin(bearing), 0.0])
+        active = (gains_of(aperture, unit) > LEAST_GAIN)[aperture.sensor]
+        across = aperture.offset[active] @ [-unit[1], unit[0], 0.0] * key.bin_m
+        mean = np.hypot(sums[:, 0], sums[:, 1]) / np.maximum(sums[:, 2], 1)
+        range_m = key.start_m + key.bin_m * place
+        state = np.array([range_m, bearing, curvature / key.bin_m])
+        nats = active.sum() * -math.log(1 - coherence)
+        return (
+            state,
+            self._covariance(across, key.wavelength_m, coherence),
+            coherence,
+            float(mean.max() * range_m),
+            nats,
+        )
+
+    def _covariance(self, across: Floats, wavelength_m: float, coherence: float) -> Floats:
+        """Covariance (3, 3) of range, bearing and curvature, by least squares on the phases along the aperture.
+
+        What is not coherent adds to the error of the phases.
+
+        Args:
+            across: offsets of the rows across the direction [m].
+            wavelength_m: of the carrier [m].
+            coherence: of the echo.
+        """
+        spec = self._spec
+        sigma = spec.phase_sigma_rad * wavelength_m / (4 * math.pi) * math.sqrt(max(1 - coherence, 0.02) / 0.02)
+        design = np.stack([np.ones_like(across), -across, 0.5 * across**2], axis=1) / sigma
+        prior = np.diag([0.0, BEARING_PRIOR_RAD**-2, CURVATURE_PRIOR**-2])
+        inverse = np.linalg.inv(design.T @ design + prior)
+        out = np.diag([spec.range_sigma_m**2, math.radians(spec.bearing_sigma_deg) ** 2, spec.curvature_sigma**2])
+        out[1:, 1:] += inverse[1:, 1:]
+        return out
+
+
+def gains_of(aperture: Aperture, unit: Floats) -> Floats:
+    """Two-way amplitude gain (s) of each sensor in a direction, over that of the one that faces it best."""
+    cells = aperture.gains.shape[1] - 1
+    cell = np.clip((1 - aperture.axes @ unit) * 0.5 * cells, 0, cells).astype(int)
+    gain = aperture.gains[np.arange(len(cell)), cell]
+    return np.asarray(gain / gain.max())

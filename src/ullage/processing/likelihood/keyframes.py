@@ -1,0 +1,196 @@
+"""Frames that arrive in pieces, as apertures about the keyframes of the track."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.antenna import boresight_pattern
+from ullage.data import Frames
+from ullage.geometry import C0, quat_matrix
+from ullage.kernels.matched_sums import GAIN_CELLS, Aperture
+from ullage.processing.likelihood.spec import LikelihoodSpec
+
+Floats = NDArray[np.float64]
+
+UPSAMPLING = 2  # of range bins, so that linear interpolation between them is good to 1 %
+LATEST_NS = 10_000_000_000  # a sensor that lags by more is not waited for
+TURN_RAD = np.radians(3.0)  # a frame counts after such a turn, too
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One frame, ready to be summed."""
+
+    t_ns: int
+    position: Floats  # (3) [m]
+    axis: Floats  # (3) boresight
+    samples: NDArray[np.complex64]  # (b) baseband
+    noise: float  # amplitude of the noise in one bin
+
+
+@dataclass(slots=True, eq=False)
+class Channel:
+    """What is known of one sensor."""
+
+    start_m: float  # range of bin 0
+    bin_m: float  # after upsampling
+    gains: Floats  # two-way amplitude gain against 1 - cosine to boresight
+    wavelength_m: float
+    blind_m: float  # range that the direct path covers
+    pulse_m: float  # standard deviation of the pulse's envelope
+    rows: deque[Row] = field(default_factory=deque)
+    seen_ns: int = -(2**62)  # time of its last frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """An aperture and the place it lies about."""
+
+    position: Floats  # (3) [m]
+    aperture: Aperture
+    start_m: float  # range of bin 0
+    bin_m: float
+    noise: float
+    first_bin: int  # beyond the direct path
+    pulse: float  # standard deviation of the pulse's envelope [bin]
+    wavelength_m: float
+
+
+class KeyframeSelector:
+    """Collects frames of all sensors and gives a keyframe each time its aperture is complete.
+
+    The first sensor leads: a keyframe is a frame of it that has moved by `keyframe_m`. The aperture holds the frames of
+    all sensors in the time for which the leading sensor stays within `window_m`. A keyframe waits until every sensor
+    has passed that time, so pieces of any size give the same keyframes.
+    """
+
+    def __init__(self, spec: LikelihoodSpec) -> None:
+        self._spec = spec
+        self._channels: dict[str, Channel] = {}
+        self._next = 0  # index of the leading row that may become the next keyframe
+        self._last: Floats | None = None
+
+    def add(self, part: Frames) -> None:
+        """Take frames of one sensor; frames that have hardly moved since the last one are left out."""
+        channel = self._channels.get(part.sensor)
+        if channel is None:
+            channel = self._channels[part.sensor] = _channel_of(part)
+        path = part.believed
+        axes = quat_matrix(path.quat_xyzw)[:, :, 0]
+        for i in range(len(part)):
+            channel.seen_ns = int(part.t_ns[i])
+            if channel.rows and not self._has_moved(channel.rows[-1], path.position[i], axes[i]):
+                continue
+            samples = np.asarray(part.samples[i])
+            noise = float(np.median(np.abs(samples)) / np.sqrt(np.log(2)))
+            row = Row(channel.seen_ns, path.position[i], axes[i], _upsampled(samples), noise)
+            channel.rows.append(row)
+
+    def _has_moved(self, before: Row, position: Floats, axis: Floats) -> bool:
+        away = float(np.linalg.norm(position - before.position))
+        return away >= self._spec.spacing_m or float(axis @ before.axis) < np.cos(TURN_RAD)
+
+    def ready(self, *, finish: bool = False) -> list[Keyframe]:
+        """The keyframes whose apertures are complete; at the end those that are left."""
+        out: list[Keyframe] = []
+        if not self._channels:
+            return out
+        leader = next(iter(self._channels.values()))
+        while self._next < len(leader.rows):
+            rows = leader.rows
+            centre = rows[self._next]
+            if self._last is not None and np.linalg.norm(centre.position - self._last) < self._spec.keyframe_m:
+                self._next += 1
+                continue
+            first, last, closed = self._span(rows, self._next)
+            if not (finish or (closed and self._all_past(rows[last].t_ns))):
+                break
+            self._last = centre.position
+            out.append(self._keyframe(centre, rows[first].t_ns, rows[last].t_ns))
+            self._drop_before(rows[first].t_ns)
+        return out
+
+    def _span(self, rows: deque[Row], index: int) -> tuple[int, int, bool]:
+        """First and last row about `index` within the window, and whether a later row has left it."""
+        here, reach = rows[index].position, self._spec.window_m
+        first = last = index
+        while first > 0 and np.linalg.norm(rows[first - 1].position - here) < reach:
+            first -= 1
+        while last + 1 < len(rows) and np.linalg.norm(rows[last + 1].position - here) < reach:
+            last += 1
+        return first, last, last + 1 < len(rows)
+
+    def _all_past(self, t_ns: int) -> bool:
+        newest = max(channel.seen_ns for channel in self._channels.values())
+        return all(channel.seen_ns > t_ns or newest - t_ns > LATEST_NS for channel in self._channels.values())
+
+    def _drop_before(self, t_ns: int) -> None:
+        for place, channel in enumerate(self._channels.values()):
+            while channel.rows and channel.rows[0].t_ns < t_ns:
+                channel.rows.popleft()
+                self._next -= place == 0
+
+    def _keyframe(self, centre: Row, first_ns: int, last_ns: int) -> Keyframe:
+        channels = list(self._channels.values())
+        leader = channels[0]
+        picked = [
+            (s, row) for s, channel in enumerate(channels) for row in channel.rows if first_ns <= row.t_ns <= last_ns
+        ]
+        samples = np.stack([_on_axis(row.samples, channels[s], leader, len(centre.samples)) for s, row in picked])
+        place = _middle(channels, centre.t_ns)
+        offset = np.stack([row.position - place for _, row in picked]) / leader.bin_m
+        axes = np.zeros((len(channels), 3))
+        for s, row in picked:
+            axes[s] += row.axis
+        axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
+        gains = np.stack([channel.gains for channel in channels])
+        phase = 4 * np.pi / leader.wavelength_m * leader.bin_m
+        pairs = np.ascontiguousarray(np.stack([samples.real, samples.imag], axis=-1), np.float32)
+        return Keyframe(
+            place,
+            Aperture(pairs, offset, np.array([s for s, _ in picked]), axes, gains, phase),
+            leader.start_m,
+            leader.bin_m,
+            float(np.median([row.noise for _, row in picked])),
+            max(int((leader.blind_m - leader.start_m) / leader.bin_m), 0),
+            leader.pulse_m / leader.bin_m,
+            leader.wavelength_m,
+        )
+
+
+def _middle(channels: list[Channel], t_ns: int) -> Floats:
+    """Mean of the sensors' positions (3) at a time [m]; a sensor that gives nothing within the buffer is left out."""
+    near = [min(one.rows, key=lambda row: abs(row.t_ns - t_ns)).position for one in channels if one.rows]
+    return np.asarray(np.mean(near, axis=0))
+
+
+def _channel_of(part: Frames) -> Channel:
+    step = float(part.range_m[-1] - part.range_m[0]) / (len(part.range_m) - 1)
+    pattern = boresight_pattern(part.spec.antenna)
+    cosine = 1 - 2 * np.linspace(0, 1, GAIN_CELLS + 1)
+    gains = 10 ** (2 * (pattern.gain_dbi(np.arccos(cosine)) - pattern.peak_dbi) / 20)
+    spec = part.spec
+    pulse_m = spec.pulse_sigma_s * C0 / 2
+    return Channel(float(part.range_m[0]), step / UPSAMPLING, gains, spec.wavelength_m, spec.own_echo_m, pulse_m)
+
+
+def _upsampled(samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """Baseband samples (b) at twice the rate, by zeros in the middle of their spectrum."""
+    bins = len(samples)
+    half = bins // 2
+    spectrum, wide = np.fft.fft(samples), np.zeros(UPSAMPLING * bins, np.complex128)
+    wide[:half], wide[half - bins :] = spectrum[:half], spectrum[half:]
+    return np.asarray(np.fft.ifft(wide) * UPSAMPLING, np.complex64)
+
+
+def _on_axis(samples: NDArray[np.complex64], mine: Channel, leader: Channel, bins: int) -> NDArray[np.complex64]:
+    """Samples on the leading sensor's range axis."""
+    if (mine.start_m, mine.bin_m, len(samples)) == (leader.start_m, leader.bin_m, bins):
+        return samples
+    wanted = leader.start_m + leader.bin_m * np.arange(bins)
+    have = mine.start_m + mine.bin_m * np.arange(len(samples))
+    return np.asarray(np.interp(wanted, have, samples, 0, 0), np.complex64)

@@ -1,0 +1,130 @@
+"""The likelihood mapper: keyframes, their echoes, surfaces that explain these, and cells rendered from surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Frames, Recording
+from ullage.errors import InputError
+from ullage.grids import Changes, Grid, OccupancyMap
+from ullage.processing.baseband import as_baseband
+from ullage.processing.likelihood.cells import render
+from ullage.processing.likelihood.echoes import EchoFinder
+from ullage.processing.likelihood.keyframes import KeyframeSelector
+from ullage.processing.likelihood.spec import LikelihoodSpec
+from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker
+from ullage.processing.mapper_door import in_order, plane_of
+
+Floats = NDArray[np.float64]
+
+CELL_M = 0.05  # places of the track are kept apart by as much
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedSurface:
+    """A surface as the likelihood mapper estimates it."""
+
+    position: Floats  # (2) that the state refers to [m]
+    state: Floats  # (3) range [m], bearing [rad] and curvature of the range [1/m] from there
+    covariance: Floats  # (3, 3)
+    log_odds: float  # of its existence
+    seen: int  # keyframes that saw it
+    on_map: bool  # False: hidden behind other surfaces, or flown through
+
+
+class LikelihoodMapper:
+    """Streaming mapper of a plane by one likelihood.
+
+    It predicts what each known surface would return, associates echoes with the predictions, updates the surfaces, and
+    renders cells from them. It needs frames with phase, of radars with one carrier.
+
+    Args:
+        grid: a plane that holds the flight; without a height it takes that of the first frames.
+        spec: parameters; None: the defaults.
+
+    Raises:
+        InputError: the grid is a volume.
+    """
+
+    def __init__(self, grid: Grid, *, spec: LikelihoodSpec | None = None) -> None:
+        if grid.dims != 2:
+            raise InputError(
+                "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
+            )
+        self.grid = grid
+        self.spec = spec or LikelihoodSpec()
+        self._keyframes = KeyframeSelector(self.spec)
+        self._echoes = EchoFinder(self.spec)
+        self._tracker = SurfaceTracker(self.spec)
+        self._wavelength_m = self._fold_m = 0.0
+        self._flown: dict[tuple[int, int], None] = {}
+        self._published: OccupancyMap | None = None
+
+    def update(self, frames: Recording) -> None:
+        """Add frames of one or several sensors.
+
+        Raises:
+            InputError: no poses, no phase, another carrier, a sample that is not finite, or a flight that leaves the
+                grid.
+        """
+        parts = [as_baseband(part) for part in in_order(frames, self.grid)]
+        for part in parts:
+            self._check(part)
+        self.grid = plane_of(self.grid, parts)
+        for part in parts:
+            for x, y in np.floor(part.believed.position[:, :2] / CELL_M).astype(int).tolist():
+                self._flown[x, y] = None
+            self._keyframes.add(part)
+        self._take_in(finish=False)
+
+    def _check(self, part: Frames) -> None:
+        if not np.iscomplexobj(part.samples):
+            raise InputError(
+                "the likelihood mapper needs samples with phase",
+                where=part.sensor,
+                allowed="complex baseband or RF; or method='ullage' or 'elfes'",
+            )
+        self._wavelength_m = self._wavelength_m or part.spec.wavelength_m
+        self._fold_m = part.spec.unambiguous_range_m
+        if part.spec.wavelength_m != self._wavelength_m:
+            raise InputError(
+                f"its carrier differs from the other sensors' ({part.spec.center_hz:g} Hz)",
+                where=part.sensor,
+                allowed="one center_hz for all sensors, or method='ullage'",
+            )
+
+    def _take_in(self, *, finish: bool) -> None:
+        for key in self._keyframes.ready(finish=finish):
+            self._tracker.update(self._echoes.find(key, self._tracker.known(key.position[:2])))
+
+    def finish(self) -> None:
+        """Use the frames that waited for a complete aperture."""
+        self._take_in(finish=True)
+
+    def _rendered(self) -> tuple[OccupancyMap, list[Surface], NDArray[np.bool_]]:
+        surfaces = self._tracker.confirmed()
+        flown = (np.array(list(self._flown), float).reshape(-1, 2) + 0.5) * CELL_M
+        omap, kept = render(self.grid, surfaces, flown, self._wavelength_m, self._fold_m, self.spec)
+        return omap, surfaces, kept
+
+    def map(self) -> OccupancyMap:
+        """The map so far."""
+        return self._rendered()[0]
+
+    def surfaces(self) -> list[MappedSurface]:
+        """The surfaces that are sure so far, in order of their first echo."""
+        _, surfaces, kept = self._rendered()
+        return [
+            MappedSurface(one.position, one.state, one.covariance, one.log_odds, len(one.sightings), bool(on_map))
+            for one, on_map in zip(surfaces, kept, strict=True)
+        ]
+
+    def changed(self) -> Changes:
+        """The blocks in which the map differs from that of the last call."""
+        now = self.map()
+        out = now.changes(self._published)
+        self._published = now
+        return out

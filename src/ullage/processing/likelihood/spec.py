@@ -1,0 +1,52 @@
+"""The numbers of the likelihood mapper, each with its meaning, unit and reason."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from ullage.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class LikelihoodSpec:
+    """Parameters of the likelihood mapper.
+
+    Raises:
+        InputError: a number is not finite, or not above zero.
+    """
+
+    # keyframes and matched sums
+    keyframe_m: float = 0.06  # track between keyframes: a quarter of the window, so that a surface is seen often
+    window_m: float = 0.22  # half length of the aperture: a lobe of 5 deg at 7.3 GHz, short enough for round walls
+    spacing_m: float = 0.015  # least track between frames that count, so that standing still adds nothing
+    directions: int = 108  # bearings of the first search, every 3.3 deg: less than the width of the aperture's lobe
+    most_curvature: float = 3.0  # greatest curvature of the range along the track [1/m]
+    most_echoes: int = 12  # of one keyframe
+    least_snr: float = 20.0  # explained energy over noise; noise alone exceeds it in 2e-9 of all sums
+    model_error: float = 0.02  # share of an echo's energy that the model leaves behind near its range
+    known_nats: float = 12.0  # by which a known surface is preferred to a new hypothesis for the same echo
+    # surfaces
+    least_coherence: float = 0.5  # share of the energy that an echo must explain to start a surface
+    phase_sigma_rad: float = 0.6  # error of a sample's phase against the model, which sets the errors of bearings
+    range_sigma_m: float = 0.012  # of an echo's range: a quarter of a range bin
+    bearing_sigma_deg: float = 0.5  # added to what the phases give
+    curvature_sigma: float = 0.1  # the same of the curvature [1/m]
+    process_noise: float = 1.0  # variance by which surfaces may bend; 1: (0.6 mm, 0.1 deg, 0.015 /m)^2 a keyframe
+    gate: float = 12.0  # greatest squared Mahalanobis distance of an echo: 99 % of three parameters
+    echo_cost: float = 6.0  # nats that an echo must explain before it speaks for a surface
+    dependence_m: float = 0.4  # track after which an echo counts in full: the length of the window
+    least_odds: float = 30.0  # log-odds of a surface on the map
+    least_keyframes: int = 3  # of a surface on the map
+    # cells
+    evidence: float = 1.5  # sum of the weights of echoes in an occupied cell
+    support: float = 1.0  # half width of what one echo shows of a surface, in radii of the first Fresnel zone
+    tube: float = 0.5  # half width of the free space before an echo, in radii of the first Fresnel zone
+    margin_m: float = 0.15  # before an echo that is not declared free: pulse width and half a cell
+    extension_m: float = 1.0  # how far a surface may go on unseen
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
+                raise InputError(f"{field.name} is {value!r}", where="LikelihoodSpec", allowed="a number above 0")

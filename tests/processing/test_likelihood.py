@@ -1,0 +1,218 @@
+"""The likelihood mapper: laws first, on echoes whose ranges are known in closed form."""
+
+import mirror_world as world
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.geometry import quat_matrix
+from ullage.processing.likelihood.mapper import LikelihoodMapper
+from ullage.processing.likelihood.spec import LikelihoodSpec
+from ullage.processing.occupancy import Mapper
+
+RIG = ul.Rig.preset("thesis-4").sensors
+GRID = ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.1, z_m=0.0)
+NOISE = 5.4e-6
+
+
+def curve(*, spacing=0.06, turns=0.35):
+    """A bent track of 2.5 m through the middle."""
+    angle = np.arange(-turns, turns, spacing / 3.5) * np.pi
+    xy = np.stack([0.9 * np.sin(angle * 2.4), 0.5 * np.cos(angle * 2.4) - 0.5], axis=1)
+    quat = np.tile([0, 0, 0, 1.0], (len(xy), 1))
+    return Trajectory(np.arange(len(xy)) * 120_000_000, np.column_stack([xy, 0 * angle]), quat)
+
+
+def flown(path, *reflectors, seed=0, spec=None):
+    """Frames of four sensors; a reflector gives range (n), direction (n, 2) and strength from places (n, 2)."""
+    out = {}
+    for number, (name, mounted) in enumerate(RIG.items()):
+        true = path.mounted(mounted.mount.body_from_sensor())
+        radar = spec or mounted
+        ahead = quat_matrix(true.quat_xyzw)[:, :2, 0]
+        rng = np.random.default_rng([seed, number])
+        shape = (len(true), len(radar.range_m))
+        samples = NOISE * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+        for reflector in reflectors:
+            range_m, direction, strength = reflector(true.position[:, :2])
+            gain = world.pattern(np.einsum("ij,ij->i", direction, ahead)) ** 2
+            level = strength * gain * radar.wavelength_m / (8 * np.pi * range_m)
+            phase = np.exp(-4j * np.pi / radar.wavelength_m * range_m)
+            pulse = np.exp(-0.5 * ((radar.range_m - range_m[:, None]) / (radar.pulse_sigma_s * ul.C0 / 2)) ** 2)
+            samples += (level * phase)[:, None] * pulse
+        out[name] = Frames(samples.astype(np.complex64), radar.range_m, true.t_ns, radar, true, true, name)
+    return out
+
+
+def wall(bearing_deg, distance_m, *, strength=0.5, folded_m=0.0):
+    """A flat wall with its normal at a bearing; beyond the unambiguous range it folds back."""
+    unit = np.array([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    return lambda at: (distance_m - at @ unit - folded_m, np.tile(unit, (len(at), 1)), strength)
+
+
+def pillar(centre, radius_m, *, strength=0.3):
+    def echo(at):
+        ray = np.asarray(centre) - at
+        far = np.linalg.norm(ray, axis=1)
+        return far - radius_m, ray / far[:, None], strength
+
+    return echo
+
+
+def tank(centre, radius_m):
+    """The nearest place of a round wall, from inside."""
+
+    def echo(at):
+        ray = at - np.asarray(centre)
+        far = np.linalg.norm(ray, axis=1)
+        return radius_m - far, ray / far[:, None], 0.5
+
+    return echo
+
+
+def mapped(frames, **spec):
+    mapper = LikelihoodMapper(GRID, spec=LikelihoodSpec(**spec))
+    mapper.update(frames)
+    mapper.finish()
+    return mapper
+
+
+def delayed(part, rows):
+    """Frames in another order of rows, at even times."""
+    t_ns = np.arange(len(rows)) * 120_000_000
+    poses = Trajectory(t_ns, part.poses.position[rows], part.poses.quat_xyzw[rows])
+    return Frames(part.samples[rows], part.range_m, t_ns, part.spec, poses, sensor=part.sensor)
+
+
+def centres(omap):
+    row, column = np.nonzero(omap.occupied)
+    return np.stack([omap.grid.x_m[column], omap.grid.y_m[row]], axis=1)
+
+
+def test_an_empty_world_stays_empty():
+    mapper = mapped(flown(curve()))
+    omap = mapper.map()
+    assert omap.method == "likelihood"
+    assert mapper.surfaces() == []
+    assert not omap.occupied.any()
+    flight, _ = GRID.index(curve().position)
+    assert omap.free[tuple(flight.T)].all()
+    row, column = np.nonzero(omap.free)
+    cells = np.stack([GRID.x_m[column], GRID.y_m[row]], axis=1)
+    away = np.linalg.norm(cells[:, None] - curve().position[None, :, :2], axis=2).min(axis=1)
+    assert away.max() < 0.5, "only where the body was"
+
+
+@pytest.mark.parametrize("bearing_deg", [73, 180])
+def test_one_wall_is_one_surface_at_its_distance(bearing_deg):
+    mapper = mapped(flown(curve(), wall(bearing_deg, 2.6)))
+    unit = np.array([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
+    away = strongest.state[0] + strongest.position @ unit
+    assert away == pytest.approx(2.6, abs=0.015)
+    assert np.cos(strongest.state[1] - np.radians(bearing_deg)) > np.cos(np.radians(1.0))
+    assert abs(strongest.state[2]) < 0.1
+    occupied = centres(mapper.map())
+    assert len(occupied) >= 4
+    assert np.abs(occupied @ unit - 2.6).max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("echo", "centre", "radius_m"),
+    [
+        (pillar((0.3, 2.4), 0.5), (0.3, 2.4), 0.5),
+        (pillar((0.3, -2.6), 0.0), (0.3, -2.6), 0.0),
+        (tank((-0.2, -1.6), 3.2), (-0.2, -1.6), 3.2),
+    ],
+)
+def test_round_surfaces_keep_their_centre_and_radius(echo, centre, radius_m):
+    mapper = mapped(flown(curve(), echo))
+    strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
+    _, bearing, curvature = strongest.state
+    found = strongest.position + np.array([np.cos(bearing), np.sin(bearing)]) / curvature
+    assert np.linalg.norm(found - centre) < 0.2
+    occupied = centres(mapper.map())
+    assert len(occupied)
+    assert np.abs(np.linalg.norm(occupied - centre, axis=1) - radius_m).max() < 0.15
+
+
+def test_what_lies_behind_a_stronger_wall_is_hidden():
+    mapper = mapped(flown(curve(), wall(90, 2.0), wall(90, 2.6, strength=0.1)))
+    behind = [one for one in mapper.surfaces() if abs(one.state[0] + one.position[1] - 2.6) < 0.05]
+    assert behind
+    assert not any(one.on_map for one in behind)
+    assert centres(mapper.map())[:, 1].max() < 2.2
+
+
+def test_a_wall_that_folds_back_is_one_wall():
+    """Flying towards it, its echo folds to a short range first, and is seen directly later."""
+    fold_m = RIG["front"].unambiguous_range_m
+    path = Trajectory.line((-4.2, 0.2, 0), (4.2, 0.4, 0), 0.5, 8.0)
+    frames = flown(path, wall(0, 4.9 + 2.5), wall(0, 4.9 + 2.5, folded_m=fold_m))
+    mapper = LikelihoodMapper(ul.Grid.covering([[-5, -2, 0], [9, 2, 0]], 0.1, z_m=0.0))
+    mapper.update({name: part[: len(part)] for name, part in frames.items()})
+    mapper.finish()
+    occupied = centres(mapper.map())
+    assert len(occupied)
+    assert np.abs(occupied[:, 0] - 7.4).max() < 0.15
+
+
+def test_standing_still_adds_nothing():
+    frames = flown(curve(), wall(40, 2.5))
+    count = len(frames["front"])
+    again = np.repeat(np.arange(count), np.where(np.arange(count) == count // 2, 200, 1))
+    longer = {name: delayed(part, again) for name, part in frames.items()}
+    assert np.array_equal(mapped(frames).map().percent, mapped(longer).map().percent)
+
+
+def test_pieces_of_any_size_give_the_map_of_the_whole():
+    frames = flown(curve(), wall(90, 2.4), pillar((1.4, -1.8), 0.2))
+    whole = mapped(frames).map()
+    assert whole.occupied.any()
+    for size in (1, 7):
+        mapper = Mapper(GRID, method="likelihood")
+        for start in range(0, len(frames["front"]), size):
+            pieces = {name: part[start : start + size] for name, part in frames.items()}
+            for piece in [pieces] if size > 1 else pieces.values():
+                mapper.update(piece)
+            if size > 1:
+                mapper.changed()
+        mapper.finish()
+        assert np.array_equal(mapper.map().percent, whole.percent)
+        mapper.changed()
+        assert not mapper.changed(), "nothing new"
+
+
+def test_a_hall_is_mapped_better_than_by_the_baseline():
+    from test_mapper import HALL, PLAN, loop
+
+    frames = world.rig(loop(rate=8.0), PLAN, seed=1)
+    score = {}
+    for method in ("likelihood", "elfes"):
+        quality = ul.metrics.map_quality(ul.map_occupancy(frames, GRID, method=method), HALL, frames)
+        score[method] = {name: metric.value for name, metric in quality.items()}
+    assert score["likelihood"]["f1"] > 0.85
+    assert score["likelihood"]["f1"] > score["elfes"]["f1"] + 0.1
+    assert score["likelihood"]["surface_declared_free"] < 0.05
+    assert score["likelihood"]["known_behind"] < 0.01
+
+
+def test_bad_input_is_refused_in_one_line():
+    frames = flown(curve(), wall(90, 2.0))
+    with pytest.raises(ul.InputError, match="maps a plane"):
+        Mapper(ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.2, dims=3), method="likelihood")
+    amplitudes = {n: Frames(f.amplitude, f.range_m, f.t_ns, f.spec, f.poses, sensor=n) for n, f in frames.items()}
+    with pytest.raises(ul.InputError, match=r"front: .*needs samples with phase"):
+        mapped(amplitudes)
+    other = flown(curve(), wall(90, 2.0), spec=RIG["front"].but(center_hz=8e9))
+    with pytest.raises(ul.InputError, match="its carrier differs"):
+        mapped({"front": frames["front"], "left": other["left"]})
+    for name, value in (("window_m", 0.0), ("gate", np.nan), ("evidence", "much")):
+        with pytest.raises(ul.InputError, match=rf"{name} is .*allowed: a number above 0"):
+            LikelihoodSpec(**{name: value})
+
+
+def test_grids_that_do_not_hold_the_flight_are_refused():
+    with pytest.raises(ul.InputError, match="does not hold the flight"):
+        ul.map_occupancy(flown(curve()), ul.Grid.covering([[2, 2, 0], [3, 3, 0]], 0.1), method="likelihood")
