@@ -20,6 +20,8 @@ MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo sho
 DOUBT = 0.3  # standard deviations of the curvature by which that piece is narrowed
 FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
 FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
+LEAST_FLATNESS = 0.1  # of edges and poles, whose own law differs
+FULL_PERCENT, CLEAR = 90.0, 0.6  # level of a surface without obstacles; share of it that a clear path leaves
 SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
 SURE_M = 0.4  # a tube frees a possible extension of a surface only where its echo lies so far behind
 BODY_M = 0.25  # radius about the sensor that is free
@@ -52,7 +54,8 @@ def render(
         alive, evidence = _visible(plane, views, owner, possible, spec)
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         free = np.zeros((2, grid.size), bool)
-        draw_tubes(plane, views, alive, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), free)
+        clear = alive & _unobstructed(views, owner)
+        draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), free)
         extension = np.zeros(grid.size, bool)
         draw_extensions(plane, views, alive, spec.extension_m, extension)
         percent[free[0] & (free[1] | ~extension)] = FREE
@@ -111,6 +114,17 @@ def _visible(
     evidence[:], level[:] = 0, 0
     draw_surfaces(plane, views, alive, evidence, level)
     return alive, evidence
+
+
+def _unobstructed(views: Views, owner: NDArray[np.int64]) -> Flags:
+    """Whether each echo (k) is about as strong as the strongest of its surface, so that nothing stands in its path.
+
+    A round surface changes the level of a flat one by the root of how its specular point moves against the sensor's.
+    """
+    flatness = np.abs(1 - views.state[:, 2] * views.state[:, 0])
+    level = views.level / np.sqrt(np.maximum(flatness, LEAST_FLATNESS))
+    full = np.array([np.percentile(level[owner == one], FULL_PERCENT) for one in range(owner.max() + 1)])
+    return np.asarray(level >= CLEAR * full[owner])
 
 
 def _flown_through(views: Views, owner: NDArray[np.int64], flown: Floats) -> Flags:

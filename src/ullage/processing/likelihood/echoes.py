@@ -39,7 +39,7 @@ class Echoes:
     state: Floats  # (e, 3) range [m], bearing [rad] and curvature of the range [1/m]
     covariance: Floats  # (e, 3, 3)
     coherence: Floats  # (e) share of the energy that the echo explains
-    level: Floats  # (e) amplitude times range [m]
+    level: Floats  # (e) amplitude times range, over the antenna's gain [m]
     nats: Floats  # (e) log-likelihood ratio of the echo against independent samples
 
     def __len__(self) -> int:
@@ -143,9 +143,11 @@ class EchoFinder:
         coherence = min(explained / max(energy + left, 1e-30), MOST_COHERENCE)
         aperture = key.aperture
         unit = np.array([math.cos(bearing), math.sin(bearing), 0.0])
-        active = (gains_of(aperture, unit) > LEAST_GAIN)[aperture.sensor]
+        gains = gains_of(aperture, unit)
+        active = (gains > LEAST_GAIN * gains.max())[aperture.sensor]
         across = aperture.offset[active] @ [-unit[1], unit[0], 0.0] * key.bin_m
-        mean = np.hypot(sums[:, 0], sums[:, 1]) / np.maximum(sums[:, 2], 1)
+        loudest = int(np.argmax(gains))
+        mean = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         range_m = key.start_m + key.bin_m * place
         state = np.array([range_m, bearing, curvature / key.bin_m])
         nats = active.sum() * -math.log(1 - coherence)
@@ -153,7 +155,7 @@ class EchoFinder:
             state,
             self._covariance(across, key.wavelength_m, coherence),
             coherence,
-            float(mean.max() * range_m),
+            mean / gains[loudest] * range_m,
             nats,
         )
 
@@ -178,8 +180,7 @@ class EchoFinder:
 
 
 def gains_of(aperture: Aperture, unit: Floats) -> Floats:
-    """Two-way amplitude gain (s) of each sensor in a direction, over that of the one that faces it best."""
+    """Two-way amplitude gain (s) of each sensor in a direction, over that on boresight."""
     cells = aperture.gains.shape[1] - 1
     cell = np.clip((1 - aperture.axes @ unit) * 0.5 * cells, 0, cells).astype(int)
-    gain = aperture.gains[np.arange(len(cell)), cell]
-    return np.asarray(gain / gain.max())
+    return np.asarray(aperture.gains[np.arange(len(cell)), cell])

@@ -34,7 +34,7 @@ class Sighting:
 
     position: tuple[float, float]  # of the keyframe [m]
     state: tuple[float, float, float]  # range [m], bearing [rad], curvature [1/m]
-    level: float  # amplitude times range [m]
+    level: float  # amplitude times range, over the antenna's gain [m]
     nats: float
 
 
