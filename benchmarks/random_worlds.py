@@ -1,6 +1,7 @@
 """Maps of random worlds by kind, judged by one evaluator: a row a flight, and a Markdown table at the end.
 
     python benchmarks/random_worlds.py --kinds tuning --seeds 4 [--bounces 3] [--volume] [--drift 0.2] [--amplitude]
+    python benchmarks/random_worlds.py --short --method likelihood
 
 Choose thresholds on the kinds "tuning" only. Run the kinds "testing" when a method stands, to judge it. Rows go to a
 CSV file; rows that it holds already are not made again, so the command goes on where it was stopped.
@@ -36,18 +37,26 @@ SCORES = (
     "accuracy_p90",
 )
 COSTS = ("cpu_mean", "cpu_p99")
-KEY = ("kind", "seed", "dims", "bounces", "drift_m", "phase", "method")
+KEY = ("kind", "seed", "dims", "bounces", "drift_m", "phase", "method", "short")
+SHORT_M, LEAST_SPACING_M = 14.0, 0.035
 TABLE = ("f1", "precision", "recall_in_view", "surface_declared_free", "flyable_found", "flyable_false", *COSTS)
 
 
 def flown(kind: str, seed: int, given: argparse.Namespace) -> tuple[Scene, dict[str, Frames]]:
     """The world and the frames of the flight through it; poses drift where that is asked for."""
     scene, path = ul.worlds.random(kind, seed), ul.worlds.flight(kind, seed, volume=given.volume)
+    path = shortened(path) if given.short else path
     believed = ul.navigate(path, drift_m=given.drift, seed=seed) if given.drift else None
     frames = ul.simulate(
         scene, path, ul.worlds.rig(kind, seed), max_bounces=given.bounces, seed=seed, believed=believed
     )
     return scene, frames
+
+
+def shortened(path: ul.Trajectory) -> ul.Trajectory:
+    """The first metres of a flight, every second frame where frames lie close."""
+    spacing = float(np.linalg.norm(path.position[1] - path.position[0]))
+    return path[: int(SHORT_M / spacing) : 2 if spacing < LEAST_SPACING_M else 1]
 
 
 def grid_of(scene: Scene, frames: dict[str, Frames], volume: bool) -> ul.Grid:
@@ -73,7 +82,7 @@ def row_of(kind: str, seed: int, given: argparse.Namespace) -> dict[str, str]:
 
         got |= {name: metric.value for name, metric in mapper(Mapper(grid, method=given.method), frames).items()}
     whole = time.process_time() - start
-    key = (kind, seed, grid.dims, given.bounces, given.drift, not given.amplitude, given.method)
+    key = (kind, seed, grid.dims, given.bounces, given.drift, not given.amplitude, given.method, given.short)
     out = dict(zip(KEY, map(str, key), strict=True))
     out |= {name: f"{got[name]:.4g}" for name in (*SCORES, *COSTS) if name in got}
     return out | {"simulated_s": f"{simulated:.1f}", "whole_s": f"{whole:.1f}"}
@@ -99,6 +108,7 @@ def main() -> None:
     parser.add_argument("--drift", type=float, default=0.0, help="rms of the poses' drift [m]")
     parser.add_argument("--amplitude", action="store_true", help="drop the phase")
     parser.add_argument("--method", default="ullage")
+    parser.add_argument("--short", action="store_true", help="the first 14 m, frames at least 3.5 cm apart")
     parser.add_argument("--cost", action="store_true", help="time each profile too")
     parser.add_argument("--to", type=Path, default=Path("random_worlds.csv"))
     given = parser.parse_args()
@@ -112,7 +122,8 @@ def main() -> None:
     for kind in kinds:
         for seed in range(given.first, given.first + given.seeds):
             dims = 3 if given.volume else 2
-            key = tuple(map(str, (kind, seed, dims, given.bounces, given.drift, not given.amplitude, given.method)))
+            what = (kind, seed, dims, given.bounces, given.drift, not given.amplitude, given.method, given.short)
+            key = tuple(map(str, what))
             row = next((row for row in known if tuple(row[name] for name in KEY) == key), None)
             if row is None:
                 row = row_of(kind, seed, given)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
@@ -58,8 +59,10 @@ def render(
         draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), free)
         extension = np.zeros(grid.size, bool)
         draw_extensions(plane, views, alive, spec.extension_m, extension)
-        percent[free[0] & (free[1] | ~extension)] = FREE
-        percent[evidence >= spec.evidence] = OCCUPIED
+        occupied = evidence >= spec.evidence
+        beside = binary_dilation(occupied.reshape(grid.shape), np.ones((3, 3))).ravel()
+        percent[free[0] & (free[1] | ~extension) & ~beside] = FREE
+        percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
 
 
