@@ -145,6 +145,17 @@ def test_what_lies_behind_a_stronger_wall_is_hidden():
     assert centres(mapper.map())[:, 1].max() < 2.2
 
 
+def test_an_echo_that_something_weakens_frees_nothing():
+    path = Trajectory.line((-2, 0, 0), (2, 0.2, 0), 0.5, 8.0)
+
+    def screened(at):
+        return 2.5 - at[:, 1], np.tile([0.0, 1.0], (len(at), 1)), np.where(np.abs(at[:, 0]) < 0.7, 0.15, 0.5)
+
+    omap = mapped(flown(path, screened)).map()
+    cells, _ = GRID.index(np.array([[-1.4, 1.4, 0], [1.4, 1.4, 0], [0.0, 1.4, 0]]))
+    assert omap.free[tuple(cells.T)].tolist() == [True, True, False]
+
+
 def test_a_wall_that_folds_back_is_one_wall():
     """Flying towards it, its echo folds to a short range first, and is seen directly later."""
     fold_m = RIG["front"].unambiguous_range_m

@@ -60,7 +60,7 @@ def render(
         extension = np.zeros(grid.size, bool)
         draw_extensions(plane, views, alive, spec.extension_m, extension)
         occupied = evidence >= spec.evidence
-        beside = binary_dilation(occupied.reshape(grid.shape), np.ones((3, 3))).ravel()
+        beside = binary_dilation(occupied.reshape(grid.shape), np.ones((3, 3), bool)).ravel()
         percent[free[0] & (free[1] | ~extension) & ~beside] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
