@@ -1,6 +1,6 @@
 """Plant clock and range offsets in simulated recordings, and count how often `ul.calibrate` finds them.
 
-    python benchmarks/calibrate_offsets.py --count 100 [--first 0] [--kinds flight,survey,...] [--mismatched]
+    python benchmarks/calibrate_offsets.py --count 100 [--first 0] [--kinds flight,...] [--mismatched] [--log FILE]
 
 The scenes are cheap on purpose: point scatterers in a wide beam, diffuse clutter, and a direct path with ring-down.
 Noise, phase jitter from frame to frame, and 0.3 mm of noise in the motion capture are added. Levels resemble those of
@@ -12,8 +12,10 @@ belongs to another flight, and only a refusal is right.
 from __future__ import annotations
 
 import argparse
-import time
+import csv
 import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -161,47 +163,83 @@ def _ringing(rng: np.random.Generator) -> np.ndarray:
     return own
 
 
+FIELDS = ("seed", "kind", "strength", "verdict", "clock_error", "clock_sigma", "range_error", "range_sigma")  # [s], [m]
+
+
+def scored(seed: int, kind: str, strength: str, mismatched: bool, lever_sigma_m: float) -> list[str | float]:
+    """One recording's row of FIELDS: errors of the offsets and their sigmas, NaN where calibration refuses."""
+    frames, clock_s, range_m = recording(seed, kind, strength)
+    if mismatched:
+        frames = replace(frames, track=recording(seed + 1000, kind, strength)[0].track)
+    try:
+        found = ul.calibrate(frames, lever_arm_sigma_m=lever_sigma_m).calibration
+    except CalibrationError as error:
+        print(f"{seed:4d} {kind:7s} {strength:8s} refused: {error}", flush=True)
+        return [seed, kind, strength, "refused", *4 * [np.nan]]
+    clock, range_ = found.t_offset_s - clock_s, found.range_offset_m - range_m
+    right = not mismatched and abs(clock) < RIGHT_S and abs(range_) < RIGHT_M
+    verdict = "right" if right else "WRONG"
+    print(
+        f"{seed:4d} {kind:7s} {strength:8s} {verdict} "
+        f"clock {1e3 * clock:+9.1f} ms (sigma {1e3 * found.t_sigma_s:.1f}), "
+        f"range {1e3 * range_:+7.1f} mm (sigma {1e3 * found.range_sigma_m:.1f}), P {found.probability:.3f}",
+        flush=True,
+    )
+    return [seed, kind, strength, verdict, clock, found.t_sigma_s, range_, found.range_sigma_m]
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """Verdicts, normalised variances of the recordings that are right, and confident errors, by kind of path."""
+    lines = ["| path | recordings | right | refused | wrong | clock rms [ms] | variance | range rms [mm] | variance |"]
+    lines.append("|---|---|---|---|---|---|---|---|---|")
+    for kind in [*sorted({row["kind"] for row in rows}), "all"]:
+        part = [row for row in rows if kind in (row["kind"], "all")]
+        count = {verdict: sum(row["verdict"] == verdict for row in part) for verdict in ("right", "refused", "WRONG")}
+        cells = [kind, str(len(part)), *(str(number) for number in count.values())]
+        for name in ("clock", "range"):
+            value = np.array([[float(row[f"{name}_{field}"]) for field in ("error", "sigma")] for row in part])
+            value = value[[row["verdict"] == "right" for row in part]]
+            rms = f"{1e3 * np.sqrt((value[:, 0] ** 2).mean()):.1f}" if len(value) else ""
+            cells += [rms, f"{((value[:, 0] / value[:, 1]) ** 2).mean():.2f}" if len(value) else ""]
+        lines.append("| " + " | ".join(cells) + " |")
+    confident = [row["seed"] for row in rows if row["verdict"] == "WRONG" and _far(row)]
+    return "\n".join([*lines, f"wrong by more than three sigma: {len(confident)} {' '.join(confident)}"])
+
+
+def _far(row: dict[str, str]) -> bool:
+    return any(abs(float(row[f"{name}_error"])) > 3 * float(row[f"{name}_sigma"]) for name in ("clock", "range"))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--mismatched", action="store_true")
+    parser.add_argument("--lever-sigma", type=float, default=0.05, help="lever_arm_sigma_m of ul.calibrate")
+    parser.add_argument("--log", type=Path, help="CSV file to add rows to; the table is of all its rows")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    kinds, rows, refused = given.kinds.split(","), [], 0
+    kinds = given.kinds.split(",")
+    rows = []
     for seed in range(given.first, given.first + given.count):
         kind, strength = kinds[seed % len(kinds)], STRENGTHS[(seed // len(kinds)) % 3]
-        frames, clock_s, range_m = recording(seed, kind, strength)
-        if given.mismatched:
-            from dataclasses import replace
+        values = scored(seed, kind, strength, given.mismatched, given.lever_sigma)
+        rows.append({name: str(value) for name, value in zip(FIELDS, values, strict=True)})
+        if given.log is not None:
+            _append(given.log, rows[-1])
+    if given.log is not None:
+        rows = list(csv.DictReader(given.log.open()))
+    print(table(rows))
 
-            frames = replace(frames, track=recording(seed + 1000, kind, strength)[0].track)
-        start = time.process_time()
-        try:
-            found = ul.calibrate(frames).calibration
-        except CalibrationError as error:
-            refused += 1
-            print(f"{seed:4d} {kind:7s} {strength:8s} refused: {error}", flush=True)
-            continue
-        row = (found.t_offset_s - clock_s, found.t_sigma_s, found.range_offset_m - range_m, found.range_sigma_m)
-        rows.append(row)
-        right = abs(row[0]) < RIGHT_S and abs(row[2]) < RIGHT_M
-        verdict = "right" if right else "WRONG"
-        print(
-            f"{seed:4d} {kind:7s} {strength:8s} {verdict} clock {1e3 * row[0]:+9.1f} ms (sigma {1e3 * row[1]:.1f}), "
-            f"range {1e3 * row[2]:+7.1f} mm (sigma {1e3 * row[3]:.1f}), P {found.probability:.3f}, "
-            f"{time.process_time() - start:.0f} s",
-            flush=True,
-        )
-    table = np.array(rows).reshape(-1, 4)
-    right = (np.abs(table[:, 0]) < RIGHT_S) & (np.abs(table[:, 2]) < RIGHT_M)
-    print(f"right {right.sum()}, wrong {(~right).sum()}, refused {refused} of {given.count}")
-    for name, k in (("clock", 0), ("range", 2)):
-        score = table[right, k] / table[right, k + 1]
-        if len(score):
-            error = np.sqrt((table[right, k] ** 2).mean())
-            print(f"{name}: rms error {error:.4f}, variance of error / sigma {(score**2).mean():.2f}")
+
+def _append(log: Path, row: dict[str, str]) -> None:
+    new = not log.exists()
+    with log.open("a", newline="") as file:
+        writer = csv.DictWriter(file, FIELDS)
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
 
 
 if __name__ == "__main__":
