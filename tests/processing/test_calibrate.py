@@ -88,7 +88,8 @@ def test_swapped_axes_are_suspected(planted):
     track = planted.track
     lying = ul.Trajectory(track.t_ns, track.position, np.tile(rpy_quat(np.pi / 2, 0, 0), (len(track), 1)))
     with pytest.warns(ul.UllageWarning, match="axes may be swapped"):
-        ul.calibrate(replace(planted, track=lying), guess=(2.5, 0.05), t_span_s=2.7)
+        found = ul.calibrate(replace(planted, track=lying), guess=(2.5, 0.05), t_span_s=2.7)
+    assert found.calibration.t_offset_s == pytest.approx(2.5, abs=0.02)  # it is only a suspicion
 
 
 def test_a_span_without_overlap_is_refused(planted):
@@ -105,6 +106,36 @@ def test_a_radar_that_never_moved_is_refused(planted):
     still = still + 0.05 * (rng.normal(size=still.shape) + 1j * rng.normal(size=still.shape))
     with pytest.raises(CalibrationError, match="echoes do not follow the track"):
         ul.calibrate(replace(planted, samples=still))
+
+
+@pytest.mark.slow
+def test_noise_without_any_reflector_is_refused(planted):
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(2, *planted.samples.shape))
+    with pytest.raises(CalibrationError, match="echoes do not follow the track"):
+        ul.calibrate(replace(planted, samples=noise[0] + 1j * noise[1]), guess=(2.5, 0.5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ppm", [50, -200])
+def test_a_radar_clock_of_another_rate_leaves_the_offset_within_its_doubt(planted, ppm):
+    """The offset is that at the middle of the motion, since the rate is not corrected."""
+    wrong = np.rint(planted.t_ns / (1 + ppm * 1e-6)).astype(np.int64)
+    record = ul.calibrate(replace(planted, t_ns=wrong), guess=(2.5, 0.1), lever_arm_sigma_m=0).calibration
+    middle_s = 5.0  # of the run along the track, on the radar's clock
+    assert abs(record.t_offset_s - (2.5 + ppm * 1e-6 * middle_s)) < 4 * record.t_sigma_s + 1e-3
+    assert abs(record.range_offset_m + 0.3) < 4 * record.range_sigma_m
+
+
+@pytest.mark.slow
+def test_a_track_that_covers_half_of_the_recording_is_enough(planted):
+    track = planted.track
+    late = track.t_ns >= 7_000_000_000
+    part = ul.Trajectory(track.t_ns[late], track.position[late], track.quat_xyzw[late])
+    with pytest.warns(ul.UllageWarning, match="frames outside the track are left out"):
+        record = ul.calibrate(replace(planted, track=part)).calibration
+    assert abs(record.t_offset_s - 2.5) < 4 * record.t_sigma_s
+    assert abs(record.range_offset_m + 0.3) < 3 * record.range_sigma_m
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Offsets of clock, range and antenna place from scatterers that one path must explain together.
+"""Offsets of clock and range from scatterers that one path must explain together.
 
 The model of a scatterer is a point: its echo has the phase of its distance, the envelope of the pulse at its delay, and
 an amplitude that varies slowly along the track. Its log-likelihood is the power that this model explains over the power
@@ -17,26 +17,23 @@ from numpy.typing import NDArray
 
 from ullage.processing.point_focus import Echoes, Floats, Point, PointFocus
 
-CLOCK, RANGE, RATE, LEVER = 0, 1, 2, slice(3, 6)  # the parameters: [s], [m], clock rate, antenna on the body [m]
-PARAMETERS = 6
+CLOCK, RANGE, RATE = range(3)  # the parameters: offsets [s] and [m], and the rate of the clock
+PARAMETERS = 3
 STEPS, ROUNDS = 12, 4
 LEAST_STEP = 0.05  # standard deviations at which the search ends
 FREEDOM = 4.0  # of Student's t, by which scatterers that contradict the others lose weight [Lange1989]
-DISPERSION, DISPERSION_POINTS = (
-    2.0,
-    4.0,
-)  # expected score variance over curvature, and how many scatterers that is worth
+DISPERSION = 4.0  # score variance over curvature that is expected of scatterers
+DISPERSION_POINTS = 4.0  # how many scatterers this expectation is worth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle:
     """Scatterers on one path, and the parameters of that path."""
 
-    theta: Floats  # (6) clock [s], range [m], clock rate, antenna place on the body [m]
-    covariance: Floats  # (6, 6)
+    theta: Floats  # (3) clock offset [s], range offset [m], clock rate
+    covariance: Floats  # (3, 3)
     dispersion: float  # score variance of the scatterers over their curvature
     points: tuple[Point, ...]  # as the parameters place them
-    sight: Floats  # (3) mean direction to the points, in body axes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,11 +63,10 @@ class _Likelihood:
         focus: of the recording.
         points: scatterers, with their amplitudes along the track.
         theta: parameters under which the points were drawn.
-        sight: (3) mean direction to the points, in body axes.
     """
 
-    def __init__(self, focus: PointFocus, points: Sequence[Point], theta: Floats, sight: Floats) -> None:
-        self.focus, self.sight = focus, sight
+    def __init__(self, focus: PointFocus, points: Sequence[Point], theta: Floats) -> None:
+        self.focus = focus
         self.amplitude = np.array([one.amplitude for one in points])
         places = np.array([one.place for one in points])
         echo = self.echoes(places, theta)
@@ -86,8 +82,8 @@ class _Likelihood:
         self.weight = self.weight / echo.level  # as drawn: a level that follows the range would pull the envelope
 
     def echoes(self, places: Floats, theta: Floats) -> Echoes:
-        """Echoes of places (k, 3) under parameters; the range offset is that of an antenna at the tracked point."""
-        return self.focus.echoes(places, self.focus.bent(theta), float(theta[RANGE] - self.sight @ theta[LEVER]))
+        """Echoes of places (k, 3) under parameters."""
+        return self.focus.echoes(places, self.focus.bent(theta), float(theta[RANGE]))
 
     def gains(self, value: NDArray[np.complex128]) -> Floats:
         """Log-likelihoods (k) of the scatterers over noise."""
@@ -108,7 +104,6 @@ class _Likelihood:
         envelope = phase.copy()
         if bend is not None:
             envelope[..., 3 + RANGE] = -1.0
-            envelope[..., 6:9] += self.sight
         mean = (share[..., None] * phase).sum(1)
         turned = np.swapaxes(phase * share[..., None], 1, 2)
         curve = focus.per_m_phase**2 * (turned @ phase - mean[:, :, None] * mean[:, None])
@@ -149,21 +144,20 @@ def adjusted(focus: PointFocus, points: Sequence[Point], theta: Floats, mean: Fl
     Args:
         focus: of the recording.
         points: scatterers, drawn under about these parameters.
-        theta: (6) parameters to start from.
-        mean: (6) of their normal prior.
-        precision: (6) of their normal prior; 0: unknown.
+        theta: (3) parameters to start from.
+        mean: (3) of their normal prior.
+        precision: (3) of their normal prior; 0: unknown.
     """
-    sight = focus.line_of_sight(points, theta)
     for _ in range(ROUNDS):
-        likelihood = _Likelihood(focus, points, theta, sight)
+        likelihood = _Likelihood(focus, points, theta)
         places = np.array([one.place for one in points])
         found, places, covariance, dispersion = _climbed(likelihood, places, theta, mean, precision)
         moved = np.abs(found - theta)
         theta = found
-        points = focus.redrawn(places, theta, float(theta[RANGE] - sight @ theta[LEVER]))
+        points = focus.redrawn(places, theta)
         if (moved**2 < 0.01 * np.diag(covariance)).all() or not points:
             break
-    return Bundle(theta, covariance, dispersion, tuple(points), sight)
+    return Bundle(theta, covariance, dispersion, tuple(points))
 
 
 def _climbed(

@@ -218,8 +218,8 @@ class _Prior:
         return np.asarray(np.log(core + TAIL / TAIL_M * np.exp(-0.5 * (away / TAIL_M) ** 2)))
 
     def of_bundle(self, mode_s: float, range_m: float) -> tuple[Floats, Floats]:
-        """Mean and precision (6) of the parameters of a bundle that starts at these offsets."""
-        mean, precision = np.zeros(PARAMETERS), np.full(PARAMETERS, 1e18)
+        """Mean and precision (3) of the parameters of a bundle that starts at these offsets."""
+        mean, precision = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
         weight = np.array([1 / MODE_S**2, 0.0 if self.t_s is None else 1 / self.t_sigma_s**2])
         mean[CLOCK] = weight @ [mode_s, self.t_s or 0.0] / weight.sum()
         precision[CLOCK] = weight.sum()
@@ -409,7 +409,7 @@ def _focus(frames: Frames, track: Trajectory, mode_s: float, prior: _Prior, plac
     if not points:
         return _Focus(np.array([mode_s, range_m]), np.array([MODE_S, prior.span_m]), 0.0, 0.0, 0, 0.0)
     mean, precision = prior.of_bundle(mode_s, range_m)
-    found = adjusted(focus, points, np.array([clock_s, range_m, 0, 0, 0, 0]), mean, precision)
+    found = adjusted(focus, points, np.array([clock_s, range_m, 0.0]), mean, precision)
     return _judged(focus, found, prior, precision[RANGE])
 
 
@@ -440,7 +440,7 @@ def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: float) -
     range_m, sigma_m = prior.with_focus(float(found.theta[RANGE]), float(sigma[RANGE]), precision)
     samples = sum((focus.weight * (one.amplitude > 0)).sum() for one in found.points) / (focus.wave_m / 2)
     total = sum(one.gain for one in found.points)
-    raw = focus.redrawn(np.array([one.place for one in found.points]).reshape(-1, 3), np.zeros(6), 0.0)
+    raw = focus.redrawn(np.array([one.place for one in found.points]).reshape(-1, 3), np.zeros(PARAMETERS))
     gain = float((total - sum(one.gain for one in raw)) / max(samples, 1e-9))
     whole = float(focus.weight.sum()) / (focus.wave_m / 2)  # independent samples of the track
     strongest = sum(sorted(one.gain for one in found.points)[-3:]) / max(1.0, LEAST_PER_SAMPLE * whole / LEAST_GAIN)

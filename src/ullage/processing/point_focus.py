@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
-from ullage.geometry import quat_matrix
 from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import to_baseband
 from ullage.processing.motion_match import whole_frames
@@ -33,6 +32,7 @@ REACH_M, LEAST_RANGE_M = 6.0, 0.5
 SEED_COHERENCE = 0.35
 SEEDS_PER_SEGMENT, MOST_SEEDS, MOST_POINTS = 12, 40, 16
 SAME_M = 0.06  # two places whose ranges differ by less than this are one echo
+VELOCITY_S = 0.01  # half the time over which a velocity is taken
 VISIBLE_M = 0.35  # length of track over which the amplitude of an echo is taken as steady
 
 
@@ -76,7 +76,6 @@ class PointFocus:
     def __init__(self, frames: Frames, track: Trajectory, offset_s: float) -> None:
         self.wave_m = frames.spec.wavelength_m
         self.known_s, self.position = track.t_ns * 1e-9, track.position
-        self.rotation = quat_matrix(track.quat_xyzw)
         self.t_s = t_s = frames.t_ns * 1e-9
         values, good, place = to_baseband(frames), whole_frames(frames), self.path(offset_s)
         inside = (t_s + offset_s >= self.known_s[0]) & (t_s + offset_s <= self.known_s[-1])
@@ -103,29 +102,20 @@ class PointFocus:
 
     def path(self, offset_s: float) -> Floats:
         """Positions (n, 3) of the sensor under a clock offset, held beyond the ends of the track."""
-        when = self.t_s + offset_s
+        return self._at(np.asarray(self.t_s + offset_s, np.float64))
+
+    def _at(self, when: Floats) -> Floats:
         return np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
 
     def bent(self, theta: Floats) -> Floats:
-        """Positions (n, 3) of the antenna under clock offset, range offset, clock rate, and its place on the body."""
-        when = self.t_s + theta[0] + theta[2] * (self.t_s - self.middle_s)
-        path = np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
-        return path + self._turned(when) @ theta[3:6] if theta[3:6].any() else path
+        """Positions (n, 3) of the sensor under clock offset, range offset, and clock rate about the middle."""
+        return self._at(np.asarray(self.t_s + theta[0] + theta[2] * (self.t_s - self.middle_s), np.float64))
 
     def bend(self, theta: Floats) -> Floats:
-        """Displacements (n, 3, 6) of the path per unit of each parameter."""
-        when, step = self.t_s + theta[0], np.zeros(6)
-        step[0] = 0.01
-        velocity = (self.bent(theta + step) - self.bent(theta - step)) / 0.02
-        rate = velocity * (self.t_s - self.middle_s)[:, None]
-        return np.concatenate(
-            [velocity[..., None], np.zeros((len(when), 3, 1)), rate[..., None], self._turned(when)], axis=2
-        )
-
-    def _turned(self, when: Floats) -> Floats:
-        """Rotations (n, 3, 3) world_from_body at the nearest sample of the track."""
-        near = np.clip(np.searchsorted(self.known_s, when), 0, len(self.known_s) - 1)
-        return np.asarray(self.rotation[near])
+        """Displacements (n, 3, 3) of the path per unit of each parameter."""
+        step = np.array([VELOCITY_S, 0.0, 0.0])
+        velocity = (self.bent(theta + step) - self.bent(theta - step)) / (2 * VELOCITY_S)
+        return np.stack([velocity, np.zeros_like(velocity), velocity * (self.t_s - self.middle_s)[:, None]], axis=2)
 
     def echoes(self, places: Floats, path: Floats, range_m: float) -> Echoes:
         """Echoes of places (k, 3) on a path (n, 3)."""
@@ -296,17 +286,9 @@ class PointFocus:
         gains = np.asarray(np.where(amplitude.any(axis=1), gain, 0.0)).tolist()
         return [Point(*one) for one in zip(places, amplitude, gains, strict=True)]
 
-    def line_of_sight(self, points: Sequence[Point], theta: Floats) -> Floats:
-        """Mean direction (3) from the path to the points, in body axes."""
-        ray = np.array([one.place for one in points])[:, None] - self.bent(theta)
-        ray = ray / np.linalg.norm(ray, axis=2, keepdims=True)
-        weight = np.array([one.gain * one.amplitude / max(one.amplitude.sum(), 1e-30) for one in points])
-        turned = np.einsum("kni,nij->knj", ray, self._turned(self.t_s + theta[0]))
-        return np.asarray((weight[..., None] * turned).sum((0, 1)) / max(float(weight.sum()), 1e-30))
-
-    def redrawn(self, places: Floats, theta: Floats, range_m: float) -> tuple[Point, ...]:
+    def redrawn(self, places: Floats, theta: Floats) -> tuple[Point, ...]:
         """Scatterers at these places, with the parts of the track from which they are seen; each echo once."""
-        path, ranges = self.bent(theta)[None], np.full(len(places), range_m)
+        path, ranges = self.bent(theta)[None], np.full(len(places), theta[1])
         amplitude = self._amplitudes(places, path, ranges)
         gain = self._gains(self._along_points(places, path, ranges)[0], amplitude)
         points = [Point(*one) for one in zip(places, amplitude, gain.tolist(), strict=True)]
