@@ -131,14 +131,15 @@ class ObstacleStage:
 
     Args:
         expected: radars that must report, by name; one that never does is stale. None: those that have reported.
-        pfa: false alarm probability of a range bin; tracks need several detections.
+        pfa: false alarm probability of a range bin. Four radars make 10,000 bins a second, and a false alarm among the
+            echoes of a hall can lead a track astray.
         stale_s: without a new frame for so long, a distance is unknown [s].
         tracker: settings of the tracks.
         own_echo: removes the radar's own echo; None: it stays.
     """
 
     expected: Mapping[str, RadarSpec] | None = None
-    pfa: float = 1e-4
+    pfa: float = 1e-6
     stale_s: float = STALE_S
     tracker: TrackerSpec = field(default_factory=TrackerSpec)
     own_echo: OwnEchoFilter | None = field(default_factory=lambda: OwnEchoFilter(most=48, growth=1.5))
