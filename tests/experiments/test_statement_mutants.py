@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from spoilt import RECORDINGS, Fleet, Section, quiet_bench
-from statement_matrix import BASELINE, SECTIONS
+from statement_matrix import BASELINE, DOCS, SECTIONS, bounds, breaking, page, statements, states
 
 Patch = pytest.MonkeyPatch
 
@@ -47,9 +47,21 @@ def fleet(tmp_path_factory) -> Fleet:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
+@pytest.mark.filterwarnings("ignore:divide by zero")
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.name)
 def test_every_statement_of_an_experiment_falls_to_a_mutant(section, fleet, tmp_path):
     if absent := [name for name in section.reads if not (RECORDINGS / name).is_file()]:
         pytest.skip(f"the recordings are not part of the package: {absent[0]}")
     assert not survivors(section, fleet, tmp_path)
+
+
+def test_every_statement_of_the_page_has_a_mutant():
+    stated_there = list(statements((DOCS / "reproduce.md").read_text()))
+    assert len(stated_there) > 120
+    assert not [text for name, text, where in stated_there if not breaking(name, f"{text} ({where})")]
+    assert not [text for name, text in bounds() if states(name, text) and not breaking("expect", text)]
+
+
+def test_the_page_of_mutants_is_that_of_the_sections():
+    assert (DOCS / "statement_mutants.md").read_text() == page()
