@@ -149,7 +149,7 @@ def each(change: Callable[[Frames], Frames]) -> Spoil:
     return lambda frames: {name: change(part) for name, part in frames.items()}
 
 
-def scores_of(rows: tuple[str, ...] = ROWS, spoil: Spoil = lambda frames: frames, *, share: float = 0.4) -> Scores:
+def scores_of(rows: tuple[str, ...] = ROWS, spoil: Spoil = lambda frames: frames, *, share: float = 0.5) -> Scores:
     """Part of a flight, mapped by some rows of the table from spoilt frames."""
     scene, kept = flights.judged_room(), (flights.heard, flights.level_round)
     grid, scores = flights.plane_of(scene), {}
