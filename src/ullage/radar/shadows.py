@@ -74,7 +74,7 @@ def shares(
     places, of = np.empty((many * len(pattern()), 3)), np.empty(many * len(pattern()), np.int64)
     held = np.empty((many, len(pattern())), np.bool_)
     rims.look_about(points, which, across, pattern(), wavelength_m, *rest, places, of, held)
-    held = np.logical_and.accumulate(held.reshape(many, RAYS, -1), axis=2)  # as far as the face goes
+    held = np.logical_and.accumulate(held.reshape(many, RAYS, len(CELLS)), axis=2)  # as far as the face goes
     seen = np.zeros(held.shape, np.bool_)
     seen[held] = clear(places[held.ravel()])
     before = np.concatenate([np.broadcast_to(free[:, None, None], (many, RAYS, 1)), seen[:, :, :-1]], 2)
