@@ -16,7 +16,6 @@ from ullage.radar.folding import limits_of
 from ullage.radar.laid import Laid, laid_by
 from ullage.radar.penetration import TAPS
 from ullage.radar.physical import Bench, View, common, shading
-from ullage.radar.visibility import blocked, clear
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -28,9 +27,6 @@ _RINGS = np.arange(6) * np.pi / 3
 _ZONE = np.concatenate(
     [[[0.0, 0.0]], *(q * np.stack([np.cos(_RINGS + q), np.sin(_RINGS + q)], 1) for q in (0.4, 0.75))]
 )
-_INNER = len(_ZONE)
-_WIDE = np.concatenate([_ZONE, *(q * np.stack([np.cos(_RINGS), np.sin(_RINGS)], 1) for q in (1.3, 2.6, 5.0, 7.0))])
-"""Also places so far off that a border of shadow beyond them leaves an echo as it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,15 +89,9 @@ def lay_flats(
     limits = limits_of(flats, view, ready.gate[1], ready.fold_s)
     rim = rims(ready, flats, view, which, limits)
     told = flats.normals, flats.stuffs, *common(ready, view, grids)
-
-    def left(points: Floats, which: Longs, free: NDArray[np.bool_]) -> Complexes:
-        return shares_of(ready, parts, flats, view, points, which, free)
-
-    return [lay_parted(ready, flats, which, rim, limits, lambda at, _: shading(ready, parts, view, at), told, left)[0]]
+    return [lay_parted(ready, flats, which, rim, limits, lambda at, _: shading(ready, parts, view, at), told)[0]]
 
 
-Left = Callable[[Floats, Longs, NDArray[np.bool_]], Complexes]
-"""What part (k) of the echoes of mirror points (k, 9) on faces (k), themselves seen or not (k), borders leave."""
 Shading = Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
 """Factor (m) and delay (m) [s] of what stands before points (m, 3), told the face (m) of each."""
 
@@ -127,21 +117,18 @@ def lay_parted(
     limits: Floats,
     shading_of: Shading,
     told: tuple[Any, ...],
-    left: Left | None = None,
 ) -> tuple[Laid, Longs]:
     """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends.
 
     What the kernel that lays them is `told` begins with normals, stuffs and origins. Gives the face of each echo too.
-    Without `left`, a mirror point's echo is weakened by the share of its Fresnel zone that is hidden.
     """
     points = np.empty((len(which), 9))
     count = draw.crossings(which, rim.windings, flats.normals, flats.offsets, told[2], limits, points)
     points, which = points[:count], which[:count]
-    looks, owner, seats, open_ = _looks(ready, flats, rim, points, which, _ZONE if left is None else _WIDE)
+    looks, owner, seats, open_ = _looks(ready, flats, rim, points, which)
     shade, extra = shading_of(looks, owner)
     if len(points):
-        about = shade[len(shade) - open_.size :], extra[len(extra) - open_.size :]
-        factor, late = _mean(*about, open_) if left is None else _bordered(*about, open_, points, which, left)
+        factor, late = _mean(shade[len(shade) - open_.size :], extra[len(extra) - open_.size :], open_)
         shade, extra = np.concatenate([shade[seats], factor]), np.concatenate([extra[seats], late])
     else:
         shade, extra = shade[seats], extra[seats]
@@ -174,19 +161,19 @@ def lay_rim(
 
 
 def _looks(
-    ready: Bench, flats: Flats | Outlined, rim: Rim, points: Floats, which: Longs, zone: Floats
+    ready: Bench, flats: Flats | Outlined, rim: Rim, points: Floats, which: Longs
 ) -> tuple[Floats, Longs, Longs, NDArray[np.bool_]]:
-    """Where to look: pieces and ends of rims, and places of a `zone` (z, 2) around each mirror point (k z) [m].
+    """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 
-    Also on which face each look lies, which of the looks each piece and end is seen by, and which places of the zones
-    lie on their faces (k, z).
+    Also on which face each look lies, which of the looks each piece and end is seen by, and which points of the zones
+    lie on their faces (k, _ZONE).
     """
-    most, about = len(rim.pieces) + len(rim.tips), len(points) * len(zone)
+    most, about = len(rim.pieces) + len(rim.tips), len(points) * len(_ZONE)
     spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
-    seats, within = np.empty(most, np.int64), np.empty((len(points), len(zone)), np.bool_)
+    seats, within = np.empty(most, np.int64), np.empty((len(points), len(_ZONE)), np.bool_)
     count = draw.look_at(rim.pieces, rim.owner, rim.tips, rim.holders, rim.ties, flats.normals, _NUDGE_M, spots, faces,
                          seats)  # fmt: skip
-    draw.look_about(points, which, flats.across, zone, ready.spec.wavelength_m, flats.normals, flats.first,
+    draw.look_about(points, which, flats.across, _ZONE, ready.spec.wavelength_m, flats.normals, flats.first,
                     flats.starts, flats.ends, spots[count:], faces[count:], within)  # fmt: skip
     return spots[: count + about], faces[: count + about], seats, within
 
@@ -196,33 +183,3 @@ def _mean(shade: Complexes, extra: Floats, held: NDArray[np.bool_]) -> tuple[Com
     share = held.sum(1)
     shade, extra = shade.reshape(held.shape), extra.reshape(held.shape)
     return np.einsum("kz,kz->k", shade, held) / share, np.einsum("kz,kz->k", extra, held) / share
-
-
-def _bordered(
-    shade: Complexes, extra: Floats, held: NDArray[np.bool_], points: Floats, which: Longs, left: Left
-) -> tuple[Complexes, Floats]:
-    """Factor and delay of mirror points: what sheets before the lit part of each zone do, and what borders leave."""
-    shade, extra = shade.reshape(held.shape), extra.reshape(held.shape)
-    lit = shade != 0
-    through = held & lit
-    through[:, _INNER:] &= ~through[:, :_INNER].any(1, keepdims=True)  # what lies farther off only if nothing else is
-    share = np.maximum(through.sum(1), 1)
-    factor, late = np.einsum("kz,kz->k", shade, through) / share, np.einsum("kz,kz->k", extra, through) / share
-    some = np.flatnonzero((held & ~lit).any(1) & (factor != 0))
-    if len(some):
-        factor[some] *= left(points[some], which[some], lit[some, 0])
-    return factor, late
-
-
-def shares_of(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, points: Floats, which: Longs,
-    free: NDArray[np.bool_],
-) -> Complexes:  # fmt: skip
-    """What part (k) of the echoes of mirror points (k, 9) is left by borders of shadow, as both antennas see them."""
-    from ullage.radar import shadows
-
-    eye = view.origins.mean(0)
-    faces = flats.across, flats.normals, flats.first, flats.starts, flats.ends
-    opaque = [part.casters(ready.sheets.thin)[0] for part in parts]
-    return shadows.shares(points, which, free, ready.spec.wavelength_m, faces, lambda at: clear(opaque, eye, at),
-                          lambda at: blocked(opaque, eye, at))  # fmt: skip

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from ullage.kernels import rays as kernel
 from ullage.radar.facets import Surfaces, Veil
 from ullage.radar.penetration import Curtains
-from ullage.world.raycast import Raycaster
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -93,22 +92,3 @@ def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> NDArray[np.bool_
         open_ = part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
         clear = open_ if clear is None else clear & open_
     return np.ones(len(a), bool) if clear is None else clear
-
-
-def clear(opaque: Sequence[Raycaster], origin: Floats, points: Floats) -> NDArray[np.bool_]:
-    """Whether nothing opaque stands between the origin (3) and points (n, 3) on surfaces."""
-    out = np.ones(len(points), np.bool_)
-    for rays in opaque:
-        out &= rays.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
-    return out
-
-
-def blocked(opaque: Sequence[Raycaster], origin: Floats, points: Floats) -> Floats:
-    """How far off the first opaque thing stands towards points (n, 3), as a share of their distance; 1 if none does."""
-    ray = points - origin
-    length = np.maximum(np.sqrt(np.einsum("ni,ni->n", ray, ray)), 1e-9)
-    ray /= length[:, None]
-    least = length.copy()
-    for rays in opaque if len(points) else ():
-        np.minimum(least, rays.distances(origin + LEAVE_M * ray, ray), out=least)
-    return np.asarray(least / length)

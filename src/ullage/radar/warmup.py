@@ -335,15 +335,13 @@ def _rims() -> None:
 
 
 def _echoes() -> None:
-    from ullage.radar.flats import Rim, lay_parted, shares_of
+    from ullage.radar.flats import Rim, lay_parted
     from ullage.radar.physical import common, shading
 
     ready, view, flats = _bench(_room())
     told = flats.normals, flats.stuffs, *common(ready, view, np.zeros((3, ready.places), complex))
     lay_parted(ready, flats, np.arange(len(flats)), Rim.none(len(flats)), np.full(len(flats), 9.0),
                lambda at, _: shading(ready, ready.world.parts(), view, at), told)  # fmt: skip
-    nowhere = np.zeros((0, 9)), np.zeros(0, np.int64), np.zeros(0, np.bool_)
-    shares_of(ready, ready.world.parts(), flats, view, *nowhere)
 
 
 def _beams() -> None:
