@@ -300,7 +300,8 @@ def test_a_second_signal_ends_at_once_with_readable_files(place: Path) -> None:
 
 
 def children(pid: int) -> set[int]:
-    return {int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()}
+    """Processes that any thread of a process started."""
+    return {int(word) for file in Path(f"/proc/{pid}/task").glob("*/children") for word in file.read_text().split()}
 
 
 def alive(pid: int) -> bool:

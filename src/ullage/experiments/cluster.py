@@ -27,7 +27,7 @@ Work = Callable[[Any, Log], Any]
 Done = tuple[Any, Any, UllageError | None]
 
 CONNECT_S = 5
-AHEAD = 3  # tasks submitted for each worker; the scheduler never holds more, however many there are
+AHEAD = 1  # tasks submitted for each worker: one that waited behind a task that kills its worker would be blamed too
 GONE = "the scheduler is gone; what was finished is kept, and the same command goes on"
 EVENT_S = 0.5  # least time between two reports of one worker
 
@@ -91,6 +91,7 @@ def _connected(where: int | str | None) -> Iterator[Any]:
             silence_logs=logging.CRITICAL,
         )
         with local, distributed.Client(local) as client:
+            client.wait_for_workers(where or cores())
             yield client
         return
     try:

@@ -159,8 +159,8 @@ def state(bench: Bench, costs: dict[str, NodeCost], scale: float) -> None:
         hold("Elfes at real time fits one BeagleBone core, by Whetstone", "5.3", fits, "%", high=100)
         hold("ullage's mapper at real time fits one core of the reference machine", "beyond",
              max(cost.percent * scale for cost in ours), "%", high=100)  # fmt: skip
-    hold("ullage's mapper needs more than one BeagleBone core, by CoreMark", "5.3",
-         min(loads(cost, BEAGLEBONE, scale)[0] for cost in ours), "%", low=100)  # fmt: skip
+        hold("ullage's mapper needs more than one BeagleBone core, by CoreMark", "5.3",
+             min(loads(cost, BEAGLEBONE, scale)[0] for cost in ours), "%", low=100)  # fmt: skip
     hold("the node's peak memory over the board's 512 MB", "table 5.1",
          max(cost.peak_mb for cost in costs.values()) / BEAGLEBONE.memory_mb, "", high=1)  # fmt: skip
     for name, cost in costs.items():
