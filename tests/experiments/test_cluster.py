@@ -119,6 +119,12 @@ def test_results_and_errors_come_back_and_four_lost_workers_end_a_task() -> None
     assert found["fine"] == ("FINE", "None")
 
 
+def test_a_local_cluster_leaves_the_environment_as_it_was() -> None:
+    before = dict(os.environ)
+    assert [result for _, result, _ in each_done(lambda task, log: task, [1], where=2)] == [1]
+    assert dict(os.environ) == before
+
+
 def test_a_scheduler_that_ends_is_one_line(tmp_path: Path) -> None:
     def work(task: int, log: Callable[[str], None]) -> int:
         time.sleep(600 if task else 0)

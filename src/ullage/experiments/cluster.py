@@ -82,17 +82,19 @@ def _connected(where: int | str | None) -> Iterator[Any]:
     distributed: Any = need("distributed", extra="scale")
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are handled here, and are no news to users
     if not isinstance(where, str):
-        local = distributed.LocalCluster(
-            n_workers=where or cores(),
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,  # one task's memory is bounded; to write it to disk would only slow it
-            preload=[__name__],
-            silence_logs=logging.CRITICAL,
-        )
-        with local, distributed.Client(local) as client:
-            client.wait_for_workers(where or cores())
-            yield client
+        count = where or cores()
+        with _own_environment():
+            local = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,  # one task's memory is bounded; to write it to disk would only slow it
+                preload=[__name__],
+                silence_logs=logging.CRITICAL,
+            )
+            with local, distributed.Client(local) as client:
+                client.wait_for_workers(count)
+                yield client
         return
     try:
         client = distributed.Client(where, timeout=CONNECT_S)
@@ -104,6 +106,17 @@ def _connected(where: int | str | None) -> Iterator[Any]:
     with client:
         _check_workers(client, where)
         yield client
+
+
+@contextmanager
+def _own_environment() -> Iterator[None]:
+    """Restore the environment at the end: Dask sets OMP_NUM_THREADS in this process to pass it to its workers."""
+    kept = dict(os.environ)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(kept)
 
 
 def dask_setup(worker: Any) -> None:
