@@ -26,7 +26,7 @@ from ullage.ports.protocol import Passing
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
 
-VEHICLE_M = 0.3  # radius of what carries a real radar, where no setting says it [m]
+VEHICLE_M = 0.3  # assumed radius of what carries a real radar, where no setting says it [m]
 CONTRADICTION = 3.0  # standard deviations between the floor's echo and a calibrated range axis
 FLOOR_CLOCK_S = 0.2  # sigma of the first clock offset where the range is calibrated again [s]
 
