@@ -76,7 +76,8 @@ class Backs:
     def _held(self, origins: Floats) -> NDArray[np.bool_]:
         """Which boxes (m) hold which places (k, 3), nearly: (m, k)."""
         out = np.empty((len(self.boxes.centres), len(origins)), np.bool_)
-        kernel.held_by(self.boxes.centres, self.boxes.axes, self.boxes.halves, origins, _CLEAR_M, out)
+        places = np.ascontiguousarray(origins)  # the kernel is compiled for one layout
+        kernel.held_by(self.boxes.centres, self.boxes.axes, self.boxes.halves, places, _CLEAR_M, out)
         return out
 
 
