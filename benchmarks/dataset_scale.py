@@ -1,11 +1,12 @@
 """What training sets cost, and whether kills lose anything: figures for docs/datasets.md.
 
     python benchmarks/dataset_scale.py cost [--samples 2]      CPU seconds a sample by kind and bounces
+    python benchmarks/dataset_scale.py scaling [--n 120]       wall seconds by one and by two workers, in turn
     python benchmarks/dataset_scale.py memory [--n 1000]       memory of one process while it makes samples
     python benchmarks/dataset_scale.py kills [--n 500]         a worker, the client and the scheduler are killed in turn
     python benchmarks/dataset_scale.py overhead [--n 2000]     scheduler and index: empty tasks, and rows, a second
 
-CPU seconds count, not wall seconds, so that a busy machine gives the same figures.
+CPU seconds count, not wall seconds: a busy machine gives the same figures. Only `scaling` needs a quiet machine.
 """
 
 from __future__ import annotations
@@ -66,6 +67,20 @@ def memory(given: argparse.Namespace) -> None:
                           seed=given.seed, where=1, progress=progress)  # fmt: skip
         spent = time.process_time() - start
         print(f"{size_of(path) / given.n / 1e3:.0f} kB a sample; {spent / given.n:.2f} CPU s a sample")
+
+
+def scaling(given: argparse.Namespace) -> None:
+    """Print samples a wall second by one and by two workers, in turn, from the first finished sample to the last."""
+    rates: dict[int, list[float]] = {1: [], 2: []}
+    for workers in (1, 2, 1, 2):
+        done: list[float] = []
+        with tempfile.TemporaryDirectory(dir=given.folder) as folder:
+            ul.dataset(given.kinds.split(","), Path(folder) / "set.zarr", n=given.n, frames=given.frames,
+                       seed=given.seed, where=workers,
+                       progress=lambda *what, done=done: done.append(time.perf_counter()))  # fmt: skip
+        rates[workers].append((len(done) - 1) / (done[-1] - done[0]))
+        print(f"{workers} workers: {rates[workers][-1]:.3f} samples a second", flush=True)
+    print(f"two workers over one: {np.mean(rates[2]) / np.mean(rates[1]):.2f}")
 
 
 def size_of(path: Path) -> int:
@@ -180,7 +195,7 @@ def overhead(given: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("cost", "memory", "kills", "overhead"))
+    parser.add_argument("what", choices=("cost", "scaling", "memory", "kills", "overhead"))
     parser.add_argument("--kinds", default=",".join(ul.worlds.KINDS))
     parser.add_argument("--n", type=int, default=500)
     parser.add_argument("--samples", type=int, default=2)
@@ -190,7 +205,7 @@ def main() -> None:
     parser.add_argument("--compared", type=int, default=40)
     parser.add_argument("--folder", default=None)
     given = parser.parse_args()
-    {"cost": cost, "memory": memory, "kills": kills, "overhead": overhead}[given.what](given)
+    {"cost": cost, "scaling": scaling, "memory": memory, "kills": kills, "overhead": overhead}[given.what](given)
 
 
 if __name__ == "__main__":
