@@ -6,21 +6,37 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, Field, model_validator
-from pydantic_core import PydanticUndefined
+from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic_core import PydanticCustomError, PydanticUndefined
 
+from ullage import plugins
 from ullage.errors import InputError, shown
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.untrusted import compose_yaml, load_yaml, read_yaml, reason
 
-Fidelity = Literal["physical", "thesis"]
 DetectMethod = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
-MapMethod = Literal["ullage", "elfes", "likelihood"]
 ImageMethod = Literal["backprojection", "summation"]
 RIG_FILES = {".sdf", ".world", ".urdf", ".xacro"}
+FIDELITIES, MAP_METHODS = ("physical", "thesis"), ("ullage", "elfes", "likelihood")
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+
+
+def _one_of(group: plugins.Group, shipped: tuple[str, ...]) -> AfterValidator:
+    """Accept the names that are shipped, and those that other packages add to a group."""
+
+    def check(name: str) -> str:
+        if name not in shipped and name not in plugins.names(group):
+            every = " or ".join(map(repr, (*shipped, *plugins.names(group))))
+            raise PydanticCustomError("literal_error", "Input should be {every}", {"every": every})
+        return name
+
+    return AfterValidator(check)
+
+
+Fidelity = Annotated[str, _one_of("ullage.echo_models", FIDELITIES)]
+MapMethod = Annotated[str, _one_of("ullage.map_methods", MAP_METHODS)]
 
 
 class WorldSpec(Spec):

@@ -90,7 +90,7 @@ def compare(world: str, *, step_m: float = 0.05, max_bounces: int = 3, seed: int
     waves = abs(simulate(steel, path, quiet, fidelity="physical").samples).astype(float)
     few = path[:: max(1, len(path) // 8)]
     for law, bounces in (("thesis", 1), ("physical", max_bounces)):
-        still = simulate(scene, few, quiet, fidelity=law, max_bounces=bounces)  # type: ignore[call-overload]
+        still = simulate(scene, few, quiet, fidelity=law, max_bounces=bounces)
         tail[law] = float(np.sqrt(np.mean(abs(still.samples[:, still.range_m > TAIL_M]) ** 2)))
     return Row(world, title, path.position[:, 1].copy(),
                simulate(scene, path, loud, fidelity="thesis", seed=seed),

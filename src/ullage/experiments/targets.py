@@ -333,7 +333,7 @@ def _controls(by: str, scenario: Scenario, say: Callable[[str], None]) -> Contro
         say(HELP)
         return keyboard
     address = Address.of(by)
-    door = getattr(address.port(), "open_controls", None) if address is not None and address.known else None
+    door = None if address is None else address.door("open_controls")
     if address is None or door is None:
         raise InputError(f"no commands come from {by!r}", where="--by", allowed="keys, ros2:NAMESPACE?key=value")
     controls: Controls = door(address.place, address.options)

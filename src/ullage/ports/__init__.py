@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
+from ullage import plugins
 from ullage.errors import InputError, need
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
-from ullage.ports.live import LISTED, Address
+from ullage.ports.live import LISTED, LIVE, Address
 from ullage.ports.protocol import Item, Sink, Source, WholeSource
 from ullage.ports.tracked import RailSource, open_tracked
 from ullage.untrusted import read_yaml, reading, regular_size
@@ -85,7 +86,15 @@ def _opened(path: Path, options: dict[str, Any]) -> Source:
         return open_log(path, options)
     if path.suffix.lower() in FILES:
         return _open_file(path, options)
-    raise InputError("not a recording", where=path, allowed=SOURCES)
+    reader: Callable[..., Source] | None = plugins.load("ullage.sources", path.suffix.lower())
+    if reader is not None:
+        return with_options(reader, path, options)
+    raise InputError("not a recording", where=path, allowed=_with_added(SOURCES, "ullage.sources"))
+
+
+def _with_added(allowed: str, group: plugins.Group) -> str:
+    """What is allowed, with the suffixes that other packages add."""
+    return ", ".join((*(name for name in plugins.names(group) if name.startswith(".")), allowed))
 
 
 def sink(target: str | Path, **options: Any) -> Sink:
@@ -120,7 +129,10 @@ def sink(target: str | Path, **options: Any) -> Sink:
         from ullage.ports.bag import McapSink
 
         return with_options(McapSink, path, options)
-    raise InputError("not something to write to", where=target, allowed=SINKS)
+    writer: Callable[..., Sink] | None = plugins.load("ullage.sinks", kind)
+    if writer is not None:
+        return with_options(writer, path, options)
+    raise InputError("not something to write to", where=target, allowed=_with_added(SINKS, "ullage.sinks"))
 
 
 def check_sink(target: str | Path) -> None:
@@ -135,7 +147,8 @@ def check_sink(target: str | Path) -> None:
     if address := Address.of(target):
         if not address.known:
             raise InputError("not something to write to", where=target, allowed=SINKS)
-        address.port()
+        if address.scheme in LIVE:
+            address.port()
         for library in NEEDED.get(address.scheme, ()):
             need(library, extra=address.scheme)
     elif kind in MAPS:
@@ -146,8 +159,10 @@ def check_sink(target: str | Path) -> None:
         check_new(path)
     elif path.is_dir() or (not kind and not path.is_file()):
         check_new(path / "frames.mcap")
+    elif kind in plugins.names("ullage.sinks"):
+        check_new(path)
     else:
-        raise InputError("not something to write to", where=target, allowed=SINKS)
+        raise InputError("not something to write to", where=target, allowed=_with_added(SINKS, "ullage.sinks"))
 
 
 def check_new(path: Path) -> None:

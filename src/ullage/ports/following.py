@@ -9,11 +9,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from pydantic import Field
 
+from ullage.config import Fidelity
 from ullage.data import Floats, Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, checked_pose
@@ -39,7 +40,7 @@ class RadarOptions(Spec):
     model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
     world: str = Field("", description="library world or file that the vehicle is in")
     rig: str = Field("", description="rig preset, or SDF/URDF file of the model; none: as declared, or thesis-4")
-    fidelity: Literal["physical", "thesis"] = "physical"
+    fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     seed: int = Field(0, ge=0)
     rate_hz: float | None = Field(None, gt=0, le=10_000, description="frames a second; none: each radar's own")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol, Self, runtime_checkable
 from urllib.parse import parse_qsl
 
+from ullage import plugins
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports.protocol import Sink, Source
@@ -25,6 +26,8 @@ LIVE = {
     "mavlink": "ullage.ports.mavlink",
 }
 """Scheme to the module with `open_source(address, options)` and `open_sink(address, options)`."""
+ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")
+"""Groups in which other packages add live ports: each a function of the place and the options."""
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
 
 
@@ -81,7 +84,7 @@ class Address:
     @property
     def known(self) -> bool:
         """Whether there is such a port."""
-        return self.scheme in LIVE
+        return self.scheme in LIVE or any(self.scheme in plugins.names(group) for group in ADDED)
 
     def port(self) -> ModuleType:
         """The port's module.
@@ -89,18 +92,25 @@ class Address:
         Raises:
             InputError: it is not part of this version.
         """
-        if not self.known or importlib.util.find_spec(LIVE[self.scheme]) is None:
+        if self.scheme not in LIVE or importlib.util.find_spec(LIVE[self.scheme]) is None:
             raise InputError(
                 f"live {self.scheme} is not part of this version", where=f"{self.scheme}:{self.place}", allowed=LISTED
             )
         return importlib.import_module(LIVE[self.scheme])
 
+    def door(self, name: str) -> Callable[..., Any] | None:
+        """What the port offers beyond a source and a sink, such as `open_drone`; None where it does not."""
+        found: Callable[..., Any] | None = getattr(self.port(), name, None) if self.scheme in LIVE else None
+        return found
+
     def source(self) -> Source:
         """Open it to listen."""
-        source: Source = self.port().open_source(self.place, self.options)
+        added = None if self.scheme in LIVE else plugins.load("ullage.sources", self.scheme)
+        source: Source = (added or self.port().open_source)(self.place, self.options)
         return source
 
     def sink(self) -> Sink:
         """Open it to speak."""
-        sink: Sink = self.port().open_sink(self.place, self.options)
+        added = None if self.scheme in LIVE else plugins.load("ullage.sinks", self.scheme)
+        sink: Sink = (added or self.port().open_sink)(self.place, self.options)
         return sink

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Protocol
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
+from ullage import plugins
 from ullage.data import Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
-Method = Literal["ullage", "elfes", "likelihood"]
+METHODS: Mapping[str, tuple[str, str]] = {
+    "ullage": ("ullage.processing.mapper", "UllageMapper"),
+    "elfes": ("ullage.processing.elfes", "ElfesMapper"),
+    "likelihood": ("ullage.processing.likelihood.mapper", "LikelihoodMapper"),
+}
+"""Module and class of each map method that is shipped; other packages add theirs to the group `ullage.map_methods`."""
 
 
 class StreamingMapper(Protocol):
@@ -29,32 +37,34 @@ class StreamingMapper(Protocol):
         """Use what was held back for lack of a successor."""
 
 
-def Mapper(grid: Grid, *, method: Method = "ullage", **options: Any) -> StreamingMapper:  # noqa: N802
+def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMapper:  # noqa: N802
     """A mapper fed with pieces of a recording: `.update(frames)`, `.map()`, `.changed()`, `.finish()`.
+
+    Args:
+        grid: the cells of the map.
+        method: one of `METHODS`, or one that another package adds.
+        **options: those of the method.
 
     Raises:
         InputError: the method is unknown.
     """
-    if method == "elfes":
-        from ullage.processing.elfes import ElfesMapper
-
-        return ElfesMapper(grid, **options)
-    if method == "ullage":
-        from ullage.processing.mapper import UllageMapper
-
-        return UllageMapper(grid, **options)
-    if method == "likelihood":
-        from ullage.processing.likelihood.mapper import LikelihoodMapper
-
-        return LikelihoodMapper(grid, **options)
-    raise InputError(f"no mapping method {method!r}", where="method", allowed="ullage, elfes, likelihood")
+    make: Callable[..., StreamingMapper] | None
+    if method in METHODS:
+        module, name = METHODS[method]
+        make = getattr(importlib.import_module(module), name)
+    else:
+        make = plugins.load("ullage.map_methods", method)
+    if make is None:
+        allowed = ", ".join((*METHODS, *plugins.names("ullage.map_methods")))
+        raise InputError(f"no mapping method {method!r}", where="method", allowed=allowed)
+    return make(grid, **options)
 
 
 def map_occupancy(
     frames: Recording,
     grid: Grid,
     *,
-    method: Method = "ullage",
+    method: str = "ullage",
     drift_m: float = 0.0,
     remove_own_echo: bool = True,
     target_z_m: float | None = None,
@@ -67,7 +77,7 @@ def map_occupancy(
         frames: one sensor's, or several by name; sensors may differ in settings and rate.
         grid: a plane or a volume that holds the flight.
         method: "ullage", all that each profile says; "elfes", the thesis' baseline; or "likelihood", surfaces on
-            a plane by one likelihood ratio.
+            a plane by one likelihood ratio; or the name of one that another package adds.
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it,
             and a warning says where they do not (`processing.drift.correct_drift`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).

@@ -1,4 +1,4 @@
-"""What each radar of a body receives along a track: echoes by one of two models, then the receiver.
+"""What each radar of a body receives along a track, by one of the echo models.
 
 Every frame depends on its own pose, time and number alone, so a track cut anywhere gives the same bits.
 """
@@ -11,23 +11,21 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from typing import Any, Literal, get_args, overload
+from typing import overload
 
 import numpy as np
 
 from ullage import kernels
 from ullage.data import Frames, Samples, SimulatedFrom, Trajectory, gathered
 from ullage.errors import InputError
-from ullage.fan import reaching_max_range
 from ullage.radar.copies import PAYS_S, Crew, cores
-from ullage.radar.rays import echoes_thesis
-from ullage.radar.receiver import receive, receive_thesis
+from ullage.radar.models import echo_model
 from ullage.radar.warmup import warming_up
 from ullage.specs import RadarSpec, Rig
-from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
-Fidelity = Literal["physical", "thesis"]
+Fidelity = str
+"""Name of an echo model: "physical", "thesis", or one that another package adds."""
 Progress = Callable[[int, int], None]
 
 
@@ -72,7 +70,8 @@ def simulate(
         scene: the world.
         path: the body's true trajectory.
         radar: one radar, or several on one body.
-        fidelity: "physical" (coherent echoes) or "thesis" (the ray model of 2018).
+        fidelity: "physical" (coherent echoes), "thesis" (the ray model of 2018), or an echo model that another package
+            adds.
         max_bounces: 1 to 3 reflections between radar and radar; the ray model knows only one.
         seed: of the noise; the same seed gives the same bits however the track is cut.
         believed: the body's trajectory as navigation has it, at the same times; it becomes `Frames.poses`.
@@ -124,10 +123,7 @@ def simulate_stream(
     """
     _check_track(path, believed, chunk, first_frame)
     work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
-    if fidelity == "physical":
-        from ullage.radar.doors import check
-
-        check(scene, path, work.sensors)
+    work.model.check(path, work.sensors)
     return _stream(work, path, believed, chunk, progress, first_frame)
 
 
@@ -157,7 +153,7 @@ def _stream(
         for cut in cuts:
             last = cut is cuts[-1]
             waiting.append(({name: crew.submit(name, cut) for name in work.sensors}, cut))
-            if cut is cuts[0] and not last and work.fidelity == "physical":
+            if cut is cuts[0] and not last and work.model.forks:
                 _fork_where_it_pays(crew, waiting[0][0], len(path) / cut.stop)
             while len(waiting) >= ahead or (waiting and last):
                 ready = piece(*waiting.popleft())
@@ -204,13 +200,12 @@ class Receiving:
     def __init__(
         self, scene: Scene, radar: RadarSpec | Rig, *, fidelity: Fidelity, max_bounces: int, seed: int
     ) -> None:
-        _check(scene, radar, fidelity, max_bounces, seed)
-        self.sensors = dict(radar.sensors) if isinstance(radar, Rig) else {"radar": radar}
-        if fidelity == "thesis":
-            self.sensors = {name: reaching_max_range(spec) for name, spec in self.sensors.items()}
+        _check(scene, radar, max_bounces, seed)
+        self.model = echo_model(fidelity)(scene, max_bounces, seed)
+        sensors = radar.sensors if isinstance(radar, Rig) else {"radar": radar}
+        self.sensors = {name: self.model.sensor(spec) for name, spec in sensors.items()}
         self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
         self._made = SimulatedFrom(scene, max_bounces, seed)
-        self.caster = Raycaster(scene, wires=True) if fidelity == "thesis" else None
 
     def samples(self, name: str, body: Trajectory, *, first_frame: int = 0) -> Samples:
         """What one radar receives along a piece of the body's track (n, b).
@@ -222,8 +217,7 @@ class Receiving:
         """
         spec = self.sensors[name]
         truth = body.mounted(spec.mount.body_from_sensor())
-        finish = receive_thesis if self.fidelity == "thesis" else receive
-        return finish(self._echoes(truth, spec), spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
+        return self.model.samples(truth, spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
 
     def frames(self, name: str, samples: Samples, body: Trajectory, *, believed: Trajectory | None = None) -> Frames:
         """What one radar received as Frames.
@@ -239,16 +233,8 @@ class Receiving:
         truth = body.mounted(mount)
         poses = truth if believed is None else believed.mounted(mount)
         return Frames(
-            samples, spec.range_m, truth.t_ns, spec, poses, truth, name,
-            "thesis" if self.fidelity == "thesis" else "path_gain", simulated=self._made,
+            samples, spec.range_m, truth.t_ns, spec, poses, truth, name, self.model.unit, simulated=self._made,
         )  # fmt: skip
-
-    def _echoes(self, truth: Trajectory, spec: RadarSpec) -> Any:
-        if self.fidelity == "thesis":
-            return echoes_thesis(self.scene, truth, spec, caster=self.caster)
-        from ullage.radar.physical import echoes
-
-        return echoes(self.scene, truth, spec, max_bounces=self.max_bounces, seed=self.seed)
 
 
 def sensor_seed(seed: int, name: str) -> int:
@@ -257,13 +243,11 @@ def sensor_seed(seed: int, name: str) -> int:
     return int(mixed.generate_state(1, np.uint64)[0])
 
 
-def _check(scene: Scene, radar: RadarSpec | Rig, fidelity: str, max_bounces: int, seed: int) -> None:
+def _check(scene: Scene, radar: RadarSpec | Rig, max_bounces: int, seed: int) -> None:
     if not isinstance(scene, Scene):
         raise InputError(f"scene is a {type(scene).__name__}", where="simulate", allowed="a Scene")
     if not isinstance(radar, RadarSpec | Rig):
         raise InputError(f"radar is a {type(radar).__name__}", where="simulate", allowed="a RadarSpec or Rig")
-    if fidelity not in get_args(Fidelity):
-        raise InputError(f"no fidelity {fidelity!r}", where="simulate", allowed=", ".join(get_args(Fidelity)))
     _check_whole("max_bounces", max_bounces, 1, 3)
     _check_whole("seed", seed, 0, 2**63 - 1)
 

@@ -12,7 +12,7 @@ from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.experiments.reproduce.maps import HEAD, false_cells, middle_of, row_of, show_world, walls_of
 from ullage.grids import OccupancyMap
 from ullage.processing.metrics import cell_centres
-from ullage.processing.occupancy import Mapper, Method, map_occupancy
+from ullage.processing.occupancy import Mapper, map_occupancy
 from ullage.radar.simulate import simulate
 from ullage.view.thesis_maps import Panel, draw_panels
 from ullage.world.scene import Scene
@@ -222,7 +222,7 @@ def _near(omap: OccupancyMap, flown: Flown, name: str) -> int:
     return int(np.sum(away < 1.2))
 
 
-def hovered(flown: Flown, method: Method, *, count: int = HOVER_FRAMES, **options: float) -> Hover:
+def hovered(flown: Flown, method: str, *, count: int = HOVER_FRAMES, **options: float) -> Hover:
     """Map a flight, then a while of waiting at its end.
 
     Args:

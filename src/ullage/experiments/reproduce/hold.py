@@ -14,7 +14,7 @@ from ullage.grids import Grid
 from ullage.processing.echoes import first_echo
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.metrics import map_cost
-from ullage.processing.occupancy import Mapper, Method
+from ullage.processing.occupancy import Mapper
 from ullage.radar.simulate import Fidelity, simulate
 from ullage.specs import Rig
 from ullage.view.thesis_maps import Panel, draw_panels
@@ -75,7 +75,7 @@ def far(bench: Bench, path: Trajectory) -> None:
     shifted = Scene(around.vertices + middle, around.faces, around.face_object, around.objects)
     grid = Grid.covering(np.stack([track.position.min(0) - 12, track.position.max(0) + 12]), 0.1)
     rows, ratios = [], {}
-    methods: tuple[tuple[Method, str], ...] = (("elfes", "Elfes"), ("ullage", "ullage"))
+    methods: tuple[tuple[str, str], ...] = (("elfes", "Elfes"), ("ullage", "ullage"))
     for method, name in methods:
         law: Fidelity = "thesis" if method == "elfes" else "physical"
         heard = [simulate(scene, track, rig, fidelity=law, seed=7) for scene in (shifted, Scene.empty())]

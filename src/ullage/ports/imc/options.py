@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import Field
 
+from ullage.config import Fidelity
 from ullage.errors import InputError, shown
 from ullage.ports.imc.places import TRONDHEIM, Geodetic
 from ullage.ports.imc.table import Table, from_xml, own
@@ -82,7 +83,7 @@ class SourceOptions(PlaceOptions):
         "", description="a library world or a file: radars are simulated; none: recorded frames are taken"
     )
     rig: str = "thesis-4"
-    fidelity: Literal["physical", "thesis"] = "physical"
+    fidelity: Fidelity = "physical"
     max_bounces: int = Field(1, ge=1, le=3)
     seed: int = 0
     rate_hz: float | None = Field(None, gt=0, le=10_000)

@@ -131,7 +131,7 @@ class ImcSource:
         from ullage.ports.drone import DroneOptions, Guided, Limits
 
         o = self._options
-        door = getattr(address.port(), "open_drone", None) if address.known else None
+        door = address.door("open_drone")
         if door is None:
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
         topics = DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint)

@@ -1,0 +1,114 @@
+"""Echo models: how the frames of a radar follow from a world and a track. `simulate` chooses one by `fidelity`.
+
+To add one, write a class as `EchoModel` and list it here, or in another package under the entry point group
+`ullage.echo_models`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from ullage import plugins
+from ullage.data import Samples, Trajectory, Unit
+from ullage.errors import InputError
+from ullage.fan import reaching_max_range
+from ullage.radar.rays import echoes_thesis
+from ullage.radar.receiver import receive, receive_thesis
+from ullage.specs import RadarSpec
+from ullage.world.raycast import Raycaster
+from ullage.world.scene import Scene
+
+
+class EchoModel(Protocol):
+    """What the radars of one body receive in one world; made by `Model(scene, max_bounces, seed)`.
+
+    Frame k must depend on its own pose, time and number alone, so that a track cut anywhere gives the same bits.
+    """
+
+    unit: Unit  # of the samples
+    forks: bool  # whether copies of this process are worth it, because much of the work holds Python's lock
+
+    def sensor(self, spec: RadarSpec) -> RadarSpec:
+        """Return the radar as this model simulates it: its range axis may be longer."""
+
+    def check(self, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:
+        """Refuse with InputError, or warn, before the first frame of a track."""
+
+    def samples(self, truth: Trajectory, spec: RadarSpec, *, seed: int, first_frame: int) -> Samples:
+        """Return what one radar receives (n, b) at its true poses.
+
+        Args:
+            truth: of the sensor, x along the boresight; one pose a frame.
+            spec: the radar.
+            seed: of this radar's noise.
+            first_frame: number of the first frame, which keys its noise.
+        """
+
+
+class Physical:
+    """Coherent echoes (`radar.physical`), then the receiver."""
+
+    unit: Unit = "path_gain"
+    forks = True
+
+    def __init__(self, scene: Scene, max_bounces: int, seed: int) -> None:
+        self.scene, self.max_bounces, self.seed = scene, max_bounces, seed
+
+    def sensor(self, spec: RadarSpec) -> RadarSpec:
+        """The radar as it is."""
+        return spec
+
+    def check(self, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:
+        """Refuse a radar inside of things, and warn of what has no echo."""
+        from ullage.radar.doors import check
+
+        check(self.scene, path, sensors)
+
+    def samples(self, truth: Trajectory, spec: RadarSpec, *, seed: int, first_frame: int) -> Samples:
+        """Baseband or RF samples with noise and leakage."""
+        from ullage.radar.physical import echoes
+
+        clean = echoes(self.scene, truth, spec, max_bounces=self.max_bounces, seed=self.seed)
+        return receive(clean, spec, seed=seed, first_frame=first_frame)
+
+
+class Rays:
+    """Amplitudes of the ray model of 2018 (`radar.rays`); it knows no bounces."""
+
+    unit: Unit = "thesis"
+    forks = False
+
+    def __init__(self, scene: Scene, max_bounces: int, seed: int) -> None:
+        self.scene, self.caster = scene, Raycaster(scene, wires=True)
+
+    def sensor(self, spec: RadarSpec) -> RadarSpec:
+        """The radar with a range axis that reaches R_max."""
+        return reaching_max_range(spec)
+
+    def check(self, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:
+        """Nothing is refused."""
+
+    def samples(self, truth: Trajectory, spec: RadarSpec, *, seed: int, first_frame: int) -> Samples:
+        """Smoothed amplitudes with noise."""
+        clean = echoes_thesis(self.scene, truth, spec, caster=self.caster)
+        return receive_thesis(clean, spec, seed=seed, first_frame=first_frame)
+
+
+ECHO_MODELS: Mapping[str, Callable[[Scene, int, int], EchoModel]] = {"physical": Physical, "thesis": Rays}
+"""The models shipped, by fidelity."""
+
+
+def echo_model(fidelity: str) -> Callable[[Scene, int, int], EchoModel]:
+    """Return the model of a name, shipped or added by another package.
+
+    Raises:
+        InputError: there is none.
+    """
+    found = ECHO_MODELS.get(fidelity) if isinstance(fidelity, str) else None
+    found = found or plugins.load("ullage.echo_models", fidelity)
+    if found is None:
+        allowed = ", ".join((*ECHO_MODELS, *plugins.names("ullage.echo_models")))
+        raise InputError(f"no fidelity {fidelity!r}", where="simulate", allowed=allowed)
+    model: Callable[[Scene, int, int], EchoModel] = found
+    return model
