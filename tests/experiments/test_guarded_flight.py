@@ -14,6 +14,7 @@ from ullage.config import Scenario, make_scenario
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.experiments.guarded_flight import GuardedFlight, Loop, WaypointFollower
+from ullage.experiments.simulated import prepare
 from ullage.flight.airframe import airframe
 from ullage.world.scene import Scene
 
@@ -108,3 +109,12 @@ def test_run_with_the_guard_on_writes_a_run_and_says_why_it_ended(tmp_path: Path
     )
     assert result.exit_code == 0, result.output
     assert (tmp_path / "latest" / "frames.mcap").exists()
+
+
+def test_a_guard_that_stops_where_echoes_fold_says_so() -> None:
+    plan = make_scenario({
+        "name": "hold", "world": {"name": "cargo-hold"}, "sensing": {"rate_hz": 10},
+        "flight": {"speed_m_s": 0.6, "guard": {"on": True, "give_up_s": 0.5}, "waypoints": [[0, 9, 4], [0, 13, 4]]},
+    })  # fmt: skip
+    with pytest.warns(ul.UllageWarning, match=r"31 m long, .* beyond 9.9 m .* larger sensing.changes.prf_div"):
+        prepare(plan)

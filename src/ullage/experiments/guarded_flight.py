@@ -110,7 +110,21 @@ def warn_of(flight: GuardedFlight) -> None:
     if not flight.arrived and last.state in ("stop", "back_off"):
         why = f"{last.free_m:.2f} m left before {last.sensor!r}" if math.isfinite(last.free_m) else last.sensor
         text = f"the guard ended the flight at t = {flight.steps[-1].t_ns * 1e-9:.1f} s: {why or 'no radar covers it'}"
-        warnings.warn(text, UllageWarning, stacklevel=2)
+        warnings.warn(text + _folds(flight), UllageWarning, stacklevel=2)
+
+
+def _folds(flight: GuardedFlight) -> str:
+    """What to change where the world is longer than the radars' unambiguous range; nothing elsewhere."""
+    some = next(iter(flight.frames[-1].values()), None)
+    if some is None or some.simulated is None:
+        return ""
+    longest_m, fold_m = float(np.ptp(some.simulated.scene.bounds, axis=0).max()), some.spec.unambiguous_range_m
+    if longest_m <= fold_m:
+        return ""
+    return (
+        f"; this world is {longest_m:.0f} m long, and what lies beyond {fold_m:.1f} m appears {fold_m:.1f} m nearer"
+        " (a larger sensing.changes.prf_div avoids that)"
+    )
 
 
 @dataclass(slots=True)
