@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Floats, Times, Trajectory
-from ullage.geometry import rotations
+from ullage.geometry import apply, rotations
 
 Poses = tuple[Times, Floats, Floats]
 """Times (n) [ns], positions (n, 3) [m] and attitudes (n, 4) xyzw."""
@@ -94,3 +95,36 @@ def between(poses: Poses, t_ns: NDArray[np.int64]) -> Trajectory:
     return Trajectory(
         t_ns, position[row] + share * moved, attitude.as_quat(), moved / step_s[:, None], turn / step_s[:, None]
     )
+
+
+def carried(motion: Any, pose: Floats) -> Any:
+    """A motion as it is after its world was taken through a rigid transform (4, 4)."""
+    if isinstance(motion, Trajectory):
+        return _carried_path(motion, pose)
+    if isinstance(motion, CarriedMotion):
+        return CarriedMotion(motion.motion, pose @ motion.pose)
+    return CarriedMotion(motion, pose)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CarriedMotion:
+    """A motion that still grows, seen through a rigid transform."""
+
+    motion: Any
+    pose: Floats  # (4, 4) world_from_old_world
+
+    @property
+    def t_ns(self) -> Times:
+        """Times that it is known at (n) [ns]."""
+        return np.asarray(self.motion.t_ns)
+
+    def at(self, t_ns: ArrayLike) -> Trajectory:
+        """world_from_object at times (m) [ns]."""
+        return _carried_path(self.motion.at(t_ns), self.pose)
+
+
+def _carried_path(path: Trajectory, pose: Floats) -> Trajectory:
+    """A path taken through a rigid transform; its angular velocity is that of the body and stays."""
+    velocity, spin = path.rates
+    turned: Any = rotations().from_matrix(pose[:3, :3]) * rotations().from_quat(path.quat_xyzw)
+    return Trajectory(path.t_ns, apply(pose, path.position), turned.as_quat(), velocity @ pose[:3, :3].T, spin)

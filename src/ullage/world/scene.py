@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Times, Trajectory
-from ullage.errors import InputError
-from ullage.geometry import apply, invert
+from ullage.errors import InputError, shown
+from ullage.geometry import apply, invert, transform
 from ullage.specs import Rig
+from ullage.world.lengths import number
 from ullage.world.materials import Material, material
+from ullage.world.moving import carried
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -185,21 +188,116 @@ class Scene:
         """
         if model not in self.models:
             raise InputError(f"no model {model!r}", where=self.name, allowed=", ".join(self.models))
-        mine = self._of(model) & np.array([o.motion is None for o in self.objects], bool)
-        model_from_world = invert(self.models[model])
-        face, wire = mine[self.face_object], mine[self.wires.object_id]
-        faces = self.faces.copy()
-        used, number = np.unique(faces[face], return_inverse=True)
-        faces[face] = (len(self.vertices) + number).reshape(-1, 3)  # corners of its own: others may share the old ones
-        start, end = self.wires.start.copy(), self.wires.end.copy()
-        start[wire], end[wire] = apply(model_from_world, start[wire]), apply(model_from_world, end[wire])
+        mine = self._of(model) & self._still()
+        out = self._through(invert(self.models[model]), mine)
+        objects = (replace(o, motion=motion) if my else o for o, my in zip(self.objects, mine, strict=True))
+        return replace(out, objects=tuple(objects))
+
+    def add(
+        self,
+        shape: Scene,
+        at: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        yaw_deg: float = 0.0,
+        pitch_deg: float = 0.0,
+        roll_deg: float = 0.0,
+        name: str = "",
+    ) -> Scene:
+        """Add another scene, turned about its own origin and then shifted.
+
+        `scene.add(ul.scenes.sphere(0.3), at=(2, 1, 0))` puts a ball at (2, 1, 0). Objects, materials, wires, motions
+        and declared radars are kept. An object whose name is taken gets a number: sphere, sphere_2.
+
+        Args:
+            shape: what to add, such as a scene of `ul.scenes` or a loaded model.
+            at: where the origin of `shape` goes (3) [m].
+            yaw_deg: turn about the vertical, positive to the left seen from above [deg].
+            pitch_deg: turn about y, before the yaw [deg].
+            roll_deg: turn about x, before the pitch [deg].
+            name: new name of a shape of one object, or what stands before the names of several, as NAME::part.
+
+        Returns:
+            A new scene with the name of this one.
+
+        Raises:
+            InputError: `shape` is no scene, or a number is not finite.
+        """
+        given: object = shape
+        if not isinstance(given, Scene):
+            allowed = "a Scene, such as ul.scenes.sphere(0.3) or ul.load_scene(FILE)"
+            raise InputError(f"shape is {type(given).__name__}", where="add", allowed=allowed)
+        placed = given.moved(_point(at, "at", "add"), yaw_deg=yaw_deg, pitch_deg=pitch_deg, roll_deg=roll_deg)
+        both = Scene.union([self, placed], name=self.name)
         return replace(
-            self,
-            vertices=np.concatenate([self.vertices, apply(model_from_world, self.vertices[used])]),
-            faces=faces,
-            objects=tuple(replace(o, motion=motion) if my else o for o, my in zip(self.objects, mine, strict=True)),
-            wires=replace(self.wires, start=start, end=end),
+            both,
+            objects=(*self.objects, *_distinct([o.name for o in self.objects], placed.objects, name)),
+            rigs={**placed.rigs, **self.rigs},
+            ray_rigs={**placed.ray_rigs, **self.ray_rigs},
+            models={**placed.models, **self.models},
         )
+
+    def moved(
+        self,
+        by: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        yaw_deg: float = 0.0,
+        pitch_deg: float = 0.0,
+        roll_deg: float = 0.0,
+        about: ArrayLike = (0.0, 0.0, 0.0),
+        name: str = "",
+    ) -> Scene:
+        """Turn the scene, or one object of it, about a point and then shift it.
+
+        Moving objects keep their motion, turned and shifted as a whole.
+
+        Args:
+            by: shift (3) [m].
+            yaw_deg: turn about the vertical, positive to the left seen from above [deg].
+            pitch_deg: turn about y, before the yaw [deg].
+            roll_deg: turn about x, before the pitch [deg].
+            about: the point that the turn leaves in place (3) [m].
+            name: an object, or a model with all its parts; the rest stays. Empty: everything.
+
+        Returns:
+            A new scene.
+
+        Raises:
+            InputError: there is no such object, or a number is not finite.
+        """
+        mine = self._of(name) if name else np.ones(len(self.objects), bool)
+        if not mine.any() and name:
+            self.object(name)  # says which names there are
+        centre = _point(about, "about", "moved")
+        angles = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_deg": yaw_deg}
+        turn = transform(rpy_rad=np.radians([number(key, angle, "moved") for key, angle in angles.items()]))
+        turn[:3, 3] = centre - turn[:3, :3] @ centre + _point(by, "by", "moved")
+        out = self._through(turn, mine)
+        models = {key: turn @ pose if not name or key == name else pose for key, pose in self.models.items()}
+        return replace(out, models=models)
+
+    def _through(self, pose: Floats, mine: NDArray[np.bool_]) -> Scene:
+        """Objects `mine` (o) taken through a rigid transform (4, 4), at rest or moving; corners shared are doubled."""
+        still = mine & self._still()
+        face, wire = still[self.face_object], still[self.wires.object_id]
+        used = np.unique(self.faces[face])
+        shared = used[np.isin(used, self.faces[~face])]
+        number_of = np.arange(len(self.vertices) + len(shared))
+        number_of[shared] = len(self.vertices) + np.arange(len(shared))
+        vertices, faces = np.concatenate([self.vertices, self.vertices[shared]]), self.faces.copy()
+        faces[face] = number_of[faces[face]]
+        vertices[number_of[used]] = apply(pose, vertices[number_of[used]])
+        start, end = self.wires.start.copy(), self.wires.end.copy()
+        start[wire], end[wire] = apply(pose, start[wire]), apply(pose, end[wire])
+        objects = tuple(
+            replace(thing, motion=carried(thing.motion, pose)) if my and thing.motion is not None else thing
+            for thing, my in zip(self.objects, mine, strict=True)
+        )
+        wires = replace(self.wires, start=start, end=end)
+        return replace(self, vertices=vertices, faces=faces, objects=objects, wires=wires)
+
+    def _still(self) -> NDArray[np.bool_]:
+        """Which objects (o) do not move."""
+        return np.array([o.motion is None for o in self.objects], bool)
 
     def _of(self, model: str) -> NDArray[np.bool_]:
         """Which objects (o) belong to a model."""
@@ -254,3 +352,29 @@ class Scene:
             ),
             name,
         )
+
+
+def _point(value: ArrayLike, name: str, where: str) -> Floats:
+    """Three finite numbers [m].
+
+    Raises:
+        InputError: it is something else.
+    """
+    try:
+        point = np.array(value, float)
+    except (TypeError, ValueError):
+        point = np.zeros(0)
+    if point.shape != (3,):
+        raise InputError(f"{name} is {shown(value)}", where=where, allowed="x, y, z in metres")
+    return np.array([number(name, one, where) for one in point])
+
+
+def _distinct(taken: Sequence[str], added: Sequence[SceneObject], name: str) -> tuple[SceneObject, ...]:
+    """The added objects under names that are not taken."""
+    held, out = set(taken), []
+    for thing in added:
+        first = thing.name if not name else name if len(added) == 1 else f"{name}::{thing.name}"
+        free = next(one for one in chain([first], (f"{first}_{k}" for k in count(2))) if one not in held)
+        held.add(free)
+        out.append(replace(thing, name=free))
+    return tuple(out)

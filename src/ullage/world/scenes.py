@@ -1,8 +1,9 @@
 """Small worlds from numbers: one target in front of the origin, a room, a hold, and the shipped worlds by name.
 
 A distance runs from the origin along +x to the object's centre (a corner reflector's: to its fold or apex), so a radar
-at the origin with yaw 0 looks straight at the object. Flat things are two triangles; the vertices of curved things lie
-on the surface. Faces are two-sided and sheets have no thickness.
+at the origin with yaw 0 looks straight at the object. Without a distance the object stands at the origin, from which
+`scene.add(object, at=(x, y, z), yaw_deg=30)` puts it elsewhere. Flat things are two triangles; the vertices of curved
+things lie on the surface. Faces are two-sided and sheets have no thickness.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ BUILT = ("plate", "sphere", "cylinder", "wire", "dihedral", "trihedral", "floor"
 def plate(
     width_m: float,
     height_m: float,
-    distance_m: float,
+    distance_m: float = 0.0,
     yaw_deg: float = 0.0,
     material: str = "pec",
     *,
@@ -62,7 +63,12 @@ def plate(
 
 
 def sphere(
-    radius_m: float, distance_m: float, material: str = "pec", *, edge_m: float | None = None, name: str = "sphere"
+    radius_m: float,
+    distance_m: float = 0.0,
+    material: str = "pec",
+    *,
+    edge_m: float | None = None,
+    name: str = "sphere",
 ) -> Scene:
     """A ball.
 
@@ -85,7 +91,7 @@ def sphere(
 def cylinder(
     radius_m: float,
     height_m: float,
-    distance_m: float,
+    distance_m: float = 0.0,
     tilt_deg: float = 0.0,
     material: str = "pec",
     *,
@@ -115,7 +121,7 @@ def cylinder(
 def wire(
     radius_m: float,
     length_m: float,
-    distance_m: float,
+    distance_m: float = 0.0,
     tilt_deg: float = 0.0,
     material: str = "pec",
     *,
@@ -143,7 +149,7 @@ def wire(
 
 def dihedral(
     edge_m: float,
-    distance_m: float,
+    distance_m: float = 0.0,
     height_m: float | None = None,
     yaw_deg: float = 0.0,
     material: str = "pec",
@@ -177,7 +183,7 @@ def dihedral(
 
 
 def trihedral(
-    edge_m: float, distance_m: float, yaw_deg: float = 0.0, material: str = "pec", *, name: str = "trihedral"
+    edge_m: float, distance_m: float = 0.0, yaw_deg: float = 0.0, material: str = "pec", *, name: str = "trihedral"
 ) -> Scene:
     """A corner reflector of three right triangles, axis of symmetry along the line of sight, one edge upright.
 
