@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.display import Displayed, plots
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix, rotations, rpy_quat
 from ullage.specs import RadarSpec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -39,7 +43,7 @@ def _rising(t_ns: ArrayLike) -> Times:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
+class Trajectory(Displayed):
     """Poses over time: world (ENU) from body (FLU)."""
 
     t_ns: Times  # (n) strictly rising
@@ -143,6 +147,17 @@ class Trajectory:
         moving = velocity + np.einsum("nij,nj->ni", rot, np.cross(spin, arm))
         return Trajectory(self.t_ns, position, attitude, moving, spin @ body_from_sensor[:3, :3])
 
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the flight in plan with matplotlib, a dot at its start.
+
+        Args:
+            ax: where to draw; None: a new figure.
+
+        Returns:
+            The axes.
+        """
+        return plots().plot_trajectory(self, ax)  # type: ignore[no-any-return]
+
     @classmethod
     def stationary(
         cls, position_m: Sequence[float] = (0, 0, 0), yaw_deg: float = 0.0, n: int = 1, *, rate_hz: float = 17.0
@@ -241,7 +256,7 @@ class SimulatedFrom:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frames:
+class Frames(Displayed):
     """What one radar gave: one row of range bins per frame, with the poses that the processor may believe."""
 
     samples: Samples  # (n, b) complex64 baseband, or float32 RF or amplitude, in `unit`
@@ -307,6 +322,21 @@ class Frames:
         if self.poses is None:
             raise InputError("these frames have no poses", where=self.sensor, allowed="frames of a known track")
         return self.poses
+
+    def plot(self, ax: Axes | None = None, *, frame: int | None = None) -> Axes:
+        """Draw amplitude over time and range with matplotlib, or one profile.
+
+        Args:
+            ax: where to draw; None: a new figure.
+            frame: index of the only frame to draw; None: all.
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: there is no such frame.
+        """
+        return plots().plot_frames(self, ax, frame=frame)  # type: ignore[no-any-return]
 
     def chunks(self, size: int = 256) -> Iterator[Frames]:
         """The same frames in pieces of at most `size`."""
@@ -376,7 +406,7 @@ def strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detections:
+class Detections(Displayed):
     """Echoes judged to be objects."""
 
     frame: NDArray[np.int64]  # (d) index into the frames
@@ -392,6 +422,19 @@ class Detections:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw range over time with matplotlib, coloured by signal-to-noise ratio.
+
+        `hits.plot(frames.plot())` draws them as circles over the frames.
+
+        Args:
+            ax: where to draw; None: a new figure.
+
+        Returns:
+            The axes.
+        """
+        return plots().plot_detections(self, ax)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,7 +76,7 @@ class DamageWarning(UllageWarning):
     """Messages of a recording were damaged and left out; the rest is used, and the command ends with exit code 2."""
 
 
-def need(module: str, *, extra: str) -> ModuleType:
+def need(module: str, *, extra: str = "") -> ModuleType:
     """Import an optional library, or say in one line how to get it.
 
     Raises:
@@ -85,4 +85,5 @@ def need(module: str, *, extra: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingExtra(f"{module} is not installed; get it with: pip install 'ullage[{extra}]'") from error
+        package = f"'ullage[{extra}]'" if extra else module.partition(".")[0]
+        raise MissingExtra(f"{module} is not installed; get it with: pip install {package}") from error

@@ -9,12 +9,18 @@ import math
 import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.display import Displayed, plots
 from ullage.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from ullage.data import Trajectory
 
 Floats = NDArray[np.float64]
 
@@ -117,7 +123,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Image:
+class Image(Displayed):
     """A SAR image: one value per cell of a grid."""
 
     grid: Grid
@@ -132,6 +138,25 @@ class Image:
     def __repr__(self) -> str:
         x, y, z = self.peak_m
         return f"Image({self.method or 'no method'}, {_cells(self.grid)}, peak at ({x:.2f}, {y:.2f}, {z:.2f}) m)"
+
+    def plot(
+        self, ax: Axes | None = None, *, scene: Any = None, path: Trajectory | None = None, span_db: float = 40.0
+    ) -> Axes:
+        """Draw the image with matplotlib, in dB below its brightest cell; of a volume, the highest over z.
+
+        Args:
+            ax: where to draw; None: a new figure.
+            scene: the true world, a `Scene`, whose outline is drawn in red.
+            path: where the radar went.
+            span_db: range of the colours [dB].
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: the span is not above zero.
+        """
+        return plots().plot_image(self, ax, scene=scene, path=path, span_db=span_db)  # type: ignore[no-any-return]
 
     @property
     def amplitude(self) -> NDArray[np.float32]:
@@ -249,7 +274,7 @@ def _cut(values: NDArray[np.int8], edge: int) -> NDArray[np.int8]:
     return padded.reshape(parts).transpose([*range(0, len(parts), 2), *range(1, len(parts), 2)])
 
 
-class OccupancyMap:
+class OccupancyMap(Displayed):
     """What is known of each cell: 0..100 percent chance of being occupied, -1 unknown, -2 ambiguous.
 
     Ambiguous means: an echo came from an arc that holds this cell, and nothing yet says from which cell of it. Cells
@@ -344,6 +369,25 @@ class OccupancyMap:
     def nbytes(self) -> int:
         """Memory its cells take [byte]."""
         return self.tiles.nbytes
+
+    def plot(
+        self, ax: Axes | None = None, *, scene: Any = None, path: Trajectory | None = None, level: int | None = None
+    ) -> Axes:
+        """Draw the map with matplotlib: white free, black occupied, grey unknown, amber ambiguous.
+
+        Args:
+            ax: where to draw; None: a new figure.
+            scene: the true world, a `Scene`, whose outline is drawn in red.
+            path: where the drone flew.
+            level: index along z of a volume's only level to draw; None: the highest probability over z.
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: there is no such level.
+        """
+        return plots().plot_map(self, ax, scene=scene, path=path, level=level)  # type: ignore[no-any-return]
 
     def changes(self, before: OccupancyMap | None) -> Changes:
         """The blocks in which it differs from an earlier map of the same grid, or from nothing known.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -14,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from ullage.data import Metric, Recording, sensors_of
 from ullage.grids import Grid, OccupancyMap
+from ullage.processing.metrics_image import image_quality
 from ullage.processing.truth import BORDER, Surface, in_sight, surface_of
 from ullage.world.scene import Scene
 
-with contextlib.suppress(ImportError):
-    from ullage.processing.metrics_image import image_quality as image_quality  # noqa: PLC0414
+__all__ = ["cell_centres", "hover_change", "image_quality", "map_cost", "map_quality", "map_size"]
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -303,3 +302,7 @@ def map_size(omap: OccupancyMap) -> dict[str, Metric]:
         "file": Metric("file", float(packed), "B"),
         "file_per_m2": Metric("file_per_m2", packed / area, "B/m2"),
     }
+
+
+def __dir__() -> list[str]:
+    return __all__

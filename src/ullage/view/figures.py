@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Frames, Trajectory
 from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
@@ -19,6 +19,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.text import Text
+
+__all__ = [
+    "draw_image",
+    "draw_map",
+    "draw_plan",
+    "draw_profile",
+    "draw_range_time",
+    "drawing",
+    "fit_titles",
+    "image_figure",
+    "level_limits",
+    "map_figure",
+    "range_time_figure",
+    "snapshot_figure",
+]
 
 Floats = NDArray[np.float64]
 TRUTH_COLOR = "#d1495b"
@@ -84,7 +99,7 @@ def draw_map(
 
     percent = omap.percent.astype(float)
     if percent.ndim == 3:
-        percent = percent[level] if level is not None else percent.max(axis=0)
+        percent = percent[level] if level is not None else _from_above(percent)
     shown = np.ma.masked_less(percent, 0)
     extent = omap.grid.extent_m
     backdrop = np.where(percent == AMBIGUOUS, 1, 0)
@@ -95,6 +110,12 @@ def draw_map(
     if len(known):
         _zoom(axes, omap, known)
     return mesh
+
+
+def _from_above(percent: Floats) -> Floats:
+    """The highest chance (ny, nx) over all levels; ambiguous where nothing in a column is known but its ambiguity."""
+    top = percent.max(axis=0)
+    return np.where((top < 0) & (percent == AMBIGUOUS).any(axis=0), AMBIGUOUS, top)
 
 
 def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
@@ -143,6 +164,35 @@ def map_figure(
     return Path(path)
 
 
+def draw_image(
+    axes: Axes,
+    image: Image,
+    *,
+    walls: Floats | None = None,
+    path: Trajectory | None = None,
+    marks: Floats | None = None,
+    span_db: float = 40,
+) -> Any:
+    """A SAR image in dB below its brightest cell; a volume is shown as its brightest value over height.
+
+    Args:
+        axes: where to draw.
+        image: the image.
+        walls: true outline as segments (s, 2, 2) [m].
+        path: where the radar went.
+        marks: (m, 2 or 3) surveyed places [m].
+        span_db: range of the colours [dB].
+    """
+    amplitude = image.amplitude
+    flat = amplitude.max(axis=0) if amplitude.ndim == 3 else amplitude
+    level = 20 * np.log10(np.maximum(flat / max(float(flat.max()), 1e-30), 1e-10))
+    left, right, bottom, top = extent = image.grid.extent_m
+    mesh = axes.imshow(level, extent=extent, origin="lower", cmap="inferno", vmin=-span_db, vmax=0)
+    draw_plan(axes, walls=walls, path=path, marks=marks)
+    axes.set(xlim=(left, right), ylim=(bottom, top))
+    return mesh
+
+
 def image_figure(
     path: str | Path,
     image: Image,
@@ -158,16 +208,9 @@ def image_figure(
 
     `notes` stand beneath the title, as which plane was imaged.
     """
-    amplitude = image.amplitude
-    flat = amplitude.max(axis=0) if amplitude.ndim == 3 else amplitude
-    peak = max(float(flat.max()), 1e-30)
-    ny, nx = flat.shape
+    ny, nx = image.grid.shape[-2:]
     with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
-        level = 20 * np.log10(np.maximum(flat / peak, 1e-10))
-        mesh = axes.imshow(level, extent=image.grid.extent_m, origin="lower", cmap="inferno", vmin=-span_db, vmax=0)
-        left, right, bottom, top = image.grid.extent_m
-        draw_plan(axes, walls=walls, path=flown, marks=marks)
-        axes.set(xlim=(left, right), ylim=(bottom, top))
+        mesh = draw_image(axes, image, walls=walls, path=flown, marks=marks, span_db=span_db)
         figure.colorbar(mesh, ax=axes, label="amplitude below the brightest cell [dB]", shrink=0.8)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         figure.suptitle(title, fontsize=10)
@@ -183,6 +226,38 @@ UNIT_LABEL = {
 }
 
 
+def _levels(amplitude: ArrayLike, unit: str) -> Floats:
+    """Amplitudes as they are drawn: in dB, those of the thesis as they are."""
+    value = np.asarray(amplitude, float)
+    return value if unit == "thesis" else np.asarray(20 * np.log10(np.maximum(value, 1e-12)))
+
+
+def level_limits(amplitudes: Sequence[ArrayLike], unit: str) -> tuple[float, float]:
+    """Lowest and highest level of the colours of range-time pictures, at most 70 dB apart."""
+    values = [_levels(one, unit) for one in amplitudes]
+    top = max(float(np.quantile(v, 0.999)) for v in values)
+    low = 0.0 if unit == "thesis" else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
+    return low, top
+
+
+def draw_range_time(
+    axes: Axes, t_s: Floats, range_m: Floats, amplitude: ArrayLike, *, unit: str, limits: tuple[float, float]
+) -> Any:
+    """Amplitudes (n, b) in colour over times (n) [s] and ranges (b) [m]; limits as `level_limits` gives them."""
+    extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-9), range_m[0], range_m[-1])
+    low, top = limits
+    value = _levels(amplitude, unit).T
+    mesh = axes.imshow(value, extent=extent, origin="lower", aspect="auto", vmin=low, vmax=top)
+    axes.set_xlabel("time [s]")
+    return mesh
+
+
+def draw_profile(axes: Axes, frames: Frames, index: int) -> None:
+    """One frame's amplitude over range."""
+    axes.plot(frames.range_m, _levels(frames.amplitude[index], frames.unit), linewidth=1.0, label=frames.sensor)
+    axes.set_xlabel("range [m]")
+
+
 def range_time_figure(
     path: Path, pictures: Sequence[tuple[str, Floats, Floats, Floats]], *, unit: str, title: str
 ) -> Path:
@@ -196,13 +271,10 @@ def range_time_figure(
     """
     with drawing(path, size_in=(3.1 * max(len(pictures), 2) + 0.9, 4.2), columns=len(pictures)) as (figure, axes):
         panels = np.atleast_1d(axes)
-        values = [a if unit == "thesis" else 20 * np.log10(np.maximum(a, 1e-12)) for *_, a in pictures]
-        top = max(float(np.quantile(v, 0.999)) for v in values)
-        floor = 0.0 if unit == "thesis" else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
-        for panel, (name, t_s, range_m, _), value in zip(panels, pictures, values, strict=True):
-            extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-9), range_m[0], range_m[-1])
-            mesh = panel.imshow(value.T, extent=extent, origin="lower", aspect="auto", vmin=floor, vmax=top)
-            panel.set(xlabel="time [s]", title=name)
+        limits = level_limits([amplitude for *_, amplitude in pictures], unit)
+        for panel, (name, t_s, range_m, amplitude) in zip(panels, pictures, strict=True):
+            mesh = draw_range_time(panel, t_s, range_m, amplitude, unit=unit, limits=limits)
+            panel.set_title(name)
         panels[0].set_ylabel("range [m]")
         figure.colorbar(mesh, ax=list(panels), label=UNIT_LABEL[unit])
         figure.suptitle(title, fontsize=10)
@@ -213,13 +285,15 @@ def snapshot_figure(path: Path, frames: Sequence[Frames], index: int, *, thresho
     """One profile of each sensor: amplitude over range, with the detection threshold."""
     with drawing(path, size_in=(7.5, 3.6)) as (_, axes):
         for part in frames:
-            row = part.amplitude[min(index, len(part) - 1)]
-            values = row if part.unit == "thesis" else 20 * np.log10(np.maximum(row, 1e-12))
-            axes.plot(part.range_m, values, linewidth=1.0, label=part.sensor)
+            draw_profile(axes, part, min(index, len(part) - 1))
         if threshold is not None:
             level = threshold if frames[0].unit == "thesis" else 20 * np.log10(threshold)
             axes.axhline(level, color="0.4", linestyle="--", linewidth=0.8, label=f"threshold {threshold:g}")
-        axes.set(xlabel="range [m]", ylabel=UNIT_LABEL[frames[0].unit], title=title)
+        axes.set(ylabel=UNIT_LABEL[frames[0].unit], title=title)
         axes.legend(fontsize=7)
         axes.grid(alpha=0.3)
     return path
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -42,6 +42,10 @@ VIEWS: dict[str, dict[str, Any]] = {
     "cargo-hold": {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
 }
 """How the shipped worlds are best seen."""
+LEAST_SHARE = 0.1
+"""Least width or height of a picture as a share of the other: a plate seen from its edge has room about it."""
+PLAN_SHARE, LEAST_M = 0.4, 0.2
+"""Least width and height of a plan, as a share of the scene's longest edge and in metres."""
 _BACKGROUND = np.array([1.0, 1.0, 1.0])
 
 
@@ -104,6 +108,27 @@ def world_picture(
     return figure
 
 
+def draw_cut(
+    axes: Any, scene: Scene, height_m: float | None = None, route: Floats | None = None, *, width_px: int = 450
+) -> None:
+    """Draw the plan of a world: what lies below a height, the cut at that height in black, and a flight (n, 3) [m].
+
+    Args:
+        axes: matplotlib Axes.
+        scene: what to draw.
+        height_m: height of the cut [m]; None: a third of the way up.
+        route: the flight, in red.
+        width_px: rays across the picture.
+    """
+    low, high = scene.bounds
+    level = float(low[2] + (high[2] - low[2]) / 3) if height_m is None else height_m
+    room = np.zeros(3)  # about a thin thing
+    room[:2] = np.maximum(np.maximum(PLAN_SHARE * np.max(high - low), LEAST_M) - (high - low)[:2], 0.0) / 2
+    _draw_plan(
+        axes, scene, _Paint(scene, None), _Eye.above(np.array([low - room, high + room]), width_px), level, route
+    )
+
+
 class _Eye:
     """A parallel view: picture axes right and up, and the direction of sight."""
 
@@ -111,16 +136,13 @@ class _Eye:
         self.toward, self.right, self.up = toward, right, up
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         seen = self.project(corners)
-        margin = 0.02 * np.ptp(seen[:, 0])
-        self.extent = (
-            seen[:, 0].min() - margin,
-            seen[:, 0].max() + margin,
-            seen[:, 1].min() - margin,
-            seen[:, 1].max() + margin,
-        )
+        least, size = seen.min(0), np.ptp(seen, axis=0)
+        margin = 0.02 * size[0] + np.maximum(LEAST_SHARE * max(size.max(), 0.01) - size, 0.0) / 2  # of a flat thing
+        (left, bottom), (right_end, top) = least - margin, least + size + margin
+        self.extent = (left, right_end, bottom, top)
         self.back = float((corners @ toward).min()) - 1.0
-        self.pixel = (self.extent[1] - self.extent[0]) / width_px
-        self.shape = (round((self.extent[3] - self.extent[2]) / self.pixel), width_px)
+        self.pixel = max((right_end - left) / width_px, (top - bottom) / (2 * width_px))
+        self.shape = (round((top - bottom) / self.pixel), round((right_end - left) / self.pixel))
 
     @classmethod
     def looking(cls, box: Floats, elevation_deg: float, azimuth_deg: float, width_px: int) -> _Eye:
@@ -287,7 +309,7 @@ def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color=PATH_COLOR, lw=1.4)
         axes.plot(*route[0, :2], "o", color=PATH_COLOR, ms=5)
-    axes.set(xlabel="x, east [m]", ylabel="y, north [m]", title=f"cut at z = {level:g} m", aspect="equal")
+    axes.set(xlabel="x, east [m]", ylabel="y, north [m]", title=f"cut at z = {round(level, 2):g} m", aspect="equal")
     axes.title.set_fontsize(9)
 
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, count
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Times, Trajectory
+from ullage.display import Displayed, plots
 from ullage.errors import InputError, shown
 from ullage.geometry import apply, invert, transform
 from ullage.specs import Rig
 from ullage.world.lengths import number
 from ullage.world.materials import Material, material
 from ullage.world.moving import carried
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -56,7 +60,7 @@ class Wires:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class Scene(Displayed):
     """Everything the rays and waves can meet. Faces are two-sided; those of a moving object are in its own frame."""
 
     vertices: Floats  # (v, 3) [m]
@@ -89,6 +93,22 @@ class Scene:
         size = " x ".join(f"{length:.2f}" for length in self.bounds[1] - self.bounds[0])
         parts = f"{len(self.objects)} objects, {len(self.faces)} faces, {len(self.wires)} wires"
         return f"Scene({self.name!r}, {parts}, {size} m)"
+
+    def plot(self, ax: Axes | None = None, *, height_m: float | None = None, path: Trajectory | None = None) -> Axes:
+        """Draw a plan with matplotlib: what lies below a horizontal cut, and the cut itself in black.
+
+        Args:
+            ax: where to draw; None: a new figure.
+            height_m: of the cut [m]; None: that of the path, or a third of the scene's height.
+            path: where the drone flew.
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: the height is not finite.
+        """
+        return plots().plot_scene(self, ax, height_m=height_m, path=path)  # type: ignore[no-any-return]
 
     @property
     def bounds(self) -> Floats:

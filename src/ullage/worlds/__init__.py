@@ -11,3 +11,7 @@ from ullage.flight.random_flights import flight, rig
 from ullage.world.random_worlds import KINDS, TESTING, TUNING, random
 
 __all__ = ["KINDS", "TESTING", "TUNING", "flight", "random", "rig"]
+
+
+def __dir__() -> list[str]:
+    return __all__
