@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
+import importlib.util
+import inspect
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import yaml
 from pydantic import BaseModel
 
+import ullage as ul
 from ullage.config import Scenario
 from ullage.specs import RadarSpec
 from ullage.view.reference import references_page, scenario_page
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def pages() -> ModuleType:
+    """The hook of mkdocs that writes the pages of reference."""
+    pytest.importorskip("mkdocs")
+    spec = importlib.util.spec_from_file_location("docs_pages", ROOT / "tools" / "docs_pages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    out = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(out)
+    return out
 
 
 def names_of(model: type[BaseModel]) -> set[str]:
@@ -43,8 +59,21 @@ def test_written_pages_are_what_the_code_writes() -> None:
 
 
 def test_every_page_is_in_the_navigation() -> None:
-    listed = set(re.findall(r"[\w-]+\.md", yaml.safe_dump(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"])))
-    assert listed == {path.name for path in DOCS.glob("*.md")}
+    listed = re.findall(r"[\w/-]+\.md", yaml.safe_dump(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
+    written = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    assert len(listed) == len(set(listed))
+    assert set(listed) == written | {"api.md", "commands.md"}
+
+
+def test_the_reference_names_every_public_name_and_every_option(pages: ModuleType) -> None:
+    api, commands = pages.api_page(), pages.commands_page()
+    assert [name for name in ul.__all__ if f"### `ul.{name}` " not in api] == []
+    assert [name for name in inspect.signature(ul.simulate).parameters if f"- `{name}`: " not in api] == []
+    assert "speed_m_s: float = 0.5," in api
+    for verb in ("run", "list", "sweep", "doctor"):
+        assert f"## `ullage {verb}` " in commands
+    for option in ("--law LAW", "--by-hand", "--jobs", "--out DIR"):
+        assert f"`{option}" in commands
 
 
 def test_the_first_python_block_is_at_most_twelve_lines() -> None:
