@@ -31,9 +31,20 @@ their cells: `ntnu-mapping-5cm`, `ntnu-mapping-20cm` and `ntnu-mapping-50cm`.
 - A field that does not exist, or a value out of bounds, is refused with its name.
 - `ullage config --schema` prints the JSON schema, with which editors complete and check such files.
 
-Choices that the comments do not list: `world.geometry` collision or visual; `sensing.fidelity` physical or thesis;
-`do` any of detect, image, map and obstacles; `detect.method` first_peak, peaks, cfar, os-cfar or clean; `map.method`
-ullage, elfes or likelihood; `map.dims` 2 or 3; `image.method` backprojection or summation. `image.z_m` or
+Choices that the comments do not list:
+
+| field | values |
+|---|---|
+| `world.geometry` | `collision`, `visual` |
+| `world.missing` | `refuse`, `skip` |
+| `sensing.fidelity` | `physical`, `thesis` |
+| `do` | any of `detect`, `image`, `map`, `obstacles` |
+| `detect.method` | `first_peak`, `peaks`, `cfar`, `os-cfar`, `clean`, `track` |
+| `map.method` | `ullage`, `elfes`, `likelihood` |
+| `map.dims` | `2`, `3` |
+| `image.method` | `backprojection`, `summation` |
+
+`image.z_m` or
 `image.volume` choose the plane or the heights that are imaged. `remove_own_echo: false` keeps the
 [radar's own echo](imaging.md#the-radars-own-echo).
 
