@@ -21,16 +21,20 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 
 
-@pytest.fixture(scope="module")
-def pages() -> ModuleType:
-    """The hook of mkdocs that writes the pages of reference."""
-    pytest.importorskip("mkdocs")
-    spec = importlib.util.spec_from_file_location("docs_pages", ROOT / "tools" / "docs_pages.py")
+def tool(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     out = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(out)
     return out
+
+
+@pytest.fixture(scope="module")
+def pages() -> ModuleType:
+    """The hook of mkdocs that writes the pages of reference."""
+    pytest.importorskip("mkdocs")
+    return tool("docs_pages")
 
 
 def names_of(model: type[BaseModel]) -> set[str]:
@@ -93,6 +97,39 @@ def test_the_first_python_block_leaves_a_picture(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     exec(compile(blocks[0][1], "README.md", "exec"), {"__name__": "README"})
     assert (tmp_path / "room.png").stat().st_size > 10_000
+
+
+TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_is_whole(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.S | re.M)
+    assert len(TUTORIALS) == 6
+    assert f'"{page.stem}.png"' in blocks[-1], "the last block makes the picture"
+    assert f"../pictures/tutorials/{page.stem}.png" in text
+    assert (DOCS / "pictures" / "tutorials" / f"{page.stem}.png").stat().st_size < 200_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_runs_and_leaves_its_picture(page: Path, tmp_path: Path) -> None:
+    tool("run_tutorials").run_page(page, tmp_path)
+    assert (tmp_path / f"{page.stem}.png").stat().st_size > 5_000
+
+
+HOW_TO = sorted(DOCS.glob("howto_*.md"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [*HOW_TO, DOCS / "mapping.md"], ids=lambda page: page.stem)
+def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
+    for name, kind in re.findall(r"Save this as[\s`]+([\w.]+)`.*?```(\w+)", page.read_text(encoding="utf-8"), re.S):
+        block = re.search(rf"```{kind}\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
+        assert block is not None
+        (tmp_path / name).write_text(block[1], encoding="utf-8")
+    assert tool("run_tutorials").run_page(page, tmp_path)
 
 
 BY_CODE = {"imc_messages.md", "references.md", "reproduce.md", "scenarios.md", "statement_mutants.md", "validation.md",
