@@ -17,7 +17,9 @@ from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
 from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions, source_of
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
 from ullage.ports.intake import Counters
+from ullage.ports.scanning import ScanSource
 from ullage.ports.sightings import Others, Sighting
+from ullage.specs import Rig
 
 
 @given(st.lists(st.binary(max_size=40), max_size=6), st.integers(1, 30))
@@ -240,7 +242,7 @@ class Told:
     master = ("127.0.0.1", 1)
 
     def __init__(self):
-        self.events, self.asked, self.counters = [], [], Counters()
+        self.events, self.asked, self.joined, self.counters = [], [], [], Counters()
 
     def hear(self, topic, message):
         self.events.append(Heard(f"/gazebo/w/{topic}", message.SerializeToString()))
@@ -252,9 +254,13 @@ class Told:
         self.asked.append(message)
 
     def subscribe(self, topic, kind):
+        self.joined.append(topic)
+
+    def advertise(self, topic, kind):
         pass
 
-    advertise = subscribe
+    def close(self):
+        pass
 
 
 def posed(x, **more):
@@ -299,6 +305,99 @@ def test_poses_of_other_models_that_are_none_are_counted():
     assert peer.counters.lines() == ["/gazebo/w/pose/info: dropped 1 bad (box: position is not finite)"]
 
 
+SCAN = {
+    "frame": "f", "angle_min": -1.0, "angle_max": 1.0, "angle_step": 1.0, "range_min": 0.1, "range_max": 9.0,
+    "count": 2, "vertical_count": 2, "ranges": [1.0] * 4, "intensities": [1.0] * 4,
+}  # fmt: skip
+
+
+def scanned(sec, *, x=0.0, **fields):
+    return gz().LaserScanStamped(time=gz().Time(sec=sec, nsec=0), scan=gz().LaserScan(world_pose=posed(x), **fields))
+
+
+def model_with(*links, asked):
+    """The server's answer about the model: links with sensors, each a name and a type."""
+    model = gz().Model(name="x")
+    for link, sensors in links:
+        added = model.link.add(name=f"x::{link}")
+        for name, kind in sensors:
+            added.sensor.add(name=name, parent=f"x::{link}", type=kind)
+    data = model.SerializePartialToString()
+    return gz().Response(
+        id=asked.id, request="entity_info", response="success", type="gazebo.msgs.Model", serialized_data=data
+    )
+
+
+def feed_of_model(rays, *links):
+    """A feed whose server has told what sensors the model has, and its peer."""
+    peer = Told()
+    feed = ClassicFeed(peer, ClassicOptions(model="x", rays=rays))
+    peer.events.append(Met(("w",)))
+    feed.next(0.1)
+    feed._ask_s -= 1.0
+    none = gz().Time(sec=0, nsec=0)
+    stats = gz().WorldStatistics(sim_time=none, pause_time=none, real_time=none, iterations=1, paused=False)
+    peer.hear("world_stats", stats)
+    feed.next(0.0)
+    peer.hear("response", model_with(*links, asked=peer.asked[-1]))
+    peer.joined.clear()
+    return feed, peer
+
+
+LINKS = (("base", [("front", "ray"), ("camera", "camera"), ("left", "gpu_ray")]), ("arm", [("down", "ray")]))
+
+
+@pytest.mark.parametrize(
+    ("rays", "want"),
+    [
+        ("left", ["base/left"]),
+        ("left, down,left", ["base/left", "arm/down"]),
+        ("*", ["base/front", "base/left", "arm/down"]),
+        ("f*,d*", ["base/front", "arm/down"]),
+    ],
+)
+def test_the_named_ray_sensors_are_joined(rays, want):
+    feed, peer = feed_of_model(rays, *LINKS)
+    assert feed.next(0.0) is None
+    assert peer.joined == [f"/gazebo/w/x/{path}/scan" for path in want]
+
+
+def test_a_ray_sensor_that_is_not_there_is_named_and_the_others_joined():
+    feed, peer = feed_of_model("front,camera,rear", *LINKS)
+    assert feed.next(0.0).text == "no ray sensor 'camera', 'rear' on 'x' (there are front, left, down)"
+    assert peer.joined == ["/gazebo/w/x/base/front/scan"]
+
+
+def test_ray_sensors_of_one_name_are_told_apart_by_their_links():
+    feed, peer = feed_of_model("*", ("base", [("ray", "ray")]), ("arm", [("ray", "ray")]))
+    assert feed.next(0.0) is None
+    for x, path in enumerate(("base", "arm")):
+        peer.hear(f"x/{path}/ray/scan", scanned(1, x=float(x), **SCAN))
+    found = [feed.next(0.0) for _ in range(2)]
+    assert [(scan.sensor, scan.position[0]) for scan in found] == [("base/ray", 0.0), ("arm/ray", 1.0)]
+
+
+def test_each_ray_sensor_is_a_radar_of_the_rig():
+    """Each has its own pose, range, noise and count of frames, though their messages arrive mixed."""
+    feed, peer = feed_of_model("front,left", *LINKS)
+    for sec in range(1, 6):
+        for x, name in enumerate(("front", "left")):
+            ranges = {"ranges": [2.0 + 2 * x] * 4}
+            peer.hear(f"x/base/{name}/scan", scanned(sec, x=float(x), **(SCAN | ranges)))
+    options = ClassicOptions(model="x", rays="front,left", duration_s=3.5, publish=False)
+    with ScanSource(lambda: feed, Rig.preset("thesis-4"), options) as live:
+        whole = live.frames()
+        assert live.sensors == ("front", "left")
+    assert {name: frames.sensor for name, frames in whole.items()} == {"front": "front", "left": "left"}
+    for x, frames in enumerate(whole.values()):
+        assert frames.t_ns.tolist()[:4] == [k * 10**9 for k in range(1, 5)]
+        np.testing.assert_array_equal(frames.poses.position[:, 0], x)
+        peak = frames.range_m[np.argmax(np.abs(frames.samples).mean(0))]
+        assert peak == pytest.approx(2.0 + 2 * x, abs=0.1)
+    assert not np.array_equal(whole["front"].samples[0], whole["front"].samples[1])  # noise goes on
+    assert whole["front"].spec == Rig.preset("thesis-4").sensors["front"].but(thesis=whole["front"].spec.thesis)
+
+
 @pytest.mark.parametrize(
     "change",
     [{"count": 2**31}, {"vertical_count": 3}, {"range_max": np.nan}, {"intensities": [1.0]}, {"ranges": [np.nan] * 4}],
@@ -306,14 +405,8 @@ def test_poses_of_other_models_that_are_none_are_counted():
 def test_scans_that_are_none_are_counted(change):
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x", rays="front"))
-    fields = {
-        "frame": "f", "world_pose": posed(0.0), "angle_min": -1.0, "angle_max": 1.0, "angle_step": 1.0,
-        "range_min": 0.1, "range_max": 9.0, "count": 2, "vertical_count": 2, "ranges": [1.0] * 4,
-        "intensities": [1.0] * 4,
-    }  # fmt: skip
-    when = gz().Time(sec=1, nsec=0)
-    for scan in (fields | change, fields):
-        peer.hear("x/l/front/scan", gz().LaserScanStamped(time=when, scan=gz().LaserScan(**scan)))
+    for scan in (SCAN | change, SCAN):
+        peer.hear("x/l/front/scan", scanned(1, **scan))
     assert feed.next(0.0).range_m.shape == (2, 2)
     assert peer.counters.dropped("bad") == 1
 

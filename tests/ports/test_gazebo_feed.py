@@ -68,7 +68,7 @@ def scan(t_ns):
 def taken(*events, mount=None, **options):
     """What a feed makes of events, and what it asked its peer for."""
     peer = Notebook(*events)
-    feed = PoseFeed(peer, GazeboOptions(model="x3", **options), "", np.eye(4) if mount is None else mount)
+    feed = PoseFeed(peer, GazeboOptions(model="x3", **options), "", {"sonar": np.eye(4) if mount is None else mount})
     found = []
     while peer.events:
         found.append(feed.next(0.0))
@@ -106,6 +106,18 @@ def test_poses_without_rays_are_sightings_and_with_rays_the_places_of_scans():
     assert cast.quat_xyzw == pytest.approx((0, 0, 0, 1))
 
 
+def test_each_of_several_ray_sensors_is_cast_from_its_own_place():
+    mounts, peer = {name: np.eye(4) for name in ("sonar", "left")}, Notebook()
+    mounts["left"][1, 3] = 0.5
+    other = SCAN.replace("sonar", "left")
+    told = Heard(other, "gz.msgs.LaserScan", scan(11 * 10**8).data)
+    peer.events.extend([came(POSES), came(SCAN), came(other), pose(10**9, 1.0), scan(11 * 10**8), told])
+    feed = PoseFeed(peer, GazeboOptions(model="x3", rays="sonar,left"), "", mounts)
+    found = [feed.next(0.0) for _ in range(6)]
+    cast = {one.sensor: one.position for one in found if isinstance(one, Scan)}
+    assert cast == {"sonar": (1.0, 0.0, 0.0), "left": (1.0, 0.5, 0.0)}
+
+
 def test_a_scan_before_any_pose_is_counted_and_dropped():
     found, peer = taken(came(SCAN), scan(10**9), rays="sonar")
     assert not found
@@ -124,6 +136,6 @@ def test_a_server_that_comes_and_goes_is_reported_once():
 ])  # fmt: skip
 def test_poses_are_taken_of_the_world_that_was_asked_for(world, topic, ours):
     peer = Notebook(came(topic))
-    feed = PoseFeed(peer, GazeboOptions(model="x3"), world, np.eye(4))
+    feed = PoseFeed(peer, GazeboOptions(model="x3"), world, {})
     assert (feed.next(0.0) is not None) == ours == (topic in peer.asked)
     assert feed.world == ("v" if ours and not world else world)

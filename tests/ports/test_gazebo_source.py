@@ -216,6 +216,11 @@ def test_a_ray_sensor_whose_place_is_not_known_is_refused():
         source(rays="lidar", world="ntnu-room")
 
 
+def test_one_topic_for_several_ray_sensors_is_refused():
+    with pytest.raises(ul.InputError, match=r"one topic for 4 ray sensors \(allowed: scan_topic with one of rays="):
+        source(rays="*", rig="thesis-4", world="ntnu-room", scan_topic="/odd")
+
+
 def test_no_gazebo_is_refused_when_the_world_is_asked_of_it(partition, monkeypatch):
     from ullage.ports.gazebo import scene
 

@@ -6,8 +6,9 @@ import time
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -17,7 +18,7 @@ from pydantic import Field
 from ullage.config import Fidelity
 from ullage.data import Floats, Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
-from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, checked_pose
+from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, Stream, checked_pose
 from ullage.ports.pace import Pace
 from ullage.ports.protocol import Item, Passing, one_or_all
 from ullage.ports.radar_status import RadarStatus
@@ -51,9 +52,26 @@ class FollowOptions(RadarOptions):
     """What can be set about radars on a simulator's model."""
 
     world: str = Field("", description="library world or file that the simulator runs; none: asked of the simulator")
-    rays: str = Field("", description="name of a ray or lidar sensor of the model: frames of its rays, not of ours")
+    rays: str = Field(
+        "", description="ray or lidar sensors of the model, names with commas or *: frames of their rays, not of ours"
+    )
     publish: bool = Field(True, description="give frames back on the simulator's topics")
     host: str = Field("127.0.0.1", description="address of the interface to use")
+
+
+def matching(rays: str, names: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Find the sensors that `rays` names.
+
+    Args:
+        rays: names with commas between them; `*` and `?` stand for any characters.
+        names: of the sensors that exist.
+
+    Returns:
+        The sensors, in the order of `rays`, each once; and the words of `rays` that match none.
+    """
+    words, there = [word.strip() for word in rays.split(",") if word.strip()], list(names)
+    found = {word: [name for name in there if fnmatchcase(name, word)] for word in words}
+    return list(dict.fromkeys(name for word in words for name in found[word])), [w for w in words if not found[w]]
 
 
 Options = TypeVar("Options", bound=Spec)
@@ -94,7 +112,13 @@ class Endless(ABC):
     def _hear(self, counters: Counters, topic: str) -> None:
         """Count what arrives with these counters, and keep the time of a topic."""
         self.counters, counters.reporter = counters, self._say
-        self._intake = Clock(counters).stream(topic)
+        self._clock, self._streams = Clock(counters), list[Stream[Any]]()
+        self._intake = self._new_stream(topic)
+
+    def _new_stream(self, topic: str) -> Stream[Any]:
+        """Keep the time of one more topic, by the same clock."""
+        self._streams.append(self._clock.stream(topic))
+        return self._streams[-1]
 
     @abstractmethod
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
@@ -132,11 +156,13 @@ class Endless(ABC):
         self.close()
 
     def _over(self) -> bool:
-        return self._duration_s is not None and self._intake.elapsed_ns >= self._duration_s * 1e9
+        elapsed_ns = max(stream.elapsed_ns for stream in self._streams)
+        return self._duration_s is not None and elapsed_ns >= self._duration_s * 1e9
 
     def _report(self) -> None:
         """Give one line for each topic that lost messages; for the end of a run."""
-        self._intake.finish()
+        for stream in self._streams:
+            stream.finish()
         for line in self.counters.lines():
             self._say(line)
 

@@ -12,13 +12,13 @@ import numpy as np
 from ullage.data import Floats, Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
-from ullage.ports.following import Endless, FollowOptions, Say
-from ullage.ports.intake import Counters, Stamped, checked_pose
+from ullage.ports.following import Endless, FollowOptions, Say, radar_of
+from ullage.ports.intake import Counters, Stamped, Stream, checked_pose
 from ullage.ports.sightings import Note, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.scan import echoes_of_scans
 from ullage.radar.simulate import sensor_seed
-from ullage.specs import RadarSpec, ThesisSpec
+from ullage.specs import RadarSpec, Rig, ThesisSpec
 from ullage.world.scene import Scene
 
 
@@ -35,15 +35,17 @@ class Scan:
     position: tuple[float, float, float]  # of the sensor in the world
     quat_xyzw: tuple[float, float, float, float]
     elevation_deg: float | None = None  # opening upright; None: fov_deg
+    sensor: str = ""  # that cast it
 
 
-def scan_of(told: Any, time: Any, pose: Pose) -> Scan:
+def scan_of(told: Any, time: Any, pose: Pose, *, sensor: str = "") -> Scan:
     """The scan in a message of either Gazebo.
 
     Args:
         told: its `LaserScan`.
         time: when.
         pose: of the sensor in the world.
+        sensor: its name.
 
     Raises:
         InputError: its numbers make no scan.
@@ -63,7 +65,7 @@ def scan_of(told: Any, time: Any, pose: Pose) -> Scan:
     fov_deg = math.degrees(limits[0])
     if fov_deg > FULL_DEG - 1e-2:  # the last ray of a full circle is the first one again
         fov_deg, ranges, strength = FULL_DEG, ranges[:, :-1], strength[:, :-1]
-    return Scan(stamp_ns(time), ranges, strength, fov_deg, *limits[1:], *pose, up_deg if up_deg > 0 else None)
+    return Scan(stamp_ns(time), ranges, strength, fov_deg, *limits[1:], *pose, up_deg if up_deg > 0 else None, sensor)
 
 
 class ScanFeed(Protocol):
@@ -98,12 +100,12 @@ def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
 
 
 class ScanSource(Endless):
-    """Frames made of a simulator's own rays, one of each scan.
+    """Frames made of a simulator's own rays, one of each scan; each ray sensor is a radar.
 
     Args:
         join: begins to listen and gives what tells of scans.
-        radar: range axis and noise; the fan is that of the scans.
-        options: how; `rays` names the sensor.
+        rig: range axis and noise of the radars by name, else of its first; the fans are those of the scans.
+        options: how; `rays` names the sensors.
         scene: the world, where it is known.
         say: told what a person should know; None: it becomes a warning.
     """
@@ -111,7 +113,7 @@ class ScanSource(Endless):
     def __init__(
         self,
         join: Callable[[], ScanFeed],
-        radar: RadarSpec,
+        rig: Rig,
         options: FollowOptions,
         *,
         scene: Scene | None = None,
@@ -119,15 +121,16 @@ class ScanSource(Endless):
     ) -> None:
         self.scene = scene
         super().__init__(options.duration_s, say, topic=options.rays)
-        self._radar, self._options = radar, options
-        self._count = 0
+        self._rig, self._options = rig, options
+        self._cast: dict[str, Stream[Scan]] = {}  # by sensor
+        self._count: dict[str, int] = {}
         self._feed = join()
         self._hear(getattr(self._feed, "counters", None) or Counters(), options.rays)
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """The name of the ray sensor."""
-        return (self._options.rays,)
+        """Names of the ray sensors that have cast so far."""
+        return tuple(self._cast)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """A frame of each scan as it comes."""
@@ -137,12 +140,8 @@ class ScanSource(Endless):
                 self.counters.report()
                 if isinstance(found, Note):
                     self._tell(found.text)
-                elif found is not None and found.t_ns != self._intake.last_ns:
-                    for scan in self._intake.take(found.t_ns, found):
-                        piece = {self._options.rays: self._frame(scan)}
-                        if self._options.publish:
-                            self._feed.give(piece, scan.t_ns - scan.stamp_ns)
-                        yield piece
+                elif found is not None:
+                    yield from self._pieces(found)
         finally:
             self._report()
             self.close()
@@ -151,17 +150,29 @@ class ScanSource(Endless):
         """Let go of the sockets."""
         self._feed.close()
 
+    def _pieces(self, found: Scan) -> Iterator[dict[str, Frames]]:
+        """The frame of a scan, once its time can be trusted."""
+        cast = self._cast.get(found.sensor) or self._new_stream(found.sensor)
+        self._cast[found.sensor] = cast
+        if found.t_ns == cast.last_ns:
+            return
+        for scan in cast.take(found.t_ns, found):
+            piece = {found.sensor: self._frame(scan)}
+            if self._options.publish:
+                self._feed.give(piece, scan.t_ns - scan.stamp_ns)
+            yield piece
+
     def _frame(self, stamped: Stamped[Scan]) -> Frames:
-        scan = stamped.item
-        self._count = 0 if stamped.starts else self._count
-        spec, name = spec_of(scan, self._radar), self._options.rays
+        scan, name = stamped.item, stamped.item.sensor
+        first = 0 if stamped.starts else self._count[name]
+        self._count[name] = first + 1
+        spec = spec_of(scan, radar_of(self._rig, name))
         strength = scan.intensity
         if not strength.any():
             self._tell("every intensity is zero: no laser_retro in this world, so each object reflects as 1")
             strength = np.ones_like(strength)
         clean = echoes_of_scans(scan.range_m[None], strength[None], spec)
         seed = sensor_seed(self._options.seed, name)
-        samples = receive_thesis(clean, spec, seed=seed, first_frame=self._count)
-        self._count += 1
+        samples = receive_thesis(clean, spec, seed=seed, first_frame=first)
         pose = Trajectory(np.array([stamped.t_ns]), np.array([scan.position]), np.array([scan.quat_xyzw]))
         return Frames(samples, spec.range_m, pose.t_ns, spec, pose, pose, name, "thesis")

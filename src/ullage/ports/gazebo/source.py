@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from pydantic import Field
 from ullage.data import Floats, Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
-from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, opened, options_of, radar_of
+from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
 from ullage.ports.gazebo.peer import Came, Event, Gone, Heard, Peer
 from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
@@ -43,13 +44,14 @@ class PoseFeed(EventFeed[Event]):
         peer: speaks to Gazebo.
         options: which model, and how.
         world: Gazebo's name of it; empty: the first that gives poses.
-        mount: model_from_sensor (4, 4) of its rays.
+        mounts: model_from_sensor (4, 4) of its ray sensors by name.
         others: names of the world's other models.
     """
 
     def __init__(
-        self, peer: Peer, options: GazeboOptions, world: str, mount: Floats, others: frozenset[str] = frozenset()
-    ) -> None:
+        self, peer: Peer, options: GazeboOptions, world: str, mounts: Mapping[str, Floats],
+        others: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
         super().__init__(peer)
         self._peer, self._options, self.world = peer, options, world
         self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
@@ -64,7 +66,7 @@ class PoseFeed(EventFeed[Event]):
         self._last_s, self._told_s = time.monotonic(), 0.0
         self._paused = False
         self._topics: RadarTopics | None = None
-        self._mount, self._scan_topic = mount, ""
+        self._mounts, self._scans = mounts, dict[str, str]()  # name of the ray sensor by its topic
         self._at: Sighting | None = None
         if options.topic:
             peer.subscribe(options.topic)
@@ -74,7 +76,7 @@ class PoseFeed(EventFeed[Event]):
             return self._met(event)
         if isinstance(event, Gone):
             return self._lost(event)
-        if event.topic == self._scan_topic:
+        if event.topic in self._scans:
             return self._scan(event)
         for pattern, read in ((STATS, self._status), (SCENE, self._news)):
             if pattern.fullmatch(event.topic):
@@ -91,13 +93,14 @@ class PoseFeed(EventFeed[Event]):
         if self._at is None:
             self.counters.drop(event.topic, "no pose", f"nothing told where {self._options.model!r} is")
             return None
-        mounted = transform_of(self._at) @ self._mount
+        sensor = self._scans[event.topic]
+        mounted = transform_of(self._at) @ self._mounts[sensor]
         pose = (tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])))
-        return scan_of(told, told.header.stamp, pose)
+        return scan_of(told, told.header.stamp, pose, sensor=sensor)
 
     def _met(self, event: Came) -> Note | None:
-        if self._options.rays and self._is_scan(event.topic):
-            self._scan_topic = event.topic
+        if self._options.rays and (sensor := self._cast_by(event.topic)):
+            self._scans[event.topic] = sensor
             self._peer.subscribe(event.topic)
         found = POSES.fullmatch(event.topic)
         ours = event.topic == self._options.topic or (
@@ -116,9 +119,12 @@ class PoseFeed(EventFeed[Event]):
         self._peer.subscribe(event.topic)
         return Note(f"Gazebo gives poses on {event.topic}") if fresh else None
 
-    def _is_scan(self, topic: str) -> bool:
-        usual = f"/model/{self._options.model}/" in topic and topic.endswith(f"/sensor/{self._options.rays}/scan")
-        return topic == self._options.scan_topic if self._options.scan_topic else usual
+    def _cast_by(self, topic: str) -> str:
+        """The name of the ray sensor that gives this topic; empty: none of ours."""
+        if self._options.scan_topic:
+            return next(iter(self._mounts)) if topic == self._options.scan_topic else ""
+        ours = f"/model/{self._options.model}/" in topic
+        return next((name for name in self._mounts if ours and topic.endswith(f"/sensor/{name}/scan")), "")
 
     def _lost(self, event: Gone) -> Note | None:
         if event.process not in self._servers:
@@ -232,18 +238,19 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
         with Peer(chosen.host, chosen.partition) as peer:
             told = ask_scene(peer, address, where=where)
     chosen, scene, rig = opened(chosen, where, told)
-    mount = np.eye(4)
-    if chosen.rays:
-        if chosen.rays not in rig.sensors:
-            allowed = f"a sensor of the world's file that holds <ullage:radar>: {', '.join(rig.sensors)}"
-            raise InputError(f"where {chosen.rays!r} sits is not known", where=where, allowed=allowed)
-        mount = rig.sensors[chosen.rays].mount.body_from_sensor()
+    named, missing = matching(chosen.rays, rig.sensors)
+    if missing:
+        allowed = f"a sensor of the world's file that holds <ullage:radar>: {', '.join(rig.sensors)}"
+        raise InputError(f"where {missing[0]!r} sits is not known", where=where, allowed=allowed)
+    if chosen.scan_topic and len(named) > 1:
+        raise InputError(f"one topic for {len(named)} ray sensors", where=where, allowed="scan_topic with one of rays=")
+    mounts = {name: rig.sensors[name].mount.body_from_sensor() for name in named}
 
     def join() -> PoseFeed:
-        return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mount, frozenset(scene.models))
+        return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mounts, frozenset(scene.models))
 
     if chosen.rays:
-        return ScanSource(join, radar_of(rig, chosen.rays), chosen, scene=scene, say=say)
+        return ScanSource(join, rig, chosen, scene=scene, say=say)
     return FollowSource(join, scene, rig, chosen, say=say)
 
 

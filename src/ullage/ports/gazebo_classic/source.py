@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
+from collections.abc import Iterable
 from typing import Any
 
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, opened, options_of, radar_of
+from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Event, Heard, Lost, Met, type_of
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
@@ -20,6 +22,10 @@ ASK_S = 0.5
 """How often the server is asked for the model while no pose of it comes: it tells of what moves only."""
 STILL_NS = 200_000_000
 """The answer stands for this long before the question: what had moved until then was told before the answer."""
+
+
+RAY_TYPES = {"ray", "gpu_ray"}
+"""Types of sensors that publish scans."""
 
 
 class ClassicOptions(FollowOptions):
@@ -52,6 +58,7 @@ class ClassicFeed(EventFeed[Event]):
         self._last_s = self._ask_s = time.monotonic()
         self._told_s = 0.0
         self._topics: RadarTopics | None = None
+        self._scans: dict[str, str] = {}  # name of the ray sensor by its topic
 
     def _take(self, event: Event) -> Sighting | Others | Scan | Note | None:
         if not isinstance(event, Heard):
@@ -65,7 +72,8 @@ class ClassicFeed(EventFeed[Event]):
 
     def _scan(self, event: Heard) -> Scan:
         told = gz().LaserScanStamped.FromString(event.data)
-        return scan_of(told.scan, told.time, pose_of(told.scan.world_pose))
+        sensor = self._scans.get(event.topic, event.topic.split("/")[-2])
+        return scan_of(told.scan, told.time, pose_of(told.scan.world_pose), sensor=sensor)
 
     def _response(self, event: Heard) -> Sighting | Others | Note | None:
         told = gz().Response.FromString(event.data)
@@ -181,16 +189,17 @@ class ClassicFeed(EventFeed[Event]):
         return None
 
     def _sensor(self, told: Any) -> Note | None:
-        """Join the topic of the ray sensor, wherever on the model it is."""
-        links = gz().Model.FromString(told.serialized_data).link
-        found = {sensor.name: (link.name, sensor) for link in links for sensor in link.sensor}
-        if self._options.rays not in found:
+        """Join the topics of the ray sensors, wherever on the model they are."""
+        found = ray_sensors(gz().Model.FromString(told.serialized_data).link)
+        wanted, missing = matching(self._options.rays, found)
+        for name in wanted:
+            topic = f"/gazebo/{self.world}/{found[name]}/scan"
+            self._scans[topic] = name
+            self._peer.subscribe(topic, type_of("LaserScanStamped"))
+        if missing:
             names = ", ".join(found) or "none"
-            return Note(f"no sensor {self._options.rays!r} on {self._options.model!r} (there are {names})")
-        link, sensor = found[self._options.rays]
-        path = link.replace("::", "/")
-        usual = f"/gazebo/{self.world}/{path}/{sensor.name}/scan"
-        self._peer.subscribe(usual, type_of("LaserScanStamped"))
+            absent = ", ".join(map(repr, missing))
+            return Note(f"no ray sensor {absent} on {self._options.model!r} (there are {names})")
         return None
 
     def _silence(self) -> Note | None:
@@ -207,6 +216,20 @@ class ClassicFeed(EventFeed[Event]):
             self._topics = RadarTopics(self._peer, self.world, self._options.model)
         for frames in chunk.values():
             self._topics.write(frames, offset_ns)
+
+
+def ray_sensors(links: Iterable[Any]) -> dict[str, str]:
+    """Paths of a model's ray sensors by name; a name that several links use has its link before it, as `arm/front`.
+
+    Args:
+        links: of the message of the model.
+    """
+    placed = [(link.name, sensor.name) for link in links for sensor in link.sensor if sensor.type in RAY_TYPES]
+    count = Counter(name for _, name in placed)
+    return {
+        name if count[name] == 1 else f"{link.rpartition('::')[2]}/{name}": f"{link.replace('::', '/')}/{name}"
+        for link, name in placed
+    }
 
 
 def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource | ScanSource:
@@ -229,5 +252,5 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
         return ClassicFeed(ClassicPeer(master, chosen.host), chosen, frozenset(scene.models))
 
     if chosen.rays:
-        return ScanSource(join, radar_of(rig, chosen.rays), chosen, scene=scene, say=say)
+        return ScanSource(join, rig, chosen, scene=scene, say=say)
     return FollowSource(join, scene, rig, chosen, say=say)
