@@ -158,6 +158,7 @@ def run(
     from ullage.experiments.targets import make_run, record, tasks_of
     from ullage.pipeline import check_sink
     from ullage.view.progress import open_page, progress_bar, say
+    from ullage.view.viewer_output import keep_serving
 
     tasks, options, sinks = tasks_of(do), option or [], to or []
     source = variant_name(source, law=law, by_hand=by_hand)
@@ -176,6 +177,8 @@ def run(
     _tell(report)
     if open_report:
         open_page(report.folder / "report.html")
+    if not report.outcome.interrupted:
+        keep_serving(job.sinks)
 
 
 @app.command()
@@ -199,6 +202,7 @@ def fly(
     from ullage.experiments.targets import flight_scenario, make_flight, record, tasks_of
     from ullage.experiments.warmup import compile_kernels, compiled, parts_of
     from ullage.view.progress import console, progress_bar, say
+    from ullage.view.viewer_output import keep_serving
 
     scenario = flight_scenario(variant_name(target, law=law), tasks=tasks_of(do), options=option or [])
     parts = tuple({*parts_of(scenario), "hector"})
@@ -210,6 +214,8 @@ def fly(
     with progress_bar("flying", total=duration_s, unit="s of flight") as tell:
         report = execute(job, sinks=[recording], progress=tell, say=tell.say)
     _tell(report)
+    if not report.outcome.interrupted:
+        keep_serving(job.sinks)
 
 
 def repair(source: str) -> bool:

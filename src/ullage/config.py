@@ -189,7 +189,8 @@ class ImageSpec(Spec):
         None,
         ge=0.01,
         le=3600,
-        description="between two images, by the frames' clock; none: 0.2 live, else the end only",
+        description="between two images, by the frames' clock; none: 0.2 live, 1 where a viewer or port takes them, "
+        "else the end only",
     )
     volume: tuple[float, float] | None = Field(None, description="lowest and highest z [m] of a volume, not a plane")
 

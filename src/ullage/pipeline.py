@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from ullage.processing.scatterers import Scatterer
 
 Chunk = dict[str, Frames]
-VIEWER_RAYS = "?rays=true"
-"""Ends the name of a viewer that draws the rays of the ray model."""
+VIEWER = "viewer:"
 HELD_FRAMES = 2048  # of a sensor that wait for an image
 
 
@@ -105,11 +104,11 @@ def sink(target: str | Path, **options: Any) -> PortSink:
     """Somewhere for what flows to go: a viewer, a recording or a map file, by the kind of name.
 
     Args:
-        target: `viewer:` for a window, `viewer:FILE.rrd` to look at it later, `viewer:rerun+http://HOST:9876/proxy` for
-            a viewer that runs elsewhere; `window:` for the amplitudes in matplotlib; a `.mcap` recording, a folder for
-            one, a `.zarr` store, or a map file:
+        target: `viewer:` for a window, `viewer:web` for a page that browsers open, `viewer:FILE.rrd` to look at it
+            later, `viewer:rerun+http://HOST:9876/proxy` for a viewer that runs elsewhere; `window:` for the amplitudes
+            in matplotlib; a `.mcap` recording, a folder for one, a `.zarr` store, or a map file:
             `.yaml` or `.pgm` (map_server), `.bt` or `.ot` (OctoMap), `.ply`.
-        **options: of that kind: viewers take rays, files of a viewer, recordings and stores overwrite,
+        **options: of that kind: viewers take rays, pages port, files of a viewer, recordings and stores overwrite,
             map_server takes mode.
 
     Raises:
@@ -121,16 +120,20 @@ def sink(target: str | Path, **options: Any) -> PortSink:
         from ullage.view.window import WindowSink
 
         return WindowSink(**options)
-    kind, colon, place = str(target).partition(":")
-    if kind != "viewer" or not colon:
+    if not str(target).startswith(VIEWER):
         return ports.sink(target, **options)
     from ullage.view.viewer import ViewerSink
 
-    if unknown := set(options) - {"overwrite", "rays"}:
-        raise InputError(f"no option {min(unknown)!r}", where=target, allowed="overwrite, rays")
-    if place.endswith(VIEWER_RAYS):
-        place, options = place.removesuffix(VIEWER_RAYS), options | {"rays": True}
+    place, options = _viewer(target, options)
     return ViewerSink(place, **options)
+
+
+def _viewer(target: str | Path, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The place and options of `viewer:PLACE?key=value`."""
+    from ullage.ports.live import Address
+
+    address = Address.of(target, **options)
+    return ("", options) if address is None else (address.place, address.options)
 
 
 def check_sink(target: str | Path) -> None:
@@ -147,16 +150,16 @@ def check_sink(target: str | Path) -> None:
 
         check_display()
         return
-    kind, colon, place = str(target).partition(":")
-    if kind != "viewer" or not colon:
+    if not str(target).startswith(VIEWER):
         ports.check_sink(target)
         return
+    from ullage.view.viewer_output import ViewerOutput
+
     need("rerun", extra="view")
-    place = place.removesuffix(VIEWER_RAYS)
-    if place and "://" not in place:
-        if Path(place).suffix.lower() != ".rrd":
-            raise InputError("not something a viewer shows", where=target, allowed="viewer:, viewer:FILE.rrd, ...")
-        ports.check_new(Path(place))
+    output = ViewerOutput.of(*_viewer(target, {}))
+    output.check()
+    if not (output.live or output.overwrite):
+        ports.check_new(Path(output.place))
 
 
 def run(

@@ -158,7 +158,7 @@ def test_frames_are_thinned_evenly_and_end_with_the_newest() -> None:
 
 def test_walls_face_inwards_so_that_one_sees_into_a_room() -> None:
     room = ul.scenes.room(**ROOM)
-    hull = viewer_scene._hull(room)
+    hull = viewer_scene.hull_objects(room)
     assert not hull[room.object("plate")]
     assert hull.any()
 

@@ -39,6 +39,8 @@ Floats = NDArray[np.float64]
 Say = Callable[[str], None]
 LIVE_S = 0.2
 """Between two maps or images of a live run: five a second, as the nodes of the thesis [Billdal2018, appendix B]."""
+WATCHED_S = 1.0
+"""Between two maps or images of any other run."""
 
 
 @dataclass(slots=True)
@@ -53,6 +55,7 @@ class Run:
     marks: Floats | None = None  # surveyed places of reflectors (m, 3) [m], for the pictures only
     settled: bool = False  # whether these settled clock and range
     live: bool = False  # `flown` is then the first pose, and the rest is learned on the way
+    watched: bool = False  # a viewer or a live port takes what comes, so images are given as they grow
     tasks: tuple[Task, ...] = ("detect", "image", "map")
     detect: DetectStage = field(default_factory=DetectStage)
     range_time: RangeTime = field(default_factory=RangeTime)
@@ -278,14 +281,14 @@ def _stages(job: Run) -> list[Stage]:
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=margin)
         plane_m = float(job.plane.grid.origin_m[2]) if job.plane is not None and job.plane.grid.dims == 2 else None
-        every_s = plan.map.every_s or (LIVE_S if job.live else 1.0)
+        every_s = plan.map.every_s or (LIVE_S if job.live else WATCHED_S)
         job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
                            floor_z_m=plan.map.floor_z_m, target_z_m=plane_m,
                            vehicle_radius_m=plan.map.vehicle_radius_m,
                            scatterer_pfa=plan.map.scatterer_pfa)  # fmt: skip
         out.append(job.map)
     if job.plane is not None:
-        image_s = plan.image.every_s or (LIVE_S if job.live else None)
+        image_s = plan.image.every_s or (LIVE_S if job.live else WATCHED_S if job.watched else None)
         out.append(ImageStage(job.plane.grid, plan.image.method, plan.image.sensor, own_echo=own, every_s=image_s))
     return out
 

@@ -90,6 +90,7 @@ def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False
             opened.callback(run.source.close)
         check_free(place_of(name, digest, root=out), force=force)
         live = [target for target in to if ":" in target]  # ports first: they leave nothing on the disk
+        run.watched = bool(live)
         run.sinks += [_opened(target, opened) for target in live]
         draft = begin_run(name, digest, root=out, force=force)
         opened.callback(draft.discard)

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import socket
-import sys
 import time
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
-from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +16,7 @@ from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.view import viewer_plots as plots
 from ullage.view import viewer_scene as things
+from ullage.view.viewer_output import ViewerOutput
 from ullage.view.viewer_scene import TIMELINE, arcs, body_of, entity, log_poses, rgba, time_column
 from ullage.world.scene import Scene
 
@@ -34,31 +30,33 @@ PATH_S = 0.2  # between two points of the flown path
 MAX_BOXES = 50_000  # of a volume's cells; more of them become points
 BLENDED = 0.999  # rerun blends pictures with what is behind them only when their opacity is below 1
 IMAGE_DB = 30.0  # a radar image goes from its peak so far down
-USAGE = "viewer:, viewer:FILE.rrd, or viewer:rerun+http://HOST:9876/proxy of a running viewer"
 
 
 class ViewerSink:
     """Shows worlds, flight, echoes, detections, maps and images, live or in a file.
 
     Args:
-        target: nothing for a new viewer's window, a `.rrd` file to write, or the address of a running viewer.
-        overwrite: replace a file that is there already.
-        rays: draw the rays of each radar's ray model, at most 225 of them.
+        target: nothing for a new viewer's window, `web` for a page that any browser of this machine can open, a `.rrd`
+            file to write, or the address of a running viewer.
+        **options: `overwrite` replaces a file that is there already; `rays` draws the rays of each radar's ray model,
+            at most 225 of them; `port` is that of the page (9090), whose data take the next one.
+
+    Attributes:
+        address: of the page; empty where none is served. It is served until this process ends.
 
     Raises:
         MissingExtra: rerun is not installed.
-        InputError: there is no display, no such viewer, or the file cannot be written.
+        InputError: there is no display, no such viewer or option, a port is taken, or the file cannot be written.
     """
 
-    def __init__(self, target: str | Path = "", *, overwrite: bool = False, rays: bool = False) -> None:
-        self._rays = rays
+    def __init__(self, target: str | Path = "", **options: Any) -> None:
         self._rr = need("rerun", extra="view")
-        self.target = str(target)
-        self.live = not self.target or "://" in self.target
+        self._output = ViewerOutput.of(str(target), options)
+        self.target, self.live = self._output.place, self._output.live
         self._rec = self._rr.RecordingStream("ullage")
         for quiet in (self._rec.set_log_time_enabled, self._rec.set_log_tick_enabled):
             quiet(False)  # one time line: that of the frames
-        self._open(overwrite)
+        self.address = self._output.open(self._rr, self._rec)
         self._closed = False
         self._sensors: dict[str, _Shown] = {}
         self._bounds: NDArray[np.float64] | None = None
@@ -70,14 +68,6 @@ class ViewerSink:
         self._map_given: tuple[float, float] = (-np.inf, -np.inf)  # recording's and wall clock [s]
         self._map_waiting: OccupancyMap | None = None
         self._rec.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-
-    def _open(self, overwrite: bool) -> None:
-        if not self.target:
-            _spawn(self._rr, self._rec)
-        elif self.live:
-            _connect(self._rec, self.target)
-        else:
-            _save(self._rec, Path(self.target), overwrite)
 
     def write(self, item: Any) -> None:
         """Show one item; what has no picture is passed over.
@@ -104,7 +94,7 @@ class ViewerSink:
             self._rec.log("world/trajectory", strip, static=True)
 
     def close(self) -> None:
-        """Show what was held back, and end the file or leave the viewer standing."""
+        """Show what was held back, and end the file or leave the viewer standing; a page stays with the process."""
         if self._closed:
             return
         self._closed = True
@@ -117,7 +107,8 @@ class ViewerSink:
         except Exception as error:  # rerun raises kinds of its own; a window closed early must not end a run
             warnings.warn(f"viewer:{self.target}: not everything was shown: {error}", UllageWarning, stacklevel=2)
         finally:
-            self._rec.disconnect()
+            if not self.address:
+                self._rec.disconnect()
 
     def __enter__(self) -> Self:
         return self
@@ -146,7 +137,7 @@ class ViewerSink:
         if part.poses is not None:
             things.log_drone(self._rec)
             things.log_beam(self._rec, f"world/radars/{name}", part.spec, shown.color)
-            if self._rays:
+            if self._output.rays:
                 things.log_rays(self._rec, f"world/radars/{name}", part.spec, shown.color)
             arc = rr.LineStrips3D.from_fields(colors=color, radii=_points(rr, 1.5))
             self._rec.log(f"world/echoes/{name}/arcs", arc, static=True)
@@ -353,39 +344,3 @@ def _centers(grid: Grid, cells: NDArray[np.int64]) -> NDArray[np.float32]:
 
 def _points(rr: Any, size: float) -> Any:
     return rr.Radius.ui_points(size)
-
-
-def _spawn(rr: Any, rec: Any) -> None:
-    """Open a viewer's window and send there."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError("no display to open a viewer on", where="viewer:", allowed=USAGE)
-    beside = Path(sys.executable).with_name("rerun")
-    program = str(beside) if beside.exists() else shutil.which("rerun")
-    try:
-        rr.spawn(recording=rec, executable_path=program)
-    except Exception as error:  # rerun raises kinds of its own
-        raise InputError(f"the viewer does not start: {error}", where="viewer:", allowed=USAGE) from None
-
-
-def _connect(rec: Any, address: str) -> None:
-    """Send to a viewer that runs already; that it answers is tried first, for rerun itself would wait for it."""
-    place = urlsplit(address)
-    try:
-        socket.create_connection((place.hostname or "", place.port or 9876), timeout=3.0).close()
-        rec.connect_grpc(address)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(f"no viewer answers: {error}", where=f"viewer:{address}", allowed=USAGE) from None
-
-
-def _save(rec: Any, path: Path, overwrite: bool) -> None:
-    if path.suffix.lower() != ".rrd":
-        raise InputError("not something a viewer shows", where=f"viewer:{path}", allowed=USAGE)
-    if path.exists() and not overwrite:
-        raise InputError("exists already", where=path, allowed="a new name, or overwrite=True")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("wb").close()
-        rec.save(path)
-    except (OSError, RuntimeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"cannot write: {reason}", where=path) from None
