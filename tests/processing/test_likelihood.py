@@ -1,5 +1,7 @@
 """The likelihood mapper: laws first, on echoes whose ranges are known in closed form."""
 
+from dataclasses import replace
+
 import mirror_world as world
 import numpy as np
 import pytest
@@ -7,7 +9,9 @@ import pytest
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
+from ullage.kernels.matched_sums import Aperture
 from ullage.processing.likelihood.mapper import LikelihoodMapper
+from ullage.processing.likelihood.poses import AperturePoses
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.occupancy import Mapper
 
@@ -76,6 +80,16 @@ def mapped(frames, **spec):
     mapper.update(frames)
     mapper.finish()
     return mapper
+
+
+def shaken(frames, sigma_m, seed=0):
+    """Frames with white errors of their positions, the same for all sensors."""
+    first = next(iter(frames.values()))
+    error = np.random.default_rng(seed).normal(size=(len(first), 3)) * sigma_m
+    return {
+        name: replace(part, poses=Trajectory(part.t_ns, part.poses.position + error, part.poses.quat_xyzw))
+        for name, part in frames.items()
+    }
 
 
 def delayed(part, rows):
@@ -207,6 +221,82 @@ def test_a_hall_is_mapped_better_than_by_the_baseline():
     assert score["likelihood"]["f1"] > score["elfes"]["f1"] + 0.1
     assert score["likelihood"]["surface_declared_free"] < 0.05
     assert score["likelihood"]["known_behind"] < 0.01
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.001, 0.002, 0.003])
+def test_white_errors_of_the_poses_are_estimated(sigma_m):
+    frames = flown(curve(spacing=0.03), wall(90, 2.4), wall(-20, 3.1), pillar((-1.4, -1.8), 0.2))
+    mapper = mapped(shaken(frames, sigma_m))
+    assert mapper.pose_sigma_m == pytest.approx(sigma_m, rel=0.4, abs=2e-4)
+
+
+def test_the_poses_errors_turn_the_coherent_score_into_that_of_the_amplitudes():
+    """At exact poses no phase is explained by the poses. At poor ones each is, and only amplitudes count."""
+    rng = np.random.default_rng(3)
+    moment = np.repeat(np.arange(12), 4)
+    samples = np.zeros((48, 40, 2), np.float32)
+    samples[:, 18:22, 0] = 1.0
+    gains = np.ones((4, 2001))
+    aperture = Aperture(samples, np.zeros((48, 3)), np.tile(np.arange(4), 12), np.eye(4, 3), gains, 3.0)
+    error = rng.normal(size=(12, 1)) * 0.3  # bins: 0.9 rad
+    aperture.offset[:, :1] = error[moment]
+    unit, explained = np.array([1.0, 0, 0]), []
+    for sigma in (0.0, 0.01, 0.03, 0.1, 0.3, 100.0):
+        poses = AperturePoses(aperture, moment)
+        poses.expect(sigma)
+        phases = poses.phases(unit, np.ones(4), 0.0, 20.0)
+        left = phases.turn - poses.expected(unit, phases)
+        explained.append(abs(np.exp(1j * left).mean()))
+    assert explained[0] == pytest.approx(phases.coherence)
+    assert explained[0] < 0.8
+    assert explained[-1] == pytest.approx(1.0, abs=1e-6)
+    assert np.all(np.diff(explained) > 0)
+
+
+def test_echoes_correct_the_positions_along_their_direction():
+    moment = np.repeat(np.arange(12), 4)
+    samples = np.zeros((48, 40, 2), np.float32)
+    samples[:, 18:22, 0] = 1.0
+    aperture = Aperture(samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), np.ones((4, 2001)), 3.0)
+    error = np.random.default_rng(3).normal(size=(12, 3)) * 0.2
+    aperture.offset[:] = error[moment]
+    poses = AperturePoses(aperture, moment)
+    poses.expect(0.2)
+    x, y = np.eye(3)[:2]
+    before = poses.variance(y)
+    poses.correct(x, poses.phases(x, np.ones(4), 0.0, 20.0))
+    assert np.std(aperture.offset[:, 0]) < 0.1 * np.std(error[:, 0])
+    assert np.array_equal(aperture.offset[:, 1:], error[moment, 1:])
+    assert poses.variance(x) < 0.05 * before
+    assert poses.variance(y) == before
+
+
+def test_large_errors_correct_nothing():
+    """A phase does not say how many half wavelengths a position is off."""
+    moment = np.repeat(np.arange(12), 4)
+    samples = np.zeros((48, 40, 2), np.float32)
+    samples[:, 18:22, 0] = 1.0
+    aperture = Aperture(samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), np.ones((4, 2001)), 3.0)
+    aperture.offset[:, 0] = np.linspace(-0.5, 0.5, 12)[moment]
+    given = aperture.offset.copy()
+    poses = AperturePoses(aperture, moment)
+    poses.expect(3.0)
+    x = np.array([1.0, 0, 0])
+    poses.correct(x, poses.phases(x, np.ones(4), 0.0, 20.0))
+    assert np.abs(aperture.offset - given).max() < 0.05
+    assert poses.variance(x) > 0.9 * 81
+
+
+@pytest.mark.slow
+def test_a_hall_is_mapped_with_errors_of_3_mm_almost_as_at_exact_poses():
+    from test_mapper import HALL, PLAN, loop
+
+    exact = world.rig(loop(rate=8.0), PLAN, seed=1)
+    score = [
+        ul.metrics.map_quality(ul.map_occupancy(frames, GRID, method="likelihood"), HALL, exact)["f1"].value
+        for frames in (exact, shaken(exact, 0.003))
+    ]
+    assert score[1] > score[0] - 0.02
 
 
 def test_bad_input_is_refused_in_one_line():

@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, strongest, subtract, sum_directions
 from ullage.processing.likelihood.keyframes import Keyframe
+from ullage.processing.likelihood.poses import AperturePoses, PoseErrors
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 Floats = NDArray[np.float64]
 
-CURVATURES = (-0.7, 0.0, 0.7)  # of the first search [1/m]; the aperture's depth of focus is 0.7 /m
 FAR_END_M = 0.3  # of the range axis that the search leaves out
 LEAST_ROWS = 12  # of an aperture: three frames of four sensors
 BEARING_PRIOR_RAD, CURVATURE_PRIOR = 0.5, 1.0  # standard deviation of what an aperture may leave open
 MOST_COHERENCE = 0.995
 COARSE, FINE = (1.5, 0.35, 0.5), (0.5, 0.05, 0.25)  # first steps of the search: deg, 1/m and bins
+AS_IT_IS = (0.0, 0.0, 0.0)  # no search
 SAME_RANGE_M = 0.1  # within which an echo may be that of a known surface
 
 Found = tuple[Floats, Floats, float, float, float]
@@ -51,6 +52,7 @@ class EchoFinder:
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
+        self.pose_errors = PoseErrors()
         bearing = np.arange(spec.directions) * 2 * np.pi / spec.directions
         self._bearing = np.concatenate([bearing, [1.0, -1.0]])
         self._level = np.concatenate([np.ones(len(bearing)), [0.0, 0.0]])
@@ -69,54 +71,89 @@ class EchoFinder:
         low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
         found: list[Found] = []
         if len(aperture.offset) >= LEAST_ROWS and low < high:
-            found = self._clean(key, low, high, np.zeros((0, 3)) if known is None else known)
+            poses, samples = AperturePoses(aperture, key.moment), aperture.samples.copy()
+            search = key, low, high, np.zeros((0, 3)) if known is None else known
+            found = self._clean(*search, poses)
+            if poses.uncertain:  # all echoes together have shown the errors, so the samples are explained anew
+                aperture.samples[:] = samples
+                found = self._clean(*search, poses)
         state = np.array([row[0] for row in found]).reshape(-1, 3)
         covariance = np.array([row[1] for row in found]).reshape(-1, 3, 3)
         rest = np.array([row[2:] for row in found]).reshape(-1, 3)
         return Echoes(key.position[:2], state, covariance, *rest.T)
 
     def _sum(self, key: Keyframe, low: int, high: int, energy: NDArray[np.float32]) -> None:
-        for curvature, out in zip(CURVATURES, energy, strict=True):
-            sum_directions(key.aperture, self._directions, curvature * key.bin_m, low, high, out)
+        """Energy that a flat reflector explains; `refine` finds its curvature."""
+        sum_directions(key.aperture, self._directions, 0.0, low, high, energy[0])
 
-    def _clean(self, key: Keyframe, low: int, high: int, known: Floats) -> list[Found]:
+    def _clean(self, key: Keyframe, low: int, high: int, known: Floats, poses: AperturePoses) -> list[Found]:
         """Take the echoes out one after the other, and list the level ones."""
         spec, aperture, noise = self._spec, key.aperture, key.noise**2
         bins = aperture.samples.shape[1]
-        energy = np.zeros((len(CURVATURES), len(self._directions), bins), np.float32)
+        energy = np.zeros((1, len(self._directions), bins), np.float32)
         self._sum(key, low, high, energy)
         floor, reach = np.ones(bins), 2 * int(3 * key.pulse) + 2
         out: list[Found] = []
         for _ in range(spec.most_echoes):
-            best, (c, d, k) = strongest(energy, floor, low, high)
+            best, (_, d, k) = strongest(energy, floor, low, high)
             if best <= spec.least_snr * noise:
                 break
-            start = np.array([self._level[d], self._bearing[d], CURVATURES[c] * key.bin_m, k])
-            start, fit, sums = self._refined(key, start, known)
+            start = np.array([self._level[d], self._bearing[d], 0.0, k])
+            start, fit = self._refined(key, start, known)
+            fit, echo = self._explain(key, poses, (start, fit), (floor[k] - 1) * noise)
             if start[0] > 0:
-                out.append(self._echo(key, fit, sums, (floor[k] - 1) * noise))
-            subtract(aperture, start, fit, sums, key.pulse)
+                out.append(echo)
             at = int(fit[4])
             self._sum(key, max(at - reach, low), min(at + reach, high), energy)
             pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
             floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
         return out
 
-    def _refined(self, key: Keyframe, start: Floats, known: Floats) -> tuple[Floats, Floats, Floats]:
+    def _explain(
+        self, key: Keyframe, poses: AperturePoses, hypothesis: tuple[Floats, Floats], left: float
+    ) -> tuple[Floats, Found]:
+        """Take an echo out of the samples, with the phases that errors of the poses explain.
+
+        Args:
+            key: the keyframe.
+            poses: of its aperture; the echo corrects them, and the first one shows how large their errors are.
+            hypothesis: start and fit.
+            left: energy that stronger echoes may have left at its range.
+
+        Returns:
+            The fit at corrected phases, and the echo.
+        """
+        start, fit = hypothesis
+        unit = _unit(start[0], fit[2])
+        gains = gains_of(key.aperture, unit)
+        phases = poses.phases(unit, gains / gains.max(), fit[3], fit[4])
+        if poses.sigma is None:
+            self.pose_errors.learn(phases, 3 if start[0] > 0 else 2, 4 * math.pi / key.wavelength_m)
+            poses.expect(self.pose_errors.sigma_m / key.bin_m)
+        turn = poses.expected(unit, phases)
+        poses.shift(unit, turn)
+        fit, sums = self._fitted(key, np.array([start[0], *fit[2:]]), AS_IT_IS)
+        echo = self._echo(key, fit, sums, left)
+        subtract(key.aperture, start, fit, sums, key.pulse)
+        poses.shift(unit, -turn)
+        poses.correct(unit, phases)
+        return fit, echo
+
+    def _refined(self, key: Keyframe, start: Floats, known: Floats) -> tuple[Floats, Floats]:
         """Refine a first estimate, and rival it by the known surfaces at its range.
 
         Returns:
-            Start, fit and sums of the hypothesis that explains the echo.
+            Start and fit of the hypothesis that explains the echo.
         """
-        fit, sums = self._fitted(key, start, COARSE)
+        fit, _ = self._fitted(key, start, COARSE)
         at_m = key.start_m + key.bin_m * fit[4]
-        best, best_nats = (start, fit, sums), self._nats(key, fit)
+        best, best_nats = (start, fit), self._nats(key, fit)
         for range_m, bearing, curvature in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
             rival = np.array([1.0, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m])
-            fit, sums = self._fitted(key, rival, FINE)
+            fit, _ = self._fitted(key, rival, FINE)
             nats = self._nats(key, fit) + self._spec.known_nats
             if nats > best_nats:
-                best, best_nats = (rival, fit, sums), nats
+                best, best_nats = (rival, fit), nats
         return best
 
     def _fitted(self, key: Keyframe, start: Floats, steps: tuple[float, float, float]) -> tuple[Floats, Floats]:
@@ -177,6 +214,13 @@ class EchoFinder:
         out = np.diag([spec.range_sigma_m**2, math.radians(spec.bearing_sigma_deg) ** 2, spec.curvature_sigma**2])
         out[1:, 1:] += inverse[1:, 1:]
         return out
+
+
+def _unit(level: float, bearing: float) -> Floats:
+    """Unit vector (3) of a level bearing [rad], or straight up or down where `level` is 0."""
+    if level > 0:
+        return np.array([math.cos(bearing), math.sin(bearing), 0.0])
+    return np.array([0.0, 0.0, math.copysign(1.0, bearing)])
 
 
 def gains_of(aperture: Aperture, unit: Floats) -> Floats:

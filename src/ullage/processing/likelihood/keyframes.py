@@ -58,6 +58,7 @@ class Keyframe:
     first_bin: int  # beyond the direct path
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
+    moment: NDArray[np.int64]  # (m) index of the time of each row of the aperture
 
 
 class KeyframeSelector:
@@ -159,6 +160,7 @@ class KeyframeSelector:
             max(int((leader.blind_m - leader.start_m) / leader.bin_m), 0),
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
+            np.unique([row.t_ns for _, row in picked], return_inverse=True)[1],
         )
 
 

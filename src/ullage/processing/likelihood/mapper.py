@@ -122,6 +122,11 @@ class LikelihoodMapper:
             for one, on_map in zip(surfaces, kept, strict=True)
         ]
 
+    @property
+    def pose_sigma_m(self) -> float:
+        """White error of one coordinate of the positions, as the latest echoes show it (standard deviation) [m]."""
+        return self._echoes.pose_errors.sigma_m
+
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""
         now = self.map()

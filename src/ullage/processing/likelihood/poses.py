@@ -1,0 +1,143 @@
+"""Errors of the poses inside one aperture: how large they are, and where each echo shows them.
+
+A pose error turns the phase of every echo at that moment, by 4 pi / wavelength times its part along the echo's
+direction. The strongest echo shows this part at each moment. Its posterior mean corrects the aperture for the next
+echoes, and the covariance that is left says how coherent an echo from another direction can be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.matched_sums import Aperture
+
+Floats = NDArray[np.float64]
+
+KEPT = 41  # estimates of the variance; their median counts
+LEAST_VARIANCE = 1e-3  # of a phase, that the model itself leaves [rad^2]
+LEAST_SHARE = 0.8  # of its energy that an echo must explain at free phases to speak for the poses
+LEAST_COHERENCE = 1e-3  # bounds the variance of phases that have nothing in common
+LEAST_PRIOR = 0.01  # variance of a phase from which the poses are worth a second pass [rad^2]
+WRAPS = 2 * np.pi * np.arange(-3, 4)
+
+
+class PoseErrors:
+    """Estimate of the poses' white errors over the flight, from the phases of the strongest echoes."""
+
+    def __init__(self) -> None:
+        self._variance_m2: deque[float] = deque(maxlen=KEPT)
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of one coordinate of a position [m]; 0 as long as no echo shows it."""
+        return math.sqrt(float(np.median(self._variance_m2))) if self._variance_m2 else 0.0
+
+    def learn(self, phases: EchoPhases, fitted: int, rad_per_m: float) -> None:
+        """Take the phases of an echo that no earlier echo corrected.
+
+        Args:
+            phases: of the echo.
+            fitted: parameters that were fitted to them; each takes up a degree of freedom.
+            rad_per_m: phase that a metre of range turns.
+        """
+        count = len(phases.turn)
+        if count > fitted and phases.share > LEAST_SHARE:
+            variance = -2 * math.log(max(phases.coherence, LEAST_COHERENCE)) * count / (count - fitted)
+            self._variance_m2.append(max(variance - phases.variance, 0.0) / rad_per_m**2)
+
+
+class EchoPhases:
+    """Phases of one echo at the moments of an aperture, against the model.
+
+    Attributes:
+        turn: (t) phase at each moment [rad].
+        coherence: size of the mean over moments, over the mean size.
+        share: of the energy that the echo explains at free phases.
+        variance: of a phase by what the echo does not explain [rad^2].
+    """
+
+    def __init__(self, rows: NDArray[np.complex128], gain: Floats, moment: NDArray[np.int64]) -> None:
+        weighted = gain * rows
+        sums = np.bincount(moment, weighted.real) + 1j * np.bincount(moment, weighted.imag)
+        size = np.abs(sums)
+        total, energy = max(float(size.sum()), 1e-30), max(float((np.abs(rows) ** 2).sum()), 1e-30)
+        self.turn = np.angle(sums * np.conj(sums.sum()))
+        self.coherence = float(abs(sums.sum())) / total
+        self.share = min(total**2 / max(float((gain**2).sum()), 1e-9) / energy, 1.0)
+        self.variance = LEAST_VARIANCE + (1 - self.share) / (2 * self.share)
+
+
+class AperturePoses:
+    """Positions of one aperture with the covariance of their errors; each echo corrects them.
+
+    Args:
+        aperture: its offsets change.
+        moment: (m) index of the time of each row; sensors share the errors of one time.
+    """
+
+    def __init__(self, aperture: Aperture, moment: NDArray[np.int64]) -> None:
+        self._aperture, self._moment = aperture, moment
+        self._covariance = np.zeros((3, 3))
+        self.sigma: float | None = None
+
+    def expect(self, sigma: float) -> None:
+        """Expect errors of this standard deviation in each coordinate [bin], before any correction."""
+        self.sigma = sigma
+        self._covariance = sigma**2 * np.eye(3)
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether the errors were expected to turn phases by more than the model itself does."""
+        return self.sigma is not None and (self.sigma * self._aperture.phase) ** 2 > LEAST_PRIOR
+
+    def variance(self, unit: Floats) -> float:
+        """Variance of a phase in a direction [rad^2]."""
+        return float(unit @ self._covariance @ unit) * self._aperture.phase**2
+
+    def phases(self, unit: Floats, gains: Floats, curvature: float, place: float) -> EchoPhases:
+        """Phases of an echo.
+
+        Args:
+            unit: direction (3).
+            gains: (s) of the sensors.
+            curvature: of the range [1/bin].
+            place: range [bin].
+        """
+        aperture = self._aperture
+        along = aperture.offset @ unit
+        delay = 0.5 * curvature * ((aperture.offset**2).sum(axis=1) - along**2) - along
+        at = np.clip(delay + place, 0, aperture.samples.shape[1] - 1.001)
+        low, row = at.astype(int), np.arange(len(at))
+        share = (at - low)[:, None]
+        pair = aperture.samples[row, low] * (1 - share) + aperture.samples[row, low + 1] * share
+        rows = (pair[:, 0] + 1j * pair[:, 1]) * np.exp(1j * aperture.phase * delay)
+        return EchoPhases(rows, gains[aperture.sensor], self._moment)
+
+    def expected(self, unit: Floats, phases: EchoPhases) -> Floats:
+        """Part of an echo's phases (t) that the poses' errors explain [rad]: none at exact poses, all at poor ones."""
+        prior = self.variance(unit)
+        return np.asarray(phases.turn * prior / (prior + phases.variance))
+
+    def shift(self, unit: Floats, turn: Floats) -> None:
+        """Move the positions along a direction, by what takes these phases (t) from its echo [rad]."""
+        self._aperture.offset[:] += (turn / self._aperture.phase)[self._moment, None] * unit
+
+    def correct(self, unit: Floats, phases: EchoPhases) -> None:
+        """Take an echo's phases as measurements of the positions along its direction.
+
+        A phase leaves open how many half wavelengths the error holds. The mean over all of them counts, each with its
+        probability, so that a large error corrects nothing.
+        """
+        total = self.variance(unit) + phases.variance
+        turns = phases.turn[:, None] + WRAPS
+        weight = np.exp(-0.5 * (turns**2 - phases.turn[:, None] ** 2) / total)
+        weight /= weight.sum(axis=1, keepdims=True)
+        mean = (weight * turns).sum(axis=1)
+        spread = float(((weight * turns**2).sum(axis=1) - mean**2).mean())
+        gain = self._covariance @ unit * self._aperture.phase / total
+        self._aperture.offset[:] += mean[self._moment, None] * gain
+        self._covariance -= np.outer(gain, gain) * max(total - spread, 0.0)
