@@ -77,6 +77,9 @@ class Surfaces:
     flat_backs: Backs  # of the flat faces
     rays: Raycaster
     solid: Scene  # the faces that rays can hit
+    faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (f) face of the scene of each triangle
+    flat_faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (m) faces of the scene in flat faces
+    flat_at: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (m) and in which flat face each is
     split: dict[bytes, tuple[Raycaster, Veil | None]] = field(default_factory=dict)
     home: Surfaces | None = None  # these before they moved
     poses: Floats | None = None  # (o, 4, 4) of the objects, when they have moved
@@ -118,22 +121,26 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
     sides = backs(corners, normals, stuffs)
     curved = smooth(corners, normals, stuffs, patch)[patch[large]]
     flats = _flats(corners[large], normals[large], stuffs[large], patch[large], curved)
-    lead = np.unique(patch[large], return_index=True)[1]
+    lead, at = np.unique(patch[large], return_index=True, return_inverse=True)[1:]
     small = np.flatnonzero(~large)
     order, first = _clusters(corners[small].mean(1), np.sqrt(area[index][small]))
     small = small[order]
     mine = np.ascontiguousarray(corners[small])
     return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
-                    sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part)  # fmt: skip
+                    sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part, index[small],
+                    index[large], at.astype(np.int64))  # fmt: skip
 
 
-def strewn(corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: Surfaces) -> Surfaces:
-    """Triangles (f, 3, 3) with normals, objects and outer sides, among what else there is."""
+def strewn(
+    corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: Surfaces
+) -> tuple[Surfaces, NDArray[np.int64]]:
+    """Triangles (f, 3, 3) with normals, objects and outer sides, among what else there is, and their order (f)."""
     size = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     order, first = _clusters(corners.mean(1), np.sqrt(size))
     mine = np.ascontiguousarray(corners[order])
-    return replace(home, corners=mine, normals=np.ascontiguousarray(normals[order]), stuffs=stuffs[order],
+    made = replace(home, corners=mine, normals=np.ascontiguousarray(normals[order]), stuffs=stuffs[order],
                    spheres=_spheres(mine, first), first=first, backs=sides.take(order))  # fmt: skip
+    return made, order
 
 
 def twins(corners: Floats) -> tuple[Longs, Longs]:

@@ -92,9 +92,9 @@ def knuckles_of(shells: Sequence[Shell], walls: Sequence[Round], still: Surfaces
             mine = np.flatnonzero((stuffs == wall.stuff) & (np.linalg.norm(apart, axis=1) < reach)).tolist()
             if not mine:
                 continue
-            corners, normals, area = (np.concatenate([getattr(shells[k], row) for k in mine])
-                                      for row in ("corners", "normals", "area"))  # fmt: skip
-            whole = Shell(corners, normals, area, wall.stuff)  # knuckles of few facets bend enough to come apart
+            corners, normals, area, faces = (np.concatenate([getattr(shells[k], row) for k in mine])
+                                             for row in ("corners", "normals", "area", "faces"))  # fmt: skip
+            whole = Shell(corners, normals, area, wall.stuff, faces)  # knuckles of few facets bend enough to come apart
             tube = _tube(whole, wall, end, side)
             found += [] if tube is None else [_knuckle(whole, tube, still)]
     return tuple(found)
@@ -140,7 +140,7 @@ def _knuckle(shell: Shell, tube: Tube, still: Surfaces) -> Knuckle:
     stuffs = np.full(len(corners), shell.stuff, np.int32)
     sides = np.linalg.norm(told[0] - np.roll(told[0], 1, 1), axis=2)
     flats, small = _taken(still, tube, shell.stuff)
-    fine = strewn(corners, normals, stuffs, _backs(told[0].mean(1), still, parent, corners, normals), still)
+    fine, _ = strewn(corners, normals, stuffs, _backs(told[0].mean(1), still, parent, corners, normals), still)
     return Knuckle(fine, float(depth), float(sides.min(1).max()), shell.stuff, flats, small)
 
 

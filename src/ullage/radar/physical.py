@@ -177,11 +177,11 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
     from ullage.radar.flats import lay_flats
-    from ullage.radar.knuckles import lay_heads
+    from ullage.radar.patch_echoes import lay_curved
 
     parts = ready.world.parts(poses)
     view = _off(parts, view)
-    out, done = lay_heads(ready, parts, view, grids)
+    out, done = lay_curved(ready, parts, view, grids)
     for part in parts:
         small, large = done if part is parts[0] else (None, None)
         if len(part.corners):

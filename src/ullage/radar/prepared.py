@@ -20,6 +20,7 @@ from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
     from ullage.radar.knuckles import Knuckle
+    from ullage.radar.patches import Patches
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +38,7 @@ class Prepared:
         self._movers = Movers(scene, self.moving) if self.moving.any() else None
         self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
         self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
+        self._patches: dict[tuple[float, float], Patches | None] = {}
         self.edges = sharp_edges(scene, self.still.rays)
 
     @cached_property
@@ -58,6 +60,34 @@ class Prepared:
         moves = [o.motion is not None for o in self.scene.objects]
         walls = [wall for wall in self.rounds if not moves[wall.stuff]]
         return knuckles_of(self._shells, walls, self.still) if walls else ()
+
+    def patches(self, wavelength_m: float, widest_m: float) -> Patches | None:
+        """Curved surfaces of other shapes that stand still, cut for a wavelength [m], if there are any.
+
+        Facets wider than `widest_m` [m] are left as they are.
+        """
+        key = wavelength_m, widest_m
+        if key not in self._patches:
+            from ullage.radar.patches import patches_of
+
+            bent = self.still.flats.smooth.any() or len(self.still.corners)
+            self._patches[key] = (
+                patches_of(self.scene, self.still, self._claimed(), wavelength_m=wavelength_m, widest_m=widest_m)
+                if bent
+                else None
+            )
+        return self._patches[key]
+
+    def _claimed(self) -> NDArray[np.bool_]:
+        """Faces of the scene (s) for which there are closed forms."""
+        out = np.zeros(len(self.scene.faces), bool)
+        for wall in self.rounds:
+            out[wall.faces] = True
+        masks = [(ball.small, ball.flats) for ball in self.balls]
+        for small, flats in (*masks, *((knuckle.small, knuckle.flats) for knuckle in self.knuckles)):
+            out[self.still.faces[small]] = True
+            out[self.still.flat_faces[flats[self.still.flat_at]]] = True
+        return out
 
     @cached_property
     def _shells(self) -> list[Shell]:

@@ -49,6 +49,7 @@ class Round:
     ball: bool = False
     strips: Floats = field(default_factory=lambda: np.zeros((0, 4)))  # (s, 4) angle, half width [rad], low, high [m]
     caps: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (s, 2) flat face at either end: 1, at holes -1
+    faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (n) faces of the scene that lie on it
 
     def local(self, points: Floats) -> Floats:
         """Points (..., 3) as seen from the centre along the axes [m]."""
@@ -73,10 +74,11 @@ class Shell:
     normals: Floats  # (n, 3)
     area: Floats  # (n) [m2]
     stuff: int  # object
+    faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (n) of the scene
 
     def take(self, which: NDArray[np.integer]) -> Shell:
         """Some of them."""
-        return Shell(self.corners[which], self.normals[which], self.area[which], self.stuff)
+        return Shell(self.corners[which], self.normals[which], self.area[which], self.stuff, self.faces[which])
 
 
 def shells_of(scene: Scene, faces: NDArray[np.bool_]) -> list[Shell]:
@@ -87,7 +89,8 @@ def shells_of(scene: Scene, faces: NDArray[np.bool_]) -> list[Shell]:
     area = np.linalg.norm(normals, axis=1) / 2
     kept = area > 1e-12
     corners, stuffs, area, normals = corners[kept], stuffs[kept], area[kept], normals[kept] / (2 * area[kept, None])
-    return [Shell(corners[mine], normals[mine], area[mine], int(stuffs[mine[0]]))
+    index = np.flatnonzero(faces)[kept]
+    return [Shell(corners[mine], normals[mine], area[mine], int(stuffs[mine[0]]), index[mine])
             for mine in _connected(corners, normals, stuffs)]  # fmt: skip
 
 
@@ -98,9 +101,9 @@ def rounds_of(shells: Sequence[Shell]) -> tuple[Round, ...]:
         told = shell.corners, shell.normals, shell.area, shell.stuff
         ball, wall = _ball(*told), _fitted(*told)
         if ball is not None and (wall is None or ball.depth < 2 * wall.depth):  # the rims of a drum lie on a ball, too
-            found.append(ball)
+            found.append(replace(ball, faces=shell.faces))
         elif wall is not None:
-            found.append(wall)
+            found.append(replace(wall, faces=shell.faces[leveled(shell.normals, shell.area)]))
     return tuple(found)
 
 

@@ -1,0 +1,42 @@
+"""What curved surfaces echo in place of their facets: balls and knuckles in closed form, all others by patches."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.radar.facets import Surfaces
+from ullage.radar.knuckles import lay_heads
+from ullage.radar.laid import Laid, centroids
+from ullage.radar.patches import Patches
+from ullage.radar.physical import Bench, View, common, lay_triangles, shading, triangles
+from ullage.radar.wall_bounces import PULL_M
+
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+
+
+def lay_curved(
+    ready: Bench, parts: list[Surfaces], view: View, grids: Complexes
+) -> tuple[list[Laid], tuple[Bools | None, Bools | None]]:
+    """Add to the delay grids what curved surfaces that stand still echo; as `knuckles.lay_heads`."""
+    out, (small, large) = lay_heads(ready, parts, view, grids)
+    wavelength = ready.spec.wavelength_m
+    patches = ready.world.patches(wavelength, float(np.sqrt(wavelength * ready.gate[1] / 2)))
+    if patches is None:
+        return out, (small, large)
+    out.append(_laid(ready, parts, patches, view, grids))
+    small = patches.small if small is None else small | patches.small
+    large = patches.flats if large is None else large | patches.flats
+    return out, (small, large)
+
+
+def _laid(ready: Bench, parts: list[Surfaces], patches: Patches, view: View, grids: Complexes) -> Laid:
+    """Lay the pieces; what stands before them is asked for just before their facets, on the radar's side."""
+    fine = patches.fine
+    leaves, owner = triangles(ready, fine, view)
+    middles, normals = centroids(leaves), fine.normals[owner]
+    side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
+    between = shading(ready, parts, view, middles + (side * (patches.depth[owner] + PULL_M))[:, None] * normals)
+    pieces = leaves, owner, np.zeros(len(owner), np.int64)
+    return lay_triangles(fine.normals, fine.stuffs, pieces, between, common(ready, view, grids))

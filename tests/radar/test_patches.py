@@ -1,0 +1,149 @@
+"""Coarse curved surfaces echo as the surfaces through their corners do: ellipsoid, torus, bend, dished head, cone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import ullage as ul
+from ullage.errors import UllageWarning
+from ullage.geometry import rpy_quat
+from ullage.radar import patches, physical
+from ullage.radar.prepared import prepare
+from ullage.world import shapes
+from ullage.world.scene import Scene
+
+SPEC = ul.RadarSpec.preset("x4m05", noise=None)
+Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+
+def skin(rings: NDArray[np.float64], *, closed: bool) -> Mesh:
+    """A mesh through rings (n, m, 3) of points; points in one place are welded."""
+    n, m = rings.shape[:2]
+    i, j = np.meshgrid(np.arange(n if closed else n - 1), np.arange(m), indexing="ij")
+    a, b, c, d = (p * m + q for p, q in ((i, j), ((i + 1) % n, j), ((i + 1) % n, (j + 1) % m), (i, (j + 1) % m)))
+    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    vertices, at = np.unique(np.round(rings.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    faces = at.reshape(-1)[faces]
+    whole = (faces != np.roll(faces, 1, 1)).all(1)
+    return vertices, faces[whole].astype(np.int32)
+
+
+def ellipsoid(edge_m: float) -> Mesh:
+    return shapes.ellipsoid((0.3, 0.4, 0.25), edge_m=edge_m)
+
+
+def ring(edge_m: float, turn: float = 2 * np.pi, wide: float = 0.4, tube: float = 0.12) -> Mesh:
+    """A torus, or part of one."""
+    count = int(np.ceil(turn * (wide + tube) / edge_m))
+    u, v = np.arange(count + (turn < 6)) * turn / count, np.arange(int(np.ceil(2 * np.pi * tube / edge_m)))
+    u, v = np.meshgrid(u, v * 2 * np.pi / len(v), indexing="ij")
+    away = wide + tube * np.cos(v)
+    return skin(np.stack([away * np.cos(u), away * np.sin(u), tube * np.sin(v)], -1), closed=turn > 6)
+
+
+def bend(edge_m: float) -> Mesh:
+    return ring(edge_m, turn=np.pi / 2, wide=0.35, tube=0.1)
+
+
+def vessel(edge_m: float) -> Mesh:
+    """A cylinder with elliptical heads, half as deep as wide."""
+    turn = np.linspace(0, np.pi / 2, int(np.ceil(1.21 * 0.4 / edge_m)) + 1)
+    top = np.stack([0.4 * np.sin(turn), 0.4 + 0.2 * np.cos(turn)], 1)
+    profile = np.concatenate([top, top[::-1] * [1, -1]])
+    around = np.arange(int(np.ceil(2 * np.pi * 0.4 / edge_m)))
+    around = around * 2 * np.pi / len(around)
+    level = np.broadcast_to(profile[:, 1:], (len(profile), len(around)))
+    return skin(np.stack([profile[:, :1] * np.cos(around), profile[:, :1] * np.sin(around), level], -1), closed=False)
+
+
+def poses(count: int = 8) -> ul.Trajectory:
+    """Poses all round at 1 to 2.5 m, facing the origin."""
+    rng = np.random.default_rng(5)
+    out = rng.normal(size=(count, 3))
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    turns = [rpy_quat(0, np.arcsin(z), np.arctan2(-y, -x)) for x, y, z in out]
+    return ul.Trajectory(np.arange(count) * 10**9, out * rng.uniform(1, 2.5, (count, 1)), np.array(turns))
+
+
+def frames(mesh: Mesh) -> NDArray[np.complex64]:
+    return physical.echoes(Scene.of_mesh(*mesh, name="thing", made_of="pec"), poses(), SPEC)
+
+
+def off_db(coarse: NDArray[np.complex64], fine: NDArray[np.complex64]) -> NDArray[np.float64]:
+    """Largest difference in each frame over that frame's peak [dB]."""
+    return np.asarray(20 * np.log10(abs(coarse - fine).max(1) / abs(fine).max(1)))
+
+
+@lru_cache(maxsize=4)
+def truth(make: Callable[[float], Mesh], edge_m: float) -> NDArray[np.complex64]:
+    """What a mesh echoes that is so fine that it is not cut."""
+    scene = Scene.of_mesh(*make(edge_m), name="thing", made_of="pec")
+    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) is None
+    return frames(make(edge_m))
+
+
+@pytest.mark.parametrize(("make", "fine_m", "edge_m", "worst_db", "median_db"), [
+    (ellipsoid, 0.014, 0.044, -31, -34),  # facets: -20, -23
+    (ellipsoid, 0.014, 0.088, -26, -35),  # -11, -14
+    (ring, 0.01, 0.051, -25, -32),  # -2, -3
+    pytest.param(ring, 0.01, 0.08, -18, -34, marks=pytest.mark.slow),  # +5, +3
+    pytest.param(bend, 0.008, 0.03, -16, -28, marks=pytest.mark.slow),  # -9, -13
+    pytest.param(vessel, 0.012, 0.05, -30, -34, marks=pytest.mark.slow),  # -8, -15
+])  # fmt: skip
+def test_a_coarse_curved_surface_echoes_as_a_fine_one(make, fine_m, edge_m, worst_db, median_db):
+    off = off_db(frames(make(edge_m)), truth(make, fine_m))
+    assert off.max() < worst_db
+    assert np.median(off) < median_db
+
+
+@pytest.mark.parametrize("scene", [
+    ul.scenes.room((6, 4, 3), plate={"width_m": 0.5, "height_m": 0.5, "distance_m": 2.0}),
+    ul.scenes.sphere(0.3, distance_m=3.0),
+    ul.scenes.cylinder(0.3, 1.0, distance_m=3.0),
+    Scene.of_mesh(*skin(np.array([[[x, y, z] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))] for z in (0, 1)]),
+                        closed=False), name="duct"),
+], ids=["room", "ball", "cylinder", "duct"])  # fmt: skip
+def test_flat_things_and_those_with_a_closed_form_stay_as_they_are(scene):
+    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) is None
+
+
+def test_pieces_stand_for_whole_facets_and_fill_the_surface():
+    scene = Scene.of_mesh(*ring(0.051), name="ring", made_of="pec")
+    world = prepare(scene)
+    found = world.patches(SPEC.wavelength_m, 0.5)
+    assert found.small.all()
+    assert found.flats.all()
+    a, b, c = found.fine.corners.transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    assert area == pytest.approx(4 * np.pi**2 * 0.4 * 0.12, rel=3e-3)  # facets: 1.3 % less
+    outward = found.fine.backs.outward[:, :3]
+    middles = found.fine.corners.mean(1)
+    away = np.hypot(middles[:, 0], middles[:, 1])
+    normal = np.stack([middles[:, 0] * (1 - 0.4 / away), middles[:, 1] * (1 - 0.4 / away), middles[:, 2]], 1) / 0.12
+    assert (np.einsum("ni,ni->n", outward, normal) > 0.99).all()
+
+
+def test_too_many_pieces_are_cut_more_coarsely_with_one_warning(monkeypatch):
+    monkeypatch.setattr(patches, "MOST", 3000)
+    scene = Scene.of_mesh(*ring(0.051), name="ring", made_of="pec")
+    with pytest.warns(UllageWarning, match=r"ring: curved surfaces would take \d+ pieces; cut into \d+"):
+        found = prepare(scene).patches(SPEC.wavelength_m, 0.5)
+    assert len(found.fine.corners) <= 3000
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_broken_curved_meshes_echo_without_failing(seed):
+    rng = np.random.default_rng(seed)
+    vertices, faces = ellipsoid(0.088)
+    faces = faces.copy()
+    flipped = rng.random(len(faces)) < 0.2
+    faces[flipped] = faces[flipped][:, ::-1]
+    faces = np.concatenate([faces[rng.random(len(faces)) < 0.9], faces[:40], rng.integers(0, len(vertices), (20, 3))])
+    out = frames((vertices, faces.astype(np.int32)))
+    assert np.isfinite(out).all()
+    assert abs(out).max() < 1
