@@ -102,9 +102,9 @@ class Surfaces:
         return opaque, Veil(through, self.solid.face_object[mine])
 
 
-def only(scene: Scene, kept: NDArray[np.bool_]) -> Scene:
-    """The scene with some of its faces (f) alone."""
-    return replace(scene, faces=scene.faces[kept], face_object=scene.face_object[kept])
+def only(scene: Scene, kept: NDArray[np.generic]) -> Scene:
+    """The scene with some of its faces (f) alone, for rays: without corner normals."""
+    return replace(scene, faces=scene.faces[kept], face_object=scene.face_object[kept], corner_normals=None)
 
 
 def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
@@ -113,7 +113,7 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     index = np.flatnonzero(faces & (area > 1e-12))
-    part = replace(scene, faces=scene.faces[index], face_object=scene.face_object[index])
+    part = only(scene, index)
     rays = Raycaster(part)
     corners, normals, stuffs = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
     patch = coplanar(corners, normals, stuffs)

@@ -63,7 +63,8 @@ def patches_of(
     found = smoothing.hinges(corners, welded(corners), stuffs)
     if not len(found):
         return None
-    control = point_normal.displacements(corners, smoothing.corner_normals(corners, found), found)
+    given = None if scene.corner_normals is None else scene.corner_normals[faces]
+    control = point_normal.displacements(corners, smoothing.corner_normals(corners, found, given), found)
     sagitta = point_normal.sagitta(control)
     count = np.ceil(np.sqrt(sagitta / (SHARE * wavelength_m)) - 1e-9).astype(np.int64)
     coarse = (count > 1) & ~claimed[faces]

@@ -63,10 +63,10 @@ def _load(
         from ullage.world.urdf import load_urdf
 
         return load_urdf(file, geometry=geometry, search_path=search_path, trust_xacro=trust_xacro)
-    from ullage.world.meshes import FORMATS, load_mesh
+    from ullage.world.meshes import FORMATS, read_mesh
 
     if kind in FORMATS:
-        vertices, faces = load_mesh(file)
-        return Scene.of_mesh(vertices, faces, name=file.stem)
+        mesh = read_mesh(file)
+        return Scene.of_mesh(mesh.vertices, mesh.faces, name=file.stem, corner_normals=mesh.corner_normals)
     known = " ".join((*SDF, *URDF, *FORMATS))
     raise InputError(f"a file of unknown kind {file.suffix!r}", where=file, allowed=known)

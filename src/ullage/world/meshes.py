@@ -9,6 +9,7 @@ import io
 import json
 import logging
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,16 @@ from ullage.world.notices import notify
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Mesh = tuple[Floats, Ints]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshFile:
+    """What a mesh file holds."""
+
+    vertices: Floats  # (v, 3) [m]
+    faces: Ints  # (f, 3)
+    corner_normals: Floats | None = None  # (f, 3, 3) unit vectors, zero where the file has none; None: it has none
+
 
 PLY_BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4, "uint": 4,
@@ -38,7 +49,13 @@ MOST_NODES = 100_000
 
 
 def load_mesh(path: Path, *, submesh: str = "", center: bool = False) -> Mesh:
-    """Vertices (v, 3) [m] and faces (f, 3) of a mesh file.
+    """Vertices (v, 3) [m] and faces (f, 3) of a mesh file; as `read_mesh`."""
+    found = read_mesh(path, submesh=submesh, center=center)
+    return found.vertices, found.faces
+
+
+def read_mesh(path: Path, *, submesh: str = "", center: bool = False) -> MeshFile:
+    """Read a mesh file, with the normals that it gives to its corners.
 
     Args:
         path: the file; its suffix says the format.
@@ -53,7 +70,8 @@ def load_mesh(path: Path, *, submesh: str = "", center: bool = False) -> Mesh:
     if submesh and not parts:
         known = sorted({name for names, _ in found for name in names})
         raise InputError(f"no submesh {submesh!r}", where=path, allowed=", ".join(known[:20]))
-    vertices, faces = joined(parts)
+    whole = joined(parts)
+    vertices, faces = whole.vertices, whole.faces
     if not len(faces):
         raise InputError("the mesh has no triangles", where=path)
     if len(faces) > MOST_FACES:
@@ -64,24 +82,29 @@ def load_mesh(path: Path, *, submesh: str = "", center: bool = False) -> Mesh:
         raise InputError("the mesh has a vertex that is not finite", where=path)
     if center:
         vertices = vertices - (vertices.min(0) + vertices.max(0)) / 2
-    return cleaned(vertices, faces, where=str(path))
+    return cleaned(MeshFile(vertices, faces, whole.corner_normals), where=str(path))
 
 
-def joined(parts: list[Mesh]) -> Mesh:
-    """Several meshes as one."""
+def joined(parts: list[MeshFile]) -> MeshFile:
+    """Join several meshes into one."""
     if not parts:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-    shift = np.cumsum([0, *(len(v) for v, _ in parts)])
-    faces = [f + s for (_, f), s in zip(parts, shift, strict=False)]
-    return np.concatenate([v for v, _ in parts]), np.concatenate(faces).astype(np.int32)
+        return MeshFile(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    shift = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = np.concatenate([part.faces + s for part, s in zip(parts, shift, strict=False)]).astype(np.int32)
+    normals = None
+    if any(part.corner_normals is not None for part in parts):
+        rows = [np.zeros((len(p.faces), 3, 3)) if p.corner_normals is None else p.corner_normals for p in parts]
+        normals = np.concatenate(rows)
+    return MeshFile(np.concatenate([part.vertices for part in parts]), faces, normals)
 
 
-def cleaned(vertices: Floats, faces: Ints, *, where: str) -> Mesh:
+def cleaned(mesh: MeshFile, *, where: str) -> MeshFile:
     """The mesh without faces that have no area, with a warning that counts them.
 
     Raises:
         InputError: no face is left.
     """
+    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.corner_normals
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     longest = np.maximum(np.maximum(((b - a) ** 2).sum(1), ((c - b) ** 2).sum(1)), ((a - c) ** 2).sum(1))
     flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 1e-9 * longest
@@ -91,10 +114,11 @@ def cleaned(vertices: Floats, faces: Ints, *, where: str) -> Mesh:
         some = f"{int(flat.sum())} degenerate triangle{'s' if flat.sum() > 1 else ''} of {len(faces)}"
         notify(f"{where}: {some} left out", kind="degenerate triangles")
         faces = faces[~flat]
-    return vertices, np.ascontiguousarray(faces, np.int32)
+        normals = None if normals is None else normals[~flat]
+    return MeshFile(vertices, np.ascontiguousarray(faces, np.int32), normals)
 
 
-def _parts(path: Path) -> list[tuple[set[str], Mesh]]:
+def _parts(path: Path) -> list[tuple[set[str], MeshFile]]:
     """Each part's names (of the geometry and of its node) and its triangles."""
     kind = path.suffix.lower()
     if kind not in FORMATS:
@@ -147,7 +171,7 @@ def _check_gltf(raw: bytes, path: Path) -> None:
         )
 
 
-def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], Mesh]]:
+def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], MeshFile]]:
     import trimesh
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what it would say is said by the caller
@@ -168,12 +192,14 @@ def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], Mesh]
         matrix, name = found.graph[node]
         geometry = found.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            mesh = np.asarray(geometry.vertices, np.float64), np.asarray(geometry.faces, np.int32)
+            vertices, faces = np.asarray(geometry.vertices, np.float64), np.asarray(geometry.faces, np.int32)
+            given = geometry.vertex_normals if "vertex_normals" in geometry._cache else None  # else trimesh makes some
+            mesh = MeshFile(vertices, faces, _at_corners(given, faces))
             out.append(({str(node), str(name)}, _moved(mesh, np.asarray(matrix, float))))
     return out
 
 
-def _collada(raw: bytes, path: Path) -> list[tuple[set[str], Mesh]]:
+def _collada(raw: bytes, path: Path) -> list[tuple[set[str], MeshFile]]:
     """As Gazebo reads it: nodes' names name the parts, the unit counts, the up axis does not."""
     import collada  # type: ignore[import-untyped]
 
@@ -184,7 +210,7 @@ def _collada(raw: bytes, path: Path) -> list[tuple[set[str], Mesh]]:
     document = collada.Collada(io.BytesIO(raw), ignore=[collada.common.DaeError])
     unit = document.assetInfo.unitmeter if document.assetInfo is not None else None
     scale = np.diag([unit or 1.0, unit or 1.0, unit or 1.0, 1.0])
-    out: list[tuple[set[str], Mesh]] = []
+    out: list[tuple[set[str], MeshFile]] = []
     left = iter(range(MOST_NODES))
     for node in document.scene.nodes if document.scene is not None else ():
         _collada_node(node, scale, set(), out, left)
@@ -192,7 +218,7 @@ def _collada(raw: bytes, path: Path) -> list[tuple[set[str], Mesh]]:
 
 
 def _collada_node(
-    node: Any, matrix: Floats, names: set[str], out: list[tuple[set[str], Mesh]], left: Iterator[int]
+    node: Any, matrix: Floats, names: set[str], out: list[tuple[set[str], MeshFile]], left: Iterator[int]
 ) -> None:
     if next(left, None) is None:
         raise ValueError(f"more than {MOST_NODES} nodes")
@@ -201,25 +227,52 @@ def _collada_node(
         geometry = getattr(getattr(node, "controller", None), "geometry", None)
     if geometry is not None:
         called = {name for name in (*names, geometry.id, geometry.name) if name}
-        out.extend((called, _moved(mesh, matrix)) for mesh in map(_collada_triangles, geometry.primitives) if mesh)
+        meshes = [_collada_triangles(primitive) for primitive in geometry.primitives]
+        out.extend((called, _moved(mesh, matrix)) for mesh in meshes if mesh is not None)
         return
     own = {name for name in (getattr(node, "id", None), node.xmlnode.get("name")) if name}
     for child in getattr(node, "children", None) or ():
         _collada_node(child, matrix @ np.asarray(node.matrix, float), own or names, out, left)
 
 
-def _collada_triangles(primitive: Any) -> Mesh | None:
+def _collada_triangles(primitive: Any) -> MeshFile | None:
     found = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
     index = getattr(found, "vertex_index", None)
     if index is None or np.ndim(index) != 2 or np.shape(index)[1] != 3 or not len(index):
         return None  # lines
-    return np.asarray(found.vertex, np.float64), np.asarray(index, np.int32)
+    normals, where = getattr(found, "normal", None), getattr(found, "normal_index", None)
+    known = normals is not None and where is not None and np.shape(where) == np.shape(index)
+    given = _at_corners(normals, np.asarray(where)) if known else None
+    return MeshFile(np.asarray(found.vertex, np.float64), np.asarray(index, np.int32), given)
 
 
-def _moved(mesh: Mesh, matrix: Floats) -> Mesh:
-    vertices, faces = mesh
-    moved = vertices @ matrix[:3, :3].T + matrix[:3, 3]
-    return moved, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
+def _at_corners(normals: Any, index: NDArray[np.integer]) -> Floats | None:
+    """Unit vectors (f, 3, 3) by numbers (f, 3) of a file's normals; zero for those that are no directions."""
+    if normals is None:
+        return None
+    rows = np.asarray(normals, np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or index.min() < 0 or index.max() >= len(rows):
+        return None
+    out = np.where(np.isfinite(rows).all(1, keepdims=True), rows, 0.0)[index]
+    size = np.linalg.norm(out, axis=2, keepdims=True)
+    return np.asarray(np.where(size > 1e-12, out / np.maximum(size, 1e-300), 0.0))
+
+
+def _moved(mesh: MeshFile, matrix: Floats) -> MeshFile:
+    """The mesh moved by an affine matrix (4, 4); normals by its inverse transposed, and faces outward as they were."""
+    linear = matrix[:3, :3]
+    vertices, faces, normals = mesh.vertices @ linear.T + matrix[:3, 3], mesh.faces, mesh.corner_normals
+    side = np.linalg.det(linear)
+    if normals is not None:
+        normals = _turned(normals, linear) if abs(side) > 1e-300 else None
+    if side < 0:
+        faces, normals = faces[:, ::-1], None if normals is None else normals[:, ::-1]
+    return MeshFile(vertices, faces, normals)
+
+
+def _turned(normals: Floats, linear: Floats) -> Floats:
+    out = normals @ np.linalg.inv(linear)
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=2, keepdims=True), 1e-300))
 
 
 def _bytes(path: Path) -> bytes:

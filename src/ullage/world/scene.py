@@ -72,6 +72,7 @@ class Scene(Displayed):
     rigs: Mapping[str, Rig] = field(default_factory=dict)  # radars that a world file declares, by the model's name
     ray_rigs: Mapping[str, Rig] = field(default_factory=dict)  # ray sensors of a file that declares no radars
     models: Mapping[str, Floats] = field(default_factory=dict)  # world_from_model (4, 4) of a world file's models
+    corner_normals: Floats | None = None  # (f, 3, 3) of the true surface at the faces' corners; zero where unknown
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, np.float64).reshape(-1, 3)
@@ -86,8 +87,17 @@ class Scene(Displayed):
         ids = np.concatenate([owner, self.wires.object_id])
         if len(ids) and (ids.min() < 0 or ids.max() >= len(self.objects)):
             raise InputError("a face or wire names an object that is not there", where=self.name)
+        if self.corner_normals is not None:
+            object.__setattr__(self, "corner_normals", self._checked(self.corner_normals, len(faces)))
         for key, value in (("vertices", vertices), ("faces", faces), ("face_object", owner)):
             object.__setattr__(self, key, value)
+
+    def _checked(self, normals: Floats, count: int) -> Floats:
+        out = np.ascontiguousarray(normals, np.float64)
+        if out.shape != (count, 3, 3) or not np.isfinite(out).all():
+            what = f"corner normals of shape {out.shape} for {count} faces"
+            raise InputError(what, where=self.name, allowed=f"finite numbers ({count}, 3, 3)")
+        return out
 
     def __repr__(self) -> str:
         size = " x ".join(f"{length:.2f}" for length in self.bounds[1] - self.bounds[0])
@@ -188,9 +198,11 @@ class Scene(Displayed):
             number[self.wires.object_id[wire]],
         )  # fmt: skip
         kept = tuple(thing for thing, out in zip(self.objects, gone, strict=True) if not out)
+        normals = None if self.corner_normals is None else self.corner_normals[face]
         return replace(
-            self, faces=self.faces[face], face_object=number[self.face_object[face]], objects=kept, wires=wires
-        )
+            self, faces=self.faces[face], face_object=number[self.face_object[face]], objects=kept, wires=wires,
+            corner_normals=normals,
+        )  # fmt: skip
 
     def has(self, model: str) -> bool:
         """Whether anything that can be met belongs to this model."""
@@ -313,7 +325,10 @@ class Scene(Displayed):
             for thing, my in zip(self.objects, mine, strict=True)
         )
         wires = replace(self.wires, start=start, end=end)
-        return replace(self, vertices=vertices, faces=faces, objects=objects, wires=wires)
+        normals = self.corner_normals
+        if normals is not None:
+            normals = np.where(face[:, None, None], normals @ pose[:3, :3].T, normals)
+        return replace(self, vertices=vertices, faces=faces, objects=objects, wires=wires, corner_normals=normals)
 
     def _still(self) -> NDArray[np.bool_]:
         """Which objects (o) do not move."""
@@ -337,10 +352,12 @@ class Scene(Displayed):
         name: str,
         made_of: str | Material = "steel",
         motion: Trajectory | None = None,
+        corner_normals: Floats | None = None,
     ) -> Scene:
         """One object from a triangle mesh."""
         stuff = made_of if isinstance(made_of, Material) else material(made_of)
-        return cls(vertices, faces, np.zeros(len(faces), np.int32), (SceneObject(name, stuff, motion),), name=name)
+        return cls(vertices, faces, np.zeros(len(faces), np.int32), (SceneObject(name, stuff, motion),), name=name,
+                   corner_normals=corner_normals)  # fmt: skip
 
     @classmethod
     def of_wires(
@@ -371,6 +388,7 @@ class Scene(Displayed):
                 np.concatenate([p.wires.object_id + o for p, o in zip(parts, owner, strict=False)]).astype(np.int32),
             ),
             name,
+            corner_normals=_together(parts),
         )
 
 
@@ -398,3 +416,11 @@ def _distinct(taken: Sequence[str], added: Sequence[SceneObject], name: str) -> 
         held.add(free)
         out.append(replace(thing, name=free))
     return tuple(out)
+
+
+def _together(parts: Sequence[Scene]) -> Floats | None:
+    """Corner normals of several scenes; None where none has some."""
+    if all(part.corner_normals is None for part in parts):
+        return None
+    rows = [np.zeros((len(p.faces), 3, 3)) if p.corner_normals is None else p.corner_normals for p in parts]
+    return np.concatenate(rows)
