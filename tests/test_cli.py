@@ -12,7 +12,10 @@ import time
 from pathlib import Path
 
 import pytest
+import trimesh
+import yaml
 
+import ullage as ul
 from ullage.cli import main
 from ullage.experiments.catalog import Variant, families, scenario_names
 
@@ -70,6 +73,57 @@ def test_a_run_leaves_everything_in_one_folder(place: Path) -> None:
     wanted = {"scenario.yaml", "provenance.json", "frames.mcap", "metrics.json", "report.html", "map.pgm", "map.yaml"}
     assert wanted | {f"figures/{n}.png" for n in ("map", "image", "range_time", "snapshot")} <= names
     assert json.loads((folder / "provenance.json").read_text())["interrupted"] is False
+
+
+QUICK = ("--do", "map", "-o", "sensing.rig=single", "-o", "sensing.fidelity=thesis", "-o", "flight.vehicle=ideal",
+         "-o", "flight.speed_m_s=4", "-o", "map.method=elfes")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["room.sdf", "model.stl"])
+def test_a_world_file_alone_is_flown_by_default(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "my tank"
+    folder.mkdir()
+    write_world(folder / name)
+    told = Told(("run", f"my tank/{name}", *QUICK), tmp_path, capsys)
+    assert told.returncode == 0, told.stderr
+    said = " ".join(told.stdout.split())
+    assert f"default flight in {name}: " in said
+    assert "to change it: -o 'flight.waypoints=" in said
+    kept = yaml.safe_load((tmp_path / "runs" / "latest" / "scenario.yaml").read_text())
+    assert len(kept["flight"]["waypoints"]) > 1
+    assert kept["name"] == ("my-tank" if name == "model.stl" else Path(name).stem)
+    again = Told(("run", "runs/latest/scenario.yaml"), tmp_path, capsys)
+    assert (again.returncode, "this run exists" in again.stderr) == (2, True)  # the file holds the whole run
+
+
+def write_world(path: Path) -> None:
+    """A room of 6 x 4 x 3 m about the origin, in the format of the file's name."""
+    if path.suffix == ".sdf":
+        path.write_text(ROOM)
+        return
+    scene = ul.scenes.room(size_m=(6, 4, 3))
+    trimesh.Trimesh(scene.vertices, scene.faces, process=False).export(path)
+
+
+def test_waypoints_that_are_given_replace_the_default_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_world(tmp_path / "room.obj")
+    given = "flight.waypoints=[[-1, 0, 0], [1, 0, 0]]"
+    told = Told(("run", "room.obj", *QUICK, "-o", given), tmp_path, capsys)
+    assert told.returncode == 0, told.stderr
+    assert "default flight" not in told.stdout
+    kept = yaml.safe_load((tmp_path / "runs" / "latest" / "scenario.yaml").read_text())
+    assert kept["flight"]["waypoints"] == [[-1, 0, 0], [1, 0, 0]]
+
+
+def test_a_world_without_shapes_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "void.sdf").write_text('<?xml version="1.0"?><sdf version="1.9"><world name="w"/></sdf>')
+    told = Told(("run", "void.sdf"), tmp_path, capsys)
+    assert told.returncode == 2
+    assert told.stderr.strip().splitlines()[-1].startswith("ullage: void.sdf: the world holds no shapes")
+    assert "world.geometry=visual" in told.stderr
+    assert not (tmp_path / "runs").exists()
 
 
 def test_the_report_needs_nothing_from_outside(place: Path) -> None:
@@ -144,6 +198,7 @@ def test_what_is_there_is_shown(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (("run", "gone.sdf"), "gone.sdf: no such file"),
         (("run", "nowhere"), "no scenario, recording or port 'nowhere'"),
         (("run", "walls.yaml"), "this run exists.*--force"),
         (("run", "walls.yaml", "-o", "map.step_m=-1"), "map.step_m"),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from ullage.config import Task
     from ullage.experiments.runner import Report
     from ullage.experiments.sweep import Sweep
     from ullage.radar.warmup import Compiling
@@ -131,7 +132,7 @@ def top(
 
 @app.command()
 def run(
-    source: Annotated[str, typer.Argument(help="Scenario name, scenario.yaml, recording, or live port.")],
+    source: Annotated[str, typer.Argument(help="Scenario name, scenario.yaml, world file, recording, or live port.")],
     do: Annotated[
         str | None, typer.Option("--do", help="What to make of the frames: detect,image,map,obstacles")
     ] = None,
@@ -165,7 +166,7 @@ def run(
     for target in sinks:
         check_sink(target)
     rival = rival_scenario(source, compare, options=options) if compare is not None else None
-    under_way = warm_up(source, options)
+    under_way = warm_up(source, options, tasks)
     with progress_bar("getting ready", total=1.0) as tell:
         job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=tell, say=say, to=sinks)
     if rival is not None and compare is not None:
@@ -228,10 +229,10 @@ def repair(source: str) -> bool:
     return bool(done)
 
 
-def warm_up(source: str, options: list[str]) -> Compiling | None:
+def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = None) -> Compiling | None:
     """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
-    from ullage.experiments.catalog import find_scenario, scenario_names
     from ullage.experiments.simulated import load_world
+    from ullage.experiments.targets import simulated_scenario
     from ullage.experiments.warmup import ahead, begin, compiled, estimated_s, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
@@ -243,8 +244,7 @@ def warm_up(source: str, options: list[str]) -> Compiling | None:
         fidelity = "thesis" if address.options.get("fidelity") == "thesis" else "physical"
         parts = (*radar_parts(fidelity, 1 if bounces == "1" else 3), "ullage")
         patient = False  # a peer that goes on measuring is not kept waiting
-    elif source in scenario_names() or source.endswith((".yaml", ".yml")):
-        scenario = find_scenario(source, options=options)
+    elif (scenario := simulated_scenario(source, tasks=tasks, options=options)) is not None:
         parts = parts_of(scenario)
         if not compiled(parts):  # at least not all that any world may need
             work = ahead()

@@ -75,7 +75,7 @@ class FlightSpec(Spec):
     """How the drone moves."""
 
     waypoints: tuple[tuple[float, ...], ...] = Field(
-        (), description="x, y, z [m] and, if given, yaw [deg]; none: the world's own"
+        (), description="x, y, z [m] and, if given, yaw [deg]; none: the world's own, or a tour of its free space"
     )
     speed_m_s: float = Field(0.5, gt=0, le=20)
     vehicle: str = Field("hector", description="hector: rigid-body flight; ideal: straight lines at constant speed")

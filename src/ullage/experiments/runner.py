@@ -307,13 +307,22 @@ def _bounds(job: Run) -> np.ndarray:
     """The box of world and flight, or what the flight could see of an unknown world."""
     if job.scene is not None and job.flown is not None:
         boxes = [job.scene.bounds, np.stack([job.flown.position.min(0), job.flown.position.max(0)])]
-        return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
+        return _in_range(job.source, job.flown, np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]))
     if job.scene is not None:
         return job.scene.bounds
     if job.flown is None:
         raise InputError("no poses, so nothing can be imaged or mapped", where="--do", allowed="detect")
     reach = job.scenario.map.reach_m
     return np.stack([job.flown.position.min(0) - reach, job.flown.position.max(0) + reach])
+
+
+def _in_range(source: Source, flown: Trajectory, box: Floats) -> Floats:
+    """The part of a box that radars of a simulated flight reach: a large world needs no map of the rest."""
+    if not isinstance(source, Simulated):
+        return box
+    reach = max(float(spec.range_m[-1]) for spec in source.rig.sensors.values())
+    low, high = flown.position.min(0) - reach, flown.position.max(0) + reach
+    return np.stack([np.maximum(box[0], low), np.minimum(box[1], high)])
 
 
 def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:

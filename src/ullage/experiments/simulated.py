@@ -49,11 +49,12 @@ class Simulated:
         )
 
 
-def prepare(scenario: Scenario, *, progress: Progress | None = None) -> Simulated:
+def prepare(scenario: Scenario, *, scene: Scene | None = None, progress: Progress | None = None) -> Simulated:
     """Load the world and fly the flight of a scenario.
 
     Args:
         scenario: the settings.
+        scene: its world, if it is loaded already.
         progress: told the share of the flight done, 0 to 1.
 
     Raises:
@@ -61,7 +62,7 @@ def prepare(scenario: Scenario, *, progress: Progress | None = None) -> Simulate
     """
     from ullage.flight.navigation import navigate
 
-    rig, scene = radars_and_world(scenario)
+    rig, scene = radars_and_world(scenario, scene)
     rate_hz = scenario.sensing.rate_hz or next(iter(rig.sensors.values())).fps
     if scenario.flight.guard.on:
         return _guarded(scenario, scene, rig, rate_hz=rate_hz, progress=progress)
@@ -75,14 +76,18 @@ def _guarded(scenario: Scenario, scene: Scene, rig: Rig, *, rate_hz: float, prog
     """Fly in closed loop with the guard, which needs the echoes on the way."""
     from ullage.experiments.guarded_flight import Loop, warn_of
 
-    points = np.array(waypoints_of(scenario.flight, scenario.world))
+    points = np.array(waypoints_of(scenario.flight, scenario.world, scene))
     flight = Loop(scenario, scene, rig, rate_hz).fly(points, progress=progress)
     warn_of(flight)
     return Simulated(scenario, scene, flight.flown, flight.believed, rig, tuple(flight.frames))
 
 
-def radars_and_world(scenario: Scenario) -> tuple[Rig, Scene]:
+def radars_and_world(scenario: Scenario, scene: Scene | None = None) -> tuple[Rig, Scene]:
     """The radars of a scenario and its world; a model of the world that carries the radars is taken out of it.
+
+    Args:
+        scenario: the settings.
+        scene: its world, if it is loaded already.
 
     Raises:
         InputError: the world or the file of the radars cannot be read, or declares no radars.
@@ -90,9 +95,9 @@ def radars_and_world(scenario: Scenario) -> tuple[Rig, Scene]:
     from ullage.world.load import load_scene
 
     sensing = scenario.sensing
+    scene = load_world(scenario.world) if scene is None else scene
     if not sensing.is_declared:
-        return sensing.radars(), load_world(scenario.world)
-    scene = load_world(scenario.world)
+        return sensing.radars(), scene
     if sensing.rig != "declared":
         return sensing.changed(load_scene(sensing.rig).rig()), scene
     rig = sensing.changed(scene.rig())
@@ -127,7 +132,7 @@ def fly_scenario(scenario: Scenario, scene: Scene, *, rate_hz: float, progress: 
     from ullage.flight.vehicle import fly
 
     spec = scenario.flight
-    points = np.array(waypoints_of(spec, scenario.world))
+    points = np.array(waypoints_of(spec, scenario.world, scene))
     hand = {"lateral_m": spec.wander_m, "vertical_m": spec.wander_m / 2, "yaw_deg": spec.wander_deg}
     astray = any(hand.values())
     if spec.vehicle == "ideal":
@@ -159,21 +164,24 @@ def _hovering(flown: Trajectory, hover_s: float, rate_hz: float) -> Trajectory:
     return strung([flown, held]) or flown
 
 
-def waypoints_of(flight: FlightSpec, world: WorldSpec) -> tuple[tuple[float, ...], ...]:
-    """The flight's own waypoints, or those its library world suggests.
+def waypoints_of(flight: FlightSpec, world: WorldSpec, scene: Scene) -> tuple[tuple[float, ...], ...]:
+    """The flight's own waypoints, or those its library world suggests, or a tour of the world's free space.
 
     Raises:
-        InputError: neither is there.
+        InputError: there are none, and the world leaves no room to fly.
     """
+    from ullage.flight.tour import tour
     from ullage.world.library import WORLDS
 
     if flight.waypoints:
         return flight.waypoints
     if world.name in WORLDS:
         return tuple(tuple(point) for point in WORLDS[world.name].path_xyzyaw)
-    raise InputError(
-        "no waypoints", where="flight.waypoints", allowed="[[x, y, z], ...] in metres, yaw in degrees as a fourth"
-    )
+    vehicle = "hector" if flight.vehicle == "ideal" else flight.vehicle
+    try:
+        return tuple(tuple(point) for point in tour(scene, vehicle=vehicle).points.round(2).tolist())
+    except InputError as error:
+        raise InputError(error.what, where=world.file or scene.name, allowed=error.allowed) from None
 
 
 def ideal_path(points: np.ndarray, speed_m_s: float, rate_hz: float) -> Trajectory:

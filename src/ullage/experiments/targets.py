@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
-from ullage.config import Scenario, Task, make_scenario
+from ullage.config import Scenario, Task, is_set_by, make_scenario
 from ullage.data import Floats, Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
@@ -22,6 +23,7 @@ from ullage.pipeline import Sink, check_sink
 from ullage.pipeline import sink as open_sink
 from ullage.ports.live import LISTED, Address
 from ullage.ports.protocol import Passing
+from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
@@ -47,7 +49,7 @@ def make_run(
     Then open the sinks and make a draft folder. Whatever can be refused is refused before that.
 
     Args:
-        target: scenario name, scenario.yaml, recording, or live port.
+        target: scenario name, scenario.yaml, world by name or file, recording, or live port.
         tasks: what to do with the frames; None: what the scenario says, or what the recording allows.
         options: `a.b=value` over the scenario.
         out: where run folders are made; None: ./runs.
@@ -66,20 +68,75 @@ def make_run(
     there = os.path.exists(path)  # false also of a name that no file can have
     if address and address.known and not there:
         return _begin(_of_live(address, tasks, options, say), to, out)
-    if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
-        scenario = find_scenario(target, options=options)
-        if tasks is not None:
-            scenario = scenario.but(do=tasks)
+    if (scenario := simulated_scenario(target, tasks=tasks, options=options)) is not None:
+        scenario, scene = _with_flight(scenario, target, options, say) if is_world(target) else (scenario, None)
         check_free(place_of(scenario.name, scenario.digest, root=out), force=force)
-        return _begin(of_scenario(Path(), prepare(scenario, progress=progress)), to, out, force=force)
+        return _begin(of_scenario(Path(), prepare(scenario, scene=scene, progress=progress)), to, out, force=force)
     if there:
         target = str(path.resolve())  # `latest` will point elsewhere before it is read
     if there or ":" in target:
         return _begin(_of_recording(target, tasks, options, say), to, out, force=force)
     raise InputError(
         f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}",
-        allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a recording, or a live port: {LISTED}",
+        allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a world file, a recording, or a live port: "
+        f"{LISTED}",
     )
+
+
+def is_world(target: str) -> bool:
+    """Whether a target is a world: a file by its suffix, or a shipped one that no scenario shares its name with."""
+    from ullage.world.library import WORLDS
+    from ullage.world.load import KINDS
+
+    return (target in WORLDS and target not in scenario_names()) or Path(target).suffix.lower() in KINDS
+
+
+def simulated_scenario(
+    target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = ()
+) -> Scenario | None:
+    """The scenario of what is simulated: a shipped one, a YAML file, or the defaults in a world; None: something else.
+
+    Args:
+        target: what `ullage run` is given.
+        tasks: what to do with the frames; None: what the scenario says.
+        options: `a.b=value` over the scenario.
+
+    Raises:
+        InputError: an option is wrong, or the YAML file cannot be used.
+    """
+    path = Path(target)
+    if is_world(target):
+        name = run_name(path.parent.name if path.stem == "model" else path.stem)
+        world = {"file": target} if path.suffix else {"name": target}
+        tree: dict[str, Any] = {"name": name, "title": f"Default flight in {path.name}", "world": world}
+        return make_scenario(tree if tasks is None else {**tree, "do": tasks}, options=options)
+    if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
+        found = find_scenario(target, options=options)
+        return found if tasks is None else found.but(do=tasks)
+    return None
+
+
+def _with_flight(
+    scenario: Scenario, target: str, options: Sequence[str], say: Callable[[str], None]
+) -> tuple[Scenario, Scene]:
+    """A world's default flight, planned and reported, and the world; radars that it declares are used."""
+    from ullage.experiments.simulated import load_world, radars_and_world, waypoints_of
+
+    scene = load_world(scenario.world)
+    if len(scene.rigs) == 1 and not is_set_by(options, "sensing.rig"):
+        scenario = scenario.but(sensing=scenario.sensing.but(rig="declared"))
+    if scenario.flight.waypoints:
+        return scenario, scene
+    points = waypoints_of(scenario.flight, scenario.world, radars_and_world(scenario, scene)[1])
+    length = float(np.linalg.norm(np.diff(np.array(points)[:, :3], axis=0), axis=1).sum())
+    say(f"default flight in {Path(target).name}: {length:.0f} m in {len(points) - 1} legs from {list(points[0])}")
+    say("to change it: -o 'flight.waypoints=[[x, y, z, yaw], ...]'; the run's scenario.yaml holds all settings")
+    return scenario.but(flight=scenario.flight.but(waypoints=points)), scene
+
+
+def run_name(text: str) -> str:
+    """Text as the name of a run: letters, digits and _.- only, at most 60 of them."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("_.-")[:60] or "run"
 
 
 def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False) -> Run:
@@ -173,9 +230,7 @@ def _of_recording(
     if tasks is None:
         phase = all(part.unit != "thesis" for part in first.values())
         tasks = ("detect", "image", "map") if placed and phase else ("detect", "map") if placed else ("detect",)
-    name = Path(target.rstrip("/").replace(":", "_")).stem or "recording"
-    name = name.lstrip(".") or "recording"
-    tree |= {"name": "".join(c if c.isalnum() or c in "_.-" else "-" for c in name)[:60], "do": tasks}
+    tree |= {"name": run_name(Path(target.rstrip("/").replace(":", "_")).stem), "do": tasks}
     tree["title"] = f"Recording {Path(target).name}"
     scenario = make_scenario(tree, options=options)
     flown = _track(source) if placed else None
@@ -272,7 +327,7 @@ def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, optio
     from ullage.world.library import WORLDS
 
     path = Path(target)
-    name = _of_now("fly-" + "".join(c if c.isalnum() or c in "_.-" else "-" for c in path.stem)[:30])
+    name = _of_now("fly-" + run_name(path.stem)[:30])
     title = f"By hand in {path.stem}"
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
         found = find_scenario(target, options=options)
@@ -310,7 +365,7 @@ def make_flight(
         check_sink(sink)
     sensing, vehicle = scenario.sensing, scenario.flight.vehicle
     rig, scene = radars_and_world(scenario)
-    start = tuple(float(value) for value in waypoints_of(scenario.flight, scenario.world)[0])
+    start = tuple(float(value) for value in waypoints_of(scenario.flight, scenario.world, scene)[0])
     chosen = FlyOptions(
         vehicle="hector" if vehicle == "ideal" else vehicle, fidelity=sensing.fidelity,
         max_bounces=sensing.max_bounces, seed=scenario.seed, rate_hz=sensing.rate_hz, duration_s=duration_s,

@@ -128,6 +128,11 @@ class Solids:
         """The closed surfaces around a point (3), each as its number and its object."""
         return {(k, owner) for k, (shape, owner) in enumerate(self._parts) if _winding(shape, point) > 0.5}
 
+    def size_m(self, number: int) -> Floats:
+        """Edges (3) of the box around a closed surface, by the number that `holding` gives [m]."""
+        corners, _ = self._parts[number]
+        return np.asarray(np.ptp(corners.reshape(-1, 3), axis=0))
+
 
 def _winding(corners: Floats, point: Floats) -> float:
     """How often a surface winds around a point: the sum of its triangles' solid angles [VanOosteromStrackee1983]."""

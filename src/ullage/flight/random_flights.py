@@ -105,8 +105,8 @@ def _level_path(area: Any, rng: np.random.Generator) -> Floats:
     nodes = np.stack([part[open_] for part in np.meshgrid(xs, ys)], 1)
     if len(nodes) < 12:
         raise InputError("the world leaves no room to fly", where="worlds", allowed="another seed")
-    graph = _lattice(open_)
-    line = nodes[_tour(graph, nodes, rng)]
+    graph = lattice_graph(open_)
+    line = nodes[np.concatenate(visit_far_places(graph, nodes, rng))]
     length = rng.uniform(*LENGTH_M)
     coarse = line[_arc(line) <= length]
     return _smooth(coarse, area)
@@ -123,7 +123,7 @@ def _largest(area: Any, clearance_m: float) -> Any:
     raise InputError("the world leaves no room to fly", where="worlds", allowed="another seed")
 
 
-def _lattice(open_: NDArray[np.bool_]) -> Any:
+def lattice_graph(open_: NDArray[np.bool_]) -> Any:
     """Graph between the open nodes of a lattice and their eight neighbours, weighted by distance [steps]."""
     from scipy.sparse import coo_array
 
@@ -149,13 +149,25 @@ def _routes(graph: Any, start: int) -> tuple[Floats, NDArray[np.int32]]:
     return away[0], before[0]
 
 
-def _tour(graph: Any, nodes: Floats, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Nodes along a tour: each next place is one of those farthest from all places visited."""
+def visit_far_places(
+    graph: Any, nodes: Floats, rng: np.random.Generator, *, length_m: float = 1.3 * LENGTH_M[1]
+) -> list[NDArray[np.int64]]:
+    """Nodes along a tour: each next place is one of those farthest from all places visited.
+
+    Args:
+        graph: of a lattice, weighted by distance [steps].
+        nodes: places of its nodes (n, 2 or 3) [m].
+        rng: draws the start, and among the farthest places.
+        length_m: the tour ends once it is so long, or everywhere has been reached [m].
+
+    Returns:
+        The start, then the nodes of each leg, the last of which is the place visited.
+    """
     here = int(rng.integers(len(nodes)))
     far, _ = _routes(graph, here)
     here = int(np.argmax(np.where(np.isfinite(far), far, -1)))
-    path, nearest, travelled = [here], np.full(len(nodes), np.inf), 0.0
-    while travelled * LATTICE_M < 1.3 * LENGTH_M[1]:
+    legs, nearest, travelled = [np.array([here])], np.full(len(nodes), np.inf), 0.0
+    while travelled * LATTICE_M < length_m:
         away, before = _routes(graph, here)
         reached = np.isfinite(away)
         nearest = np.minimum(nearest, away)
@@ -168,10 +180,10 @@ def _tour(graph: Any, nodes: Floats, rng: np.random.Generator) -> NDArray[np.int
         leg = [goal]
         while leg[-1] != here:
             leg.append(int(before[leg[-1]]))
-        path += leg[-2::-1]
+        legs.append(np.array(leg[-2::-1]))
         travelled += float(away[goal])
         here = goal
-    return np.asarray(path, np.int64)
+    return legs
 
 
 def _smooth(coarse: Floats, area: Any) -> Floats:

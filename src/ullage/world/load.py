@@ -9,10 +9,13 @@ from typing import Literal
 
 from ullage.errors import InputError
 from ullage.untrusted import reading, regular_size
+from ullage.world.meshes import FORMATS, read_mesh
 from ullage.world.scene import Scene
 
 SDF = (".sdf", ".world")
 URDF = (".urdf", ".xacro")
+KINDS = (*SDF, *URDF, *FORMATS)
+"""Suffixes of world files."""
 TRUST_XACRO = "ULLAGE_TRUST_XACRO"
 """Environment variable that `--trust-xacro` sets to 1, for this process and its workers."""
 
@@ -63,10 +66,7 @@ def _load(
         from ullage.world.urdf import load_urdf
 
         return load_urdf(file, geometry=geometry, search_path=search_path, trust_xacro=trust_xacro)
-    from ullage.world.meshes import FORMATS, read_mesh
-
     if kind in FORMATS:
         mesh = read_mesh(file)
         return Scene.of_mesh(mesh.vertices, mesh.faces, name=file.stem, corner_normals=mesh.corner_normals)
-    known = " ".join((*SDF, *URDF, *FORMATS))
-    raise InputError(f"a file of unknown kind {file.suffix!r}", where=file, allowed=known)
+    raise InputError(f"a file of unknown kind {file.suffix!r}", where=file, allowed=" ".join(KINDS))

@@ -126,7 +126,7 @@ class Scene(Displayed):
         points = [self.corners().reshape(-1, 3)]
         if len(self.wires):
             r = self.wires.radius_m[:, None]
-            ends = self._placed(np.stack([self.wires.start, self.wires.end], 1), self.wires.object_id, None)
+            ends = self.wire_ends()
             points += [(ends - r[:, None]).reshape(-1, 3), (ends + r[:, None]).reshape(-1, 3)]
         cloud = np.concatenate(points)
         if not len(cloud):
@@ -148,6 +148,10 @@ class Scene(Displayed):
     def corners(self, t_ns: int | None = None) -> Floats:
         """Corners (f, 3, 3) of all faces in the world, moving objects where they are at `t_ns` (None: their start)."""
         return self._placed(self.vertices[self.faces], self.face_object, t_ns)
+
+    def wire_ends(self, t_ns: int | None = None) -> Floats:
+        """Ends (w, 2, 3) of all wires in the world, moving objects where they are at `t_ns` (None: their start)."""
+        return self._placed(np.stack([self.wires.start, self.wires.end], 1), self.wires.object_id, t_ns)
 
     def _placed(self, points: Floats, owner: Ints, t_ns: int | None) -> Floats:
         """Points (n, k, 3) of objects (n) in the world, moving ones where they are at `t_ns`; changes `points`."""
