@@ -49,7 +49,13 @@ def test_a_tour_stays_inside_and_hits_nothing(name):
 
 
 @pytest.mark.parametrize(
-    "shape", [ul.scenes.plate(0.5, 0.5, 3.0), ul.scenes.sphere(0.7, 3.0, edge_m=0.2), ul.scenes.wire(0.001, 2.0)]
+    "shape",
+    [
+        ul.scenes.plate(0.5, 0.5, 3.0),
+        ul.scenes.sphere(0.7, 3.0, edge_m=0.2),
+        ul.scenes.wire(0.001, 2.0),
+        ul.scenes.floor((0.1, 0.02)),
+    ],
 )
 def test_a_thing_alone_is_flown_around_within_sight(shape):
     mission = tour(shape)

@@ -117,12 +117,12 @@ class Solids:
             shape=(vertex.max() + 1,) * 2,
         )
         part = connected_components(links, directed=False)[1][faces[:, 0]]
-        for k in np.unique(part):
-            mine = part == k
+        order = np.argsort(part, kind="stable")
+        for mine in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
             shape = body.corners[mine]
             volume = np.einsum("fi,fi->", shape[:, 0], np.cross(shape[:, 1], shape[:, 2])) / 6
             if sound[mine].all() and volume > 1e-9:
-                self._parts.append((shape, int(body.owner[mine][0])))
+                self._parts.append((shape, int(body.owner[mine[0]])))
 
     def holding(self, point: Floats) -> set[tuple[int, int]]:
         """The closed surfaces around a point (3), each as its number and its object."""

@@ -41,7 +41,7 @@ ENOUGH_AREA_M2 = 30.0  # a larger space is not better
 HULL = 0.9  # share of the world's box that a closed surface spans, if one flies inside it
 SHARES = {0.5: 1.0, 0.35: 0.8, 0.65: 0.8, 0.2: 0.5, 0.8: 0.5}  # of the world's height, and how good a flight there is
 ABOVE_M = {1.5: 0.6, 3.0: 0.4}  # the same over its lowest point, as for a flat world
-FLAT_M = 0.05  # a world no higher is flat
+FLAT_M, FLAT_WORTH = 0.05, 0.2  # a world no higher is flat, and better flown over than around
 LARGE_M = 1000.0  # a world this large may be one in millimetres
 MOMENTS = 12  # at which moving things are drawn
 RAYS = 400  # points of a space from which its walls are sought
@@ -94,7 +94,8 @@ def tour(scene: Scene, *, vehicle: str = "hector", length_m: float | None = None
         warnings.warn(what, UllageWarning, stacklevel=2)
     half_height = airframe(vehicle).half_height_m + HEADROOM_M
     world = _World(scene)
-    levels = [_level(scene, z, worth, half_height) for z, worth in _heights(scene).items()]
+    there = list(_moments(scene))
+    levels = [_level(scene.bounds, there, z, worth, half_height) for z, worth in _heights(scene).items()]
     for clearance in CLEARANCES_M:
         if spaces := [space for level in levels for space in _spaces(world, level, clearance)]:
             return Waypoints(_route(max(spaces, key=lambda space: space.score), length_m), speed_m_s)
@@ -111,19 +112,20 @@ def _edges(size: Floats) -> str:
 def _heights(scene: Scene) -> dict[float, float]:
     """Heights to fly at [m], and how good each is."""
     low, high = scene.bounds[:, 2]
-    within = {low + share * (high - low): good for share, good in SHARES.items()} if high - low > FLAT_M else {}
+    at_best = 1.0 if high - low > FLAT_M else FLAT_WORTH
+    within = {low + share * (high - low): at_best * good for share, good in SHARES.items()}
     return {low + above: good for above, good in ABOVE_M.items()} | within
 
 
-def _level(scene: Scene, z_m: float, worth: float, half_height_m: float) -> Level:
+def _level(box: Floats, there: list[Floats], z_m: float, worth: float, half_height_m: float) -> Level:
     """Draw all that a vehicle at this height could touch, and measure how far each cell is from it."""
     from PIL import Image, ImageDraw
 
     slab = (z_m - half_height_m, z_m + half_height_m)
-    parts = [_seen_from_above(shapes, slab) for moment in _moments(scene) for shapes in moment]
+    parts = [_seen_from_above(shapes, slab) for shapes in there]
     dots = np.concatenate([some for some, _ in parts])
     outlines = [outline for _, some in parts for outline in some]
-    low, high = _window(scene, np.concatenate([dots, *(outline.mean(0, keepdims=True) for outline in outlines)]))
+    low, high = _window(box, np.concatenate([dots, *(outline.mean(0, keepdims=True) for outline in outlines)]))
     dots = np.concatenate([dots, *outlines])  # an upright line is one point, which no pen draws
     count = np.maximum(np.ceil((high - low) / LATTICE_M).astype(int), 1) + 1
     canvas = Image.new("1", tuple(count.tolist()))
@@ -142,15 +144,17 @@ def _level(scene: Scene, z_m: float, worth: float, half_height_m: float) -> Leve
     return Level(z_m, worth, low, gap)
 
 
-def _moments(scene: Scene) -> Iterator[tuple[Floats, Floats]]:
-    """Faces (f, 3, 3) and wires (w, 2, 3) [m]: all at the start, then what moves at later times."""
-    yield scene.corners(), scene.wire_ends()
-    moving = np.array([thing.motion is not None for thing in scene.objects], bool)
-    if moving.any():
-        ends = [thing.motion.t_ns[[0, -1]] for thing in scene.objects if thing.motion is not None]
-        first, last = min(int(e[0]) for e in ends), max(int(e[1]) for e in ends)
+def _moments(scene: Scene) -> Iterator[Floats]:
+    """Faces (f, 3, 3), then wires (w, 2, 3) [m]: all at the start, then what moves at later times."""
+    yield scene.corners()
+    yield scene.wire_ends()
+    motions = [thing.motion for thing in scene.objects if thing.motion is not None]
+    if motions:
+        moving = np.array([thing.motion is not None for thing in scene.objects], bool)
+        first, last = min(int(m.t_ns[0]) for m in motions), max(int(m.t_ns[-1]) for m in motions)
         for t_ns in np.linspace(first, last, MOMENTS).astype(np.int64)[1:].tolist():
-            yield scene.corners(t_ns)[moving[scene.face_object]], scene.wire_ends(t_ns)[moving[scene.wires.object_id]]
+            yield scene.corners(t_ns)[moving[scene.face_object]]
+            yield scene.wire_ends(t_ns)[moving[scene.wires.object_id]]
 
 
 def _seen_from_above(shapes: Floats, slab: tuple[float, float]) -> tuple[Floats, list[Floats]]:
@@ -180,9 +184,9 @@ def _clipped(shape: Floats, slab: tuple[float, float]) -> Floats:
     return shape[:, :2]
 
 
-def _window(scene: Scene, there: Floats) -> tuple[Floats, Floats]:
+def _window(box: Floats, there: Floats) -> tuple[Floats, Floats]:
     """The corners (2) of the area that is searched [m]: the world's box and some room, or a part about its middle."""
-    low, high = scene.bounds[:, :2] + np.array([[-AROUND_M], [AROUND_M]])
+    low, high = box[:, :2] + np.array([[-AROUND_M], [AROUND_M]])
     middle = np.clip(np.median(there, axis=0), low, high) if len(there) else (low + high) / 2
     return np.maximum(low, middle - WINDOW_M / 2), np.minimum(high, middle + WINDOW_M / 2)
 
