@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo thesis test slow bounds mutants fuzz gazebo-classic lint docs bench check env dev lock ros2 clean
+.PHONY: help demo thesis test slow bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -19,6 +19,7 @@ help:
 	@echo "make fuzz   damage real inputs of every reader for an hour (SECONDS=300 for less) and print counts"
 	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
 	@echo "make docs   build the documentation into site/"
+	@echo "make package  build wheel and sdist, install the wheel in a clean environment and use it"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
 	@echo "make bench  ratios of speed and memory, measured side by side"
 
@@ -65,6 +66,14 @@ gazebo-classic: $(VENV)/.dev
 
 docs: $(VENV)/.dev
 	$(BIN)/mkdocs build --strict
+
+# wheel and sdist, built and used in a clean environment; needs no network
+package: $(VENV)/.dev
+	$(BIN)/python tools/check_package.py
+
+# the one setting is Repository under [project.urls] in pyproject.toml
+urls: $(VENV)/.venv
+	$(BIN)/python tools/set_urls.py
 
 bench: $(VENV)/.dev
 	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
