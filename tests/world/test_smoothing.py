@@ -43,7 +43,7 @@ def test_normals_of_a_ball_are_exact():
 
 def test_pieces_of_a_ball_lie_on_it():
     corners, _, control = bent(shapes.sphere(0.3, edge_m=0.15))
-    pieces, of = point_normal.cut(corners, control, np.full(len(corners), 8))
+    pieces, of, _ = point_normal.cut(corners, control, np.full(len(corners), 8))
     assert len(pieces) == 64 * len(corners)
     assert np.array_equal(np.bincount(of), np.full(len(corners), 64))
     assert abs(np.linalg.norm(pieces.mean(1), axis=1) - 0.3).max() < 5e-4  # facets: 14 mm
@@ -91,7 +91,7 @@ def test_a_plate_with_a_rounded_edge_stays_flat_and_its_edge_is_round():
 def test_a_cone_is_straight_along_and_round_across():
     cone = trimesh.creation.cone(0.3, 0.6, sections=32)
     corners, _, control = bent((cone.vertices, cone.faces))
-    pieces, of = point_normal.cut(corners, control, np.full(len(corners), 4))
+    pieces, of, _ = point_normal.cut(corners, control, np.full(len(corners), 4))
     wall = corners[..., 2].max(1) > 0.5
     middles = pieces[wall[of]].mean(1)
     away, height = np.hypot(middles[:, 0], middles[:, 1]), middles[:, 2]

@@ -32,11 +32,18 @@ def lay_curved(
 
 
 def _laid(ready: Bench, parts: list[Surfaces], patches: Patches, view: View, grids: Complexes) -> Laid:
-    """Lay the pieces; what stands before them is asked for just before their facets, on the radar's side."""
+    """Lay the pieces; rays ask what stands before them from just before their facets, on the radar's side."""
     fine = patches.fine
     leaves, owner = triangles(ready, fine, view)
-    middles, normals = centroids(leaves), fine.normals[owner]
+    sight = patches.sight[owner]
+    one = np.full(int(sight.max(initial=-1)) + 1, -1)
+    one[sight] = np.arange(len(sight))  # one of each cell
+    some = one[one >= 0]
+    one[sight[some]] = np.arange(len(some))
+    middles, on = centroids(leaves[some]), owner[some]
+    normals = fine.normals[on]
     side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
-    between = shading(ready, parts, view, middles + (side * (patches.depth[owner] + PULL_M))[:, None] * normals)
+    shade, late = shading(ready, parts, view, middles + (side * (patches.depth[on] + PULL_M))[:, None] * normals)
+    between = shade[one[sight]], late[one[sight]]
     pieces = leaves, owner, np.zeros(len(owner), np.int64)
     return lay_triangles(fine.normals, fine.stuffs, pieces, between, common(ready, view, grids))

@@ -31,6 +31,8 @@ A parabola of depth s differs from its mean by 0.3 s, which turns the phase ther
 """
 LEAST = 1 / 1024
 """Where some facets of a surface are cut, those that lie so far off it, over the wavelength, are shifted to it."""
+SIGHT = 1 / 2
+"""One ray asks what stands before all pieces of a facet in a cell of this size, over the wavelength."""
 MOST = 200_000
 """So many pieces at the most stand for the curved surfaces of a scene."""
 
@@ -41,6 +43,7 @@ class Patches:
 
     fine: Surfaces  # pieces of the curved surfaces
     depth: Floats  # (n) so far each piece lies off its facet at the most [m]
+    sight: Longs  # (n) pieces of one number lie so near to each other that one ray is enough for them
     small: Bools  # (f) which small triangles of what stands still are done so
     flats: Bools  # (p) and which flat faces
 
@@ -76,10 +79,10 @@ def patches_of(
     if not len(mine):
         return None
     count = _bounded(np.maximum(count[mine], 1), sagitta[mine], scene.name)
-    pieces, of = point_normal.cut(corners[mine], control[mine], count)
+    pieces, of, within = point_normal.cut(corners[mine], control[mine], count)
     normals, area = smoothing.face_normals(pieces)
     kept = area > 1e-12
-    pieces, normals, parent = pieces[kept], normals[kept], mine[of[kept]]
+    pieces, normals, parent, within = pieces[kept], normals[kept], mine[of[kept]], within[kept]
     lead = row[parent]
     turned = np.concatenate([still.backs.outward, still.flat_backs.outward])[lead, :3]
     outward = np.sign(np.einsum("ni,ni->n", turned, normals))[:, None] * normals
@@ -88,7 +91,17 @@ def patches_of(
     sides = Backs(np.column_stack([outward, level]), body, still.backs.boxes)
     fine, order = strewn(pieces, normals, stuffs[parent], sides, still)
     depth = 2 * sagitta[parent][order]  # the middle of a triangle bows out 4/3 as far as those of its edges
-    return Patches(fine, depth, taken[: len(still.faces)], taken[len(still.faces) :])
+    sight = _sights(corners[parent], parent, within, SIGHT * wavelength_m)[order]
+    return Patches(fine, depth, sight, taken[: len(still.faces)], taken[len(still.faces) :])
+
+
+def _sights(facets: Floats, parent: Longs, within: Floats, size_m: float) -> Longs:
+    """Number (n) the cells of each facet, so wide, by facets (n, 3, 3) of pieces and where they lie in them."""
+    longest = np.linalg.norm(np.roll(facets, -1, 1) - facets, axis=2).max(1)
+    cells = np.ceil(longest / size_m)
+    i, j = (np.floor(within[:, k] * cells).astype(np.int64) for k in (1, 2))
+    wide = int(cells.max()) + 1
+    return np.asarray(np.unique((parent * wide + i) * wide + j, return_inverse=True)[1], np.int64)
 
 
 def _widths(corners: Floats) -> Floats:

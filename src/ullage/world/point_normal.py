@@ -61,8 +61,8 @@ def rise(control: Floats, shares: Floats) -> Floats:
     return np.asarray(np.einsum("pc,fci->fpi", basis, control))
 
 
-def cut(corners: Floats, control: Floats, count: Longs) -> tuple[Floats, Longs]:
-    """Cut patches into flat triangles (m, 3, 3), and tell which patch each is of (m).
+def cut(corners: Floats, control: Floats, count: Longs) -> tuple[Floats, Longs, Floats]:
+    """Cut patches into flat triangles.
 
     Each lies on its patch in the mean: it is shifted by the mean of what the middles of its edges lack, as a parabola
     has it.
@@ -71,8 +71,12 @@ def cut(corners: Floats, control: Floats, count: Longs) -> tuple[Floats, Longs]:
         corners: flat triangles (f, 3, 3) [m].
         control: displacements (f, 7, 3) [m].
         count: pieces (f) along each edge.
+
+    Returns:
+        The triangles (m, 3, 3) [m], the patch (m) of each, and where in it their middles lie (m, 3), as shares of its
+        corners.
     """
-    out, of = [], []
+    out, of, within = [], [], []
     for many in np.unique(count):
         mine = np.flatnonzero(count == many)
         shares = pieces(int(many))
@@ -82,7 +86,8 @@ def cut(corners: Floats, control: Floats, count: Longs) -> tuple[Floats, Longs]:
         lack = between.mean(2, keepdims=True) - up.mean(2, keepdims=True)
         out.append((at + up + lack).reshape(-1, 3, 3))
         of.append(np.repeat(mine, len(shares)))
-    return np.concatenate(out), np.concatenate(of)
+        within.append(np.tile(shares.mean(1), (len(mine), 1)))
+    return np.concatenate(out), np.concatenate(of), np.concatenate(within)
 
 
 def pieces(many: int) -> Floats:
