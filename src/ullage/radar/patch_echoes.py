@@ -12,6 +12,7 @@ from ullage.radar.patches import Patches
 from ullage.radar.physical import Bench, View, common, lay_triangles, shading, triangles
 from ullage.radar.wall_bounces import PULL_M
 
+Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
 
@@ -35,15 +36,24 @@ def _laid(ready: Bench, parts: list[Surfaces], patches: Patches, view: View, gri
     """Lay the pieces; rays ask what stands before them from just before their facets, on the radar's side."""
     fine = patches.fine
     leaves, owner = triangles(ready, fine, view)
-    sight = patches.sight[owner]
-    one = np.full(int(sight.max(initial=-1)) + 1, -1)
-    one[sight] = np.arange(len(sight))  # one of each cell
-    some = one[one >= 0]
-    one[sight[some]] = np.arange(len(some))
-    middles, on = centroids(leaves[some]), owner[some]
-    normals = fine.normals[on]
-    side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
-    shade, late = shading(ready, parts, view, middles + (side * (patches.depth[on] + PULL_M))[:, None] * normals)
-    between = shade[one[sight]], late[one[sight]]
+    between = _before(ready, parts, patches, view, leaves, owner)
     pieces = leaves, owner, np.zeros(len(owner), np.int64)
     return lay_triangles(fine.normals, fine.stuffs, pieces, between, common(ready, view, grids))
+
+
+def _before(
+    ready: Bench, parts: list[Surfaces], patches: Patches, view: View, leaves: Floats, owner: NDArray[np.int32]
+) -> tuple[Complexes, Floats]:
+    """Factor and delay [s] of what stands before leaves (m) of pieces: a ray for each cell, or leaf of a long piece."""
+    cell = patches.cell[owner]
+    alone = np.flatnonzero(cell < 0)
+    asked = np.zeros(len(patches.deep), bool)
+    asked[cell[cell >= 0]] = True
+    row = (np.cumsum(asked) - 1)[cell]
+    row[alone] = int(asked.sum()) + np.arange(len(alone))
+    middles = np.concatenate([patches.middles[asked], centroids(leaves[alone])])
+    normals = np.concatenate([patches.facing[asked], patches.fine.normals[owner[alone]]])
+    depth = np.concatenate([patches.deep[asked], patches.depth[owner[alone]]])
+    side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
+    shade, late = shading(ready, parts, view, middles + (side * (depth + PULL_M))[:, None] * normals)
+    return shade[row], late[row]

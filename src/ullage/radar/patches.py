@@ -43,9 +43,23 @@ class Patches:
 
     fine: Surfaces  # pieces of the curved surfaces
     depth: Floats  # (n) so far each piece lies off its facet at the most [m]
-    sight: Longs  # (n) pieces of one number lie so near to each other that one ray is enough for them
+    cell: Longs  # (n) cell of each piece, whose pieces share a ray; -1: it is too long to share one
+    middles: Floats  # (c, 3) of cells [m]
+    facing: Floats  # (c, 3) their unit normals
+    deep: Floats  # (c) as `depth`, of cells [m]
     small: Bools  # (f) which small triangles of what stands still are done so
     flats: Bools  # (p) and which flat faces
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curved:
+    """Facets that patches stand in for."""
+
+    corners: Floats  # (n, 3, 3) [m]
+    stuffs: NDArray[np.int32]  # (n) object
+    control: Floats  # (n, 7, 3) as in `point_normal.displacements` [m]
+    sagitta: Floats  # (n) [m]
+    row: Longs  # (n) which small triangle each is, or counted on after these which flat face it belongs to
 
 
 def patches_of(
@@ -78,36 +92,61 @@ def patches_of(
     mine = np.flatnonzero(taken[row])
     if not len(mine):
         return None
-    count = _bounded(np.maximum(count[mine], 1), sagitta[mine], scene.name)
-    pieces, of, within = point_normal.cut(corners[mine], control[mine], count)
+    chosen = Curved(corners[mine], stuffs[mine], control[mine], sagitta[mine], row[mine])
+    count = _bounded(np.maximum(count[mine], 1), chosen.sagitta, scene.name)
+    return _cut(chosen, count, still, taken, SIGHT * wavelength_m)
+
+
+def _cut(curved: Curved, count: Longs, still: Surfaces, taken: Bools, cell_m: float) -> Patches:
+    """Make pieces, so many (n) along each edge, that stand in for rows `taken` (f + p); cells of rays are so wide."""
+    pieces, of, within = point_normal.cut(curved.corners, curved.control, count)
     normals, area = smoothing.face_normals(pieces)
     kept = area > 1e-12
-    pieces, normals, parent, within = pieces[kept], normals[kept], mine[of[kept]], within[kept]
-    lead = row[parent]
-    turned = np.concatenate([still.backs.outward, still.flat_backs.outward])[lead, :3]
+    pieces, normals, of, within = pieces[kept], normals[kept], of[kept], within[kept]
+    fine, order = strewn(pieces, normals, curved.stuffs[of], _sides(pieces, normals, curved.row[of], still), still)
+    depth = 2 * curved.sagitta[of][order]  # the middle of a triangle bows out 4/3 as far as those of its edges
+    cell = _cells(curved.corners[of], of, within, cell_m)[order]
+    cell[_longest(fine.corners) > 2 * cell_m] = -1
+    of_pieces = np.column_stack([fine.corners.mean(1), fine.normals, depth])
+    middles, facing, deep = np.split(_means(of_pieces, cell), [3, 6], axis=1)
+    facing = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
+    small, flats = taken[: len(still.faces)], taken[len(still.faces) :]
+    return Patches(fine, depth, cell, middles, facing, deep[:, 0], small, flats)
+
+
+def _sides(pieces: Floats, normals: Floats, row: Longs, still: Surfaces) -> Backs:
+    """Outer sides of pieces (n, 3, 3), turned as what they stand in for: a small triangle, or after these a flat."""
+    turned = np.concatenate([still.backs.outward, still.flat_backs.outward])[row, :3]
     outward = np.sign(np.einsum("ni,ni->n", turned, normals))[:, None] * normals
-    body = np.concatenate([still.backs.body, still.flat_backs.body])[lead]
+    body = np.concatenate([still.backs.body, still.flat_backs.body])[row]
     level = -np.einsum("ni,ni->n", outward, pieces[:, 0])
-    sides = Backs(np.column_stack([outward, level]), body, still.backs.boxes)
-    fine, order = strewn(pieces, normals, stuffs[parent], sides, still)
-    depth = 2 * sagitta[parent][order]  # the middle of a triangle bows out 4/3 as far as those of its edges
-    sight = _sights(corners[parent], parent, within, SIGHT * wavelength_m)[order]
-    return Patches(fine, depth, sight, taken[: len(still.faces)], taken[len(still.faces) :])
+    return Backs(np.column_stack([outward, level]), body, still.backs.boxes)
 
 
-def _sights(facets: Floats, parent: Longs, within: Floats, size_m: float) -> Longs:
+def _means(rows: Floats, cell: Longs) -> Floats:
+    """Means (c, k) of rows (n, k) over cells (n); rows of cell -1 are left out."""
+    shared = np.flatnonzero(cell >= 0)
+    out = np.zeros((int(cell.max(initial=-1)) + 1, rows.shape[1]))
+    np.add.at(out, cell[shared], rows[shared])
+    return np.asarray(out / np.maximum(np.bincount(cell[shared], minlength=len(out)), 1)[:, None])
+
+
+def _cells(facets: Floats, parent: Longs, within: Floats, size_m: float) -> Longs:
     """Number (n) the cells of each facet, so wide, by facets (n, 3, 3) of pieces and where they lie in them."""
-    longest = np.linalg.norm(np.roll(facets, -1, 1) - facets, axis=2).max(1)
-    cells = np.ceil(longest / size_m)
+    cells = np.ceil(_longest(facets) / size_m)
     i, j = (np.floor(within[:, k] * cells).astype(np.int64) for k in (1, 2))
     wide = int(cells.max()) + 1
     return np.asarray(np.unique((parent * wide + i) * wide + j, return_inverse=True)[1], np.int64)
 
 
+def _longest(triangles: Floats) -> Floats:
+    """Longest side (f) of triangles (f, 3, 3) [m]."""
+    return np.asarray(np.linalg.norm(np.roll(triangles, -1, 1) - triangles, axis=2).max(1))
+
+
 def _widths(corners: Floats) -> Floats:
     """Smallest height (f) of triangles (f, 3, 3) [m]."""
-    longest = np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).max(1)
-    return np.asarray(2 * smoothing.face_normals(corners)[1] / np.maximum(longest, 1e-300))
+    return np.asarray(2 * smoothing.face_normals(corners)[1] / np.maximum(_longest(corners), 1e-300))
 
 
 def _bounded(count: Longs, sagitta: Floats, where: str) -> Longs:
