@@ -170,6 +170,15 @@ def test_an_echo_that_something_weakens_frees_nothing():
     assert omap.free[tuple(cells.T)].tolist() == [True, True, False]
 
 
+def test_space_behind_a_surface_is_not_freed_by_echoes_past_it():
+    """The wall's echoes pass the pillar on both sides; no ray of their tubes goes on behind it."""
+    path = Trajectory.line((-1.0, -1.5, 0), (1.0, -1.4, 0), 0.5, 8.0)
+    omap = mapped(flown(path, pillar((0.0, 0.5), 0.15), wall(90, 3.0)), tube=1.5).map()
+    cells, _ = GRID.index(np.array([[0.0, 0.36, 0], [0.0, 0.75, 0], [-0.8, 0.75, 0], [0.8, 0.75, 0]]))
+    assert omap.occupied[tuple(cells[:1].T)].all()
+    assert omap.free[tuple(cells[1:].T)].tolist() == [False, True, True]
+
+
 def test_a_wall_that_folds_back_is_one_wall():
     """Flying towards it, its echo folds to a short range first, and is seen directly later."""
     fold_m = RIG["front"].unambiguous_range_m

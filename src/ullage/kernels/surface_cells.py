@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ullage.kernels.loops import inner, loop
 
 BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
+BODY_M = 0.25  # radius about the sensor that is free
 STRANDS = 5  # rays across a tube of free space
 
 
@@ -106,8 +107,10 @@ def find_hidden(plane, views, evidence, level, least, alive):  # type: ignore[no
 
 
 @loop()
-def draw_tubes(plane, views, alive, wavelength_m, width, margins, free):  # type: ignore[no-untyped-def]
+def draw_tubes(plane, views, alive, wavelength_m, width, margins, occupied, free):  # type: ignore[no-untyped-def]
     """Mark the cells between each place and its specular point, as wide as a share of the first Fresnel zone.
+
+    A tube consists of rays side by side. Each ray ends at the first surface that it meets: no echo came through it.
 
     Args:
         plane: the cells.
@@ -116,11 +119,15 @@ def draw_tubes(plane, views, alive, wavelength_m, width, margins, free):  # type
         wavelength_m: of the carrier [m].
         width: half width in radii of the first Fresnel zone.
         margins: (2) distance before the echo at which a tube ends, and at which it ends for sure [m].
+        occupied: (cells) that hold a surface.
         free: (2, cells) set to True for both.
     """
+    ended = np.empty(STRANDS, np.bool_)
     for k in range(len(alive)):
         if not alive[k]:
             continue
+        for j in range(STRANDS):
+            ended[j] = False
         c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
         for i in range(int((views.state[k, 0] - margins[0]) / (0.4 * plane.step))):
             far = 0.4 * plane.step * i
@@ -129,7 +136,10 @@ def draw_tubes(plane, views, alive, wavelength_m, width, margins, free):  # type
                 aside = half * (2 * j / (STRANDS - 1) - 1)
                 x, y = views.position[k, 0] + far * c - aside * s, views.position[k, 1] + far * s + aside * c
                 cell = _cell(plane, x, y)
-                if cell >= 0:
+                if cell < 0 or ended[j]:
+                    continue
+                ended[j] = occupied[cell] and far > BODY_M
+                if not ended[j]:
                     free[0, cell] = True
                     if far < views.state[k, 0] - margins[1]:
                         free[1, cell] = True

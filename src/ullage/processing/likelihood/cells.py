@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
-from ullage.kernels.surface_cells import Plane, Views, draw_extensions, draw_surfaces, draw_tubes, find_hidden
+from ullage.kernels.surface_cells import BODY_M, Plane, Views, draw_extensions, draw_surfaces, draw_tubes, find_hidden
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, smoothed, transported
 
@@ -22,10 +22,9 @@ DOUBT = 0.3  # standard deviations of the curvature by which that piece is narro
 FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
 FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
 LEAST_FLATNESS = 0.1  # of edges and poles, whose own law differs
-FULL_PERCENT, CLEAR = 90.0, 0.6  # level of a surface without obstacles; share of it that a clear path leaves
+FULL_PERCENT, CLEAR = 90.0, 0.7  # level of a surface without obstacles; share of it that a clear path leaves
 SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
 SURE_M = 0.4  # a tube frees a possible extension of a surface only where its echo lies so far behind
-BODY_M = 0.25  # radius about the sensor that is free
 ROUNDS = 3  # of hiding: what hides may be hidden itself
 
 
@@ -56,10 +55,10 @@ def render(
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         free = np.zeros((2, grid.size), bool)
         clear = alive & _unobstructed(views, owner)
-        draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), free)
+        occupied = evidence >= spec.evidence
+        draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), occupied, free)
         extension = np.zeros(grid.size, bool)
         draw_extensions(plane, views, alive, spec.extension_m, extension)
-        occupied = evidence >= spec.evidence
         beside = binary_dilation(occupied.reshape(grid.shape), np.ones((3, 3), bool)).ravel()
         percent[free[0] & (free[1] | ~extension) & ~beside] = FREE
         percent[occupied] = OCCUPIED

@@ -41,7 +41,7 @@ class LikelihoodSpec:
     # cells
     evidence: float = 1.5  # sum of the weights of echoes in an occupied cell
     support: float = 1.0  # half width of what one echo shows of a surface, in radii of the first Fresnel zone
-    tube: float = 0.5  # half width of the free space before an echo, in radii of the first Fresnel zone
+    tube: float = 0.3  # half width of the free space before an echo, in Fresnel radii: a nearer edge takes 5 dB of it
     margin_m: float = 0.15  # before an echo that is not declared free: pulse width and half a cell
     extension_m: float = 1.0  # how far a surface may go on unseen
 
