@@ -53,14 +53,6 @@ def test_a_short_title_stays_on_one_line(tmp_path: Path) -> None:
     assert figure.get_suptitle().replace("\n", " ") == LONG
 
 
-def test_unknown_cells_of_a_map_are_clear() -> None:
-    grid = ul.Grid((0, 0, 0), 1.0, (1, 4))
-    shown = viewer_plots.map_colors(ul.OccupancyMap(grid, np.array([[0, 100, -1, -2]], np.int8)))[0]
-    assert shown[2, 3] == 0
-    assert shown[1, 3] == 255
-    assert 0 < shown[0, 3] < 255
-
-
 def test_the_weaker_an_image_the_more_of_the_floor_is_seen() -> None:
     alpha = viewer_plots.image_colors(np.linspace(0, 1, 50))[:, 3].astype(int)
     assert alpha[0] == 0

@@ -127,9 +127,10 @@ def test_a_volume_from_above_shows_occupied_before_free_and_ambiguous_before_unk
     percent[0, 0, 0], percent[1, 0, 0] = 0, 90
     percent[2, 1, 1] = -2
     axes = ul.OccupancyMap(ul.Grid((0, 0, 0), 1.0, (3, 2, 2)), percent).plot()
-    backdrop, shown = (drawn.get_array() for drawn in axes.images)
-    assert shown[0, 0] == 90
-    assert backdrop.tolist() == [[0, 0], [0, 1]]
+    (shown,) = (drawn.get_array() for drawn in axes.images)
+    assert shown[0, 0].tolist() == [26, 26, 26, 255]
+    assert shown[0, -1, 3] == 0  # unknown
+    assert shown[-1, -1].tolist()[:3] == [242, 193, 78]  # ambiguous
 
 
 @pytest.mark.parametrize(

@@ -125,15 +125,6 @@ def test_the_map_lies_where_its_grid_lies(recorded: tuple[Path, Any]) -> None:
     assert len(rows(recorded[0], "world/map", "data")) == len(corners)
 
 
-def test_colors_tell_the_four_kinds_of_cells_apart() -> None:
-    grid = ul.Grid((0, 0, 0), 1.0, (1, 4))
-    colors = viewer_plots.map_colors(ul.OccupancyMap(grid, np.array([[0, 100, -1, -2]], np.int8)))[0]
-    assert colors[0, :3].min() > 200
-    assert colors[1, :3].max() < 30
-    assert colors[2, 3] == 0
-    assert colors[3].tolist() == [242, 193, 78, 255]
-
-
 def test_the_rolling_picture_has_the_echo_at_its_range_and_now_at_the_right() -> None:
     picture = viewer_plots.RangeTime(np.linspace(0, 10, 100))
     level = np.full((34, 100), -80.0, np.float32)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ullage.data import Frames, Trajectory
-from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
+from ullage.grids import UNKNOWN, Image, OccupancyMap
+from ullage.view.map_picture import map_picture, plane_of
 from ullage.view.saving import save_figure
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def draw_map(
     marks: Floats | None = None,
     level: int | None = None,
 ) -> Any:
-    """An occupancy map: white free, black occupied, grey unknown, amber ambiguous; true walls and path over it.
+    """An occupancy map: white free, black occupied, grey unknown, striped ambiguous; true walls and path over it.
 
     Args:
         axes: where to draw.
@@ -95,27 +96,18 @@ def draw_map(
         marks: (m, 2 or 3) surveyed places [m].
         level: index along z, of a volume.
     """
-    from matplotlib.colors import ListedColormap
+    from matplotlib.cm import ScalarMappable
 
-    percent = omap.percent.astype(float)
-    if percent.ndim == 3:
-        percent = percent[level] if level is not None else _from_above(percent)
-    shown = np.ma.masked_less(percent, 0)
-    extent = omap.grid.extent_m
-    backdrop = np.where(percent == AMBIGUOUS, 1, 0)
-    axes.imshow(backdrop, extent=extent, origin="lower", cmap=ListedColormap(["#c9ccd1", "#f2c14e"]), vmin=0, vmax=1)
-    mesh = axes.imshow(shown, extent=extent, origin="lower", cmap="Greys", vmin=0, vmax=100, interpolation="nearest")
+    axes.set_facecolor("#c9ccd1")
+    picture = map_picture(omap, level=level)
+    axes.imshow(picture, extent=omap.grid.extent_m, origin="lower", interpolation="antialiased")
+    mesh = ScalarMappable(cmap="gray_r")
+    mesh.set_clim(0, 100)
     draw_plan(axes, walls=walls, path=path, marks=marks)
-    known = np.argwhere(percent != UNKNOWN)
+    known = np.argwhere(plane_of(omap, level) != UNKNOWN)
     if len(known):
         _zoom(axes, omap, known)
     return mesh
-
-
-def _from_above(percent: Floats) -> Floats:
-    """The highest chance (ny, nx) over all levels; ambiguous where nothing in a column is known but its ambiguity."""
-    top = percent.max(axis=0)
-    return np.where((top < 0) & (percent == AMBIGUOUS).any(axis=0), AMBIGUOUS, top)
 
 
 def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
@@ -160,7 +152,7 @@ def map_figure(
         figure.colorbar(mesh, ax=axes, label="chance of being occupied [%]", shrink=0.8)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         figure.suptitle(title, fontsize=10)
-        axes.set_title(f"{omap.method}, {omap.grid.step_m:g} m cells; grey unknown, amber ambiguous", fontsize=8)
+        axes.set_title(f"{omap.method}, {omap.grid.step_m:g} m cells; grey unknown, striped ambiguous", fontsize=8)
     return Path(path)
 
 

@@ -41,7 +41,7 @@ def draw_panels(
     span_db: float = 40.0,
     view: Floats | None = None,
 ) -> None:
-    """Maps in white, black, grey and amber, images in dB, the true walls over them.
+    """Maps in white, black, grey and stripes, images in dB, the true walls over them.
 
     Args:
         path: picture file.
@@ -84,7 +84,7 @@ def draw_panels(
 def _draw(axes: Any, panel: Panel, walls: Floats, span_db: float) -> tuple[str, Any]:
     if isinstance(panel.shown, OccupancyMap):
         mesh = draw_map(axes, panel.shown, walls=walls, path=panel.flown)
-        kind = "chance of being occupied [%]; grey unknown, amber ambiguous"
+        kind = "chance of being occupied [%]; grey unknown, striped ambiguous"
     else:
         top = max(float(np.quantile(panel.shown.amplitude, 0.998)), 1e-30)
         level = 20 * np.log10(np.maximum(panel.shown.amplitude / top, 1e-9))

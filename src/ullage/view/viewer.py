@@ -16,6 +16,7 @@ from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.view import viewer_plots as plots
 from ullage.view import viewer_scene as things
+from ullage.view.map_picture import map_picture
 from ullage.view.viewer_output import ViewerOutput
 from ullage.view.viewer_scene import TIMELINE, arcs, body_of, entity, log_poses, rgba, time_column
 from ullage.world.scene import Scene
@@ -29,6 +30,7 @@ MAP_S = 1.0  # between two maps
 PATH_S = 0.2  # between two points of the flown path
 MAX_BOXES = 50_000  # of a volume's cells; more of them become points
 BLENDED = 0.999  # rerun blends pictures with what is behind them only when their opacity is below 1
+FREE_ALPHA = 140  # opacity of free cells, through which the floor is seen
 IMAGE_DB = 30.0  # a radar image goes from its peak so far down
 
 
@@ -243,7 +245,7 @@ class ViewerSink:
     def _show_map(self, omap: OccupancyMap) -> None:
         self._set_time(self._now_ns)
         if omap.grid.dims == 2:
-            self._plane("world/map", omap.grid, plots.map_colors(omap), lift_m=0.0)
+            self._plane("world/map", omap.grid, map_picture(omap, free_alpha=FREE_ALPHA), lift_m=0.0)
             return
         rr, cells = self._rr, np.argwhere(omap.occupied)
         centers = _centers(omap.grid, cells)
@@ -269,19 +271,20 @@ class ViewerSink:
         self._rec.log("world/image", points)
 
     def _plane(self, path: str, grid: Grid, colors: NDArray[np.uint8], *, lift_m: float) -> None:
-        """A picture (ny, nx, 4) of RGBA, of which only the part with something on it is sent."""
+        """A picture of a grid as RGBA (rows, columns, 4), of which only the part with something on it is sent."""
         some = np.argwhere(colors[..., 3] > 0)
         if not len(some):
             return
+        step_m = grid.step_m * grid.shape[-1] / colors.shape[1]  # of a pixel
         (j, i), (top, right) = some.min(axis=0), some.max(axis=0) + 1
         part = np.ascontiguousarray(colors[j:top, i:right][::-1])  # the first row is the highest y
         form = self._rr.components.ImageFormat(
             width=right - i, height=top - j, color_model="RGBA", channel_datatype="U8"
         )
         x, y, z = grid.at_height(self._height_m).origin_m
-        corner = [x + i * grid.step_m, y + j * grid.step_m, z + lift_m]
+        corner = [x + i * step_m, y + j * step_m, z + lift_m]
         plane = self._rr.GridMap(
-            data=part.tobytes(), format=form, cell_size=grid.step_m, translation=corner, opacity=BLENDED
+            data=part.tobytes(), format=form, cell_size=step_m, translation=corner, opacity=BLENDED
         )
         self._rec.log(path, plane)
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ullage.data import Unit
 from ullage.errors import need
-from ullage.grids import OccupancyMap
 from ullage.view.viewer_scene import TIMELINE, rgba
 
 Floats = NDArray[np.float64]
@@ -170,16 +169,6 @@ def _trails(rrb: Any, trails: list[str]) -> dict[str, Any]:
         whole = path.endswith("flown")
         start = rrb.TimeRangeBoundary.infinite() if whole else rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S)
         out[path] = rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=now)
-    return out
-
-
-def map_colors(omap: OccupancyMap) -> NDArray[np.uint8]:
-    """A plane's map as RGBA (ny, nx, 4): free white, occupied black, ambiguous amber, unknown clear."""
-    out = np.zeros((*omap.percent.shape, 4), np.uint8)
-    known = omap.percent >= 0
-    gray = 245 - 2.35 * omap.percent[known]
-    out[known] = np.stack([gray, gray, gray, 140 + 1.15 * omap.percent[known]], axis=1).astype(np.uint8)
-    out[omap.ambiguous] = rgba("#f2c14e")
     return out
 
 
