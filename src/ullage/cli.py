@@ -429,14 +429,24 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
 def report(
     run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest",
     open_report: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
+    rrd: Annotated[bool, typer.Option("--rrd", help="Also write report.rrd, for the rerun viewer.")] = False,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Also write foxglove.json, a layout for the recording.")
+    ] = False,
 ) -> None:
     """Write a run's report.html anew."""
+    from ullage.experiments.exports import write_foxglove, write_rrd
     from ullage.experiments.folder import find_folder
     from ullage.view.progress import open_page
     from ullage.view.report import write_report
 
-    page = write_report(find_folder(run))
+    folder = find_folder(run)
+    page = write_report(folder)
     typer.echo(page)
+    if rrd:
+        typer.echo(write_rrd(folder))
+    if foxglove:
+        typer.echo(write_foxglove(folder))
     if open_report:
         open_page(page)
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
-from ullage.grids import Grid, Image, OccupancyMap
+from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, Image, OccupancyMap
 from ullage.radar.explain import Contribution
 from ullage.untrusted import reason
 from ullage.view.viewer_scene import GREY, beam_deg, body_of, hull_objects, sensor_color, turned_inwards
@@ -255,6 +255,34 @@ def map_tree(maps: Sequence[tuple[float, OccupancyMap]], start_ns: int, height: 
         "cell": packed(np.concatenate(indices), "u4"),
         "state": packed(np.concatenate(states), "u1"),
     }
+
+
+def maps_of(tree: Mapping[str, Any]) -> list[tuple[float, OccupancyMap]]:
+    """The maps of a replay, with their times since its start [s]; cells are free, occupied, ambiguous or unknown."""
+    if not (plane := tree.get("map")):
+        return []
+    grid = _grid_of(plane)
+    cells, states = unpacked(plane["cell"]), unpacked(plane["state"])
+    now, out, start = np.full(grid.size, UNKNOWN, np.int8), [], 0
+    percent = np.array([UNKNOWN, 0, 100, AMBIGUOUS], np.int8)  # of the four states, in their order
+    for t_s, end in zip(unpacked(plane["t"]).tolist(), unpacked(plane["end"]).tolist(), strict=True):
+        now[cells[start:end]] = percent[states[start:end]]
+        start = end
+        out.append((t_s, OccupancyMap(grid, now.reshape(grid.shape).copy())))
+    return out
+
+
+def images_of(tree: Mapping[str, Any]) -> list[Image]:
+    """The image of a replay, if there is one, as amplitudes below its brightest cell."""
+    if not (plane := tree.get("image")):
+        return []
+    share = unpacked(plane["level"]).astype(np.float32) / 255
+    amplitude = np.where(share > 0, 10 ** ((share - 1) * plane["span_db"] / 20), 0)
+    return [Image(_grid_of(plane), amplitude.astype(np.float32).reshape(plane["shape"]), None, "backprojection")]
+
+
+def _grid_of(plane: Mapping[str, Any]) -> Grid:
+    return Grid(tuple(plane["origin"]), plane["step"], tuple(plane["shape"]))
 
 
 def cell_states(omap: OccupancyMap) -> NDArray[np.uint8]:
