@@ -80,6 +80,17 @@ def test_the_reference_names_every_public_name_and_every_option(pages: ModuleTyp
         assert f"`{option}" in commands
 
 
+def test_sources_link_to_the_references(pages: ModuleType) -> None:
+    known = ["Keller1962", "Elfes1987"]
+    text = "By [Keller1962], [Elfes1987, ch. 2]; not [Other1999], `[Keller1962]` nor [Keller1962](x.md)."
+    assert pages.with_sources(text, known, "../references.md") == (
+        "By [[Keller1962]](../references.md#Keller1962), [[Elfes1987, ch. 2]](../references.md#Elfes1987); "
+        "not [Other1999], `[Keller1962]` nor [Keller1962](x.md)."
+    )
+    entry = pages.with_sources("# References\n\n- **[Keller1962]** Keller.\n", known, "references.md")
+    assert '<a id="Keller1962"></a>**[Keller1962]** Keller.' in entry
+
+
 def test_the_first_python_block_is_at_most_twelve_lines() -> None:
     block = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
     assert block is not None

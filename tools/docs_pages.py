@@ -1,16 +1,20 @@
-"""Pages that mkdocs takes from the code as it builds: the Python API and the command line (a hook of mkdocs.yml)."""
+"""What mkdocs adds as it builds: pages of the Python API and the command line, and links to sources (a hook)."""
 
 from __future__ import annotations
 
 import inspect
+import posixpath
 import re
 import textwrap
+from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 from pydantic import BaseModel
 
 import ullage as ul
@@ -44,6 +48,26 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, text in {"api.md": api_page(), "commands.md": commands_page()}.items():
         files.append(File.generated(config, name, content=text))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Link sources such as [Keller1962] to the page of references; mkdocs calls this for every page."""
+    there = posixpath.relpath("references.md", posixpath.dirname(page.file.src_uri) or ".")
+    known = re.findall(
+        r"^@\w+\{([^,\s]+),", (Path(config.docs_dir) / "references.bib").read_text(encoding="utf-8"), re.M
+    )
+    return with_sources(markdown, known, there)
+
+
+def with_sources(markdown: str, known: Sequence[str], there: str) -> str:
+    """Link known keys in brackets to their entry on the page of references; give the entries there their anchors."""
+    keys = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
+    if there == "references.md" and markdown.startswith("# References"):
+        return re.sub(rf"^- \*\*\[({keys})\]\*\*", r'- <a id="\1"></a>**[\1]**', markdown, flags=re.M)
+    parts = re.split(r"(^ *```.*?^ *```|`[^`\n]*`)", markdown, flags=re.S | re.M)
+    for k in range(0, len(parts), 2):
+        parts[k] = re.sub(rf"(?<![\[\\])\[({keys})((?:, [^\]\[]*)?)\](?![(\]])", rf"[[\1\2]]({there}#\1)", parts[k])
+    return "".join(parts)
 
 
 def api_page() -> str:
