@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import re
+import shutil
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 import yaml
@@ -130,17 +132,49 @@ def test_a_tutorial_runs_and_leaves_its_picture(page: Path, tmp_path: Path) -> N
     assert (tmp_path / f"{page.stem}.png").stat().st_size > 5_000
 
 
-HOW_TO = sorted(DOCS.glob("howto_*.md"))
+RUN_ELSEWHERE = {"datasets.md", "index.md", "viewer.md"}
+"""Code that another test runs, or that needs rerun."""
+WITH_CODE = [
+    page for page in sorted(DOCS.glob("*.md"))
+    if page.name not in RUN_ELSEWHERE and "\n```python\n" in page.read_text(encoding="utf-8")
+]  # fmt: skip
+
+
+def save_files_of(page: str, folder: Path) -> None:
+    """Write the files that a page asks its reader to save."""
+    for name, kind in re.findall(r"Save this as[\s`]+([\w.]+)`.*?```(\w+)", page, re.S):
+        block = re.search(rf"```{kind}\n(.*?)```", page, re.S)
+        assert block is not None
+        (folder / name).write_text(block[1], encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What pages take for granted: a short flight, its recording, a map and a volume."""
+    scene = ul.scenes.room(size_m=(6, 4, 3))
+    path = ul.Trajectory.line((-0.5, 0, 0), (0.5, 0, 0), rate_hz=17)
+    frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=7)
+    recording = tmp_path_factory.mktemp("flight") / "flight.mcap"
+    with ul.sink(recording) as sink:
+        sink.write(frames)
+    maps = {name: ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, step_m=0.1, dims=dims, margin_m=0.3))
+            for name, dims in (("omap", 2), ("volume", 3))}  # fmt: skip
+    return {"recording": recording, "ul": ul, **maps}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [*HOW_TO, DOCS / "mapping.md"], ids=lambda page: page.stem)
-def test_the_code_of_a_page_runs(page: Path, tmp_path: Path) -> None:
-    for name, kind in re.findall(r"Save this as[\s`]+([\w.]+)`.*?```(\w+)", page.read_text(encoding="utf-8"), re.S):
-        block = re.search(rf"```{kind}\n(.*?)```", page.read_text(encoding="utf-8"), re.S)
-        assert block is not None
-        (tmp_path / name).write_text(block[1], encoding="utf-8")
-    assert tool("run_tutorials").run_page(page, tmp_path)
+@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
+def test_the_code_of_a_page_runs(page: Path, tmp_path: Path, at_hand: dict[str, Any]) -> None:
+    text = page.read_text(encoding="utf-8")
+    save_files_of(text, tmp_path)
+    shutil.copy(at_hand["recording"], tmp_path)
+    for name in re.findall(r'ul\.open\("(xethru_\w+\.dat)"', text):
+        found = ROOT.parent / "shared" / "data" / "x4" / name
+        if not found.is_file():
+            pytest.skip(f"needs {name} in ../shared/data")
+        (tmp_path / name).symlink_to(found)
+    given = {name: at_hand[name] for name in ("ul", "omap", "volume") if page.name == "maps.md"}
+    assert tool("run_tutorials").run_page(page, tmp_path, **given)
 
 
 BY_CODE = {"imc_messages.md", "references.md", "reproduce.md", "scenarios.md", "statement_mutants.md", "validation.md",

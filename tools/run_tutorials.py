@@ -16,12 +16,12 @@ TUTORIALS = ROOT / "docs" / "tutorials"
 PICTURES = ROOT / "docs" / "pictures" / "tutorials"
 
 
-def run_page(page: Path, folder: Path) -> dict[str, Any]:
-    """Run a page's Python blocks in order, in one namespace and inside `folder`; give the namespace."""
+def run_page(page: Path, folder: Path, **given: Any) -> dict[str, Any]:
+    """Run a page's Python blocks in order, inside `folder` and in one namespace that starts with what is given."""
     import matplotlib
 
     matplotlib.use("agg")
-    names: dict[str, Any] = {"__name__": "__main__"}  # a module that is there: dataclasses ask for theirs
+    names: dict[str, Any] = {**given, "__name__": "__main__"}  # a module that is there: dataclasses ask for theirs
     text = page.read_text(encoding="utf-8")
     with contextlib.chdir(folder):
         for block in re.finditer(r"^```python\n(.*?)^```", text, re.S | re.M):
