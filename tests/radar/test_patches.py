@@ -145,7 +145,7 @@ def test_too_many_pieces_are_cut_more_coarsely_with_one_warning(monkeypatch):
     scene = Scene.of_mesh(*ring(0.051), name="ring", made_of="pec")
     with pytest.warns(UllageWarning, match=r"ring: curved surfaces would take \d+ pieces; cut into \d+"):
         found = prepare(scene).patches(SPEC.wavelength_m, 0.5)
-    assert len(found.fine.corners) <= 3000
+    assert 2000 < len(found.fine.corners) <= 3000  # 1950 facets
 
 
 @pytest.mark.parametrize("seed", range(2))

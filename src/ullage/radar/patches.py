@@ -83,8 +83,7 @@ def patches_of(
     given = None if scene.corner_normals is None else scene.corner_normals[faces]
     control = point_normal.displacements(corners, smoothing.corner_normals(corners, found, given), found)
     sagitta = point_normal.sagitta(control)
-    count = np.ceil(np.sqrt(sagitta / (SHARE * wavelength_m)) - 1e-9).astype(np.int64)
-    coarse = (count > 1) & ~claimed[faces]
+    coarse = (_counts(sagitta, SHARE * wavelength_m) > 1) & ~claimed[faces]
     region, rows = found.regions(len(faces)), len(still.faces) + len(still.flats)
     coarse = (np.bincount(region, coarse)[region] > 0) & (sagitta > LEAST * wavelength_m)  # shifted, if not cut
     taken = np.bincount(row, coarse, rows) > 0
@@ -93,7 +92,7 @@ def patches_of(
     if not len(mine):
         return None
     chosen = Curved(corners[mine], stuffs[mine], control[mine], sagitta[mine], row[mine])
-    count = _bounded(np.maximum(count[mine], 1), chosen.sagitta, scene.name)
+    count = _bounded(chosen.sagitta, SHARE * wavelength_m, scene.name)
     return _cut(chosen, count, still, taken, SIGHT * wavelength_m)
 
 
@@ -149,14 +148,19 @@ def _widths(corners: Floats) -> Floats:
     return np.asarray(2 * smoothing.face_normals(corners)[1] / np.maximum(_longest(corners), 1e-300))
 
 
-def _bounded(count: Longs, sagitta: Floats, where: str) -> Longs:
-    """Pieces (n) along the edges of patches, fewer where all would be more than `MOST`, with a warning."""
-    asked, coarser = int((count**2).sum()), 1.0
-    while (count**2).sum() > MOST and (count > 1).any():
-        coarser *= 1.2
-        count = np.maximum(np.ceil(count / np.sqrt(1.2)).astype(np.int64), 1) if coarser < 1e3 else np.ones_like(count)
-    if coarser > 1:
+def _counts(sagitta: Floats, most_m: float) -> Longs:
+    """Pieces (n) along the edges of patches that leave at most so much of their sagittas (n) [m]."""
+    return np.maximum(np.ceil(np.sqrt(sagitta / most_m) - 1e-9).astype(np.int64), 1)
+
+
+def _bounded(sagitta: Floats, most_m: float, where: str) -> Longs:
+    """As `_counts`, but where all pieces would be more than `MOST` for a coarser bound, with a warning."""
+    asked = int((_counts(sagitta, most_m) ** 2).sum())
+    while ((count := _counts(sagitta, most_m)) ** 2).sum() > MOST and count.max() > 1:
+        most_m *= 1.1
+    made = int((count**2).sum())
+    if made < asked:
         off = 1e3 * float((sagitta / count**2).max())
-        notify(f"{where}: curved surfaces would take {asked} pieces; cut into {int((count**2).sum())}, which lie off "
-               f"them by up to {off:.2g} mm")  # fmt: skip
+        notify(f"{where}: curved surfaces would take {asked} pieces; cut into {made}, which lie off them by up to "
+               f"{off:.2g} mm")  # fmt: skip
     return count
