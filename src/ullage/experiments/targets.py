@@ -108,7 +108,7 @@ def simulated_scenario(
     if is_world(target):
         name = run_name(path.parent.name if path.stem == "model" else path.stem)
         world = {"file": target} if path.suffix else {"name": target}
-        tree: dict[str, Any] = {"name": name, "title": f"Default flight in {path.name}", "world": world}
+        tree: dict[str, Any] = {"name": name, "title": f"Default flight in {name}", "world": world}
         return make_scenario(tree if tasks is None else {**tree, "do": tasks}, options=options)
     if target in scenario_names() or path.suffix in {".yaml", ".yml"}:
         found = find_scenario(target, options=options)

@@ -168,7 +168,7 @@ def _seen_from_above(shapes: Floats, slab: tuple[float, float]) -> tuple[Floats,
 
 
 def _clipped(shape: Floats, slab: tuple[float, float]) -> Floats:
-    """Corners (k, 2) of a flat convex shape (n, 3) cut off below and above two heights [Sutherland-Hodgman]."""
+    """Corners (k, 2) of a flat convex shape (n, 3) cut off below and above two heights [SutherlandHodgman1974]."""
     for sign, height in ((1.0, slab[0]), (-1.0, -slab[1])):
         over = sign * shape[:, 2] - height
         kept = []
