@@ -1,4 +1,4 @@
-"""A real rclpy subscriber that knows nothing of ullage but its topics: counts, and what came last, as JSON.
+"""A real rclpy subscriber that knows nothing of ullage but its topics: counts, stamps, and what came last, as JSON.
 
 Ends when its input does, or with `--all` as first argument once every topic was heard.
 Arguments: topic=package/msg/Name:quality ...
@@ -42,10 +42,14 @@ def main() -> None:
     node = rclpy.create_node("hear")
     count: Counter[str] = Counter()
     last: dict[str, Any] = {}
+    stamps: dict[str, list[int]] = {}
 
     def take(topic: str, message: Any) -> None:
         count[topic] += 1
         last[topic] = message
+        if hasattr(message, "header"):
+            stamp = message.header.stamp
+            stamps.setdefault(topic, []).append(stamp.sec * 10**9 + stamp.nanosec)
 
     until_all = sys.argv[1] == "--all"
     words = sys.argv[1 + until_all :]
@@ -60,7 +64,8 @@ def main() -> None:
     print("ready", flush=True)
     while not (over.is_set() or (until_all and len(count) == len(words))):
         rclpy.spin_once(node, timeout_sec=0.1)
-    print(json.dumps({"count": count, "last": {topic: plain(message) for topic, message in last.items()}}))
+    shown = {topic: plain(message) for topic, message in last.items()}
+    print(json.dumps({"count": count, "stamps": stamps, "last": shown}))
     node.destroy_node()
     rclpy.shutdown()
 
