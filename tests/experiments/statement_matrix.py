@@ -25,9 +25,10 @@ afterwards. Some experiments use part of a flight, and fewer speeds or seeds, to
 spoils the measured values.
 
 `pytest tests/experiments/test_statement_mutants.py` runs them all. `python tests/experiments/statement_matrix.py`
-writes this page. Two sets of bounds have no error of their own. `cluttered-room-physical-again` repeats the bounds of
-`cluttered-room-physical` with other noise. The F1 of `cargo-hold-physical` needs the whole flight, and the test flies
-the first 2.5 m.
+writes this page. Two sets of bounds have no error of their own here. `cluttered-room-physical-again` differs from
+`cluttered-room-physical` only in the seed of its noise. World, flight and bounds are equal, so an error for the one is
+an error for the other, and the test saves the second flight. The F1 of `cargo-hold-physical` is that of the whole hold.
+The test flies the first 2.5 m only, where a bound for the whole flight cannot hold.
 """
 
 
