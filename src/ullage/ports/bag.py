@@ -9,6 +9,7 @@ import fcntl
 import signal
 import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -18,7 +19,7 @@ from types import FrameType
 from typing import Any, Self
 
 from ullage.data import Detections, Frames, Trajectory
-from ullage.errors import InputError
+from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import messages as ros
@@ -128,6 +129,7 @@ class McapSink:
         self._publisher = Publisher(profile=profile)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
+        self._left_out: set[str] = set()
         self._topics = Topics()
         self._flushed_ns = -1
         self._flushed_s = time.monotonic()
@@ -162,6 +164,13 @@ class McapSink:
             self._topics.kinds[topic], self._topics.offered[topic] = kind, offered
         return self._channels[topic]
 
+    def _leave_out(self, topic: str, kind: str) -> None:
+        """Warn once that a topic of a type without a known definition is not recorded; other sinks still get it."""
+        if topic not in self._left_out:
+            self._left_out.add(topic)
+            text = f"{topic} is not recorded: the definition of {kind} is unknown"
+            warnings.warn(text, UllageWarning, stacklevel=2)
+
     def _put(self, messages: list[Message]) -> None:
         with self._saying_when_full():
             for message in messages:
@@ -171,6 +180,9 @@ class McapSink:
 
     def _add(self, message: Message) -> None:
         topic, t_ns = "/" + message.topic.lstrip("/"), message.t_ns
+        if message.quality == "relayed" and not ros.knows(message.kind):
+            self._leave_out(topic, message.kind)
+            return
         channel = self._channel(topic, message.kind, message.quality)
         if self._topics.first_ns is None:
             self._flushed_ns = t_ns

@@ -7,6 +7,8 @@ through the `rosbags` types.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -107,6 +109,19 @@ def typestore() -> Typestore:
         if name not in store.types:
             store.register(get_types_from_msg(text, name))
     return store
+
+
+LEARN: dict[str, Callable[[str], object]] = {}
+"""Adds a message to `typestore` by its name, for each package of messages that another port defines."""
+
+
+def knows(name: str) -> bool:
+    """Whether the definition of a message, `package/msg/Name`, is known or can be learnt."""
+    package, _, short = name.partition("/msg/")
+    if name not in typestore().types and package in LEARN:
+        with suppress(InputError):
+            LEARN[package](short)
+    return name in typestore().types
 
 
 def schema_text(name: str) -> str:

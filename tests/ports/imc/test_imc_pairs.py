@@ -14,10 +14,13 @@ import pytest
 from conftest import same_message
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_imc_codec import PACKETS, messages_of
 
-from ullage.errors import InputError
+import ullage as ul
+from ullage.errors import InputError, UllageWarning
+from ullage.ports import messages as ros
 from ullage.ports.imc.broker import definition, main, of_raw, package_files, register, to_imc, to_raw, to_ros
 from ullage.ports.imc.codec import Message, Packet, decode, encode, make
 from ullage.ports.imc.interpreter import PAIRS, REASONS, imc_of, interpreted, rows_of
@@ -25,6 +28,7 @@ from ullage.ports.imc.ros_page import page
 from ullage.ports.imc.table import NUMBERS, Field, Kind, own
 from ullage.ports.messages import RAW
 from ullage.ports.plain import decoded, encoded
+from ullage.ports.protocol import Passed
 
 ROOT = Path(__file__).parents[3]
 
@@ -70,6 +74,31 @@ def test_the_package_of_all_messages_is_written_by_one_command(
     (tmp_path / "file").write_text("")
     assert main([str(tmp_path / "file")]) == 2
     assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_package_of_named_messages_holds_what_they_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path), "LogBookControl", "DesiredZ"]) == 0
+    wrote = {path.stem for path in (tmp_path / "imc_msgs/msg").iterdir()}
+    assert wrote == {"LogBookControl", "LogBookEntry", "DesiredZ", "Raw", "Packed"}
+    assert "wrote 5 messages" in capsys.readouterr().out
+    assert main([str(tmp_path), "Nonsense"]) == 2
+    assert "Nonsense" in capsys.readouterr().err
+
+
+def test_a_recording_keeps_messages_of_imc_msgs_and_leaves_out_unknown_ones(tmp_path: Path) -> None:
+    """A message that cannot be recorded must not keep the other sinks from it."""
+    packet = Packet(make("YoYo", amplitude=3.0), 1.0, 5, 6)
+    kind = register("YoYo")
+    data = encoded(kind, {"header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": ""}} | to_ros(packet))
+    ros.typestore.cache_clear()
+    register.cache_clear()  # as in a new process, which has seen no such message
+    with ul.sink(tmp_path / "run.mcap") as out:
+        out.write(Passed(10**9, "to_imc/yoyo", kind, data))
+        with pytest.warns(UllageWarning, match="/to_imc/odd is not recorded: .* imc_msgs/msg/Nonsense"):
+            out.write(Passed(10**9, "to_imc/odd", "imc_msgs/msg/Nonsense", b""))
+    with (tmp_path / "run.mcap").open("rb") as file:
+        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    assert topics == {"/to_imc/yoyo"}
 
 
 def random_message(kind: Kind, rng: random.Random, depth: int = 0) -> Message:

@@ -3,7 +3,7 @@
 `imc_msgs/Raw` holds any packet without loss. Beside it every IMC message has a ROS message of its own (`definition`),
 and `to_ros` and `to_imc` lose nothing. ROS messages are plain dicts here, so that any binding can take them. What says
 the same in ROS' own words is in interpreter.py. `python -m ullage.ports.imc.broker DIR` writes the ament package
-`imc_msgs` with all of them.
+`imc_msgs` with all of them, or with those that are named.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -71,12 +71,32 @@ def _constants(part: Field) -> Iterator[str]:
         yield f"{TYPES[part.kind]} {ros_name(part.name).upper()}_{word}={number}\n"
 
 
-def package_files(*, table: Table | None = None) -> dict[str, str]:
-    """The files of the ament package `imc_msgs` with every message of the table, by their paths in it."""
+def package_files(names: Iterable[str] = (), *, table: Table | None = None) -> dict[str, str]:
+    """The files of the ament package `imc_msgs`, by their paths in it.
+
+    Args:
+        names: of the messages; those that they hold, `Raw` and `Packed` are added. Empty: every message of the table.
+        table: of messages; None: ullage's own.
+
+    Raises:
+        InputError: the table has no message of a name.
+    """
     table = table or own()
-    texts = {f"{PACKAGE}/msg/{name}": definition(name, table=table) for name in table.by_name}
+    texts = {f"{PACKAGE}/msg/{name}": definition(name, table=table) for name in _held(names or table.by_name, table)}
     texts |= {ros.RAW: ros.DEFINITIONS[ros.RAW], f"{PACKAGE}/msg/Packed": PACKED}
     return ament.package_files(PACKAGE, texts, about=ABOUT, built_on=BUILT_ON)
+
+
+def _held(names: Iterable[str], table: Table) -> list[str]:
+    """These messages and those within them, each once."""
+    found: dict[str, None] = {}
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop(0)
+        if name not in found:
+            waiting += [part.of for part in table.named(name).fields if part.of]
+            found[name] = None
+    return list(found)
 
 
 @cache
@@ -94,6 +114,9 @@ def register(name: str) -> str:
         if one not in known.types:
             known.register(get_types_from_msg(text, one))
     return full
+
+
+ros.LEARN[PACKAGE] = register
 
 
 def to_raw(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
@@ -184,18 +207,20 @@ def main(words: list[str] | None = None) -> int:
     """Write the package `imc_msgs` into a folder.
 
     Args:
-        words: of the command line, one folder; None: this program's.
+        words: of the command line, a folder and names of messages; None: this program's.
     """
     words = sys.argv[1:] if words is None else words
-    if len(words) != 1 or words[0].startswith("-"):
-        sys.stderr.write("usage: python -m ullage.ports.imc.broker DIR   (writes DIR/imc_msgs)\n")
+    if not words or any(word.startswith("-") for word in words):
+        usage = "usage: python -m ullage.ports.imc.broker DIR [NAME ...]   (writes DIR/imc_msgs; no NAME: all messages)"
+        sys.stderr.write(usage + "\n")
         return 2
     try:
-        place = ament.write(package_files(), Path(words[0], PACKAGE))
+        files = package_files(words[1:])
+        place = ament.write(files, Path(words[0], PACKAGE))
     except UllageError as error:
         sys.stderr.write(f"ullage: {error}\n")
         return 2
-    sys.stdout.write(f"wrote {len(own().by_id) + 2} messages: {place}\n")
+    sys.stdout.write(f"wrote {sum(path.endswith('.msg') for path in files)} messages: {place}\n")
     return 0
 
 
