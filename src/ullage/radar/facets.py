@@ -26,6 +26,8 @@ SMOOTH_DEG = 25.0
 """Faces of one object that meet at less than this are facets of a curved surface [deg]."""
 ROUNDED = (1e-5, 1e-7, 1e-9)
 """So far off one plane may corners be, as a share of their triangles' size; the next where a patch so bends."""
+SINGLE = 2.0**-24
+"""Rounding of a coordinate in single precision, as a share of it: mesh files have no more."""
 BENT_M = 5e-4
 """Off its plane by which a patch is none: an eightieth of a wave [m]."""
 _CLUSTER = 16  # triangles, about
@@ -158,18 +160,23 @@ def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64
     """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object.
 
     Neighbours may be off by what files round; but where that adds up to a bend, as round a wall of long, narrow strips,
-    less is allowed.
+    less is allowed. The plane is that of the neighbour with the greater height over its longest edge: rounding turns
+    it less. Corners of single precision are off it by at most twice their rounding each, wherever they lie.
     """
     if not len(corners):
         return np.zeros(0, np.int64)
     a, b = twins(corners)
+    height = _heights(corners)
+    a, b = np.where(height[a] < height[b], b, a), np.where(height[a] < height[b], a, b)
     gap = abs(np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])).max(1)
+    rounded = _rounded(corners)
     size = np.linalg.norm(corners[b, 1] - corners[b, 0], axis=1) + np.linalg.norm(corners[b, 2] - corners[b, 0], axis=1)
-    off, mine = gap / np.maximum(size, 1e-2), stuffs[a] == stuffs[b]
+    size, mine = np.maximum(size, 1e-2), stuffs[a] == stuffs[b]
     same, patch = np.zeros(len(a), bool), np.arange(len(corners))
     asked = np.ones(len(corners), bool)
     for most in ROUNDED:
-        same = np.where(asked[a], (off < most) & mine, same)
+        allowed = np.maximum(most * size, rounded if most == ROUNDED[0] else 0.0)
+        same = np.where(asked[a], (gap < allowed) & mine, same)
         links = coo_array((np.ones(same.sum(), np.int8), (a[same], b[same])), shape=(len(corners), len(corners)))
         patch = np.asarray(connected_components(links, directed=False)[1], np.int64)
         asked = np.bincount(patch, _off_plane(corners, normals, patch) > BENT_M)[patch] > 0
@@ -178,15 +185,38 @@ def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64
     return patch
 
 
+def _rounded(corners: Floats) -> float:
+    """How far corners (f, 3, 3) may lie off one plane or line by their rounding in single precision [m]."""
+    return 4 * SINGLE * float(np.linalg.norm(corners, axis=2).max(initial=0))
+
+
+def _heights(corners: Floats) -> Floats:
+    """Height of each triangle (f, 3, 3) over its longest edge [m]."""
+    sides = np.roll(corners, -1, 1) - corners
+    longest = np.linalg.norm(sides, axis=2).max(1)
+    return np.asarray(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / np.maximum(longest, 1e-30))
+
+
 def _off_plane(corners: Floats, normals: Floats, patch: Longs) -> Floats:
     """How far triangles (f, 3, 3) lie off the plane of their patch in the mean, where slivers count for little [m]."""
+    normal, middle = _planes(corners, normals, patch)
+    return np.asarray(abs(np.einsum("ni,nki->nk", normal[patch], corners - middle[patch, None])).max(1))
+
+
+def _planes(corners: Floats, normals: Floats, patch: Longs) -> tuple[Floats, Floats]:
+    """Normal and centre of area (p, 3) of each patch of triangles (f, 3, 3).
+
+    The normal is that of the vector area. The rounding of a corner inside the patch cancels there, however thin its
+    triangles are; the normal of a single needle is off by the rounding over its height. It points to the side of the
+    first triangle's.
+    """
     lead = np.unique(patch, return_index=True)[1][patch]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) + 1e-30
     alike = area * np.where(np.einsum("ni,ni->n", normals, normals[lead]) < 0, -1.0, 1.0)
     total: Floats = np.stack([np.bincount(patch, alike * n) for n in normals.T], 1)
     normal = total / np.maximum(np.linalg.norm(total, axis=1), 1e-30)[:, None]
     middle = np.stack([np.bincount(patch, area * m) for m in corners.mean(1).T], 1) / np.bincount(patch, area)[:, None]
-    return np.asarray(abs(np.einsum("ni,nki->nk", normal[patch], corners - middle[patch, None])).max(1))
+    return normal, np.asarray(middle)
 
 
 def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDArray[np.bool_]:
@@ -223,7 +253,7 @@ def _flats(
 ) -> Flats:
     """Rims of patches: the directed edges that no neighbour of the same patch runs back along."""
     names, lead, patch = np.unique(patch, return_index=True, return_inverse=True)
-    normal = normals[lead]
+    normal, middle = _planes(corners, normals, patch)
     flip = np.einsum("ni,ni->n", normals, normal[patch]) < 0
     turned = corners.copy()
     turned[flip] = corners[flip][:, ::-1]
@@ -237,9 +267,13 @@ def _flats(
     first = np.searchsorted(of[rim], np.arange(len(names) + 1)).astype(np.int32)
     a = turned.reshape(-1, 3)[rim]
     b = np.roll(turned, -1, 1).reshape(-1, 3)[rim]
-    offsets = np.einsum("ni,ni->n", normal, turned[lead, 0])
+    offsets = np.einsum("ni,ni->n", normal, middle)
     order, loop_of, loops = _ordered(start[rim], end[rim], first)
-    a, b = np.ascontiguousarray(a[order]), np.ascontiguousarray(b[order])
+    kept = _turning(a[order], b[order], loops, _rounded(corners))
+    last = np.append(kept, len(order))[1:] - 1  # the edge that ends where the next one kept begins
+    a, b = np.ascontiguousarray(a[order[kept]]), np.ascontiguousarray(b[order[last]])
+    loops = np.searchsorted(kept, loops).astype(np.int32)
+    first = loops[loop_of]
     mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
     across = _across(normal, first, a, b)
     spheres, widths = _extent(normal, offsets, across, first, a)
@@ -295,6 +329,27 @@ def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> t
             loops.append(len(order))
         loop_of.append(len(loops) - 1)
     return np.asarray(order, np.int64), np.asarray(loop_of, np.int32), np.asarray(loops, np.int32)
+
+
+def _turning(starts: Floats, ends: Floats, loops: Ints, rounded: float) -> Longs:
+    """Edges (n) of rims to keep, so that each runs on to the next bend: cuts of neighbours leave none.
+
+    The corner between two edges goes if it lies within the rounding [m] of their chord, every other one at a time.
+    """
+    kept = np.arange(len(starts))
+    odd, idle = True, 0
+    while len(kept) and idle < 2:
+        begin = np.searchsorted(kept, loops)
+        many = np.diff(begin)
+        place = np.arange(len(kept)) - np.repeat(begin[:-1], many)
+        before, last = starts[np.roll(kept, 1)], np.append(kept, len(starts))[1:] - 1
+        back, ahead = starts[kept] - before, ends[last] - starts[kept]
+        chord = np.linalg.norm(back + ahead, axis=1)
+        off = np.linalg.norm(np.cross(back, ahead), axis=1) / np.maximum(chord, 1e-30)
+        gone = (place > 0) & (place % 2 == odd) & (off <= rounded) & (np.einsum("ni,ni->n", back, ahead) > 0)
+        gone &= np.repeat(many, many) > 3
+        kept, odd, idle = kept[~gone], not odd, 0 if gone.any() else idle + 1
+    return kept
 
 
 def _convex(
