@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validate import radar
+from ullage.experiments.validation_rows import radar
 from ullage.geometry import C0
+from ullage.radar.context import bench, view_of
 from ullage.radar.flats import lay_flats
 from ullage.radar.multipath import image_lengths
-from ullage.radar.physical import bench, view_of
 from ullage.radar.pulse import envelope
 
 SIZE, AT = np.array([6.0, 4.0, 3.0]), np.array([0.31, -0.42, 0.17])

@@ -8,11 +8,12 @@ import pytest
 import ullage as ul
 from ullage.antenna import gain
 from ullage.experiments.oracles import dense_tank
-from ullage.experiments.validate import over
-from ullage.radar import ball_echoes, curves, flat_pairs, ways
+from ullage.experiments.validation_rows import over
+from ullage.radar import ball_echoes, curves, physical, ways
+from ullage.radar.context import bench, view_of
 from ullage.radar.multipath import beams_of, looks
 from ullage.radar.penetration import fresnel
-from ullage.radar.physical import bench, path_gain_cw, view_of
+from ullage.radar.physical import path_gain_cw
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -107,7 +108,7 @@ def test_a_ball_over_a_floor_is_the_ball_and_its_image(monkeypatch, step_m, with
     conductor turns the sign at each bounce. Small triangles, and facets large enough to be done by their rims:
     the lone ball is not taken for a smooth one. Waves from the ball over the floor back to it are `test_flat_pairs`'
     matter."""
-    monkeypatch.setattr(flat_pairs, "lay_flat_pairs", lambda *_: [])
+    monkeypatch.setattr(physical, "lay_flat_pairs", lambda *_: [])
     radius = 0.1 if step_m < 0.1 else 0.8
     alone = ball(radius, centre=(3.0, 0, 0.0), step_m=step_m)
     monkeypatch.setattr(ball_echoes, "taken", lambda *_: [])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validate import radar
+from ullage.experiments.validation_rows import radar
 from ullage.geometry import quat_matrix
 from ullage.radar import flat_pairs
+from ullage.radar.context import bench, view_of
 from ullage.radar.flat_pairs import lay_flat_pairs
 from ullage.radar.multipath import looks
-from ullage.radar.physical import bench, view_of
 from ullage.radar.round_pairs import lay_pairs
 from ullage.world import scenes
 from ullage.world.scene import Scene

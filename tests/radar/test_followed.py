@@ -8,8 +8,9 @@ from ullage.antenna import gain
 from ullage.kernels import lit
 from ullage.kernels import rims as draw
 from ullage.radar import curves, multipath, zones
+from ullage.radar.context import bench
 from ullage.radar.flats import Rim
-from ullage.radar.physical import bench, echoes
+from ullage.radar.physical import echoes
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)

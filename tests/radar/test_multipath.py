@@ -6,8 +6,8 @@ import pytest
 import ullage as ul
 from ullage.kernels import bounces
 from ullage.radar import multipath
+from ullage.radar.context import bench, view_of
 from ullage.radar.multipath import between
-from ullage.radar.physical import bench, view_of
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
 from ullage.world.scene import Scene

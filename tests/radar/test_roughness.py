@@ -5,8 +5,9 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import C0
+from ullage.radar.context import bench, view_of
 from ullage.radar.penetration import coherent
-from ullage.radar.physical import bench, echoes, lay, view_of
+from ullage.radar.physical import echoes, lay
 from ullage.radar.roughness import Grit, grit_of, spectrum
 from ullage.world.materials import material
 from ullage.world.scene import Scene

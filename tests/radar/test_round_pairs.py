@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validate import over, radar
+from ullage.experiments.validation_rows import over, radar
 from ullage.radar import round_pairs
-from ullage.radar.physical import prepare
+from ullage.radar.prepared import prepare
 from ullage.radar.round_pairs import Bodies, paths_over
 from ullage.world import scenes
 from ullage.world.scene import Scene

@@ -10,7 +10,8 @@ from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.fan import reaching_max_range
 from ullage.geometry import rpy_quat
-from ullage.radar.simulate import LEAD, sensor_seed, simulate, simulate_stream
+from ullage.radar.receiving import sensor_seed
+from ullage.radar.simulate import LEAD, simulate, simulate_stream
 from ullage.specs import RadarSpec, Rig, ThesisSpec
 
 X4 = RadarSpec.preset("x4m05", thesis=ThesisSpec(rays_per_side=12))

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validate import drum_heard, over_wall, radar
+from ullage.experiments.validate import drum_heard, over_wall
+from ullage.experiments.validation_rows import radar
+from ullage.radar.context import bench, view_of
 from ullage.radar.multipath import looks
-from ullage.radar.physical import bench, prepare, view_of
+from ullage.radar.prepared import prepare
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, lay_wall_bodies, lines_over
 from ullage.world import scenes

@@ -7,10 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ullage as ul
-from ullage.experiments.validate import radar, walls_heard
+from ullage.experiments.validate import walls_heard
+from ullage.experiments.validation_rows import radar
 from ullage.radar import wall_bounces
+from ullage.radar.context import bench, view_of
 from ullage.radar.multipath import looks
-from ullage.radar.physical import bench, prepare, view_of
+from ullage.radar.prepared import prepare
 from ullage.radar.rounds import rounds_of, shells_of
 from ullage.world import scenes
 from ullage.world.scene import Scene

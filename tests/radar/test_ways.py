@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.radar.context import bench, view_of
 from ullage.radar.multipath import looks
-from ullage.radar.physical import bench, view_of
 from ullage.radar.ways import FACES, PAIRS, largest, ways_of
 
 

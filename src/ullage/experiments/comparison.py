@@ -4,29 +4,15 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from ullage.config import Scenario
-from ullage.data import Metric
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, variant_name
+from ullage.experiments.runner import Compared, execute, of_scenario
+from ullage.experiments.simulated import prepare
 
 NAMES = {"thesis": "the method of 2018", "physical": "ullage's method"}
-
-
-@dataclass(frozen=True, slots=True)
-class Compared:
-    """Scores of another law's echoes and map on the same flight."""
-
-    name: str  # in words
-    scenario: str
-    metrics: dict[str, Metric]
-
-    @property
-    def line(self) -> str:
-        """The comparison in one line."""
-        return f"{self.name} on the same flight: F1 {self.metrics['f1'].value:.3f}"
 
 
 def rival_scenario(source: str, law: str, *, options: Sequence[str] = ()) -> Scenario:
@@ -52,9 +38,6 @@ def rival_scenario(source: str, law: str, *, options: Sequence[str] = ()) -> Sce
 
 def fly_again(rival: Scenario, law: str) -> Compared:
     """Run a scenario for its scores alone; nothing is kept on the disk."""
-    from ullage.experiments.runner import execute, of_scenario
-    from ullage.experiments.simulated import prepare
-
     with tempfile.TemporaryDirectory(prefix="ullage-") as folder:
         report = execute(of_scenario(Path(folder), prepare(rival)), say=lambda _: None, draw=False)
     return Compared(NAMES[law], rival.name, report.metrics)

@@ -21,7 +21,7 @@ from ullage.flight.vehicle import check_clear
 from ullage.processing.guard import Guard, Limit, State
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
 from ullage.radar.copies import cores
-from ullage.radar.simulate import Receiving
+from ullage.radar.receiving import Receiving
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 

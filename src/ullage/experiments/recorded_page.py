@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ullage.experiments.recorded import BANDS, GAP_M, Beside, compare, recordings, ring_down
-from ullage.experiments.validate import Row
+from ullage.experiments.validation_rows import Row
 from ullage.files import write_whole
 from ullage.view.recorded_figure import draw_recorded
 

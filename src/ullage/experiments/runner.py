@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ullage.config import Scenario, Task, scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
-from ullage.experiments.comparison import Compared
 from ullage.experiments.draft import Draft, running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
 from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
@@ -41,6 +40,20 @@ LIVE_S = 0.2
 """Between two maps or images of a live run: five a second, as the nodes of the thesis [Billdal2018, appendix B]."""
 WATCHED_S = 1.0
 """Between two maps or images of any other run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Scores of another law's echoes and map on the same flight."""
+
+    name: str  # in words
+    scenario: str
+    metrics: dict[str, Metric]
+
+    @property
+    def line(self) -> str:
+        """The comparison in one line."""
+        return f"{self.name} on the same flight: F1 {self.metrics['f1'].value:.3f}"
 
 
 @dataclass(slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,73 +12,21 @@ from numpy.typing import NDArray
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.experiments import oracles
+from ullage.experiments.validation_rows import HERE, Row, db, gain, over, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.ball_bounces import fan_weights
+from ullage.radar.context import bench, view_of
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
-from ullage.radar.physical import bench, echoes, lay, path_gain_cw, view_of
+from ullage.radar.physical import echoes, path_gain_cw
 from ullage.radar.wall_bodies import lay_wall_bodies
 from ullage.radar.wall_bounces import fan_of
-from ullage.specs import AntennaSpec, RadarSpec
+from ullage.specs import RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-
-HERE = Trajectory.stationary()
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One oracle: what it should be, what it is, and how far apart they may be."""
-
-    oracle: str
-    reference: float
-    ours: float
-    bound: float
-    unit: str = "dB"
-
-    @property
-    def difference(self) -> float:
-        """Ours less the reference."""
-        return self.ours - self.reference
-
-    @property
-    def passed(self) -> bool:
-        """Whether the difference keeps the bound."""
-        return abs(self.difference) <= self.bound
-
-
-def radar(polarization: str = "vertical") -> RadarSpec:
-    """The X4M05 with isotropic antennas and no noise."""
-    antenna = AntennaSpec.model_validate({"kind": "isotropic", "polarization": polarization})
-    return RadarSpec.preset("x4m05", antenna=antenna, noise=None)
-
-
-def db(value: complex | float) -> float:
-    """20 log10 of a magnitude."""
-    return float(20 * np.log10(max(abs(value), 1e-30)))
-
-
-def gain(
-    scene: Scene, *, spec: RadarSpec | None = None, hz: float | None = None, bounces: int = 1, edges: bool = True
-) -> complex:
-    """Path gain at the origin at one frequency; without `edges` that of plain physical optics."""
-    return complex(path_gain_cw(scene, HERE, spec or radar(), hz, max_bounces=bounces, edges=edges)[0])
-
-
-def over(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: tuple[str, ...]) -> complex:
-    """Path gain at the carrier of the echo of one object by way of others, those in the order in which they come."""
-    ready = bench(scene, spec)
-    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    names = [o.name for o in scene.objects]
-    wanted = [*(names.index(name) for name in via), -1, -1][:2]
-    laid = lay(ready, view, None, 1 + len(via), np.zeros((3, ready.places), complex))
-    return complex(sum(
-        part.echo[(part.stuffs == names.index(thing)) & (part.via == wanted).all(1)].sum()
-        for part in laid if part.via is not None
-    ))  # fmt: skip
 
 
 def point_targets() -> Iterator[Row]:

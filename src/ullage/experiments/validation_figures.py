@@ -10,7 +10,7 @@ import numpy as np
 
 from ullage.data import Trajectory
 from ullage.experiments import oracles
-from ullage.experiments.validate import db, gain, over, radar
+from ullage.experiments.validation_rows import db, gain, over, radar
 from ullage.geometry import C0
 from ullage.radar.explain import explain
 from ullage.radar.physical import echoes

@@ -16,8 +16,8 @@ from ullage.ports.following import Endless, FollowOptions, Say, radar_of
 from ullage.ports.intake import Counters, Stamped, Stream, checked_pose
 from ullage.ports.sightings import Note, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
+from ullage.radar.receiving import sensor_seed
 from ullage.radar.scan import echoes_of_scans
-from ullage.radar.simulate import sensor_seed
 from ullage.specs import RadarSpec, Rig, ThesisSpec
 from ullage.world.scene import Scene
 

@@ -23,9 +23,9 @@ from scipy.special import fresnel
 
 from ullage.antenna import gain
 from ullage.geometry import C0
+from ullage.radar.context import Bench, View, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
-from ullage.radar.physical import Bench, View, shading
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import deposit
 

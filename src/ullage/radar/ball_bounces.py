@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ullage.geometry import C0
 from ullage.radar.ball_echoes import apart_rad
 from ullage.radar.balls import Ball
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
-from ullage.radar.physical import Bench, View
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.wall_bounces import LEAST_M, PULL_M, Fan, deposit, fan_of
 

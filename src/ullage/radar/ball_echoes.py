@@ -20,9 +20,9 @@ from ullage.antenna import gain
 from ullage.geometry import C0
 from ullage.radar.arcs import reflection
 from ullage.radar.balls import Ball
+from ullage.radar.context import Bench, View, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
-from ullage.radar.physical import Bench, View, shading
 from ullage.radar.wall_bounces import PULL_M, deposit
 
 Floats = NDArray[np.float64]

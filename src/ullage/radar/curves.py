@@ -19,11 +19,11 @@ from ullage.geometry import C0
 from ullage.kernels import edges, lit
 from ullage.kernels import facets as triangle
 from ullage.kernels import ways as kernel
+from ullage.radar.context import KAPPA, REACH, Bench, View, common, grown, lay_triangles
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.flats import Outlined, Rim, lay_parted, parted
 from ullage.radar.laid import Laid, centroids
 from ullage.radar.mirrors import unit
-from ullage.radar.physical import KAPPA, REACH, Bench, View, common, grown, lay_triangles
 from ullage.radar.solids import Backs
 from ullage.radar.ways import Ways, reached
 

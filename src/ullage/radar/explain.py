@@ -16,8 +16,9 @@ from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
+from ullage.radar.context import Bench, bench, view_of
 from ullage.radar.laid import Laid
-from ullage.radar.physical import Bench, bench, lay, passive, radio, view_of
+from ullage.radar.physical import lay, passive, radio
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.multipath import most_looked
-from ullage.radar.physical import Bench, View
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies, shortest
 from ullage.radar.rounds import Round

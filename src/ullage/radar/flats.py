@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from ullage.kernels import edges as kernel
 from ullage.kernels import rims as draw
+from ullage.radar.context import Bench, View, common, shading
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.folding import limits_of
 from ullage.radar.laid import Laid, laid_by
 from ullage.radar.penetration import TAPS
-from ullage.radar.physical import Bench, View, common, shading
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

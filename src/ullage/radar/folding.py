@@ -20,7 +20,7 @@ from ullage.radar.facets import Flats
 from ullage.specs import RadarSpec
 
 if TYPE_CHECKING:
-    from ullage.radar.physical import View
+    from ullage.radar.context import View
 
 FOLDS = 2
 """Pulse intervals beyond the frame from which walls fold back."""

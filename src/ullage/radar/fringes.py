@@ -13,9 +13,9 @@ from ullage.kernels import double_fringe, fringe, lines
 from ullage.kernels import wires as string
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
+from ullage.radar.context import KAPPA, REACH, Bench, View, common, grown, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid, laid_by
-from ullage.radar.physical import KAPPA, REACH, Bench, View, common, grown, shading
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

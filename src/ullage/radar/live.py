@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ullage.data import Floats, Frames, Times
 from ullage.errors import InputError
 from ullage.radar.copies import cores
-from ullage.radar.simulate import Fidelity, Receiving
+from ullage.radar.receiving import Fidelity, Receiving
 from ullage.specs import RadarSpec, Rig
 from ullage.world.moving import between
 from ullage.world.scene import Scene

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from ullage.kernels import beams as kernel
 from ullage.kernels import bounces, edges
 from ullage.kernels import rims as draw
+from ullage.radar.context import Bench, View, common
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.flats import lay_rim, parted
 from ullage.radar.laid import Laid
 from ullage.radar.mirrors import mirrored
-from ullage.radar.physical import Bench, View, common
 from ullage.radar.visibility import between
 from ullage.radar.zones import shares, strengths
 

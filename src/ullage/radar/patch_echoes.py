@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.radar.context import Bench, View, common, lay_triangles, shading, triangles
 from ullage.radar.facets import Surfaces
-from ullage.radar.knuckles import lay_heads
+from ullage.radar.knuckle_echoes import lay_heads
 from ullage.radar.laid import Laid, centroids
 from ullage.radar.patches import Patches
-from ullage.radar.physical import Bench, View, common, lay_triangles, shading, triangles
 from ullage.radar.wall_bounces import PULL_M
 
 Floats = NDArray[np.float64]

@@ -8,124 +8,56 @@ turns it by pi.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.antenna import cube
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
-from ullage.kernels import facets as kernel
 from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.kernels.near import LEAST_M
-from ullage.radar.diffraction import Rims, nowhere, rims_of
+from ullage.radar.arcs import lay_arcs
+from ullage.radar.ball_bounces import lay_inside
+from ullage.radar.context import (
+    KAPPA,
+    REACH,
+    Bench,
+    View,
+    bench,
+    common,
+    grown,
+    lay_triangles,
+    shading,
+    triangles,
+    view_of,
+)
+from ullage.radar.curves import lay_curves
 from ullage.radar.facets import Flats, Surfaces, joined
+from ullage.radar.flat_pairs import lay_flat_pairs
+from ullage.radar.flats import lay_flats
+from ullage.radar.fringes import lay_edges
 from ullage.radar.laid import Laid, centroids, laid_by
-from ullage.radar.penetration import Curtains, curtains, reflection_tables
-from ullage.radar.prepared import Prepared, prepare
-from ullage.radar.pulse import Pulse, tabulate
+from ullage.radar.multipath import lay_bounces, looks
+from ullage.radar.patch_echoes import lay_curved
+from ullage.radar.roughness import lay_grit
+from ullage.radar.round_pairs import lay_pairs
 from ullage.radar.rounds import Round
-from ullage.radar.visibility import seen
-from ullage.radar.wires import Lines, placed, strung
+from ullage.radar.wall_bodies import lay_wall_bodies
+from ullage.radar.wall_bounces import lay_walls
+from ullage.radar.ways import ways_of
+from ullage.radar.wire_bounces import lay_wire_bounces
+from ullage.radar.wires import placed
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
-
-KAPPA = 1 / 8
-"""Largest squared transverse edge of a piece over wavelength times range."""
-REACH = 0.3
-"""Longest edge of a piece over its range."""
-_ASIDE_M = np.array([3.1e-7, -4.3e-7, 2.7e-7])  # along none of the axes that things are built along
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """A radar at one place: where it sends and receives from, and how it is turned."""
-
-    origins: Floats  # (2, 3) transmitter and receiver [m]
-    frames: Floats  # (2, 3, 3) sensor_from_world
-    fields: Floats  # (2, 3) unit electric fields in the world
-    factor: complex = 1.0 + 0j  # of every echo
-
-    @property
-    def aside(self) -> Floats:
-        """A hair (3) to the radar's side, as `edges.cut` wants it; it turns with the radar, as all else does [m]."""
-        return np.asarray(_ASIDE_M @ self.frames[0])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bench:
-    """All that the frames of one radar in one scene share."""
-
-    world: Prepared
-    spec: RadarSpec
-    pulse: Pulse
-    table: Floats
-    gamma: Complexes
-    lag: Floats
-    lines: Lines
-    rims: Rims
-    sheets: Curtains
-    first_m: float  # range of the first grid place [m]
-    places: int
-    shift: int  # grid place of bin 0
-    gate: tuple[float, float]  # ranges whose echoes can reach the frame [m]
-    seed: int = 0  # of the fine structure of rough surfaces
-    whole_rims: bool = False  # rims of faces are cut all along, not done by their ends where those are all that counts
-
-    @property
-    def fold_s(self) -> float:
-        """Time between pulses: echoes later than this land in the next frame's start [s]."""
-        return 1 / self.spec.prf_hz
-
-
-def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> Bench:
-    """Pulse, tables and gates of one radar in one scene; without `edges` plain physical optics.
-
-    Raises:
-        InputError: the pulse is wider than the frame, or a material has no data at the carrier.
-    """
-    return _bench(prepare(scene), spec, seed, edges)
-
-
-@lru_cache(maxsize=8)  # tracks come in pieces
-def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> Bench:
-    pulse = tabulate(spec)
-    pad = pulse.half + 4
-    places = 2 * pad + (spec.bins - 1) * pulse.every + 1
-    first = spec.range_start_m - pad * pulse.step_s * C0 / 2
-    gamma, lag = reflection_tables(world.materials, spec)
-    gamma = np.concatenate([gamma, _plain(gamma)])
-    lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
-    last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
-    rims = rims_of(world.edges if edges else nowhere(), spec.wavelength_m)
-    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, strung(world.scene, spec.center_hz), rims,
-                 curtains(world.materials, spec), first, places, pad, (0.0, last), seed)  # fmt: skip
-
-
-def _plain(gamma: Complexes) -> Complexes:
-    """A last row of the tables: what reflects 1, for paths whose coefficients are known otherwise."""
-    out = np.zeros_like(gamma[:1])
-    out[0, 0] = 1
-    return out
-
-
-def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
-    """The radar at a position (3) [m] with world_from_sensor rotation (3, 3)."""
-    arm = turn[:, 1] * (spec.antenna_offset_m / 2)
-    field = turn[:, 2] if spec.antenna.polarization == "vertical" else turn[:, 1]
-    return View(
-        np.stack([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), np.stack([field, field])
-    )
 
 
 def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int = 1, seed: int = 0) -> NDArray[Any]:
@@ -176,9 +108,6 @@ def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
 
 def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
-    from ullage.radar.flats import lay_flats
-    from ullage.radar.patch_echoes import lay_curved
-
     parts = ready.world.parts(poses)
     view = _off(parts, view)
     out, done = lay_curved(ready, parts, view, grids)
@@ -189,23 +118,15 @@ def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids:
         out += lay_flats(ready, parts, part, view, grids, large)
     rounds, arcs = ready.world.rounds_at(poses), []
     if rounds:
-        from ullage.radar.arcs import lay_arcs
-
         arcs = lay_arcs(ready, parts, rounds, view, grids)
         out += arcs
     if len(ready.lines):
         out += _lay_wires(ready, parts, view, poses, grids)
     if len(ready.rims.edges):
-        from ullage.radar.fringes import lay_edges
-
         out += lay_edges(ready, parts, view, poses, grids)
     if ready.world.rough:
-        from ullage.radar.roughness import lay_grit
-
         out.append(lay_grit(ready, parts, view, poses, grids))
     if max_bounces > 1:
-        from ullage.radar.multipath import lay_bounces, looks
-
         flats = joined([part.flats for part in parts])
         look = looks(ready, flats, view)
         out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
@@ -243,10 +164,6 @@ def _lay_over(
     curved = flats.smooth.any() or any(len(part.corners) for part in parts)
     if not (curved or len(ready.lines)) or flats.smooth.all():
         return []
-    from ullage.radar.curves import lay_curves
-    from ullage.radar.ways import ways_of
-    from ullage.radar.wire_bounces import lay_wire_bounces
-
     ways = ways_of(ready, flats, view, most, look)
     out = lay_curves(ready, parts, flats, view, ways, peak, grids) if curved else []
     return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])
@@ -257,12 +174,6 @@ def _lay_round(
     grids: Complexes,
 ) -> list[Laid]:  # fmt: skip
     """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
-    from ullage.radar.ball_bounces import lay_inside
-    from ullage.radar.flat_pairs import lay_flat_pairs
-    from ullage.radar.round_pairs import lay_pairs
-    from ullage.radar.wall_bodies import lay_wall_bodies
-    from ullage.radar.wall_bounces import lay_walls
-
     out = lay_walls(ready, parts, rounds, flats, view, most, look, grids)
     out += lay_inside(ready, parts, view, most, grids)
     if len(rounds) > 1:
@@ -296,77 +207,6 @@ def _lay_small(
     between = shading(ready, parts, view, centroids(leaves))
     pieces = leaves, owner, np.zeros(len(owner), np.int64)
     return lay_triangles(part.normals, part.stuffs, pieces, between, common(ready, view, grids))
-
-
-def lay_triangles(
-    normals: Floats,
-    stuffs: NDArray[np.int32],
-    pieces: tuple[Floats, NDArray[np.int32], NDArray[np.int64]],
-    between: tuple[Complexes, Floats],
-    told: tuple[Any, ...],
-) -> Laid:
-    """Lays pieces of triangles, as `triangles` gives them, and the radar of each (m).
-
-    With factor and delay [s] of what stands before each; what the kernel is `told` of radars (w) is as in `common`.
-    """
-    (leaves, owner, of), (shade, extra) = pieces, between
-
-    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.deposit(leaves, owner, of, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
-                       np.empty(3, complex))  # fmt: skip
-
-    return laid_by(put, shade, told[-1], stuffs[owner], lambda: centroids(leaves))
-
-
-def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
-    """What every kernel that lays echoes is told."""
-    return (view.origins[None], view.frames[None], view.fields[None], ready.table,
-            ready.spec.antenna.kind == "isotropic", np.array([view.factor], complex), ready.gamma, ready.lag,
-            ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s, grids)  # fmt: skip
-
-
-def grown(
-    size: int, shape: tuple[int, ...], fill: Callable[[Floats, NDArray[np.int32]], int]
-) -> tuple[Floats, NDArray[np.int32]]:
-    """Runs a kernel that counts what it writes, again with more room when there was too little."""
-    while True:
-        out, owner = np.empty((size, *shape)), np.empty(size, np.int32)
-        count = fill(out, owner)
-        if count <= size:
-            return out[:count], owner[:count]
-        size = int(1.2 * count)
-
-
-def triangles(ready: Bench, part: Surfaces, view: View, done: Bools | None = None) -> tuple[Floats, NDArray[np.int32]]:
-    """Triangles within the gate but those `done` (f), small enough for the closed form, and which each came from."""
-    opaque = ~ready.sheets.thin[part.stuffs]
-    if near(*view.origins):
-        dark = part.backs.hidden(view.origins, opaque)
-    else:  # a face takes from one place and gives to the other
-        dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
-    if done is not None:
-        dark = dark | done
-    return grown(8192, (3, 3), lambda out, owner: kernel.split(
-        part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
-        KAPPA * ready.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
-
-
-def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
-    """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
-    one, other = view.origins
-    if near(one, other):
-        return seen(parts, (one + other) / 2, points, ready.sheets)
-    (factor, late), (back, later) = (seen(parts, eye, points, ready.sheets) for eye in (one, other))
-    return np.sqrt(factor) * np.sqrt(back), (late + later) / 2
-
-
-def near(one: Floats, other: Floats) -> bool:
-    """Whether two antennas (3) see the same, being as near to each other as this."""
-    gap = one - other
-    return float(gap @ gap) < _ONE_EYE_M**2
-
-
-_ONE_EYE_M = 0.1  # antennas nearer to each other than this see the same, as seen from between them
 
 
 @lru_cache(maxsize=8)

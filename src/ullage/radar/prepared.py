@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,11 @@ from ullage.geometry import invert
 from ullage.radar.balls import Ball, balls_of
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
+from ullage.radar.knuckles import Knuckle, knuckles_of
 from ullage.radar.movers import Movers
+from ullage.radar.patches import Patches, patches_of
 from ullage.radar.rounds import Round, Shell, capped, rounds_of, shells_of
 from ullage.world.scene import Scene
-
-if TYPE_CHECKING:
-    from ullage.radar.knuckles import Knuckle
-    from ullage.radar.patches import Patches
 
 Floats = NDArray[np.float64]
 
@@ -55,8 +53,6 @@ class Prepared:
     @cached_property
     def knuckles(self) -> tuple[Knuckle, ...]:
         """Knuckles of dished heads that stand still."""
-        from ullage.radar.knuckles import knuckles_of
-
         moves = [o.motion is not None for o in self.scene.objects]
         walls = [wall for wall in self.rounds if not moves[wall.stuff]]
         return knuckles_of(self._shells, walls, self.still) if walls else ()
@@ -68,8 +64,6 @@ class Prepared:
         """
         key = wavelength_m, widest_m
         if key not in self._patches:
-            from ullage.radar.patches import patches_of
-
             bent = self.still.flats.smooth.any() or len(self.still.corners)
             self._patches[key] = (
                 patches_of(self.scene, self.still, self._claimed(), wavelength_m=wavelength_m, widest_m=widest_m)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.kernels import impulses as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Surfaces
-from ullage.radar.physical import Bench, View
 from ullage.radar.visibility import between
 from ullage.radar.wall_bounces import PULL_M
 

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from ullage.geometry import C0
 from ullage.kernels import grit as kernel
+from ullage.radar.context import Bench, View, common, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid, laid_by
 from ullage.radar.penetration import COSINES, reflection_tables
-from ullage.radar.physical import Bench, View, common, shading
 from ullage.radar.prepared import Prepared
 from ullage.radar.wires import moved
 from ullage.specs import RadarSpec

@@ -18,11 +18,11 @@ from scipy.special import fresnel
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as flat
 from ullage.kernels import pairs as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.mirrors import dot
 from ullage.radar.multipath import most_looked
-from ullage.radar.physical import Bench, View
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, deposit

@@ -18,10 +18,10 @@ from scipy.special import fresnel
 
 from ullage.geometry import C0
 from ullage.kernels import chains as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.multipath import most_looked
-from ullage.radar.physical import Bench, View
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import BODIES, FAINT
 from ullage.radar.rounds import Round

@@ -24,10 +24,10 @@ from scipy.special import fresnel
 from ullage.antenna import gain
 from ullage.geometry import C0
 from ullage.kernels import impulses as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.mirrors import across, dot, reflected
-from ullage.radar.physical import Bench, View
 from ullage.radar.rounds import Round
 from ullage.radar.visibility import between
 

@@ -27,8 +27,8 @@ from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
+    from ullage.radar.context import Bench, View
     from ullage.radar.facets import Flats
-    from ullage.radar.physical import Bench, View
 
 Tell = Callable[[str], None]
 
@@ -285,7 +285,7 @@ _START_S = 1.0  # what the other process takes to start, about [s]
 
 def beside(jobs: Sequence[Job]) -> None:
     """What the process beside does: the jobs whose names it is told line by line, each told back when done."""
-    from ullage.radar import fringes, multipath, simulate  # noqa: F401  while nothing is asked yet
+    from ullage.radar import physical  # noqa: F401  while nothing is asked yet
 
     with in_haste():
         for line in sys.stdin:
@@ -294,11 +294,11 @@ def beside(jobs: Sequence[Job]) -> None:
 
 
 def _frames(scene: Scene, *, fidelity: Literal["physical", "thesis"] = "physical", max_bounces: int = 1) -> None:
-    from ullage.radar.simulate import simulate_stream
+    from ullage.radar.receiving import Receiving
 
     track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
-    for _ in simulate_stream(scene, track, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces):
-        pass
+    work = Receiving(scene, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces, seed=0)
+    work.samples("radar", track)
 
 
 def _thesis() -> None:
@@ -320,7 +320,7 @@ def _room(roughness_m: float = 0.0) -> Scene:
 
 
 def _bench(scene: Scene) -> tuple[Bench, View, Flats]:
-    from ullage.radar.physical import bench, view_of
+    from ullage.radar.context import bench, view_of
 
     spec = RadarSpec.preset("x4m05")
     ready = bench(scene, spec)
@@ -335,8 +335,8 @@ def _rims() -> None:
 
 
 def _echoes() -> None:
+    from ullage.radar.context import common, shading
     from ullage.radar.flats import Rim, lay_parted
-    from ullage.radar.physical import common, shading
 
     ready, view, flats = _bench(_room())
     told = flats.normals, flats.stuffs, *common(ready, view, np.zeros((3, ready.places), complex))

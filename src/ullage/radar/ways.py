@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.kernels import ways as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.multipath import most_looked
-from ullage.radar.physical import Bench, View
 from ullage.radar.visibility import between
 
 Floats = NDArray[np.float64]

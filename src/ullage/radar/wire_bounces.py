@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from ullage.kernels import ways as kernel
 from ullage.kernels import wires as string
+from ullage.radar.context import KAPPA, REACH, Bench, View, common, grown
 from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid, laid_by
-from ullage.radar.physical import KAPPA, REACH, Bench, View, common, grown
 from ullage.radar.ways import Ways, reached
 from ullage.radar.wires import placed
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ullage.kernels import bounces
 from ullage.kernels import zones as kernel
+from ullage.radar.context import Bench, View
 from ullage.radar.facets import Flats
-from ullage.radar.physical import Bench, View
 
 if TYPE_CHECKING:
     from ullage.radar.multipath import Beams

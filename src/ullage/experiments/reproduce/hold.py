@@ -15,7 +15,8 @@ from ullage.processing.echoes import first_echo
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.metrics import map_cost
 from ullage.processing.occupancy import Mapper
-from ullage.radar.simulate import Fidelity, simulate
+from ullage.radar.receiving import Fidelity
+from ullage.radar.simulate import simulate
 from ullage.specs import Rig
 from ullage.view.thesis_maps import Panel, draw_panels
 from ullage.world import scenes

@@ -1,0 +1,73 @@
+"""A row of the validation, and how a path gain is measured for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.data import Trajectory
+from ullage.geometry import quat_matrix
+from ullage.radar.context import bench, view_of
+from ullage.radar.physical import lay, path_gain_cw
+from ullage.specs import AntennaSpec, RadarSpec
+from ullage.world.scene import Scene
+
+Floats = NDArray[np.float64]
+
+Complexes = NDArray[np.complex128]
+
+HERE = Trajectory.stationary()
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One oracle: what it should be, what it is, and how far apart they may be."""
+
+    oracle: str
+    reference: float
+    ours: float
+    bound: float
+    unit: str = "dB"
+
+    @property
+    def difference(self) -> float:
+        """Ours less the reference."""
+        return self.ours - self.reference
+
+    @property
+    def passed(self) -> bool:
+        """Whether the difference keeps the bound."""
+        return abs(self.difference) <= self.bound
+
+
+def radar(polarization: str = "vertical") -> RadarSpec:
+    """The X4M05 with isotropic antennas and no noise."""
+    antenna = AntennaSpec.model_validate({"kind": "isotropic", "polarization": polarization})
+    return RadarSpec.preset("x4m05", antenna=antenna, noise=None)
+
+
+def db(value: complex | float) -> float:
+    """20 log10 of a magnitude."""
+    return float(20 * np.log10(max(abs(value), 1e-30)))
+
+
+def gain(
+    scene: Scene, *, spec: RadarSpec | None = None, hz: float | None = None, bounces: int = 1, edges: bool = True
+) -> complex:
+    """Path gain at the origin at one frequency; without `edges` that of plain physical optics."""
+    return complex(path_gain_cw(scene, HERE, spec or radar(), hz, max_bounces=bounces, edges=edges)[0])
+
+
+def over(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: tuple[str, ...]) -> complex:
+    """Path gain at the carrier of the echo of one object by way of others, those in the order in which they come."""
+    ready = bench(scene, spec)
+    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    names = [o.name for o in scene.objects]
+    wanted = [*(names.index(name) for name in via), -1, -1][:2]
+    laid = lay(ready, view, None, 1 + len(via), np.zeros((3, ready.places), complex))
+    return complex(sum(
+        part.echo[(part.stuffs == names.index(thing)) & (part.via == wanted).all(1)].sum()
+        for part in laid if part.via is not None
+    ))  # fmt: skip

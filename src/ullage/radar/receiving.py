@@ -1,0 +1,90 @@
+"""What the radars of one body receive in one world: an echo model, asked for piece after piece of the track."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+
+from ullage.data import Frames, Samples, SimulatedFrom, Trajectory
+from ullage.errors import InputError
+from ullage.radar.models import echo_model
+from ullage.specs import RadarSpec, Rig
+from ullage.world.scene import Scene
+
+Fidelity = str
+"""Name of an echo model: "physical", "thesis", or one that another package adds."""
+
+
+class Receiving:
+    """What the radars of one body receive in one world: made once, then asked for piece after piece of the track.
+
+    Args:
+        scene: the world.
+        radar: one radar (called "radar"), or several on one body.
+        fidelity: "physical" or "thesis".
+        max_bounces: 1 to 3.
+        seed: of the noise.
+
+    Raises:
+        InputError: an argument cannot be used.
+    """
+
+    def __init__(
+        self, scene: Scene, radar: RadarSpec | Rig, *, fidelity: Fidelity, max_bounces: int, seed: int
+    ) -> None:
+        _check(scene, radar, max_bounces, seed)
+        self.model = echo_model(fidelity)(scene, max_bounces, seed)
+        sensors = radar.sensors if isinstance(radar, Rig) else {"radar": radar}
+        self.sensors = {name: self.model.sensor(spec) for name, spec in sensors.items()}
+        self.scene, self.fidelity, self.max_bounces, self.seed = scene, fidelity, max_bounces, seed
+        self._made = SimulatedFrom(scene, max_bounces, seed)
+
+    def samples(self, name: str, body: Trajectory, *, first_frame: int = 0) -> Samples:
+        """What one radar receives along a piece of the body's track (n, b).
+
+        Args:
+            name: of the radar.
+            body: true poses, one a frame.
+            first_frame: number of the first frame, which keys its noise.
+        """
+        spec = self.sensors[name]
+        truth = body.mounted(spec.mount.body_from_sensor())
+        return self.model.samples(truth, spec, seed=sensor_seed(self.seed, name), first_frame=first_frame)
+
+    def frames(self, name: str, samples: Samples, body: Trajectory, *, believed: Trajectory | None = None) -> Frames:
+        """What one radar received as Frames.
+
+        Args:
+            name: of the radar.
+            samples: what it received (n, b).
+            body: true poses, one a frame.
+            believed: poses as navigation has them, at the same times.
+        """
+        spec = self.sensors[name]
+        mount = spec.mount.body_from_sensor()
+        truth = body.mounted(mount)
+        poses = truth if believed is None else believed.mounted(mount)
+        return Frames(
+            samples, spec.range_m, truth.t_ns, spec, poses, truth, name, self.model.unit, simulated=self._made,
+        )  # fmt: skip
+
+
+def sensor_seed(seed: int, name: str) -> int:
+    """A 64-bit seed of one sensor's own noise."""
+    mixed = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
+    return int(mixed.generate_state(1, np.uint64)[0])
+
+
+def _check(scene: Scene, radar: RadarSpec | Rig, max_bounces: int, seed: int) -> None:
+    if not isinstance(scene, Scene):
+        raise InputError(f"scene is a {type(scene).__name__}", where="simulate", allowed="a Scene")
+    if not isinstance(radar, RadarSpec | Rig):
+        raise InputError(f"radar is a {type(radar).__name__}", where="simulate", allowed="a RadarSpec or Rig")
+    _check_whole("max_bounces", max_bounces, 1, 3)
+    _check_whole("seed", seed, 0, 2**63 - 1)
+
+
+def _check_whole(name: str, number: int, low: int, high: int) -> None:
+    if not isinstance(number, int | np.integer) or isinstance(number, bool) or not low <= number <= high:
+        raise InputError(f"{name} is {number!r}", where="simulate", allowed=f"a whole number {low} to {high}")
