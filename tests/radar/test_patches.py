@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -159,3 +160,11 @@ def test_broken_curved_meshes_echo_without_failing(seed):
     out = frames((vertices, faces.astype(np.int32)))
     assert np.isfinite(out).all()
     assert abs(out).max() < 1
+
+
+def test_a_cone_of_long_facets_alone_has_an_echo() -> None:
+    """All its pieces are too long to share a ray."""
+    cone = trimesh.creation.cone(0.4, 1.0)
+    scene = Scene.of_mesh(np.asarray(cone.vertices), np.asarray(cone.faces, np.int32), name="cone", made_of="pec")
+    path = ul.Trajectory.stationary((-3.0, 0.0, 0.5))
+    assert 20 * np.log10(abs(ul.simulate(scene, path, SPEC).samples).max()) == pytest.approx(-88, abs=4)

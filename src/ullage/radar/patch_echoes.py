@@ -46,10 +46,11 @@ def _before(
 ) -> tuple[Complexes, Floats]:
     """Factor and delay [s] of what stands before leaves (m) of pieces: a ray for each cell, or leaf of a long piece."""
     cell = patches.cell[owner]
-    alone = np.flatnonzero(cell < 0)
+    alone, shared = np.flatnonzero(cell < 0), np.flatnonzero(cell >= 0)
     asked = np.zeros(len(patches.deep), bool)
-    asked[cell[cell >= 0]] = True
-    row = (np.cumsum(asked) - 1)[cell]
+    asked[cell[shared]] = True
+    row = np.empty(len(cell), np.int64)
+    row[shared] = (np.cumsum(asked) - 1)[cell[shared]]
     row[alone] = int(asked.sum()) + np.arange(len(alone))
     middles = np.concatenate([patches.middles[asked], centroids(leaves[alone])])
     normals = np.concatenate([patches.facing[asked], patches.fine.normals[owner[alone]]])
