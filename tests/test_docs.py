@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import json
 import re
 import shutil
 from pathlib import Path
@@ -123,6 +124,17 @@ def test_a_tutorial_is_whole(page: Path) -> None:
     assert f'"{page.stem}.png"' in blocks[-1], "the last block makes the picture"
     assert f"../pictures/tutorials/{page.stem}.png" in text
     assert (DOCS / "pictures" / "tutorials" / f"{page.stem}.png").stat().st_size < 200_000
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_is_also_a_notebook(page: Path) -> None:
+    book = (ROOT / "notebooks" / f"{page.stem}.ipynb").read_text(encoding="utf-8")
+    assert book == tool("make_notebooks").notebook_of(page), "python tools/make_notebooks.py writes it anew"
+    cells = json.loads(book)["cells"]
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
+    assert ["".join(c["source"]) for c in cells if c["cell_type"] == "code"] == [b.strip("\n") for b in blocks]
+    for link in re.findall(r"\]\(((?!https?:)[^)#]+)", "".join(t for c in cells for t in c["source"])):
+        assert (ROOT / "notebooks" / link).exists(), link
 
 
 @pytest.mark.slow
