@@ -16,9 +16,9 @@ import pytest
 
 import ullage.processing.elfes
 import ullage.processing.summation
+import ullage.radar.models
 import ullage.radar.rays
 import ullage.radar.receiver
-import ullage.radar.simulate
 from ullage.data import Frames, Metric
 from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.experiments.reproduce.maps import looks_of
@@ -133,12 +133,12 @@ def term(**changes: Any) -> Callable[[Patch], None]:
 
 
 def ranges_too_long(patch: Patch) -> None:
-    kept = ullage.radar.simulate.echoes_thesis
+    kept = ullage.radar.models.echoes_thesis
 
     def later(scene, path, spec, **options):
         return np.roll(kept(scene, path, spec, **options), round(0.25 / spec.bin_m), axis=1)
 
-    patch.setattr(ullage.radar.simulate, "echoes_thesis", later)
+    patch.setattr(ullage.radar.models, "echoes_thesis", later)
 
 
 def rays_as(**changes: Any) -> Callable[[Patch], None]:
@@ -163,18 +163,18 @@ def no_average(patch: Patch) -> None:
 
 
 def no_noise(patch: Patch) -> None:
-    patch.setattr(ullage.radar.simulate, "receive_thesis", lambda clean, spec, **_: clean)
+    patch.setattr(ullage.radar.models, "receive_thesis", lambda clean, spec, **_: clean)
 
 
 def short_axis(patch: Patch) -> None:
-    patch.setattr(ullage.radar.simulate, "reaching_max_range", lambda spec: spec)
+    patch.setattr(ullage.radar.models, "reaching_max_range", lambda spec: spec)
 
 
 def no_max_range(patch: Patch) -> None:
     kept = ullage.radar.rays.deposit
     patch.setattr(ullage.radar.rays, "deposit", lambda *a: kept(*a[:5], 11.0, *a[6:]))
     patch.setattr(
-        ullage.radar.simulate,
+        ullage.radar.models,
         "reaching_max_range",
         lambda spec: reaching_max_range(spec.but(thesis=spec.thesis.but(max_range_m=11.0))),
     )
