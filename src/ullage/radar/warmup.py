@@ -298,6 +298,7 @@ def _frames(scene: Scene, *, fidelity: Literal["physical", "thesis"] = "physical
 
     track = Trajectory.line((0, -0.1, 0), (0, 0.1, 0), 0.5, 17)
     work = Receiving(scene, RadarSpec.preset("x4m05"), fidelity=fidelity, max_bounces=max_bounces, seed=0)
+    work.model.check(track, work.sensors)
     work.samples("radar", track)
 
 

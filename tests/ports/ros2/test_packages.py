@@ -156,11 +156,6 @@ def test_rclpy_knows_the_same_hashes_and_reads_our_recordings(network: Network, 
     assert set(PARTS) == {"ullage_msgs", "imc_msgs", "tf2_msgs", "map_msgs"}
 
 
-def test_a_place_for_packages_needs_a_folder(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--into"]) == 2
-    assert capsys.readouterr().err == "ullage: --into needs a folder\n"
-
-
 def test_a_folder_that_holds_no_package_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "package.xml").write_text("<package/>")
     assert not foreign(str(tmp_path))

@@ -93,13 +93,12 @@ def foreign(package: str) -> bool:
     return Path(package, "package.xml").is_file() and Path(package, "CMakeLists.txt").is_file()
 
 
-def build(packages: list[str], *, prefix: Path | None = None, into: Path | None = None) -> None:
-    """Build message packages and install them.
+def build(packages: list[str], *, prefix: Path | None = None) -> None:
+    """Build message packages and install them beside the wheels.
 
     Args:
         packages: of `PARTS`, or folders of ament packages.
-        prefix: where the wheels are; None: this environment.
-        into: folder for the packages; None: beside the wheels.
+        prefix: where the wheels lie and the packages go; None: this environment.
 
     Raises:
         MissingExtra: a tool or wheel that building needs is not there.
@@ -118,7 +117,7 @@ def build(packages: list[str], *, prefix: Path | None = None, into: Path | None 
         there |= {"PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ.get('PATH', '')}"}
         for package in packages:
             source = Path(package).resolve() if foreign(package) else write_package(package, Path(work))
-            options = [f"-DCMAKE_INSTALL_PREFIX={into or prefix}", f"-DPython3_EXECUTABLE={sys.executable}"]
+            options = [f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}"]
             options += ["-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "-Wno-dev"]
             target = str(Path(work, f"build-{source.name}"))
             _call([cmake, "-S", str(source), "-B", target, *options], there)
@@ -133,7 +132,7 @@ def _call(command: list[str], there: dict[str, str]) -> None:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Build what is missing; `--needs` prints which wheels that needs, `--into DIR` installs elsewhere.
+    """Build what is missing, or with `--needs` say which wheels that needs.
 
     Args:
         words: of the command line; None: this program's.
@@ -142,12 +141,6 @@ def main(words: list[str] | None = None) -> int:
     if words == ["--needs"]:
         sys.stdout.write(" ".join(WHEELS) + "\n")
         return 0
-    into = None
-    if words[:1] == ["--into"]:
-        if len(words) < 2:
-            sys.stderr.write("ullage: --into needs a folder\n")
-            return 2
-        into, words = Path(words[1]).absolute(), words[2:]
     wanted = words or missing()
     for package in wanted:
         if package not in PARTS and not foreign(package):
@@ -155,11 +148,11 @@ def main(words: list[str] | None = None) -> int:
             sys.stderr.write(f"ullage: no message package {package!r} (allowed: {allowed})\n")
             return 2
         try:
-            build([package], into=into)
+            build([package])
         except UllageError as error:
             sys.stderr.write(f"ullage: {error}\n")
             return 2
-        sys.stdout.write(f"built {package} into {into or sys.prefix}\n")
+        sys.stdout.write(f"built {package} into {sys.prefix}\n")
     if not wanted:
         sys.stdout.write("nothing to build: all message packages are there\n")
     return 0

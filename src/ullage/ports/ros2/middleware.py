@@ -159,16 +159,16 @@ class Peer:
         if topic not in self._publishers:
             found = self.class_of(kind, topic)
             how = profile(quality, reliable=reliable)
+            OWN[self.resolved(topic)] += found is not None  # before it exists: a source looks from a thread of its own
             self._publishers[topic] = self.node.create_publisher(found, self._named(topic), how) if found else None
-            OWN[self.resolved(topic)] += found is not None
         return self._publishers[topic]
 
     def withdraw(self, topic: str) -> None:
         """Stop publishing a topic."""
         out = self._publishers.pop(topic, None)
         if out is not None:
-            OWN[self.resolved(topic)] -= 1
             self.node.destroy_publisher(out)
+            OWN[self.resolved(topic)] -= 1
 
     def others(self, topic: str) -> bool:
         """Whether another program publishes a topic."""
