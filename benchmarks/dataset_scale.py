@@ -74,16 +74,16 @@ def scaling(given: argparse.Namespace) -> None:
     """Print samples a wall second by one worker on one core and by two workers, in turn, once all kinds were met."""
     rates: dict[int, list[float]] = {1: [], 2: []}
     every = os.sched_getaffinity(0)
-    for workers in (1, 2, 1, 2):
-        done: list[float] = []
+    for workers in (1, 2):
+        done: dict[int, float] = {}  # when so many samples were first there
         os.sched_setaffinity(0, set(sorted(every)[:workers]))
         begun = cpu_s()
         with tempfile.TemporaryDirectory(dir=given.folder) as folder:
             ul.dataset(given.kinds.split(","), Path(folder) / "set.zarr", n=given.n, frames=given.frames,
                        seed=given.seed, where=workers,
-                       progress=lambda *what, done=done: done.append(time.perf_counter()))  # fmt: skip
-        third = len(done) // 3
-        rates[workers].append((len(done) - 1 - third) / (done[-1] - done[third]))
+                       progress=lambda n, *_, done=done: done.setdefault(n, time.perf_counter()))  # fmt: skip
+        first = next(n for n in sorted(done) if n >= given.n // 3)
+        rates[workers].append((max(done) - first) / (done[max(done)] - done[first]))
         print(f"{workers} workers: {rates[workers][-1]:.3f} samples a second, "
               f"{(cpu_s() - begun) / given.n:.2f} CPU s a sample, start included", flush=True)  # fmt: skip
     os.sched_setaffinity(0, every)
