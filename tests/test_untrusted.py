@@ -135,7 +135,13 @@ def test_aliases_dates_and_long_numbers_within_bounds_are_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    "option", ["map.step_m=" + "1" * 5000, "sensing.changes={bins: 0x" + "1" * 5000 + "}", "seed=!!set {}"]
+    "option",
+    [
+        "map.step_m=" + "1" * 5000,
+        "sensing.changes={bins: 0x" + "1" * 5000 + "}",
+        "seed=!!set {}",
+        "expect.min={0: null}",  # a name that is no text
+    ],
 )
 def test_hostile_options_are_refused_in_one_line(option: str) -> None:
     with pytest.raises(ul.InputError, match="-o") as caught:

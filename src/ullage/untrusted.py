@@ -39,12 +39,25 @@ _KINDS = {
 
 
 class PlainLoader(_PARSER):  # type: ignore[misc]  # one of two classes
-    """YAML without dates, and with the truth values of YAML 1.2: `on`, `off`, `yes` and `no` stay text."""
+    """YAML without dates, and with the truth values of YAML 1.2: `on`, `off`, `yes` and `no` stay text.
+
+    Names of settings are text: a group with another key, such as a number, is refused at the key's line.
+    """
 
     yaml_implicit_resolvers = {  # noqa: RUF012  # PyYAML's own name and kind
         first: [pair for pair in pairs if pair[0] not in ("tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:bool")]
         for first, pairs in _PARSER.yaml_implicit_resolvers.items()
     }
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """Build a group whose keys are all text."""
+        made = super().construct_mapping(node, deep=deep)
+        for key_node, _ in node.value:
+            if not isinstance(self.construct_object(key_node, deep=True), str):
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the name {one_line(str(key_node.value))!r} is not text: quote it", key_node.start_mark
+                )
+        return made
 
 
 PlainLoader.add_implicit_resolver(
