@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import ullage as ul
+from ullage.arrays import Bools, Floats, Ints
 from ullage.config import make_scenario
 from ullage.data import Frames, Trajectory, even_times
 from ullage.experiments.guarded_flight import GuardedFlight, Loop, Step, WaypointFollower
@@ -36,8 +36,6 @@ from ullage.geometry import apply, transform
 from ullage.processing.braking import stopping_distance
 from ullage.world import shapes
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 RATE_HZ, HALL_M = 10.0, (30.0, 9.0, 5.0)
 HULL = airframe("hector")
@@ -62,9 +60,7 @@ class Case:
     flight: dict[str, Any] = field(default_factory=dict)
 
 
-def placed(
-    mesh: tuple[Floats, NDArray[np.int32]], at: Floats, rpy_deg: tuple[float, float, float], **given: Any
-) -> Scene:
+def placed(mesh: tuple[Floats, Ints], at: Floats, rpy_deg: tuple[float, float, float], **given: Any) -> Scene:
     """A steel object at a place, turned by roll, pitch and yaw [deg]."""
     return Scene.of_mesh(apply(transform(at, np.radians(rpy_deg)), mesh[0]), mesh[1], name="obstacle", **given)
 
@@ -332,7 +328,7 @@ def _summary(on: list[dict[str, str]], off: list[dict[str, str]]) -> list[str]:
     def numbers(rows: list[dict[str, str]], name: str) -> Floats:
         return np.array([float(row[name]) for row in rows])
 
-    def hits(rows: list[dict[str, str]]) -> NDArray[np.bool_]:
+    def hits(rows: list[dict[str, str]]) -> Bools:
         """Contacts, and surfaces within the ellipsoid of the hull, which the rotors fill in part."""
         return np.asarray((numbers(rows, "hit") > 0) | (numbers(rows, "closest_m") <= 0))
 

@@ -15,12 +15,11 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.specs import AntennaSpec
-
-Floats = NDArray[np.float64]
 
 X4A02_DBI = ((0.0, 5.97), (32.5, 2.97), (47.5, 0.0), (90.0, -6.5), (130.0, -11.0), (180.0, -13.0))
 """Angle off boresight [deg] and gain [dBi]; both main planes are alike. Beyond 90 deg the sheet gives no numbers."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.arrays import Floats, Longs, Singles
 from ullage.display import Displayed, plots
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix, rotations, rpy_quat
@@ -17,9 +18,7 @@ from ullage.specs import RadarSpec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
-Times = NDArray[np.int64]
-Samples = NDArray[np.complex64] | NDArray[np.float32]
+Samples = NDArray[np.complex64] | Singles
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[Any]:
@@ -32,7 +31,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int, ...], dtype: Any = np.
     return out
 
 
-def _rising(t_ns: ArrayLike) -> Times:
+def _rising(t_ns: ArrayLike) -> Longs:
     out = np.ascontiguousarray(t_ns, np.int64)
     if out.ndim != 1 or out.size == 0:
         raise InputError(f"t_ns has shape {out.shape}", allowed="(n,) with n >= 1")
@@ -46,7 +45,7 @@ def _rising(t_ns: ArrayLike) -> Times:
 class Trajectory(Displayed):
     """Poses over time: world (ENU) from body (FLU)."""
 
-    t_ns: Times  # (n) strictly rising
+    t_ns: Longs  # (n) strictly rising
     position: Floats  # (n, 3) [m]
     quat_xyzw: Floats  # (n, 4) world_from_body
     velocity: Floats | None = None  # (n, 3) world [m/s]; None at the door means: from the positions
@@ -196,8 +195,8 @@ class Trajectory(Displayed):
         return cls(t_ns, a + t_ns[:, None] * 1e-9 * along, quat, np.tile(along, (n, 1)), np.zeros((n, 3)))
 
 
-def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, count: int | None = None) -> Times:
-    """Times [ns] at an even rate from t0_ns, `count` of them or up to and with t1_ns; rounded singly, so no drift.
+def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, count: int | None = None) -> Longs:
+    """Longs [ns] at an even rate from t0_ns, `count` of them or up to and with t1_ns; rounded singly, so no drift.
 
     Raises:
         InputError: the rate is not above zero.
@@ -209,14 +208,14 @@ def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, coun
     return np.asarray(t0_ns + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
 
 
-def _slope(t_ns: Times, position: Floats) -> Floats:
+def _slope(t_ns: Longs, position: Floats) -> Floats:
     if len(t_ns) == 1:
         return np.zeros_like(position)
     order: Literal[1, 2] = 2 if len(t_ns) > 2 else 1
     return np.asarray(np.gradient(position, (t_ns - t_ns[0]) * 1e-9, axis=0, edge_order=order))
 
 
-def _spin(t_ns: Times, quat: Floats) -> Floats:
+def _spin(t_ns: Longs, quat: Floats) -> Floats:
     if len(t_ns) == 1:
         return np.zeros((1, 3))
     rot = rotations().from_quat(quat)
@@ -261,7 +260,7 @@ class Frames(Displayed):
 
     samples: Samples  # (n, b) complex64 baseband, or float32 RF or amplitude, in `unit`
     range_m: Floats  # (b) rising [m]
-    t_ns: Times  # (n) strictly rising
+    t_ns: Longs  # (n) strictly rising
     spec: RadarSpec
     poses: Trajectory | None = None  # world_from_sensor at t_ns, as believed; None: unknown
     truth: Trajectory | None = None  # world_from_sensor as it was; never handed to processing
@@ -308,7 +307,7 @@ class Frames(Displayed):
         return replace(self, samples=self.samples[key], t_ns=self.t_ns[key], poses=poses, truth=truth)
 
     @property
-    def amplitude(self) -> NDArray[np.float32]:
+    def amplitude(self) -> Singles:
         """Magnitude of each bin (n, b)."""
         return np.abs(self.samples)
 
@@ -409,8 +408,8 @@ def strung(paths: Sequence[Trajectory | None]) -> Trajectory | None:
 class Detections(Displayed):
     """Echoes judged to be objects."""
 
-    frame: NDArray[np.int64]  # (d) index into the frames
-    t_ns: Times  # (d)
+    frame: Longs  # (d) index into the frames
+    t_ns: Longs  # (d)
     range_m: Floats  # (d) [m]
     amplitude: Floats  # (d) in the frames' unit
     snr_db: Floats  # (d) over the frame's noise floor [dB], NaN where unknown

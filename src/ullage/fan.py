@@ -10,11 +10,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.kernels.rays import smooth
 from ullage.specs import RadarSpec, ThesisSpec
 
-Floats = NDArray[np.float64]
 FULL_DEG = 360.0
 
 

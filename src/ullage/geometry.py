@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from ullage.arrays import Floats
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
-
-Floats = NDArray[np.float64]
 
 C0 = 299_792_458.0
 """Speed of light in vacuum [m/s]."""

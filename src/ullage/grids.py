@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.arrays import Bools, Floats, Ints, Longs, Singles
 from ullage.display import Displayed, plots
 from ullage.errors import InputError
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ullage.data import Trajectory
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +114,7 @@ class Grid:
             return self
         return Grid((*self.origin_m[:2], z_m), self.step_m, self.shape)
 
-    def index(self, points_m: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def index(self, points_m: ArrayLike) -> tuple[Longs, Bools]:
         """Cell of each point (n, 3): indices (n, dims) in array order, and whether the point lies on the grid (n)."""
         points = np.atleast_2d(np.asarray(points_m, float))[:, : self.dims]
         cell = np.floor((points - np.asarray(self.origin_m)[: self.dims]) / self.step_m).astype(np.int64)[:, ::-1]
@@ -128,7 +127,7 @@ class Image(Displayed):
 
     grid: Grid
     values: NDArray[Any]  # grid.shape, complex64 (coherent) or float32 (summed amplitudes)
-    coherence: NDArray[np.float32] | None = None  # grid.shape, 0..1
+    coherence: Singles | None = None  # grid.shape, 0..1
     method: str = ""
 
     def __post_init__(self) -> None:
@@ -159,7 +158,7 @@ class Image(Displayed):
         return plots().plot_image(self, ax, scene=scene, path=path, span_db=span_db)  # type: ignore[no-any-return]
 
     @property
-    def amplitude(self) -> NDArray[np.float32]:
+    def amplitude(self) -> Singles:
         """Magnitude of each cell."""
         return np.asarray(np.abs(self.values), np.float32)
 
@@ -186,7 +185,7 @@ class Tiles:
     """Int8 cells in sparse blocks: one number for a block that is the same throughout, cells only for the others."""
 
     shape: tuple[int, ...]  # of the whole, in cells
-    place: NDArray[np.int32]  # (blocks along each axis) row of `cells`, or -1 for a block that is one number
+    place: Ints  # (blocks along each axis) row of `cells`, or -1 for a block that is one number
     value: NDArray[np.int8]  # (blocks along each axis) that number
     cells: NDArray[np.int8]  # (k, edge, edge[, edge])
 
@@ -243,7 +242,7 @@ class Tiles:
             return corner, np.full(size, self.value[index], np.int8)
         return corner, self.cells[row][tuple(slice(n) for n in size)].copy()
 
-    def differing(self, other: Tiles) -> NDArray[np.int64]:
+    def differing(self, other: Tiles) -> Longs:
         """Indices (k, dims) of the blocks in which the two differ, in order."""
         plain = (self.place < 0) & (other.place < 0)
         differ = np.where(plain, self.value != other.value, True)
@@ -253,7 +252,7 @@ class Tiles:
         differ[where] = (mine != theirs).any(axis=1)
         return np.argwhere(differ)
 
-    def _filled(self, where: tuple[NDArray[np.int64], ...]) -> NDArray[np.int8]:
+    def _filled(self, where: tuple[Longs, ...]) -> NDArray[np.int8]:
         dims, row = len(self.shape), self.place[where]
         out = np.empty((len(row), EDGE[dims] ** dims), np.int8)
         out[:] = self.value[where][:, None]
@@ -346,22 +345,22 @@ class OccupancyMap(Displayed):
         return held
 
     @property
-    def occupied(self) -> NDArray[np.bool_]:
+    def occupied(self) -> Bools:
         """Cells held to be occupied."""
         return np.asarray(self.percent >= self.occupied_from)
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Bools:
         """Cells held to be free."""
         return np.asarray((self.percent >= 0) & (self.percent <= self.free_to))
 
     @property
-    def unknown(self) -> NDArray[np.bool_]:
+    def unknown(self) -> Bools:
         """Cells of which nothing is known."""
         return np.asarray(self.percent == UNKNOWN)
 
     @property
-    def ambiguous(self) -> NDArray[np.bool_]:
+    def ambiguous(self) -> Bools:
         """Cells on an arc that one look alone left open."""
         return np.asarray(self.percent == AMBIGUOUS)
 
@@ -414,7 +413,7 @@ class Changes:
     """
 
     after: OccupancyMap
-    index: NDArray[np.int64]  # (k, dims) of the blocks
+    index: Longs  # (k, dims) of the blocks
 
     def __len__(self) -> int:
         return len(self.index)

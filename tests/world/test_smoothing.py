@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Ints
 from ullage.world import point_normal, shapes, smoothing
 
-Floats = NDArray[np.float64]
 
-
-def bent(mesh: tuple[Floats, NDArray[np.int32]]) -> tuple[Floats, Floats, Floats]:
+def bent(mesh: tuple[Floats, Ints]) -> tuple[Floats, Floats, Floats]:
     """Corners, corner normals and displacements of a mesh whose vertices are welded."""
     vertices, faces = mesh
     corners, ids = np.asarray(vertices, float)[faces], np.asarray(faces, np.int64)
@@ -21,7 +19,7 @@ def bent(mesh: tuple[Floats, NDArray[np.int32]]) -> tuple[Floats, Floats, Floats
     return corners, normals, point_normal.displacements(corners, normals, found)
 
 
-def strip(profile: list[tuple[float, float]], width_m: float = 1.0) -> tuple[Floats, NDArray[np.int32]]:
+def strip(profile: list[tuple[float, float]], width_m: float = 1.0) -> tuple[Floats, Ints]:
     """Quads between the points of a profile, spread over y."""
     x, z = np.array(profile, float).T
     line = np.stack([x, np.zeros(len(x)), z], 1)

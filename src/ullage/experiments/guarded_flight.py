@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.config import Scenario
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError, UllageWarning
@@ -25,7 +25,6 @@ from ullage.radar.receiving import Receiving
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 Receive = Callable[[dict[str, Frames]], Mapping[str, Frames]]
 

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.config import ImageSpec
 from ullage.data import Frames
 from ullage.errors import UllageWarning
 from ullage.grids import Grid, Image
 
-Floats = NDArray[np.float64]
 _OFF_DB = 3.0  # a brightest point that focuses so much better elsewhere is warned of [dB]
 _OFF_M, _ALIKE_M = 0.2, 0.5  # how far from the plane that is; spread of reflectors that share a plane [m]
 

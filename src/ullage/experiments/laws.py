@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene, Wires
-
-Floats = NDArray[np.float64]
 
 TARGETS = {
     "ntnu-plate": ("steel_plate::plate", "facing plate"),

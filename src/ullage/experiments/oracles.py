@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import h2vp, hankel2, jv, jvp, spherical_jn, spherical_yn, yv
 
+from ullage.arrays import Floats
 from ullage.geometry import C0
-
-Floats = NDArray[np.float64]
 
 
 def wave_number(frequency_hz: float) -> float:

@@ -13,9 +13,9 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from ullage.arrays import Bools, Complexes, Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
@@ -32,9 +32,6 @@ from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 EDGE_M = 0.3  # of the simulated corner reflectors: the real ones' is not written down
 ROOM_M = (8.0, 6.0, 3.0)  # of the simulated room where nothing is known of the real one
@@ -337,14 +334,14 @@ def count_behind(frames: Frames) -> tuple[int, int] | None:
     return sum(not one.in_front for one in places), len(places)
 
 
-def _longest(chosen: NDArray[np.bool_]) -> slice:
+def _longest(chosen: Bools) -> slice:
     """The longest run of chosen frames: the radar may rest at several places."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
     runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     return slice(*max(runs, key=lambda run: run[1] - run[0]))
 
 
-def _expected(case: Recorded, real: Frames, part: NDArray[np.bool_], noise: float) -> dict[str, float]:
+def _expected(case: Recorded, real: Frames, part: Bools, noise: float) -> dict[str, float]:
     """Shares of the floor and of the reflectors, from what exceeds their surroundings at their expected ranges."""
     power = np.abs(to_baseband(own_echo(real).removed_from(real))) ** 2
     whole = float(np.sum(np.mean(np.abs(to_baseband(real)) ** 2, axis=0)[part] - noise))

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.config import Scenario, Task, scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
@@ -34,7 +34,6 @@ from ullage.radar.warmup import Compiling
 from ullage.view.replay import MapHistory
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 Say = Callable[[str], None]
 LIVE_S = 0.2
 """Between two maps or images of a live run: five a second, as the nodes of the thesis [Billdal2018, appendix B]."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ullage
+from ullage.arrays import Floats, Singles
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.flight.navigation import navigate
@@ -25,8 +26,6 @@ from ullage.specs import NoiseSpec, RadarSpec, Rig
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
 from ullage.worlds import KINDS, TESTING, TUNING, flight, random, rig
-
-Floats = NDArray[np.float64]
 
 FORMAT = 1
 SENSORS = ("front", "left", "back", "right")
@@ -189,7 +188,7 @@ def _patch(scene: Scene, frames: dict[str, Frames], origin: Floats, height: floa
     return out.reshape(CELLS, CELLS)
 
 
-def _segments(scene: Scene, origin: Floats, height: float) -> NDArray[np.float32]:
+def _segments(scene: Scene, origin: Floats, height: float) -> Singles:
     """Lines (SEGMENTS, 2, 2) in which surfaces cross the height near the patch, the longest first, then NaN [m]."""
     lines = section(scene, height)
     low, high = lines.min(1), lines.max(1)

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
+from ullage.arrays import Floats
 from ullage.config import Scenario, Task, is_set_by, make_scenario
-from ullage.data import Floats, Frames, Trajectory, strung
+from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.draft import begin_run, check_free, place_of

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.experiments import oracles
@@ -24,9 +24,6 @@ from ullage.radar.wall_bounces import fan_of
 from ullage.specs import RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 
 def point_targets() -> Iterator[Row]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.data import Trajectory
 from ullage.geometry import quat_matrix
@@ -13,10 +12,6 @@ from ullage.radar.context import bench, view_of
 from ullage.radar.physical import lay, path_gain_cw
 from ullage.specs import AntennaSpec, RadarSpec
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-
-Complexes = NDArray[np.complex128]
 
 HERE = Trajectory.stationary()
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.grids import OccupancyMap
 from ullage.processing.scatterers import Scatterer
-
-Floats = NDArray[np.float64]
 
 CLEAR_M = 0.3  # something occupied this close to the flown path contradicts the flight
 ON_MAP_M = 0.15  # a surveyed reflector this close to an occupied cell is on the map

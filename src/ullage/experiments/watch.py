@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.data import Frames, joined
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)
@@ -20,9 +18,9 @@ class _Pooled:
 
     range_m: Floats
     stride: int = 1
-    rows: list[NDArray[np.float32]] = field(default_factory=list)
+    rows: list[Singles] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    left: list[tuple[float, NDArray[np.float32]]] = field(default_factory=list)
+    left: list[tuple[float, Singles]] = field(default_factory=list)
 
     def add(self, part: Frames, most: int) -> None:
         self.left += [(float(t) * 1e-9, row) for t, row in zip(part.t_ns, part.amplitude, strict=True)]

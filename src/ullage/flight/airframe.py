@@ -10,13 +10,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.specs import Spec, Vector
-
-Floats = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.81
 """Standard value used by every flight model here [m/s^2]."""

@@ -10,13 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from ullage.arrays import Floats
 from ullage.flight.airframe import GRAVITY_M_S2, Airframe
 from ullage.flight.wander import philox
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

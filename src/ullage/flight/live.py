@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.flight.airframe import Airframe, airframe
 from ullage.flight.control import Tables, air
 from ullage.flight.obstacles import bodies
 from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 _PULL_S = 1.2  # climb asked for per metre of height that is missing [1/s]
 _CLIMB_M_S, _ACCELERATION_M_S2 = 1.0, 1.5

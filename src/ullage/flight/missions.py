@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.flight.wander import Wander
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
 
-Floats = NDArray[np.float64]
 Yaw = Literal["along", "hold"] | float | Sequence[float]
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
+from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.flight.wander import SmoothNoise, philox
-
-Floats = NDArray[np.float64]
 
 
 def navigate(

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ullage.arrays import Floats, Longs
 from ullage.world.scene import Motion, Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -21,10 +18,10 @@ class Body:
     """Triangles and wires that move as one, in their own frame: all that stands still, or one moving object."""
 
     corners: Floats  # (f, 3, 3) [m]
-    owner: Ints  # (f) object of each triangle
+    owner: Longs  # (f) object of each triangle
     wires: Floats  # (w, 2, 3) ends [m]
     wire_radius: Floats  # (w) [m]
-    wire_owner: Ints  # (w) object of each wire
+    wire_owner: Longs  # (w) object of each wire
     motion: Motion | None = None  # world_from_body; None: stands still
 
     @cached_property
@@ -32,7 +29,7 @@ class Body:
         centre = self.corners.mean(1)
         return centre, np.linalg.norm(self.corners - centre[:, None], axis=2).max(1, initial=0.0)
 
-    def gaps(self, point: Floats, reach_m: float, *, squash: float = 1.0) -> tuple[Ints, Floats, Floats]:
+    def gaps(self, point: Floats, reach_m: float, *, squash: float = 1.0) -> tuple[Longs, Floats, Floats]:
         """Triangles nearer than `reach_m` or nearest of all, then wires by index past the triangles.
 
         Args:

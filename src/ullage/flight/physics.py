@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs
 from ullage.data import even_times
 from ullage.flight.airframe import GRAVITY_M_S2, Airframe
 from ullage.flight.obstacles import Body
 from ullage.geometry import matrix_quat
-
-Floats = NDArray[np.float64]
 
 PHYSICS_HZ = 500
 CONTROL_EVERY = 2  # physics steps per control step
@@ -88,7 +86,7 @@ class Surroundings:
         full = [k for k, part in enumerate(parts) if len(part.corners) + len(part.wires)]
         self._watched = dict.fromkeys(full, (0.0, 0.0, 0.0, -1.0))
         self._before = [0.0, 0.0, 0.0]
-        self._flexes: list[tuple[int, NDArray[np.int64]]] = []  # part, and its triangles
+        self._flexes: list[tuple[int, Longs]] = []  # part, and its triangles
         self._wires: dict[int, tuple[int, int]] = {}  # of each capsule: part, and wire past its triangles
         self._mocap: list[tuple[int, int]] = []
 
@@ -126,7 +124,7 @@ class Surroundings:
 
     def _survey(self, position: Floats, row: int) -> None:
         alert = self._frame.radius_m + _ALERT
-        chosen: list[tuple[int, NDArray[np.int64]]] = []
+        chosen: list[tuple[int, Longs]] = []
         for k in self._watched:
             here = self._local(k, position, row)
             index, gap, _ = self._parts[k].gaps(here, alert + _SLACK)
@@ -139,7 +137,7 @@ class Surroundings:
             self._watched[k] = (*here.tolist(), slack)
         self._exchange(chosen)
 
-    def _exchange(self, chosen: list[tuple[int, NDArray[np.int64]]]) -> None:
+    def _exchange(self, chosen: list[tuple[int, Longs]]) -> None:
         old = self.data
         self.near = bool(chosen)
         self._mocap, self._flexes, self._wires = [], [], {}
@@ -149,7 +147,7 @@ class Surroundings:
             self.data.qpos[:], self.data.qvel[:] = old.qpos, old.qvel
             self.data.qacc_warmstart[:] = old.qacc_warmstart
 
-    def _build(self, chosen: list[tuple[int, NDArray[np.int64]]]) -> Any:
+    def _build(self, chosen: list[tuple[int, Longs]]) -> Any:
         spec = body_spec(self._frame)
         strung: dict[str, tuple[int, int]] = {}
         for k, close in chosen:

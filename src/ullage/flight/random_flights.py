@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.flight.wander import SmoothNoise
 from ullage.geometry import rpy_quat
 from ullage.specs import Rig
 from ullage.world.random_worlds import plan
-
-Floats = NDArray[np.float64]
 
 CLEARANCE_M, LEAST_CLEARANCE_M = 0.7, 0.4  # of the planned path and of the smoothed one
 LATTICE_M, FINE_M = 0.15, 0.02
@@ -123,7 +121,7 @@ def _largest(area: Any, clearance_m: float) -> Any:
     raise InputError("the world leaves no room to fly", where="worlds", allowed="another seed")
 
 
-def lattice_graph(open_: NDArray[np.bool_]) -> Any:
+def lattice_graph(open_: Bools) -> Any:
     """Graph between the open nodes of a lattice and their eight neighbours, weighted by distance [steps]."""
     from scipy.sparse import coo_array
 
@@ -141,7 +139,7 @@ def lattice_graph(open_: NDArray[np.bool_]) -> Any:
     return coo_array((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), (count, count)).tocsr()
 
 
-def _routes(graph: Any, start: int) -> tuple[Floats, NDArray[np.int32]]:
+def _routes(graph: Any, start: int) -> tuple[Floats, Ints]:
     """Distance of each node from the start [steps], and the node before it on the shortest path."""
     from scipy.sparse.csgraph import dijkstra
 
@@ -151,7 +149,7 @@ def _routes(graph: Any, start: int) -> tuple[Floats, NDArray[np.int32]]:
 
 def visit_far_places(
     graph: Any, nodes: Floats, rng: np.random.Generator, *, length_m: float = 1.3 * LENGTH_M[1]
-) -> list[NDArray[np.int64]]:
+) -> list[Longs]:
     """Nodes along a tour: each next place is one of those farthest from all places visited.
 
     Args:

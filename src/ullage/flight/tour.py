@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.errors import InputError, UllageWarning
 from ullage.flight.airframe import airframe
 from ullage.flight.missions import Waypoints
@@ -24,9 +24,6 @@ from ullage.flight.obstacles import Solids, bodies
 from ullage.flight.random_flights import LATTICE_M, lattice_graph, visit_far_places
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 CLEARANCES_M = (0.8, 0.6, 0.45)  # to the side; the first that leaves room to fly is taken
 HEADROOM_M = 0.25  # above and below the vehicle
@@ -56,7 +53,7 @@ class Level:
     corner_m: Floats  # (2) centre of the first cell
     gap_m: Floats  # (ny, nx) to the nearest surface at this height, level
 
-    def points(self, cells: NDArray[np.int64]) -> Floats:
+    def points(self, cells: Longs) -> Floats:
         """Centres (n, 3) of cells (n, 2) [m]."""
         xy = self.corner_m + LATTICE_M * cells[:, ::-1]
         return np.column_stack([xy, np.full(len(cells), self.z_m)])
@@ -67,7 +64,7 @@ class Space:
     """Connected free cells of one level."""
 
     level: Level
-    cells: Flags  # (ny, nx)
+    cells: Bools  # (ny, nx)
     score: float
 
 
@@ -262,7 +259,7 @@ def _cut(points: Floats, length_m: float) -> Floats:
     return np.concatenate([points[along < end - 1e-6], last[None]])
 
 
-def _straight(cells: NDArray[np.int64], free: Flags) -> list[int]:
+def _straight(cells: Longs, free: Bools) -> list[int]:
     """Indices of the cells (n, 2) of a path that are kept, so that each leg between them stays on free cells."""
     kept = [0]
     while kept[-1] < len(cells) - 1:
@@ -274,7 +271,7 @@ def _straight(cells: NDArray[np.int64], free: Flags) -> list[int]:
     return kept
 
 
-def _clear(a: NDArray[np.int64], b: NDArray[np.int64], free: Flags) -> bool:
+def _clear(a: Longs, b: Longs, free: Bools) -> bool:
     """Whether the straight line between two cells stays on free ones."""
     n = 2 * int(np.abs(b - a).max()) + 1
     on = np.rint(np.linspace(a, b, n)).astype(int)

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats, Longs
 from ullage.data import Trajectory, even_times
 from ullage.errors import InputError, UllageError, UllageWarning
 from ullage.flight.airframe import Airframe, airframe
@@ -21,7 +22,6 @@ from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroun
 from ullage.flight.reference import Reference, plan
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 
@@ -50,7 +50,7 @@ class FlightLog:
     """What happened on a flight, at the times of its trajectory."""
 
     contacts: tuple[Contact, ...]
-    t_ns: NDArray[np.int64]  # (n)
+    t_ns: Longs  # (n)
     wanted: Floats  # (n, 3) position of the reference [m]
     error_m: Floats  # (n) distance from the reference [m]
     rotor_rad_s: Floats  # (n, r) rotor speeds

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
+from ullage.arrays import Floats
 from ullage.specs import Spec
-
-Floats = NDArray[np.float64]
 
 _WAVES = 64
 

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Floats, Times, Trajectory
+from ullage.arrays import Floats, Longs
+from ullage.data import Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
 from ullage.ports.protocol import mend_clock, warn_of_saturation
@@ -50,7 +51,7 @@ class Arrays:
 
     samples: NDArray[Any]  # (n, b) complex64 or float32
     range_m: Floats  # (b) [m]
-    t_ns: Times  # (n)
+    t_ns: Longs  # (n)
     spec: RadarSpec
     poses: Trajectory | None  # world_from_body at t_ns
     track: Trajectory | None  # world_from_body on its own clock
@@ -128,8 +129,8 @@ def read_npz(path: str | Path, *, preset: str | None = None) -> Arrays:
     return Arrays(samples, range_m, t_ns, spec, poses, track)
 
 
-def _times(held: dict[str, NDArray[Any]], prefix: str, path: Path) -> Times:
-    """Times under `times_s` or `times_ns`, as they stand in the file."""
+def _times(held: dict[str, NDArray[Any]], prefix: str, path: Path) -> Longs:
+    """Longs under `times_s` or `times_ns`, as they stand in the file."""
     either = [f"{prefix}times_s", f"{prefix}times_ns"]
     names = [name for name in either if name in held]
     if len(names) != 1:
@@ -185,7 +186,7 @@ def _scalar(held: dict[str, NDArray[Any]], name: str, path: Path) -> float:
 
 
 def _spec(
-    samples: NDArray[Any], range_m: Floats, t_ns: Times, base: RadarSpec, stated: dict[str, float], path: Path
+    samples: NDArray[Any], range_m: Floats, t_ns: Longs, base: RadarSpec, stated: dict[str, float], path: Path
 ) -> RadarSpec:
     """The radar with the band, range axis and frame rate of the file."""
     real = not np.iscomplexobj(samples)
@@ -202,7 +203,7 @@ def _spec(
         raise InputError(f"its values make no radar: {error}", where=path) from None
 
 
-def _poses(held: dict[str, NDArray[Any]], prefix: str, t_ns: Times, path: Path) -> Trajectory | None:
+def _poses(held: dict[str, NDArray[Any]], prefix: str, t_ns: Longs, path: Path) -> Trajectory | None:
     """Poses under `positions_m` and `quaternions_xyzw`, where there are any."""
     place, turn = f"{prefix}positions_m", f"{prefix}quaternions_xyzw"
     if place not in held:

@@ -12,7 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from pydantic import Field
 
-from ullage.data import Floats, Frames
+from ullage.arrays import Floats
+from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.flight.airframe import GRAVITY_M_S2
 from ullage.flight.live import Steered

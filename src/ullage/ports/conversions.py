@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Calibration, Detections, Floats, Frames, Times, Trajectory
+from ullage.arrays import Floats, Longs
+from ullage.data import Calibration, Detections, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.fan import drawn_rays
 from ullage.geometry import quat_matrix
@@ -38,7 +39,7 @@ def state_columns(path: Trajectory) -> Floats:
     return np.concatenate([path.position, path.quat_xyzw, *path.rates], axis=1)
 
 
-def path_of(t_ns: Times, states: Floats) -> Trajectory:
+def path_of(t_ns: Longs, states: Floats) -> Trajectory:
     """The trajectory of columns (n, 13)."""
     return Trajectory(t_ns, states[:, :3], states[:, 3:7], states[:, 7:10], states[:, 10:])
 
@@ -62,8 +63,8 @@ def frame_notes(frames: Frames, start: int, *, frame_id: str = "") -> list[bytes
     return layout.fill(len(frames), **columns)
 
 
-def times_in(notes: Sequence[bytes]) -> Times:
-    """Times of messages that begin with a header."""
+def times_in(notes: Sequence[bytes]) -> Longs:
+    """Longs of messages that begin with a header."""
     stamps = np.frombuffer(b"".join(note[4:12] for note in notes), [("sec", "<i4"), ("nanosec", "<u4")])
     return np.asarray(stamps["sec"].astype(np.int64) * 1_000_000_000 + stamps["nanosec"])
 
@@ -80,7 +81,7 @@ def time_in(data: bytes) -> int:
     return int(sec) * 1_000_000_000 + int(nanosec)
 
 
-def frames_of(notes: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Times) -> Frames:
+def frames_of(notes: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Longs) -> Frames:
     """Frames of RadarFrame messages of one size, with the fields that `settings_of` gave, at these times.
 
     Raises:

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Detections, Floats, Frames, Trajectory
+from ullage.arrays import Floats
+from ullage.data import Detections, Frames, Trajectory
 from ullage.geometry import matrix_quat
 from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
 from ullage.ports import conversions

@@ -15,8 +15,9 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from pydantic import Field
 
+from ullage.arrays import Floats
 from ullage.config import Fidelity
-from ullage.data import Floats, Frames, Trajectory, gathered
+from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, Stream, checked_pose
 from ullage.ports.pace import Pace

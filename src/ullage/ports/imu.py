@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.flight.airframe import GRAVITY_M_S2
 
 RATE_DENSITY = math.radians(0.005)

@@ -21,7 +21,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 
 Report = Callable[[str], None]
 """Takes one line for a person."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Times
+from ullage.arrays import Longs
 from ullage.errors import InputError
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ class Layout:
         return [whole[i : i + size] for i in range(0, len(whole), size)]
 
 
-def stamps(t_ns: Times) -> dict[str, NDArray[np.int64]]:
+def stamps(t_ns: Longs) -> dict[str, NDArray[np.int64]]:
     """Columns of a header's time.
 
     Raises:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ullage.data import Floats, Trajectory
+from ullage.arrays import Floats
+from ullage.data import Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.protocol import mend_clock
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.geometry import matrix_quat, quat_matrix
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # forward-left-up to forward-right-down and back

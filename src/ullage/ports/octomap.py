@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
@@ -25,17 +25,15 @@ FREE, OCCUPIED, INNER = 1, 2, 3
 SUREST = 0.9975
 MOST_STEP_M = 1e6
 
-Codes = NDArray[np.int64]
-
 
 @dataclass(frozen=True, slots=True)
 class Level:
     """Nodes of one depth, by Morton code."""
 
-    code: Codes  # (n)
-    value: NDArray[np.float64]  # (n) of a leaf; the highest of its children of an inner node
-    inner: NDArray[np.bool_]  # (n)
-    parent: Codes  # (n) row in the level above
+    code: Longs  # (n)
+    value: Floats  # (n) of a leaf; the highest of its children of an inner node
+    inner: Bools  # (n)
+    parent: Longs  # (n) row in the level above
 
 
 def write_octomap(omap: OccupancyMap, path: str | Path) -> None:
@@ -65,7 +63,7 @@ def write_octomap(omap: OccupancyMap, path: str | Path) -> None:
     write_whole(path, lambda out: out.write(head.encode() + body))
 
 
-def _codes(grid: Grid, known: NDArray[np.bool_], path: Path) -> Codes:
+def _codes(grid: Grid, known: Bools, path: Path) -> Longs:
     """Morton codes of the known cells."""
     origin = np.nan_to_num(np.array(grid.origin_m)) / grid.step_m
     first = np.rint(origin).astype(np.int64)
@@ -84,14 +82,14 @@ def _codes(grid: Grid, known: NDArray[np.bool_], path: Path) -> Codes:
     return _spread(cells[:, 0]) | _spread(cells[:, 1]) << 1 | _spread(cells[:, 2]) << 2
 
 
-def _spread(x: Codes) -> Codes:
+def _spread(x: Longs) -> Longs:
     """The 16 bits of each number, two zeros between them."""
     for shift, mask in ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249)):
         x = (x | x << shift) & mask
     return x
 
 
-def _gather(code: Codes) -> Codes:
+def _gather(code: Longs) -> Longs:
     """The reverse of `_spread`: every third bit."""
     x = code & 0x249249249249
     for shift, mask in ((2, 0xC30C30C30C3), (4, 0xF00F00F00F), (8, 0xFF0000FF), (16, 0xFFFF)):
@@ -99,7 +97,7 @@ def _gather(code: Codes) -> Codes:
     return x
 
 
-def _grow(code: Codes, value: NDArray[np.float64]) -> list[Level]:
+def _grow(code: Longs, value: Floats) -> list[Level]:
     """Levels from the root down; eight leaves of one value become their parent."""
     levels: list[Level] = []
     inner = np.zeros(len(code), np.bool_)
@@ -116,7 +114,7 @@ def _grow(code: Codes, value: NDArray[np.float64]) -> list[Level]:
     return levels[::-1]
 
 
-def _places(levels: list[Level], *, leaves: bool) -> list[Codes]:
+def _places(levels: list[Level], *, leaves: bool) -> list[Longs]:
     """Each node's place in the file, counted in nodes, or in inner nodes only."""
     sizes = [np.ones(0, np.int64)] * len(levels)
     for depth in range(len(levels) - 1, -1, -1):
@@ -229,7 +227,7 @@ def _parse_values(body: bytes) -> list[Leaf]:
     return leaves
 
 
-def _laid_out(code: Codes, depth: Codes, value: NDArray[np.float64], step: float, path: Path) -> OccupancyMap:
+def _laid_out(code: Longs, depth: Longs, value: Floats, step: float, path: Path) -> OccupancyMap:
     """The leaves as cells of one volume."""
     edge = 1 << (DEPTH - depth)
     low = np.stack([_gather(code >> k) * edge for k in range(3)], axis=1)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.errors import InputError, UllageWarning
 from ullage.files import write_whole
 from ullage.grids import UNKNOWN, Grid, OccupancyMap

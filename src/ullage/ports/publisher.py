@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Detections, Floats, Frames, Trajectory, sensors_of, strung
+from ullage.arrays import Floats
+from ullage.data import Detections, Frames, Trajectory, sensors_of, strung
 from ullage.geometry import invert
 from ullage.grids import Image, OccupancyMap
 from ullage.ports import conversions, encode

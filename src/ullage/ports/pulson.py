@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Floats, Times
+from ullage.arrays import Floats, Longs
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
 from ullage.ports.arrays import load
@@ -37,7 +37,7 @@ class Log:
     """A decoded PulsON log."""
 
     scans: NDArray[Any]  # (n, b) in the radar's counts
-    t_ns: Times  # (n) from the first scan on
+    t_ns: Longs  # (n) from the first scan on
     range_m: Floats  # (b) [m]
     spec: RadarSpec
 
@@ -104,7 +104,7 @@ def read_arrays(path: str | Path) -> Log:
     return Log(scans, t_ns, range_m, _spec(range_m, t_ns, int(pii.ravel()[0])))
 
 
-def _spec(range_m: Floats, t_ns: Times, integration: int) -> RadarSpec:
+def _spec(range_m: Floats, t_ns: Longs, integration: int) -> RadarSpec:
     fps = 1e9 / float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 46.0
     return RadarSpec.preset(
         "pulson440",
@@ -116,7 +116,7 @@ def _spec(range_m: Floats, t_ns: Times, integration: int) -> RadarSpec:
     )
 
 
-def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Times]:
+def _assemble(packets: NDArray[np.void], path: Path) -> tuple[NDArray[np.int32], Longs]:
     info = packets[(packets["kind"] == SCAN_INFO) & (packets["here"] <= 350)]
     if not len(info):
         raise InputError("no range scans in it", where=path, allowed="a PulsON 440 MRM log")

@@ -9,7 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ullage.data import Floats, Frames, Trajectory
+from ullage.arrays import Floats
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
 from ullage.ports.following import Endless, FollowOptions, Say, radar_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.geometry import matrix_quat
 from ullage.ports.sightings import Others, Pose
 from ullage.world.moving import LiveMotion

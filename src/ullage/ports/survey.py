@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.errors import InputError
 
 PLACE = ("x_m", "y_m", "z_m")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ullage.data import Floats, Frames, Times, Trajectory
+from ullage.arrays import Floats, Longs
+from ullage.data import Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.ports.arrays import Arrays, names_in, read_npz, refuse_pickle
 from ullage.ports.motive import read_tracks
@@ -124,7 +125,7 @@ def _frames(held: Arrays, track: Trajectory | None, mount: MountSpec | None, whe
     return Frames(held.samples, held.range_m, t_ns, spec, poses, sensor=name, unit="normalised", track=sensor)
 
 
-def _held(track: Trajectory, t_ns: Times, where: Path) -> Trajectory:
+def _held(track: Trajectory, t_ns: Longs, where: Path) -> Trajectory:
     """The track at these times, standing still before its start and after its end."""
     inside, row = np.unique(np.clip(t_ns, track.t_ns[0], track.t_ns[-1]), return_inverse=True)
     if outside := int(((t_ns < track.t_ns[0]) | (t_ns > track.t_ns[-1])).sum()):

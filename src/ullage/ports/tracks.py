@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ullage.data import Floats, Trajectory
+from ullage.arrays import Floats
+from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.ports.motive import read_tracks
 from ullage.ports.protocol import mend_clock

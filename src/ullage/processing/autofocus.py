@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Grid
 from ullage.processing.backprojection import Backprojector, oversampled, oversampling
 from ullage.processing.baseband import checked, to_baseband
 from ullage.processing.sar import frame_weights
-
-Floats = NDArray[np.float64]
 
 
 def autofocus(
@@ -95,7 +94,7 @@ class _Echoes:
     """What each frame adds to each point, and how that turns as the frame is moved."""
 
     parts: NDArray[np.complex64]  # (m, n) weighted
-    toward: NDArray[np.float32]  # (m, n, 3) unit vectors from sensor to point
+    toward: Singles  # (m, n, 3) unit vectors from sensor to point
     turn: float  # phase per metre, 4 pi / wavelength
 
     @classmethod

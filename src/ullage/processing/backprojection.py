@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
@@ -20,8 +21,6 @@ from ullage.grids import Grid, Image
 from ullage.processing.baseband import checked, to_baseband
 from ullage.specs import AntennaSpec, RadarSpec
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 MEMORY_LIMIT_BYTES = 4_000_000_000
 _SPAN = 1 / (1 - math.sqrt(0.5))  # (1 - q / span)^2 is one half at q = 1, the -3 dB opening
 
@@ -167,7 +166,7 @@ class Backprojector:
         return np.asarray(flat.reshape(self.grid.shape), np.complex64)
 
     @property
-    def coherence(self) -> NDArray[np.float32]:
+    def coherence(self) -> Singles:
         """|sum w s|^2 / (sum w  sum w |s|^2) of each cell: 1 when all echoes agree in phase and strength."""
         top = self._sums[:, 0] ** 2 + self._sums[:, 1] ** 2
         bottom = self._sums[:, 2] * self._sums[:, 3]
@@ -175,7 +174,7 @@ class Backprojector:
         return np.asarray(np.minimum(out, 1.0).reshape(self.grid.shape), np.float32)
 
     @property
-    def looks(self) -> NDArray[np.float32]:
+    def looks(self) -> Singles:
         """Effective number of frames behind each cell, (sum w)^2 / sum w^2; looks x coherence ~ Exp(1) in noise."""
         top, bottom = self._sums[:, 3] ** 2, self._sums[:, 4]
         out = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, SingleComplexes, Singles
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.specs import RadarSpec
-
-Complexes = NDArray[np.complex64]
-Reals = NDArray[np.float32]
 
 _LN2 = float(np.log(2.0))
 
@@ -47,7 +45,7 @@ def checked(frames: Frames) -> Frames:
     return frames
 
 
-def to_baseband(frames: Frames) -> Complexes:
+def to_baseband(frames: Frames) -> SingleComplexes:
     """Complex baseband (n, b): RF becomes its analytic signal, mixed down by the carrier.
 
     Raises:
@@ -79,7 +77,7 @@ def as_baseband(frames: Frames) -> Frames:
     return replace(frames, samples=values, range_m=frames.range_m[::every], spec=spec)
 
 
-def _mixed_down(rf: Reals, range_m: NDArray[np.float64], center_hz: float) -> Complexes:
+def _mixed_down(rf: Singles, range_m: Floats, center_hz: float) -> SingleComplexes:
     from scipy.fft import fft, ifft, next_fast_len
 
     size = next_fast_len(rf.shape[1] + 64)  # a silent tail keeps the far end from leaking into the near one
@@ -90,7 +88,7 @@ def _mixed_down(rf: Reals, range_m: NDArray[np.float64], center_hz: float) -> Co
     return np.asarray(ifft(spectrum, axis=1)[:, : rf.shape[1]] * carrier, np.complex64)
 
 
-def envelope(frames: Frames) -> Reals:
+def envelope(frames: Frames) -> Singles:
     """Amplitude of each bin (n, b), in the frames' unit: of RF the envelope, of amplitudes the samples."""
     if not has_phase(frames):
         return np.asarray(frames.samples, np.float32)
@@ -118,7 +116,7 @@ def _of_reals(values: NDArray[Any]) -> float:
     return float(1.4826 * np.median(np.abs(values))) if values.size else np.inf
 
 
-def noise_correlation(spec: RadarSpec, lags: int = 8) -> NDArray[np.complex128]:
+def noise_correlation(spec: RadarSpec, lags: int = 8) -> Complexes:
     """Correlation of the noise of neighbouring bins, lags 0 .. `lags` - 1.
 
     White RF noise through the X4's 32-tap filter and decimation (0.63, 0.15, 0.01 measured) [X4Recordings]; of RF

@@ -24,11 +24,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.config import GuardSpec
-
-Floats = NDArray[np.float64]
 
 _SPLIT, _ROUNDS = 8, 3  # a share is found to 1 / 8^3
 
@@ -43,7 +42,7 @@ class Approach:
     issued_m_s: Floats  # (n, m) closing speeds of the commands, oldest first [m/s]
     ends_s: Floats  # (n) time from now until when each may act, rising [s]
 
-    def only(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Approach:
+    def only(self, rows: Bools | Longs) -> Approach:
         """Some of the obstacles."""
         return Approach(
             self.free_m[rows], self.speed_m_s[rows], self.own_m_s[rows], self.issued_m_s[:, rows], self.ends_s
@@ -129,7 +128,7 @@ def safe_shares(approach: Approach, closing_m_s: Floats, spec: GuardSpec) -> Flo
     return out
 
 
-def _stops(shares: Floats, near: Approach, closing: Floats, spec: GuardSpec) -> NDArray[np.bool_]:
+def _stops(shares: Floats, near: Approach, closing: Floats, spec: GuardSpec) -> Bools:
     """Whether the vehicle stops in time after shares (s, m) of a velocity that closes at some speeds (m)."""
     new = shares * closing + near.own_m_s
     issued = np.broadcast_to((near.issued_m_s + near.own_m_s)[:, None], (len(near.ends_s), *new.shape))

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.processing.point_focus import Echoes, Floats, Point, PointFocus
+from ullage.arrays import Floats
+from ullage.processing.point_focus import Echoes, Point, PointFocus
 
 CLOCK, RANGE, RATE = range(3)  # the parameters: offsets [s] and [m], and the rate of the clock
 PARAMETERS = 3

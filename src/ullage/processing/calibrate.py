@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.data import Calibration, Frames, Trajectory
 from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.processing.baseband import checked
@@ -18,7 +19,6 @@ from ullage.processing.motion_match import Gains, MotionMatch
 from ullage.processing.point_focus import Point, PointFocus, Start
 from ullage.specs import RadarSpec
 
-Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
 Guess = Sequence[float] | Calibration
 

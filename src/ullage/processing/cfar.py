@@ -12,13 +12,13 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Complexes, Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.processing.baseband import has_phase, noise_correlation, to_baseband
 
-Floats = NDArray[np.float64]
 _DRAWS = 40_000
 
 
@@ -47,7 +47,7 @@ def _ordered_factor(pfa: float, train: int, rank: int, correlation: tuple[comple
     return _solved(lambda alpha: float(np.log(pfa) + alpha * least - np.log(np.exp(-alpha * (ordered - least)).mean())))
 
 
-def _covariance(train: int, correlation: ArrayLike, guard: int) -> NDArray[np.complex128]:
+def _covariance(train: int, correlation: ArrayLike, guard: int) -> Complexes:
     lags = np.asarray(correlation, np.complex128)
     cell = np.concatenate([np.arange(train), train + 2 * guard + 1 + np.arange(train)])
     gap = cell[:, None] - cell[None, :]

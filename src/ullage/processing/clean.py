@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.antenna import gain
+from ullage.arrays import Bools, Floats, Singles
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import C0, quat_matrix
 from ullage.processing.baseband import envelope, is_amplitude, to_baseband
 from ullage.specs import ThesisSpec
-
-Floats = NDArray[np.float64]
 
 
 def remove_background(
@@ -62,7 +61,7 @@ def _wide(frames: Frames) -> type[np.complex128] | type[np.float64]:
     return np.complex128 if np.iscomplexobj(frames.samples) else np.float64
 
 
-def _recent(frames: Frames, time_constant_s: float) -> NDArray[np.complex64] | NDArray[np.float32]:
+def _recent(frames: Frames, time_constant_s: float) -> NDArray[np.complex64] | Singles:
     """The exponential average of the frames before each frame; the first frame is its own background."""
     out = np.empty_like(frames.samples)
     state = frames.samples[0].astype(_wide(frames))
@@ -176,7 +175,7 @@ def _blurred(power: Floats, frames: Frames) -> Floats:
     return np.asarray(gaussian_filter1d(power, max(width, 1.0), axis=1, mode="constant"))
 
 
-def looks_down(frames: Frames, opening_deg: float = 65.0) -> NDArray[np.bool_]:
+def looks_down(frames: Frames, opening_deg: float = 65.0) -> Bools:
     """Whether each frame's antenna sees the floor straight below it (n)."""
     ahead = quat_matrix(frames.believed.quat_xyzw)[:, :, 0]
     return np.asarray(-ahead[:, 2] >= np.cos(np.radians(opening_deg / 2)))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.processing.mapper_looks import Look
-
-Floats = NDArray[np.float64]
 
 REMEMBERED = 128
 ENOUGH = 12

@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import Any, Literal, get_args, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
 from ullage.geometry import C0
@@ -18,8 +19,6 @@ from ullage.processing.echoes import blind_m, echo_level, peaks
 from ullage.processing.own_echo import own_echo
 from ullage.processing.track import tracked
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Method = Literal["first_peak", "peaks", "cfar", "os-cfar", "clean", "track"]
 
 
@@ -137,7 +136,7 @@ def _vertex(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     return shift, b - 0.25 * (a - c) * shift
 
 
-def _at_peaks(frames: Frames, values: Floats, at: NDArray[np.bool_], sigma: float, *, first: bool) -> Detections:
+def _at_peaks(frames: Frames, values: Floats, at: Bools, sigma: float, *, first: bool) -> Detections:
     frame, bin_ = np.nonzero(at)
     if first:
         frame, nearest = np.unique(frame, return_index=True)
@@ -150,13 +149,13 @@ def _bin_m(frames: Frames) -> float:
     return float(np.diff(frames.range_m).mean())
 
 
-def _detections(frames: Frames, frame: Ints, range_m: Floats, amplitude: Floats, sigma: float) -> Detections:
+def _detections(frames: Frames, frame: Longs, range_m: Floats, amplitude: Floats, sigma: float) -> Detections:
     snr = 20 * np.log10(amplitude / sigma) if sigma > 0 else np.full(len(frame), np.nan)
     nowhere = np.full((len(frame), 3), np.nan)
     return Detections(frame.astype(np.int64), frames.t_ns[frame], range_m, amplitude, snr, nowhere, frames.sensor)
 
 
-def _cleaned(frames: Frames, far: NDArray[np.bool_], level: Floats, sigma: float, most: int) -> Detections:
+def _cleaned(frames: Frames, far: Bools, level: Floats, sigma: float, most: int) -> Detections:
     """CLEAN [Hogbom1974] with the Gaussian pulse as point response, all frames at once."""
     if most < 1:
         raise InputError(f"max_echoes is {most}", where="detect", allowed=">= 1")

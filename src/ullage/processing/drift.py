@@ -7,8 +7,8 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs
 from ullage.data import Frames, Recording, Trajectory, sensors_of
 from ullage.errors import InputError, UllageWarning
 from ullage.processing.coherent import EchoJudge
@@ -16,9 +16,6 @@ from ullage.processing.drift_walls import LEAST_LOOKS, WINDOW_S, FlatEchoes, Off
 from ullage.processing.inverse_sensor import heard_deg
 from ullage.processing.mapper_looks import Listener, Look, lit_ways
 from ullage.processing.mapper_runs import fit_edges, fit_walls
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 TRUSTED = 0.8
 LINK_S, LINK_M, LINK_TURN = 0.8, 0.07, 0.9
@@ -167,7 +164,7 @@ def _trusted_echoes(part: Frames, looks: list[Look]) -> Floats:
     return np.array(rows).reshape(-1, 6)
 
 
-def _linked(rows: Floats) -> Ints:
+def _linked(rows: Floats) -> Longs:
     """Which run of echoes each of one sensor's rows continues: range and bearing go on as the motion says."""
     ends: dict[int, int] = {}
     track, count = np.zeros(len(rows), np.int64), 0

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from ullage.arrays import Bools, Floats, Longs
 
 KNOT_S = 1.0
 LEAST_LOOKS = 6
@@ -36,9 +34,9 @@ class FlatEchoes:
     position: Floats  # (n, 2) of the sensor [m]
     way: Floats  # (n, 2) unit vectors to the wall
     range_m: Floats  # (n)
-    track: Ints  # (n)
+    track: Longs  # (n)
 
-    def only(self, keep: NDArray[np.bool_]) -> FlatEchoes:
+    def only(self, keep: Bools) -> FlatEchoes:
         """Those of them to keep."""
         return FlatEchoes(self.t_s[keep], self.position[keep], self.way[keep], self.range_m[keep], self.track[keep])
 
@@ -51,7 +49,7 @@ class Peaks:
     position: Floats  # (n, 2) of the sensor [m]
     ahead: Floats  # (n, 2) its boresight
     range_m: Floats  # (n)
-    keyframe: Ints  # (n) index of the keyframe that holds it
+    keyframe: Longs  # (n) index of the keyframe that holds it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +146,7 @@ class WallFit:
         inside = np.clip(t_s, self._knots[0], self._knots[-1])
         return np.asarray(CubicSpline(self._knots, np.eye(len(self._knots)))(inside))
 
-    def _grouped(self) -> Ints:
+    def _grouped(self) -> Longs:
         """Runs of echoes whose walls nearly coincide as heard are of one wall."""
         heard, wall = self._heard, np.zeros(len(self._heard.t_s), np.int64)
         walls: list[tuple[float, list[Floats]]] = []
@@ -221,7 +219,7 @@ class WallFit:
         matrix[np.arange(2 * m, 2 * (m + k)), np.arange(2 * m, 2 * (m + k))] += 1e-3
         return matrix, right, np.asarray(miss, np.float64)
 
-    def _slope(self, basis: Floats, normal: Floats, at: Floats, wall: Ints) -> Floats:
+    def _slope(self, basis: Floats, normal: Floats, at: Floats, wall: Longs) -> Floats:
         """How each range's misfit falls with the offset's knots, and with angles and distances of the walls."""
         m, k, row = basis.shape[1], len(self._angle), np.arange(len(at))
         slope = np.zeros((len(at), 2 * (m + k)))

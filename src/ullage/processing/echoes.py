@@ -11,10 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.data import Frames
 from ullage.processing.baseband import envelope, is_amplitude
-
-Floats = NDArray[np.float64]
 
 FALSE_ALARM = math.exp(-18.0)
 """Chance that one bin of noise alone exceeds the level: six sigma of one component, of complex Gaussian noise."""
@@ -62,14 +61,14 @@ def echo_level(
     return np.asarray(np.maximum(noise, 10 ** (-dynamic_range_db / 20) * strongest), np.float64)
 
 
-def peaks(values: NDArray[np.floating]) -> NDArray[np.bool_]:
+def peaks(values: NDArray[np.floating]) -> Bools:
     """Local maxima along range (n, b); of a flat top the first bin, never the first or last bin of a frame."""
     out = np.zeros(values.shape, bool)
     out[:, 1:-1] = (values[:, 1:-1] > values[:, :-2]) & (values[:, 1:-1] >= values[:, 2:])
     return out
 
 
-def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Floats, NDArray[np.bool_]]:
+def first_echo(frames: Frames, *, threshold: float | None = None) -> tuple[Floats, Bools]:
     """Range of the bin of the first peak over the level (n) [m], and whether there is one (n).
 
     Args:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
@@ -16,7 +17,6 @@ from ullage.kernels.elfes import insert_reading, lobe_box
 from ullage.processing.echoes import first_echo
 from ullage.processing.mapper_door import in_order, plane_of
 
-Floats = NDArray[np.float64]
 LOBE_DEG = 65.0
 SPREAD_M = 0.15
 
@@ -107,7 +107,7 @@ class ElfesMapper:
                         (float(reach[i]) if found[i] else last, bool(found[i])), box)  # fmt: skip
             self.traversed = slice(int(box[0]), int(box[1])), slice(int(box[2]), int(box[3]))
 
-    def _blend(self, at: Floats, yaw: float, near: float, echo: tuple[float, bool], box: NDArray[np.int64]) -> None:
+    def _blend(self, at: Floats, yaw: float, near: float, echo: tuple[float, bool], box: Longs) -> None:
         """Add one reading: `echo` holds its range and whether there was one; `box` takes the cells that it reached."""
         if len(self._layers) == 1:
             self._blend_byte(self._layers[0], (at, yaw, near, echo), box)
@@ -123,7 +123,7 @@ class ElfesMapper:
         self,
         layer: NDArray[Any],
         reading: tuple[Floats, float, float, tuple[float, bool]],
-        box: NDArray[np.int64],
+        box: Longs,
     ) -> None:
         """Add one reading to cells of one byte; only what the lobe can reach is unpacked."""
         at, yaw, _, (reach, _) = reading
@@ -141,7 +141,7 @@ class ElfesMapper:
         occupied: NDArray[Any],
         first: tuple[int, int],
         reading: tuple[Floats, float, float, tuple[float, bool]],
-        box: NDArray[np.int64],
+        box: Longs,
     ) -> None:
         """Run the kernel on layers whose first cell is row and column `first` of the grid."""
         at, yaw, near, (reach, found) = reading

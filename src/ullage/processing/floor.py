@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.data import Frames
 from ullage.geometry import C0
 from ullage.processing.baseband import to_baseband
-
-Floats = NDArray[np.float64]
 
 STEP_M, SPAN_M = 0.01, 0.6
 LEAST_CLIMB_M = 0.3  # of height, 5th to 95th percentile: a level flight has many echoes of constant range

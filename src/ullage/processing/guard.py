@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.config import GuardSpec
 from ullage.data import Trajectory
 from ullage.errors import InputError
@@ -22,7 +23,6 @@ from ullage.geometry import quat_matrix
 from ullage.processing.braking import Approach, safe_shares
 from ullage.processing.obstacles import ObstacleSectors
 
-Floats = NDArray[np.float64]
 State = Literal["free", "limited", "stop", "back_off"]
 
 _LEAST_SPEED_M_S = 0.1  # below it, a closing speed says nothing about a bearing
@@ -159,13 +159,13 @@ class Guard:
 class _Table:
     """Tracks of working sensors, as the guard uses them."""
 
-    sensor: NDArray[np.int64]  # (m)
-    outside: NDArray[np.bool_]  # (m)
+    sensor: Longs  # (m)
+    outside: Bools  # (m)
     closing: Floats  # (m) measured [m/s]
     sigma: Floats  # (m) of it, times the factor of the settings [m/s]
     approach: Approach
 
-    def only(self, rows: NDArray[np.bool_]) -> _Table:
+    def only(self, rows: Bools) -> _Table:
         """Some of them."""
         return _Table(
             self.sensor[rows], self.outside[rows], self.closing[rows], self.sigma[rows], self.approach.only(rows)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Grid, Image
 from ullage.processing.backprojection import Backprojector
 from ullage.processing.sar import frame_weights
 
-Floats = NDArray[np.float64]
 _REACH_M, _STEP_M = 2.4, 0.16  # heights tried, either way [m]
 _WINDOW_M, _CELL_M = 2.1, 0.03  # side and cells of the planes tried [m]
 _MOST_FRAMES, _AROUND_M = 160, 2.0  # used for them; as much farther than the nearest frame they may be [m]

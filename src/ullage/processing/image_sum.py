@@ -7,12 +7,11 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Grid, Image
 from ullage.processing.backprojection import Backprojector
 from ullage.processing.sar import focus
-
-Floats = NDArray[np.float64]
 
 
 class ImageSum:

@@ -9,9 +9,9 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import BoresightPattern, boresight_pattern
+from ullage.arrays import Bools, Floats
 from ullage.data import Recording
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap, Tiles
@@ -38,8 +38,6 @@ from ullage.processing.mapper_show import without_cut_off
 from ullage.processing.mapper_tracks import EchoTracks, Foot, Traced
 from ullage.processing.mapper_turns import MOST_LOOKS, Stretch, Turns, bearings
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Weighed = tuple[Floats, Floats, Floats]
 
 DETECTION = 0.9
@@ -335,7 +333,7 @@ class UllageMapper:
         return self._judge.weigh(look) if look.track.any() else None
 
     def _arcs(
-        self, look: Look, weighed: Weighed | None, rims: Floats | float = LEAST_RIM, folded: Flags | bool = False
+        self, look: Look, weighed: Weighed | None, rims: Floats | float = LEAST_RIM, folded: Bools | bool = False
     ) -> tuple[Floats, Floats]:
         """Rows for the kernel: range, sigma, track (3), cosine, its sigma, chance of detection, located, false.
 

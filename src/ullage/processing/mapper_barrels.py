@@ -11,13 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.kernels.rolls import LEG, NORMAL, PLACE, RANGE, TRACK
 from ullage.processing.mapper_bows import Hollow
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 ALONG, FLOWN_ALONG = 0.2, 0.95  # of the track in normals, at most; of the axis, at least
 LEAST_TURN, LEAST_SPREAD = float(np.cos(np.radians(10.0))), 0.2
@@ -36,16 +33,16 @@ class Pieces:
     n: Floats  # (m, 2) unit vectors to them
     reach: Floats  # (m) [m]
     leg: Floats  # (m) number of the leg
-    asked: Flags  # (m) which count
+    asked: Bools  # (m) which count
 
-    def on(self, centre: Floats, radius: float) -> Flags:
+    def on(self, centre: Floats, radius: float) -> Bools:
         """Which lie on a circle where it has their normals (m)."""
         off = self.foot - centre - radius * self.n
         along, aside = np.sum(off * self.n, axis=1), off[:, 0] * self.n[:, 1] - off[:, 1] * self.n[:, 0]
         near = (abs(along) < FITS_M) & (abs(aside) < FITS_M + FITS_NORMAL * abs(radius - self.reach))
         return np.asarray(self.asked & near)
 
-    def is_round(self, on: Flags, radius: float) -> bool:
+    def is_round(self, on: Bools, radius: float) -> bool:
         """Whether those on a circle (m) are enough, heard from beside its centre, and of no walls at right angles."""
         apart = on & (abs(radius - self.reach) > LEAST_OFF_M)
         claimed = self.asked & ((self.n @ self.n[on].T).max(axis=1, initial=-1.0) > BESIDE)
@@ -58,7 +55,7 @@ class Pieces:
         return bool(enough and spread >= LEAST_SPREAD**2 and square <= SQUARE)
 
 
-def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, Flags] | None:
+def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, Bools] | None:
     """The round wall that a stretch's piece and others touch, and which of them do (m).
 
     Args:
@@ -82,7 +79,7 @@ def barrel_of(me: Floats, others: Floats) -> tuple[Hollow, Flags] | None:
     return Hollow(me[PLACE : PLACE + 3] + centre @ across, axis, radius, int(on.sum())), on
 
 
-def _circle(me: Floats, pieces: Pieces, across: Floats) -> tuple[Floats, float, Flags] | None:
+def _circle(me: Floats, pieces: Pieces, across: Floats) -> tuple[Floats, float, Bools] | None:
     """Centre (2), radius and pieces (m) of the circle that a stretch (22) and most of the others touch.
 
     Tried are those through the stretch's piece, seen along `across` (2, 3), and one of the others.

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import UNKNOWN, Grid
 from ullage.processing.mapper_hollows import Piece
-
-Floats = NDArray[np.float64]
 
 EDGE = 8  # of the blocks that are asked in one go
 AROUND, ALONG_M = float(np.cos(np.radians(60.0))), 1.0  # of where a hollow wall was heard
@@ -118,7 +117,7 @@ def without_behind(percent: NDArray[np.int8], corner: tuple[int, ...], grid: Gri
     percent[tuple(free[gone].T)] = UNKNOWN
 
 
-def _blocks(cells: NDArray[np.int64], origin: Floats, step_m: float) -> tuple[Floats, NDArray[np.int64], float]:
+def _blocks(cells: Longs, origin: Floats, step_m: float) -> tuple[Floats, Longs, float]:
     """Centres (b, 3) of blocks of cells, to which of them each cell (n, 3) belongs (n), how far corners lie off [m]."""
     block = cells // EDGE
     shape = tuple(block.max(axis=0, initial=0) + 1)
@@ -127,7 +126,7 @@ def _blocks(cells: NDArray[np.int64], origin: Floats, step_m: float) -> tuple[Fl
     return centres, which, 0.5 * np.sqrt(3.0) * EDGE * step_m
 
 
-def _behind(piece: Piece, places: Floats, slack_m: float, around: float = -1.0) -> NDArray[np.bool_]:
+def _behind(piece: Piece, places: Floats, slack_m: float, around: float = -1.0) -> Bools:
     """Whether places (n, 3) lie behind a hollow wall, no farther on round it than a cosine, or so much before it."""
     hollow, way, foot = piece
     off = places - hollow.centre

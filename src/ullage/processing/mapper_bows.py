@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ullage.arrays import Bools, Floats, Longs
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
-
-Floats = NDArray[np.float64]
 
 STRAIGHT = float(np.cos(np.radians(35.0)))
 LEAST_ECHOES, LEAST_LONG_M, LEAST_SCATTER_M, OFF_M, MOST_MORE = 8, 0.45, 0.003, 0.01, 0.3
@@ -57,7 +56,7 @@ class Bow:
         """The bow (w) that surfaces in these ways (w, 3) make [1/m]: nothing for flat ones."""
         return np.asarray(self.rise + ways @ self.curl)
 
-    def bent(self, ways: Floats) -> NDArray[np.bool_]:
+    def bent(self, ways: Floats) -> Bools:
         """Whether ranges surely bow (w) as off hollow walls in these ways (w, 3), not flat ones, edges or poles."""
         bend = self.bend(ways)
         share = bend * self.range_m / max(1 - self.cosine**2, 1e-3)
@@ -141,7 +140,7 @@ def bow_of(echoes: list[Traced]) -> Bow | None:
     return Bow(place + fit[0, 1:], track, float(fit[0, 0]), cosine, bend, doubt, 2 * fit[2, 1:])
 
 
-def lines_of(bow: Bow, ways: Floats) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+def lines_of(bow: Bow, ways: Floats) -> tuple[Longs, Floats, Floats, Floats]:
     """Lines on which normals of surfaces meet that bow ranges so, of all slopes for each way (w, 3).
 
     Returns the way (l) and direction (l, 3) of each line, how far ahead it is (l) [m], and its doubt in bend (l) [1/m].

@@ -13,13 +13,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import UNKNOWN
 from ullage.kernels.occupancy import EMPTY
 from ullage.processing.blocks import Blocks
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WINDOW_M, FARTHEST_M = 0.6, 3.0
 LEAST_CELLS, FLAT_CELLS = 4, 0.9  # of a line: how many, and one sigma across it at most
@@ -47,7 +44,7 @@ def without_ends(percent: NDArray[np.int8], corner: tuple[int, ...], blocks: Blo
     percent[tuple(cells[~_silent(blocks, cells + np.array(corner)).all(axis=1)].T)] = UNKNOWN
 
 
-def _free(percent: NDArray[np.int8], cells: Ints, along: Floats) -> tuple[Ints, Floats]:
+def _free(percent: NDArray[np.int8], cells: Longs, along: Floats) -> tuple[Longs, Floats]:
     """Those of cells (c, 2), and the ways there, that are on a map and free."""
     inside = np.all((cells >= 0) & (cells < percent.shape), axis=1)
     cells, along = cells[inside], along[inside]
@@ -55,7 +52,7 @@ def _free(percent: NDArray[np.int8], cells: Ints, along: Floats) -> tuple[Ints, 
     return cells[free], along[free]
 
 
-def _lines(solid: Ints, window: float) -> tuple[Floats, Bools]:
+def _lines(solid: Longs, window: float) -> tuple[Floats, Bools]:
     """Of each wall cell (s, 2: y, x) the direction (s, 2) of the line about it, and whether there is one."""
     pairs = cKDTree(solid).query_pairs(window, output_type="ndarray")
     pairs = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(len(solid))[:, None], 2, axis=1)])
@@ -68,14 +65,14 @@ def _lines(solid: Ints, window: float) -> tuple[Floats, Bools]:
     return np.column_stack([np.sin(turn), np.cos(turn)]), (count >= LEAST_CELLS) & (narrow < FLAT_CELLS**2)
 
 
-def _ends(wall: Bools, solid: Ints, way: Floats) -> tuple[Ints, Floats]:
+def _ends(wall: Bools, solid: Longs, way: Floats) -> tuple[Longs, Floats]:
     """Where lines of wall cells (s, 2) end (e, 2), and the ways out of them (e, 2)."""
     cells, ways = np.concatenate([solid, solid]), np.concatenate([way, -way])
     end = ~np.all([_at(wall, cells + k * ways) for k in (2, 4, 6, 8)], axis=0)
     return cells[end], ways[end]
 
 
-def _onward(wall: Bools, last: Ints, on: Floats, most: int) -> tuple[Ints, Floats]:
+def _onward(wall: Bools, last: Longs, on: Floats, most: int) -> tuple[Longs, Floats]:
     """Cells (c, 2) in line with ends (e, 2) of walls, as far on as they run back from there; and the ways there."""
     cells, ways = [np.zeros((0, 2), np.int64)], [np.zeros((0, 2))]
     for k in range(1, most + 1):
@@ -86,7 +83,7 @@ def _onward(wall: Bools, last: Ints, on: Floats, most: int) -> tuple[Ints, Float
     return np.concatenate(cells), np.concatenate(ways)
 
 
-def _around(last: Ints, on: Floats, most: int) -> tuple[Ints, Floats]:
+def _around(last: Longs, on: Floats, most: int) -> tuple[Longs, Floats]:
     """Cells (c, 2) of curves from each end (e, 2) of a wall to others that it bends to, and their ways there.
 
     A round wall goes on so from one known piece to the next. Straight ones and corners are not joined.
@@ -119,7 +116,7 @@ def _at(mask: Bools, places: Floats) -> Bools:
     return np.asarray(inside)
 
 
-def _silent(blocks: Blocks, cells: Ints) -> Bools:
+def _silent(blocks: Blocks, cells: Longs) -> Bools:
     """From which directions (c, 16) cells (c, 2: y, x) of a plane were silent."""
     pools, edge = blocks.pools, blocks.edge
     y, x = cells.T

@@ -11,13 +11,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import BoresightPattern
+from ullage.arrays import Bools, Floats
 from ullage.processing.blocks import Blocks
 from ullage.processing.mapper_looks import Look, lit_ways
-
-Floats = NDArray[np.float64]
 
 TOO_LOUD = 2.0  # times the usual: no wall mirrors so well, unless those heard lately were all heard faintly
 BESIDE_M = 1.0  # what stands so near before a wall belongs to it
@@ -36,7 +34,7 @@ class Fold(NamedTuple):
     fold_m: float  # range at which echoes fold [m]
     loudest_m: float  # amplitude times range that no flat wall's echo exceeds, infinite where it is not known [m]
 
-    def among(self, look: Look, cosine: Floats, blocks: Blocks, *, usual: float) -> NDArray[np.bool_]:
+    def among(self, look: Look, cosine: Floats, blocks: Blocks, *, usual: float) -> Bools:
         """Which echoes (k) of a look on a plane may as well be those of a wall farther off by `fold_m`.
 
         Args:

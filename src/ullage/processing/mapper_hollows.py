@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.kernels.rolls import AHEAD, LEG, PLACE, TRACK, TURNED, WIDE
 from ullage.processing.mapper_bows import Bow, Hollow, hollow_of, lines_of
 from ullage.processing.mapper_loudness import too_faint
@@ -16,7 +16,6 @@ from ullage.processing.mapper_rings import EDGE_BETTER, about, beam_odds, cone, 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
 
-Floats = NDArray[np.float64]
 Piece = tuple[Hollow, Floats, Floats]  # of a wall, the way (3) to where it was heard, and the place (3) there [m]
 
 PLACE_M = 0.6

@@ -15,8 +15,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.kernels.rolls import (
     AHEAD,
     BEND,
@@ -43,8 +43,6 @@ from ullage.processing.mapper_shells import shell_of
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
-
-Floats = NDArray[np.float64]
 
 STRETCH_M, LEAST_ECHOES, SCATTER_M, LEAST_TRUST = 0.6, 8, 0.02, 0.4
 LEG_TURN = float(np.cos(np.radians(15.0)))
@@ -85,7 +83,7 @@ class Legs:
     def _held(self) -> Floats:
         return self._rows[: min(self._added, MOST_STRETCHES)]
 
-    def _open(self) -> NDArray[np.bool_]:
+    def _open(self) -> Bools:
         """Which stretches have no direction yet."""
         held = self._held
         return ~held[:, NORMAL : NORMAL + 3].any(axis=1) & ~self._posted[: len(held)]
@@ -167,7 +165,7 @@ class Legs:
         while self._waiting:
             yield from self.tell(len(self._waiting))
 
-    def _around(self, at: int, most_m: float, *, own: bool = False, bent: bool = False) -> NDArray[np.bool_]:
+    def _around(self, at: int, most_m: float, *, own: bool = False, bent: bool = False) -> Bools:
         """Which stretches may hear the surface that one hears: near, of other legs, and not on one line with it.
 
         No distance to a surface changes by more than the way between two places. Where it is `bent`, places across the

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.processing.mapper_looks import Look
-
-Floats = NDArray[np.float64]
 
 BIN_M = 0.05
 REACH_M = 12.0
@@ -96,7 +94,7 @@ class LevelFinder:
         new = [(s, h) for s, h in found if all(s != t or abs(h - g) > NEAR_M for t, g in self._known)]
         return [*self._known, *new]
 
-    def _everywhere(self, votes: Floats) -> NDArray[np.bool_]:
+    def _everywhere(self, votes: Floats) -> Bools:
         """Heights (h) that looks of every heading vote for (sectors, h), of those with enough of them."""
         flown = self._flown >= ENOUGH_THERE
         if flown.sum() < ENOUGH_SECTORS:
@@ -135,7 +133,7 @@ class LevelFinder:
             drop |= at & (look.echoes[:, 0] * look.echoes[:, 5] < LOUDER * self._usual(sign, height))
         return look.only(~drop)
 
-    def feet_and_heads(self, look: Look, others: list[Look]) -> NDArray[np.bool_]:
+    def feet_and_heads(self, look: Look, others: list[Look]) -> Bools:
         """Which echoes (k) of a look come from where an upright thing that is heard ends, at a floor or a ceiling.
 
         An upright wall and a floor, and the corner of two walls and a floor, mirror a wave back as from where they
@@ -158,12 +156,12 @@ class LevelFinder:
         return [v for k in range(place - 1, place + 3) for v in self._loud.get(sign * k, [])]
 
     @staticmethod
-    def _vertical(look: Look, sign: int) -> NDArray[np.bool_]:
+    def _vertical(look: Look, sign: int) -> Bools:
         miss = abs(look.echoes[:, 2] - sign * look.track[2])
         return np.asarray(miss < 3 * look.echoes[:, 3] + 0.08)
 
 
-def _feet_of(look: Look, others: list[Look], rises: Floats) -> NDArray[np.bool_]:
+def _feet_of(look: Look, others: list[Look], rises: Floats) -> Bools:
     """Which echoes (k) of a look are from so far below or above (h) what others of its sensor heard level [m]."""
     if not len(rises) or not others or not len(look.echoes):
         return np.zeros(len(look.echoes), bool)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.data import Frames
 from ullage.geometry import quat_matrix
 from ullage.kernels.occupancy_listen import find_peaks, fit_bearings, focus_echoes
 from ullage.processing.baseband import envelope
 from ullage.processing.echoes import blind_m, echo_level
-
-Floats = NDArray[np.float64]
 
 MOST_PEAKS = 16
 STEP_M, TURN_RAD = 0.05, np.radians(4.0)
@@ -45,7 +44,7 @@ class Heard:
     count: int
     ranges: Floats  # (MOST_PEAKS)
     heights: Floats  # (MOST_PEAKS)
-    quiet: NDArray[np.bool_]  # (b)
+    quiet: Bools  # (b)
     samples: NDArray[np.complex64] | None  # (b) where there is a phase
     smooth: Floats = field(default_factory=lambda: np.zeros(3))  # position without the single pose's noise [m]
     look: bool = False
@@ -64,7 +63,7 @@ class Look:
     )
     wobble: float = 0.0  # doubt in the track's direction [rad]
 
-    def only(self, keep: NDArray[np.bool_]) -> Look:
+    def only(self, keep: Bools) -> Look:
         """The same look with some of its echoes."""
         return Look(self.heard, self.track, self.echoes[keep], self.sharp[keep], self.wobble)
 

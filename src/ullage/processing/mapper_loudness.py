@@ -12,12 +12,11 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from ullage.arrays import Bools, Floats
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
-
-Floats = NDArray[np.float64]
 
 FAINTEST_DB, FOCUS_DB = -24.0, 10.0  # between the faintest wall and the strongest edge; a focus is no sharper
 EDGE_DB, NEAR_ZONES = 6.0, 2.0  # at an edge under what is beside it; how far beside, so that other walls do not count
@@ -60,7 +59,7 @@ def angle_off(echo: Traced, direction: Floats) -> float:
     return math.acos(min(max(float(direction @ echo.ahead), -1.0), 1.0))
 
 
-def fallen(feet: list[Traced], echoes: list[Traced], way: Floats, zone: float) -> NDArray[np.bool_]:
+def fallen(feet: list[Traced], echoes: list[Traced], way: Floats, zone: float) -> Bools:
     """Which feet (f) of a reflector have half the level of others near by, or less: they lie past its edge.
 
     A half-plane whose edge is at the foot mirrors half the wave, 6 dB less; beyond it the level falls on

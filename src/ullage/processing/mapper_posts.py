@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.kernels.rolls import NORMAL, PLACE
 from ullage.processing.mapper_bows import Hollow
 from ullage.processing.mapper_shells import (
@@ -30,8 +30,6 @@ from ullage.processing.mapper_shells import (
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Foot
-
-Floats = NDArray[np.float64]
 
 UP, ACROSS = np.array([0.0, 0.0, 1.0]), np.eye(2, 3)
 RADIUS_M = (-0.5, 0.05)

@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import BoresightPattern
-
-Floats = NDArray[np.float64]
+from ullage.arrays import Floats
 
 RIPPLE, LEAST_RIM, UNTOLD_RIM, MOST_RIM = 0.225, 0.8, 1.2, 4.0
 RIPPLES_HEARD, KEPT = 1.5, 0.8  # of the rim: what is taken for slow hides some of the ripple

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.kernels.rolls import AHEAD, COSINE, RANGE, TRACK, WIDE, weigh_rolls
-
-Floats = NDArray[np.float64]
 
 ROLLS = 72
 RANGE_SIGMA_M, WANDER = 0.02, 0.01

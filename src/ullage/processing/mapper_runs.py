@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.processing.mapper_looks import Look, lit_ways
-
-Floats = NDArray[np.float64]
 
 LINK_M, LINK_PATH_M, LINK_NS = 0.05, 0.25, 1_000_000_000
 LINK_COSINE, LOUDER = 0.3, 5.0
@@ -82,7 +80,7 @@ class EchoRuns:
 
 def edges_among(
     look: Look, weighed: tuple[Floats, Floats, Floats], runs: list[Run], least: float
-) -> tuple[tuple[Floats, Floats, Floats], NDArray[np.bool_]]:
+) -> tuple[tuple[Floats, Floats, Floats], Bools]:
     """Cosine, sigma and trust of a look's echoes, mended for those that their runs show to be edges; and which are.
 
     A wall's echo keeps what its own window said: its bearing is as good there, and its Fresnel zone is wide anyway.

@@ -9,14 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs
 from ullage.processing.mapper_bows import bow_of, hollow_of
 
 if TYPE_CHECKING:
     from ullage.processing.mapper_tracks import Traced
-
-Floats = NDArray[np.float64]
 
 BEYOND_M, LEVEL_M, SHADE_SLOPE = 1.0, 12.0, 0.6
 FITS_M, FITS_COSINE, EXPLAINED = 0.04, 0.08, 3.0
@@ -41,7 +39,7 @@ def across_beam(echo: Traced, way: Floats) -> Floats:
     return np.array([*way, way @ foot, *foot, max(BEYOND_M, SHADE_SLOPE * echo.range_m)])
 
 
-def explained_by(echoes: list[Traced], walls: Floats) -> NDArray[np.int64]:
+def explained_by(echoes: list[Traced], walls: Floats) -> Longs:
     """Which of these walls (p, 8) echoes (e) may be off, wherever on them, by range, bearing and loudness; -1: none."""
     if not echoes or not len(walls):
         return np.full(len(echoes), -1)

@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.rolls import AHEAD, COSINE, LEG, NORMAL, PLACE, RANGE, TRACK, WIDE
 from ullage.processing.mapper_bows import Hollow
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SAME_M, SAME_RANGE_M = 0.1, 0.05  # places and ranges that tell the same
 LEAST_ASKED, MOST_ASKED, MOST_PAIRS = 6, 64, 400
@@ -64,18 +62,18 @@ class Heard:
         """Some of them."""
         return Heard(*(getattr(self, one.name)[which] for one in fields(self)))
 
-    def askable(self) -> Flags:
+    def askable(self) -> Bools:
         """Which may be of a wall about the axis (m): none falls faster than its track, or is out of the beam."""
         slow = abs(self.cosine) < np.linalg.norm(self.track, axis=1) + FITS_COSINE
         return np.asarray(slow & (np.linalg.norm(self.ahead, axis=1) > self.wide))
 
-    def differing(self) -> NDArray[np.int64]:
+    def differing(self) -> Longs:
         """One of each that tell the same, evenly at most so many."""
         key = np.column_stack([self.place / SAME_M, self.reach / SAME_RANGE_M, self.ahead])
         first = np.unique(np.round(key).astype(np.int64), axis=0, return_index=True)[1]
         return np.asarray(first[:: 1 + len(first) // MOST_ASKED])
 
-    def looks(self) -> NDArray[np.int64]:
+    def looks(self) -> Longs:
         """Which side of which leg each is heard on (m)."""
         key = np.column_stack([self.leg, np.round(self.ahead)])
         return np.asarray(np.unique(key, axis=0, return_inverse=True)[1].ravel())
@@ -192,7 +190,7 @@ def _stands(circle: Floats, some: Heard, tried: int) -> bool:
     return bool(close and told and square <= SQUARE and by_chance(on, some, tried) < MOST_CHANCE)
 
 
-def by_chance(on: Flags, some: Heard, tried: int) -> float:
+def by_chance(on: Bools, some: Heard, tried: int) -> float:
     """How many of so many circles chance would lay as many ranges on as lie on one (m), its own three aside."""
     chance = min(2 * FITS_M / max(float(np.ptp(some.reach)), 2 * FITS_M), 1.0)
     return float(tried * bdtrc(on.sum() - THROUGH - 1, len(on) - THROUGH, chance))

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, generate_binary_structure, label, maximum
 
+from ullage.arrays import Floats
 from ullage.grids import AMBIGUOUS, UNKNOWN, Grid
 from ullage.kernels.occupancy_show import in_view
-
-Floats = NDArray[np.float64]
 
 EYES, HIDE_M, GAP_M = 64, 0.25, 0.4
 FAINT = 80  # below it two cells by themselves, as of one look, are no more of a wall than a single one

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import BoresightPattern, boresight_pattern
+from ullage.arrays import Floats
 from ullage.processing.inverse_sensor import least_cosine
 from ullage.processing.mapper_bows import own_share
 from ullage.processing.mapper_hollows import Piece
@@ -34,8 +34,6 @@ from ullage.processing.mapper_screens import (
     sheets_of,
 )
 from ullage.specs import AntennaSpec
-
-Floats = NDArray[np.float64]
 
 LINK_M, LINK_PATH_M, LINK_NS = 0.05, 0.25, 1_000_000_000
 LINK_COSINE, LOUDER = 0.25, 5.0

@@ -11,13 +11,11 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import BoresightPattern
+from ullage.arrays import Floats
 from ullage.processing.mapper_looks import Look
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Weighed = tuple[Floats, Floats, Floats]
 
 FAST_M_RAD, SPOT_M = 0.5, 0.3  # way a turn on the spot makes in a step for its angle, and in all

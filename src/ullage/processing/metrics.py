@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Metric, Recording, sensors_of
 from ullage.grids import Grid, OccupancyMap
 from ullage.processing.metrics_image import image_quality
@@ -18,9 +18,6 @@ from ullage.processing.truth import BORDER, Surface, in_sight, surface_of
 from ullage.world.scene import Scene
 
 __all__ = ["cell_centres", "hover_change", "image_quality", "map_cost", "map_quality", "map_size"]
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 MATCH_M = 0.15
 BEHIND_M = 0.3
@@ -38,15 +35,15 @@ class _Scored:
 
     omap: OccupancyMap
     surface: Surface
-    observable: Flags  # (s)
+    observable: Bools  # (s)
     occupied: Floats  # (o, 3) centres of occupied cells
     occupied_gap: Floats  # (o) to the nearest true surface [m]
     surface_gap: Floats  # (s) to the nearest occupied cell [m], inf without one
-    on_surface: Flags  # (o) occupied cells that hold true surface, on their border or within
-    on_cells: Flags  # (s) surface in occupied cells, on their border or within
-    cells: NDArray[np.int64]  # (c) flat index of the cells that are judged one by one
+    on_surface: Bools  # (o) occupied cells that hold true surface, on their border or within
+    on_cells: Bools  # (s) surface in occupied cells, on their border or within
+    cells: Longs  # (c) flat index of the cells that are judged one by one
     cell_gap: Floats  # (c) to the nearest true surface [m]
-    cell_open: Flags  # (c) seen from the flight
+    cell_open: Bools  # (c) seen from the flight
 
 
 def map_quality(
@@ -119,31 +116,31 @@ def _judge(omap: OccupancyMap, scene: Scene, frames: Recording, min_looks: int) 
     )  # fmt: skip
 
 
-def _gaps(tree: cKDTree, points: Floats, reach: float) -> tuple[Floats, Flags]:
+def _gaps(tree: cKDTree, points: Floats, reach: float) -> tuple[Floats, Bools]:
     """Distance of each point (p, d) to the nearest in a tree, and whether one lies within `reach` along every axis."""
     if not len(points):
         return np.zeros(0), np.zeros(0, bool)
     return np.asarray(tree.query(points)[0]), np.asarray(tree.query(points, p=np.inf)[0] <= reach)
 
 
-def cell_centres(grid: Grid, cells: NDArray[np.int64]) -> Floats:
+def cell_centres(grid: Grid, cells: Longs) -> Floats:
     """Centres (c, 3) [m] of cells given by flat index."""
     where = np.unravel_index(cells, grid.shape)
     z = grid.z_m[where[0]] if grid.dims == 3 else np.full(len(cells), grid.origin_m[2])
     return np.column_stack([grid.x_m[where[-1]], grid.y_m[where[-2]], z])
 
 
-def _share(flags: Flags, empty: float = 0.0) -> float:
+def _share(flags: Bools, empty: float = 0.0) -> float:
     return float(np.mean(flags)) if flags.size else empty
 
 
-def _matches(judged: _Scored, true: Flags, found: Flags, suffix: str) -> list[Metric]:
+def _matches(judged: _Scored, true: Bools, found: Bools, suffix: str) -> list[Metric]:
     precision, recall = _share(true), _share(found[judged.observable])
     f1 = 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
     return [Metric(name + suffix, value) for name, value in (("f1", f1), ("precision", precision), ("recall", recall))]
 
 
-def _in_view(judged: _Scored, found: Flags) -> list[Metric]:
+def _in_view(judged: _Scored, found: Bools) -> list[Metric]:
     return [Metric("recall_in_view", _share(found[judged.surface.in_view]))]
 
 
@@ -192,7 +189,7 @@ def _flyable(judged: _Scored) -> list[Metric]:
     ]
 
 
-def _sides(judged: _Scored) -> list[NDArray[np.int64]]:
+def _sides(judged: _Scored) -> list[Longs]:
     """Flat index of the cells a hair before and behind each surface point: two where it lies on a cell's border."""
     grid, out = judged.omap.grid, []
     for side in (-0.1, 0.1):
@@ -202,7 +199,7 @@ def _sides(judged: _Scored) -> list[NDArray[np.int64]]:
     return out
 
 
-def _known(omap: OccupancyMap) -> Flags:
+def _known(omap: OccupancyMap) -> Bools:
     return omap.occupied | omap.free
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.data import Metric
 from ullage.errors import InputError
 from ullage.grids import Image
-
-Floats = NDArray[np.float64]
 
 
 def image_quality(image: Image, *, target_m: ArrayLike | None = None, search_m: float = 0.5) -> dict[str, Metric]:

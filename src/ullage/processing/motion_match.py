@@ -14,12 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Longs, Singles
 from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
 from ullage.processing.baseband import to_baseband
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 BANDS = 4  # of range, each with directions of its own
 DIRECTIONS = 160
@@ -38,7 +36,7 @@ class Gains:
     """Log-likelihood over a model without track, by range band and frame."""
 
     total: Floats  # (bands, n)
-    moving: NDArray[np.bool_]  # (n) whether the track moves enough to change the echoes
+    moving: Bools  # (n) whether the track moves enough to change the echoes
     power: Floats  # (bands, directions)
 
 
@@ -61,9 +59,9 @@ class MotionMatch:
         period = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 1.0
         self.lags = np.array([0, *LAGS]) * max(1, round(LAG_S / max(period, 1e-6)))
         self.first, self.second = np.triu_indices(len(self.lags), 1)
-        self._cache: dict[int, tuple[NDArray[np.int64], NDArray[np.bool_], Complexes, Floats]] = {}
+        self._cache: dict[int, tuple[Longs, Bools, Complexes, Floats]] = {}
 
-    def _whiten(self, values: NDArray[np.complex64], good: NDArray[np.bool_]) -> None:
+    def _whiten(self, values: NDArray[np.complex64], good: Bools) -> None:
         """Profiles without what stands still in range, every bin of one power; how many of them are independent."""
         values = np.where(good[:, None], values, 0)
         weight = change_weights(values, good)
@@ -78,7 +76,7 @@ class MotionMatch:
         self.samples = np.array([len(part) for part in self.bins]) / (1 + 2 * (shared[1:] ** 2).sum())
         self.echoes, self.good = echoes, good
 
-    def _prepared(self, targets: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], Complexes, Floats]:
+    def _prepared(self, targets: int) -> tuple[Longs, Bools, Complexes, Floats]:
         """Frames (n, m) that predict one another, which are missing, correlations, and the likelihood without track."""
         if targets not in self._cache:
             chosen = np.unique(np.linspace(0, len(self.t_s) - 1, min(targets, len(self.t_s))).astype(int))
@@ -89,12 +87,12 @@ class MotionMatch:
             self._cache[targets] = index, missing, both, self._without_track(missing, both)
         return self._cache[targets]
 
-    def _correlations(self, index: NDArray[np.int64], part: NDArray[np.int64]) -> Complexes:
+    def _correlations(self, index: Longs, part: Longs) -> Complexes:
         echoes = self.echoes[:, part]
         echoes = echoes / np.maximum(np.linalg.norm(echoes, axis=1, keepdims=True), 1e-30)
         return np.array([echoes[row] @ echoes[row].conj().T for row in index], complex)
 
-    def _without_track(self, missing: NDArray[np.bool_], both: Complexes) -> Floats:
+    def _without_track(self, missing: Bools, both: Complexes) -> Floats:
         """Log-likelihood (bands, n) of a radar that moves as it does on average: correlation by lag alone."""
         away = missing[:, self.first] | missing[:, self.second]
         lag = self.lags[self.second] - self.lags[self.first]
@@ -148,7 +146,7 @@ class MotionMatch:
         known = inside[index[:, 0]] & ~missing[:, 0]
         return Gains(np.where(known, total, 0), known & (change > MOVING), np.array(power))
 
-    def _displacements(self, when: Floats, index: NDArray[np.int64]) -> tuple[NDArray[np.float32], Floats]:
+    def _displacements(self, when: Floats, index: Longs) -> tuple[Singles, Floats]:
         """Phases (n, pairs, directions) between frames, and displacements (n, pairs) [m]."""
         place = np.stack([np.interp(when, self.known_s, self.position[:, k]) for k in range(3)], axis=1)
         near = np.clip(np.searchsorted(self.known_s, when[index[:, 0]]), 0, len(self.known_s) - 1)
@@ -185,7 +183,7 @@ class MotionMatch:
 class _DirectionFit:
     """Powers of directions, not negative, that reproduce correlations best in least squares."""
 
-    def __init__(self, cos: NDArray[np.float32], sin: NDArray[np.float32], taper: Floats) -> None:
+    def __init__(self, cos: Singles, sin: Singles, taper: Floats) -> None:
         still = np.concatenate([np.ones(len(cos)), np.zeros(len(cos))])[:, None]
         design = np.concatenate([np.concatenate([cos, sin]), still], axis=1)
         self.design = (design * np.tile(taper, 2)[:, None]).astype(np.float32)
@@ -202,13 +200,13 @@ class _DirectionFit:
         return np.asarray(share * min(1.0, (1 - NUGGET) / max(float(share.sum()), 1e-9)))
 
 
-def whole_frames(frames: Frames) -> NDArray[np.bool_]:
+def whole_frames(frames: Frames) -> Bools:
     """Frames (n) without lost packets, which leave zeros."""
     zeros = (frames.samples == 0).mean(axis=1)
     return np.asarray(zeros <= np.median(zeros) + 0.02)
 
 
-def change_weights(values: NDArray[np.complex64], good: NDArray[np.bool_]) -> Floats:
+def change_weights(values: NDArray[np.complex64], good: Bools) -> Floats:
     """Weights (n) that are high where echoes change, so that a long halt counts little in a mean over positions."""
     change = np.linalg.norm(np.diff(values, axis=0), axis=1)
     pair = good[1:] & good[:-1]

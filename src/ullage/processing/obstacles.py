@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.antenna import boresight_pattern
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.data import Detections, Frames
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
@@ -28,9 +29,6 @@ from ullage.processing.own_echo import OwnEchoFilter
 from ullage.processing.range_tracks import Motion, RangeTracker, Track, TrackerSpec
 from ullage.specs import RadarSpec
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 _TRAIN, _QUANTILE = 24, 0.25  # in a room most bins hold echoes of walls: a quarter of them without any is enough
 STALE_S = 0.5
 """Without a new frame for so long, a distance is unknown; autopilots use the same limit [PX4Collision]."""
@@ -40,8 +38,8 @@ STALE_S = 0.5
 class ObstacleTracks:
     """All confirmed tracks of all sensors at one time, nearest first for each sensor."""
 
-    sensor: NDArray[np.int64]  # (m) index into ObstacleSectors.sensors
-    number: NDArray[np.int64]  # (m) a track keeps its number; unique for each sensor
+    sensor: Longs  # (m) index into ObstacleSectors.sensors
+    number: Longs  # (m) a track keeps its number; unique for each sensor
     distance_m: Floats  # (m) least distance from the body's origin [m]
     sigma_m: Floats  # (m) [m]
     closing_speed_m_s: Floats  # (m) above zero: approaches [m/s]
@@ -108,7 +106,7 @@ class _Sensor:
     half_lobe_rad: float
     arm_m: float  # least distance by which the mount adds to a range in the main lobe
     range_m: tuple[float, float]  # first and last bin
-    correlation: NDArray[np.complex128]  # of the noise between bins
+    correlation: Complexes  # of the noise between bins
     fresh_ns: int | None = None
     confirmed: list[Track] = field(default_factory=list)
     last: NDArray[Any] | None = None  # samples of the last frame
@@ -161,7 +159,7 @@ class ObstacleStage:
         """
         clean = self._without_own_echo(chunk)
         events: list[tuple[int, str, int]] = []
-        found: dict[str, tuple[Detections, NDArray[np.int64]]] = {}
+        found: dict[str, tuple[Detections, Longs]] = {}
         for name, part in clean.items():
             self._check_known(name, part)
             hits = _detections(part, self.pfa, self._sensors[name].correlation)
@@ -203,7 +201,7 @@ class ObstacleStage:
 
     def _steps(
         self, events: list[tuple[int, str, int]], chunk: Mapping[str, Frames],
-        found: Mapping[str, tuple[Detections, NDArray[np.int64]]],
+        found: Mapping[str, tuple[Detections, Longs]],
     ) -> Iterator[ObstacleSectors]:  # fmt: skip
         for index, (t_ns, name, row) in enumerate(events):
             hits, edges = found[name]
@@ -264,7 +262,7 @@ def _sensor(spec: RadarSpec, tracker: TrackerSpec) -> _Sensor:
     return _Sensor(spec, RangeTracker(tracker), bore.copy(), half, least_m, (0.0, math.inf), noise_correlation(spec))
 
 
-def _detections(part: Frames, pfa: float, correlation: NDArray[np.complex128]) -> Detections:
+def _detections(part: Frames, pfa: float, correlation: Complexes) -> Detections:
     method: Any = "os-cfar" if has_phase(part) else "peaks"
     return detect(part, method=method, pfa=pfa, train=_TRAIN, quantile=_QUANTILE, correlation=correlation,
                   remove_own_echo=False)  # fmt: skip

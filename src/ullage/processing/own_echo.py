@@ -14,13 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats
 from ullage.data import Frames, Recording, joined, sensors_of
 from ullage.geometry import C0
 from ullage.processing.baseband import has_phase, to_baseband
 from ullage.processing.echoes import BLIND_M
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _PLACE = 0.25  # side of a place in wavelengths: frames of one place count once
 _LEAST_FRAMES = 3  # fewer have no statistics
@@ -48,7 +46,7 @@ class OwnEcho:
     ambiguity: float  # 0..1: largest share of a world echo's amplitude that may pass as own echo beyond the extent
     energy_share: float  # 0..1: share of the received energy that was removed
     places: int  # distinct places (a quarter wave wide) behind the estimate; 0: unknown poses
-    steady: NDArray[np.bool_] = field(repr=False)  # (b) bins that give the gain of each frame
+    steady: Bools = field(repr=False)  # (b) bins that give the gain of each frame
 
     @property
     def level_db(self) -> Floats:
@@ -226,7 +224,7 @@ def _power_db(values: NDArray[Any]) -> Floats:
     return np.asarray(10 * np.log10(np.maximum(np.mean(np.abs(values) ** 2, axis=0), 1e-30)))
 
 
-def _common(values: Complexes, near: NDArray[np.bool_]) -> tuple[Complexes, NDArray[np.bool_]]:
+def _common(values: Complexes, near: Bools) -> tuple[Complexes, Bools]:
     """The profile that all frames (n, b) share up to a gain each, and the bins (b) steady enough to show the gain."""
     mean = _median(values)
     steady = np.zeros(len(mean), bool)
@@ -248,7 +246,7 @@ def _median(values: Complexes) -> Complexes:
     return np.asarray(out)
 
 
-def _gains(values: NDArray[Any], profile: Complexes, here: NDArray[np.bool_] | None = None) -> Complexes:
+def _gains(values: NDArray[Any], profile: Complexes, here: Bools | None = None) -> Complexes:
     """The complex gain (n) that fits a profile (s) best to each frame (n, s); 1 where it is far from that.
 
     `here` (n, s) says which samples were received.
@@ -259,7 +257,7 @@ def _gains(values: NDArray[Any], profile: Complexes, here: NDArray[np.bool_] | N
     return np.asarray(np.where(np.abs(gain - 1) < _LARGEST_CHANGE, gain, 1.0))
 
 
-def _wall_phasors(frames: Frames) -> NDArray[np.complex128]:
+def _wall_phasors(frames: Frames) -> Complexes:
     """The phases (n, d) that a flat wall's echo has along the track, for directions d about across the track.
 
     Only these directions matter: an echo from elsewhere turns many times along the track and averages out.
@@ -275,7 +273,7 @@ def _wall_phasors(frames: Frames) -> NDArray[np.complex128]:
     return np.asarray(np.exp(4j * np.pi / frames.spec.wavelength_m * place @ direction.T))
 
 
-def _without_walls(values: Complexes, common: Complexes, phasors: NDArray[np.complex128]) -> Complexes:
+def _without_walls(values: Complexes, common: Complexes, phasors: Complexes) -> Complexes:
     """The common profile (b) without the part that a flat wall leaves in it.
 
     Least squares of x_n = g + a e_n in each bin, e_n being the wall phase that fits the remainder best: the means
@@ -295,7 +293,7 @@ def _without_walls(values: Complexes, common: Complexes, phasors: NDArray[np.com
     return np.asarray(common + np.where(explains & (np.abs(rho) < _SEPARABLE), own, 0))
 
 
-def _significant(values: Complexes) -> NDArray[np.bool_]:
+def _significant(values: Complexes) -> Bools:
     """Where the mean of frames (n, b) stands out of what they differ by (b): noise alone does in e^-12 of all bins."""
     mean = values.mean(axis=0)
     spread = np.mean(np.abs(values - mean) ** 2, axis=0) / max(len(values) - 1, 1)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Longs
 from ullage.data import Frames, Trajectory
 from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import to_baseband
@@ -22,9 +22,6 @@ from ullage.processing.motion_match import whole_frames
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 SEGMENT_WAVELENGTHS = 20.0  # part of the track that one seed is drawn from: a range offset hardly defocuses it
 CELLS = 1.5e8  # cell times frames over all segments, which bounds the time
@@ -156,7 +153,7 @@ class PointFocus:
         return sorted(out, key=lambda one: -one[0])[:MOST_SEEDS]
 
     def _segment(
-        self, path: Floats, use: NDArray[np.int64], taper: Floats, range_m: float, flat: bool, segments: int
+        self, path: Floats, use: Longs, taper: Floats, range_m: float, flat: bool, segments: int
     ) -> list[tuple[float, Floats]]:
         """Peaks of coherence in a box around a part of the track."""
         from ullage.kernels.backprojection import backproject_rows

@@ -14,12 +14,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from ullage.arrays import Floats
 from ullage.specs import Spec
-
-Floats = NDArray[np.float64]
 
 _UNDECIDED, _OUTSIDE, _MOST_EVIDENCE = 0, 4, 6  # frames that contradict the main lobe
 _LEAST_SPEED_M_S = 0.1  # below it, ego-motion says nothing about a bearing

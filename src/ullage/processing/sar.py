@@ -6,8 +6,8 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Grid, Image
@@ -15,7 +15,6 @@ from ullage.processing.backprojection import Backprojector
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.summation import summed
 
-Floats = NDArray[np.float64]
 Window = Literal["path", "none", "hann", "taylor"]
 
 

@@ -19,14 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.processing.baseband import as_baseband
 from ullage.processing.blocks import PRIOR
 from ullage.processing.point_focus import Point, PointFocus
-
-Floats = NDArray[np.float64]
 
 PFA = 0.01
 """Probability that the clutter of a recording alone gives one scatterer or more."""

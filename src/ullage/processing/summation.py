@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.data import Frames
 from ullage.geometry import quat_matrix
 from ullage.grids import Grid, Image
 from ullage.processing.baseband import checked, envelope
-
-Floats = NDArray[np.float64]
 
 
 def summed(parts: list[Frames], grid: Grid) -> Image:
@@ -42,7 +40,7 @@ def _lay(frames: Frames, grid: Grid, out: Floats) -> None:
         out += np.bincount(flat, weights=share[inside], minlength=grid.size)
 
 
-def _at(profiles: NDArray[np.float32], range_m: Floats, wanted: Floats) -> Floats:
+def _at(profiles: Singles, range_m: Floats, wanted: Floats) -> Floats:
     u = np.interp(wanted, range_m, np.arange(len(range_m)))
     i = np.minimum(u.astype(np.int64), len(range_m) - 2)
     f = u - i

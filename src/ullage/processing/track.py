@@ -8,13 +8,11 @@ bin, so a bin alarms with at most pfa.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.processing.baseband import has_phase, to_baseband
-
-Floats = NDArray[np.float64]
 
 BEND_M = 0.02
 MOST_FRAMES = 41
@@ -25,7 +23,7 @@ OUTSTANDING = 4.0  # times their median: of frames of noise alone one in sixteen
 
 def tracked(
     frames: Frames, sigma: float, *, pfa: float, window_m: float, min_range_m: float
-) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+) -> tuple[Longs, Floats, Floats, Floats]:
     """Frame, range [m], amplitude (root of the mean power along the track) and signal to noise [dB] of each detection.
 
     Args:
@@ -69,9 +67,7 @@ def tracked(
     return columns[:, 0].astype(np.int64), columns[:, 1], columns[:, 2], columns[:, 3]
 
 
-def heard_all_along(
-    power: Floats, along: Floats, range_m: Floats, top: NDArray[np.int64], cosine: Floats, levels: Floats
-) -> NDArray[np.bool_]:
+def heard_all_along(power: Floats, along: Floats, range_m: Floats, top: Longs, cosine: Floats, levels: Floats) -> Bools:
     """Which peaks (k) are heard in most frames: not those of a few in which they cross what a strong echo draws.
 
     A hyperbola of the wrong bearing meets that of a strong echo near an end of the track, and those frames alone may
@@ -101,7 +97,7 @@ def level_of_sums(pfa: float) -> Floats:
     return np.concatenate([[np.inf], gammainccinv(np.arange(1, MOST_FRAMES + 1), pfa)])
 
 
-def window(path: Trajectory, index: int, window_m: float) -> tuple[NDArray[np.int64], Floats]:
+def window(path: Trajectory, index: int, window_m: float) -> tuple[Longs, Floats]:
     """Frames about one, up to where the track bends, and their way along it [m]; the frame alone where they are few."""
     away = path.position - path.position[index]
     gap = np.linalg.norm(away, axis=1)

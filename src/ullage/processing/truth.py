@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import boresight_pattern
+from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Frames, Recording, Trajectory, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
@@ -15,9 +15,6 @@ from ullage.grids import Grid
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SPECULAR_RAD = np.radians(10.0)
 OBLIQUE_RAD = np.radians(75.0)
@@ -36,18 +33,18 @@ class Surface:
 
     points: Floats  # (s, 3) [m]
     normals: Floats  # (s, 3), zero for wires: they have no one normal
-    object_id: NDArray[np.int64]  # (s) into scene.objects
-    looks: NDArray[np.int64]  # (s) looks in beam, in range, in line of sight and near enough to the normal
-    seen: Flags  # (s) in beam, in range and in line of sight at least once, at any incidence
-    in_view: Flags  # (s) in range and in line of sight from the flight in any direction: what a lidar there would see
+    object_id: Longs  # (s) into scene.objects
+    looks: Longs  # (s) looks in beam, in range, in line of sight and near enough to the normal
+    seen: Bools  # (s) in beam, in range and in line of sight at least once, at any incidence
+    in_view: Bools  # (s) in range and in line of sight from the flight in any direction: what a lidar there would see
     corners: Floats  # (c, 3) corners of triangles on a volume: surface too, but not spread by area [m]
 
-    def observable(self, min_looks: int) -> Flags:
+    def observable(self, min_looks: int) -> Bools:
         """Points that gave an echo in at least so many looks."""
         return np.asarray(self.looks >= min_looks)
 
 
-def spaced_looks(path: Trajectory, *, step_m: float = LOOK_M, turn_rad: float = LOOK_RAD) -> NDArray[np.int64]:
+def spaced_looks(path: Trajectory, *, step_m: float = LOOK_M, turn_rad: float = LOOK_RAD) -> Longs:
     """Indices of poses that lie at least a step or a turn after the one before."""
     keep = [0]
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
@@ -89,7 +86,7 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     return Surface(points, normals, owner, looks, seen, in_view, corners[_on_grid(plane, corners)])
 
 
-def _on_grid(grid: Grid, points: Floats) -> Flags:
+def _on_grid(grid: Grid, points: Floats) -> Bools:
     """Whether each point lies on the grid, its border on every side included: the walls of a room lie just there."""
     low = np.asarray(grid.origin_m)[: grid.dims]
     high = low + grid.step_m * np.asarray(grid.shape)[::-1]
@@ -102,9 +99,9 @@ def _count_looks(
     caster: Raycaster,
     points: Floats,
     normals: Floats,
-    smooth: Flags,
-    looks: NDArray[np.int64],
-    seen: Flags,
+    smooth: Bools,
+    looks: Longs,
+    seen: Bools,
 ) -> None:
     path = true_path(frames)
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
@@ -129,7 +126,7 @@ def half_beam_rad(frames: Frames) -> float:
     return boresight_pattern(frames.spec.antenna).half_power_rad
 
 
-def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float, half_rad: float) -> NDArray[np.int64]:
+def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float, half_rad: float) -> Longs:
     """Indices of the points, given as columns (3, p), in the beam and in range; most points are in neither."""
     x, y, z = columns
     along = x * ahead[0]
@@ -142,7 +139,7 @@ def _in_beam(columns: Floats, eye: Floats, ahead: Floats, reach: float, half_rad
     return np.asarray(front[lit], np.int64)
 
 
-def _slice(scene: Scene, plane: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def _slice(scene: Scene, plane: Grid, spacing: float) -> tuple[Floats, Floats, Longs]:
     z = float(plane.origin_m[2])
     corners = scene.corners()
     above = corners[:, :, 2] > z
@@ -164,7 +161,7 @@ def _slice(scene: Scene, plane: Grid, spacing: float) -> tuple[Floats, Floats, N
     )
 
 
-def _nearest_wire(scene: Scene, points: Floats, z: float) -> NDArray[np.int64]:
+def _nearest_wire(scene: Scene, points: Floats, z: float) -> Longs:
     if not len(points):
         return np.zeros(0, np.int64)
     a, b = scene.wires.start, scene.wires.end
@@ -180,7 +177,7 @@ def _normals(corners: Floats) -> Floats:
     return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-12))
 
 
-def _volume(scene: Scene, grid: Grid, spacing: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+def _volume(scene: Scene, grid: Grid, spacing: float) -> tuple[Floats, Floats, Longs]:
     """Points spread evenly over the area of all surfaces: equal areas hold equal counts, whatever their triangles.
 
     One point for each `spacing` squared, at most MOST_POINTS in all. Wires count with the area of their mantle. Each
@@ -202,14 +199,14 @@ def _volume(scene: Scene, grid: Grid, spacing: float) -> tuple[Floats, Floats, N
     return points, normals, owner[piece]
 
 
-def _even_picks(measure: Floats, count: int) -> NDArray[np.int64]:
+def _even_picks(measure: Floats, count: int) -> Longs:
     """Indices (count) of pieces, each as often as its measure says: one draw from each of `count` equal strata."""
     edges = np.cumsum(measure)
     drawn = (np.arange(count) + np.random.default_rng(SEED).random(count)) * (edges[-1] / count)
     return np.asarray(np.minimum(np.searchsorted(edges, drawn, side="right"), len(measure) - 1), np.int64)
 
 
-def _points_on(scene: Scene, corners: Floats, piece: NDArray[np.int64]) -> tuple[Floats, Floats]:
+def _points_on(scene: Scene, corners: Floats, piece: Longs) -> tuple[Floats, Floats]:
     """A point on each piece, triangles first, then wires; those on one piece are spread by a Kronecker sequence."""
     order = np.argsort(piece, kind="stable")
     rank = np.empty(len(piece), np.int64)
@@ -231,7 +228,7 @@ def _points_on(scene: Scene, corners: Floats, piece: NDArray[np.int64]) -> tuple
 
 def in_sight(
     scene: Scene, frames: Recording, points: Floats, *, eyes: int = EYES, reach_m: float = np.inf, slack_m: float = 1e-3
-) -> Flags:
+) -> Bools:
     """Whether each point (p, 3) can be seen from anywhere on the flight, in any direction and at any incidence.
 
     Args:

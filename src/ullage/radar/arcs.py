@@ -22,17 +22,13 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.antenna import gain
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.radar.context import Bench, View, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import deposit
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
 PANEL_M = 0.025

@@ -10,8 +10,8 @@ is infinite where rays of all planes meet. In the middle all of the wall focuses
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats
 from ullage.geometry import C0
 from ullage.radar.ball_echoes import apart_rad
 from ullage.radar.balls import Ball
@@ -20,9 +20,6 @@ from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.wall_bounces import LEAST_M, PULL_M, Fan, deposit, fan_of
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _PLANES = 8  # through the line from the centre to the radar
 _WHOLE = 0.9  # less of a ball is a bowl: what its rim leaves of a wave is not known

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import gain
+from ullage.arrays import Bools, Complexes, Floats
 from ullage.geometry import C0
 from ullage.radar.arcs import reflection
 from ullage.radar.balls import Ball
@@ -24,10 +24,6 @@ from ullage.radar.context import Bench, View, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid
 from ullage.radar.wall_bounces import PULL_M, deposit
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 LEAST_M = 0.05
 """Nearer to a ball the wave is no ray: its facets are done as they are [m]."""

@@ -10,17 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ullage.arrays import Bools, Floats
 from ullage.radar.facets import Surfaces
 from ullage.radar.rounds import LEAST_M, OFF_M, Shell, leveled, linked
 from ullage.radar.solids import welded
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 _FEWEST = 16  # triangles
 _DEEP = 0.05  # by more than this share of their radius facets do not lie within a ball

@@ -11,9 +11,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.antenna import cube
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import facets as kernel
 from ullage.radar.diffraction import Rims, nowhere, rims_of
@@ -26,12 +26,6 @@ from ullage.radar.visibility import seen
 from ullage.radar.wires import Lines, strung
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-
-Complexes = NDArray[np.complex128]
-
-Bools = NDArray[np.bool_]
 
 KAPPA = 1 / 8
 """Largest squared transverse edge of a piece over wavelength times range."""
@@ -125,8 +119,8 @@ def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
 
 def lay_triangles(
     normals: Floats,
-    stuffs: NDArray[np.int32],
-    pieces: tuple[Floats, NDArray[np.int32], NDArray[np.int64]],
+    stuffs: Ints,
+    pieces: tuple[Floats, Ints, Longs],
     between: tuple[Complexes, Floats],
     told: tuple[Any, ...],
 ) -> Laid:
@@ -150,9 +144,7 @@ def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
             ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s, grids)  # fmt: skip
 
 
-def grown(
-    size: int, shape: tuple[int, ...], fill: Callable[[Floats, NDArray[np.int32]], int]
-) -> tuple[Floats, NDArray[np.int32]]:
+def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]) -> tuple[Floats, Ints]:
     """Runs a kernel that counts what it writes, again with more room when there was too little."""
     while True:
         out, owner = np.empty((size, *shape)), np.empty(size, np.int32)
@@ -162,7 +154,7 @@ def grown(
         size = int(1.2 * count)
 
 
-def triangles(ready: Bench, part: Surfaces, view: View, done: Bools | None = None) -> tuple[Floats, NDArray[np.int32]]:
+def triangles(ready: Bench, part: Surfaces, view: View, done: Bools | None = None) -> tuple[Floats, Ints]:
     """Triangles within the gate but those `done` (f), small enough for the closed form, and which each came from."""
     opaque = ~ready.sheets.thin[part.stuffs]
     if near(*view.origins):

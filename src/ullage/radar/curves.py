@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import edges, lit
 from ullage.kernels import facets as triangle
@@ -26,12 +27,6 @@ from ullage.radar.laid import Laid, centroids
 from ullage.radar.mirrors import unit
 from ullage.radar.solids import Backs
 from ullage.radar.ways import Ways, reached
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 NUDGE_M = 5e-3
 """Points of facets are looked at so far within their rims [m]."""

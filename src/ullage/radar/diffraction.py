@@ -12,17 +12,13 @@ from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar import double_diffraction as double
 from ullage.radar.solids import welded
 from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 TURN_DEG = 40.0
 """A mesh that turns by less at an edge stands for a smooth surface [deg]."""
@@ -49,7 +45,7 @@ class Edges:
     def __len__(self) -> int:
         return len(self.angles)
 
-    def take(self, index: NDArray[np.bool_] | Longs) -> Edges:
+    def take(self, index: Bools | Longs) -> Edges:
         """Some of them."""
         return Edges(*(getattr(self, f.name)[index] for f in fields(self)))
 
@@ -67,10 +63,10 @@ class Rims:
     """Edges as one wavelength has them: sides of thin plates are no faces."""
 
     edges: Edges
-    sheets: NDArray[np.bool_]  # (w) rim of a thin body: only its first face counts
+    sheets: Bools  # (w) rim of a thin body: only its first face counts
     pairs: double.Pairs
-    both: NDArray[np.bool_]  # (p) the wave runs over both sides
-    bare: NDArray[np.bool_]  # (p) of a sheet, which a wave from behind meets too
+    both: Bools  # (p) the wave runs over both sides
+    bare: Bools  # (p) of a sheet, which a wave from behind meets too
     strong: Floats  # (p) strength of the wave across over that of an edge by itself, at most
 
 
@@ -131,7 +127,7 @@ def placed(edges: Edges, poses: Floats | None) -> Edges:
     return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
 
 
-def facing(edges: Edges, sheets: NDArray[np.bool_], origin: Floats) -> NDArray[np.bool_]:
+def facing(edges: Edges, sheets: Bools, origin: Floats) -> Bools:
     """Which edges (w) have the point (3) in their open side; of a thin body, over its wide face."""
     lit = np.einsum("nfi,ni->nf", edges.normals, origin - edges.starts) > 0
     return np.asarray(lit[:, 0] | (lit[:, 1] & ~sheets))
@@ -155,7 +151,7 @@ def _none() -> Edges:
                  np.zeros((0, 2), np.int64))  # fmt: skip
 
 
-def _edges(scene: Scene, chosen: NDArray[np.bool_]) -> Edges:
+def _edges(scene: Scene, chosen: Bools) -> Edges:
     """Edges where the chosen faces end or turn, whether or not anything touches them."""
     corners = scene.vertices[scene.faces[chosen]]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -286,7 +282,7 @@ def _free(edges: Edges, rays: Raycaster) -> Edges:
     return _strung(edges, of, step, parts, open_)
 
 
-def _circled(edges: Edges, middle: Floats, rays: Raycaster) -> NDArray[np.bool_]:
+def _circled(edges: Edges, middle: Floats, rays: Raycaster) -> Bools:
     """Whether an arc from face to face about each point meets nothing."""
     steps = 11  # odd, so that no chord ends half way round, where surfaces through the edge mostly lie
     share = np.linspace(0, 1, steps + 1)
@@ -297,7 +293,7 @@ def _circled(edges: Edges, middle: Floats, rays: Raycaster) -> NDArray[np.bool_]
     return np.asarray(clear.reshape(-1, steps).all(1))
 
 
-def _strung(edges: Edges, of: Longs, step: Longs, parts: Longs, open_: NDArray[np.bool_]) -> Edges:
+def _strung(edges: Edges, of: Longs, step: Longs, parts: Longs, open_: Bools) -> Edges:
     """Neighbouring open parts of an edge as one."""
     begins = open_ & ~np.r_[False, open_[:-1] & (of[1:] == of[:-1])]
     stops = open_ & ~np.r_[open_[1:] & (of[1:] == of[:-1]), False]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from weakref import WeakSet
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Trajectory
 from ullage.errors import UllageWarning
 from ullage.radar.folding import warn_of_folding
@@ -17,8 +17,6 @@ from ullage.radar.prepared import Prepared, prepare
 from ullage.specs import RadarSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 NEAREST_M = 0.05
 """Surfaces nearer than this to a sensor are not in its far field: a bit over a wavelength [m]."""
@@ -85,7 +83,7 @@ def _size(points: Floats) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def _welded(corners: Floats) -> NDArray[np.int64]:
+def _welded(corners: Floats) -> Longs:
     """Numbers (f, 3) of the corners, the same for corners at one place."""
     grid = np.round((corners.reshape(-1, 3) - corners.min((0, 1))) / 1e-6).astype(np.int64)
     order = np.lexsort(grid.T)
@@ -99,10 +97,10 @@ def _welded(corners: Floats) -> NDArray[np.int64]:
 class _Edges:
     flipped: int  # between two faces turned against each other
     open: int  # with one face only
-    rim: NDArray[np.int64]  # corners of those
+    rim: Longs  # corners of those
 
 
-def _edges(tri: NDArray[np.int64]) -> _Edges:
+def _edges(tri: Longs) -> _Edges:
     ahead = np.stack([tri, np.roll(tri, -1, 1)], -1).reshape(-1, 2)
     ahead = ahead[ahead[:, 0] != ahead[:, 1]]
     wide = int(tri.max()) + 1
@@ -113,7 +111,7 @@ def _edges(tri: NDArray[np.int64]) -> _Edges:
     return _Edges(int(((count == 2) & (up != 1)).sum()), len(alone), np.unique(np.r_[alone // wide, alone % wide]))
 
 
-def _places(world: Prepared, position: Floats, t_ns: NDArray[np.int64], name: str) -> list[str]:
+def _places(world: Prepared, position: Floats, t_ns: Longs, name: str) -> list[str]:
     """Poses of a sensor that are inside a body or too near to a surface."""
     rays = Raycaster(world.scene)
     around = np.concatenate([np.eye(3), -np.eye(3)])
@@ -134,7 +132,7 @@ def _places(world: Prepared, position: Floats, t_ns: NDArray[np.int64], name: st
                   for k in np.unique(owner[inside, 0])]  # fmt: skip
 
 
-def _solids(scene: Scene) -> NDArray[np.bool_]:
+def _solids(scene: Scene) -> Bools:
     """Which objects are closed, with all faces turned outward: not rooms, whose faces look inward."""
     out = np.zeros(max(len(scene.objects), 1), bool)
     corners = scene.corners()

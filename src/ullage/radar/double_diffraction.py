@@ -12,13 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.wires import moved
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 WIDEST_M = 1.0
 """Edges farther apart than this know nothing of each other [m]."""
@@ -41,7 +37,7 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.stuffs)
 
-    def take(self, index: NDArray[np.bool_] | Longs) -> Pairs:
+    def take(self, index: Bools | Longs) -> Pairs:
         """Some of them."""
         return Pairs(*(getattr(self, f.name)[index] for f in fields(self)))
 
@@ -109,7 +105,7 @@ def strung(parts: list[Pairs]) -> Pairs:
     return Pairs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pairs)))
 
 
-def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, NDArray[np.bool_], NDArray[np.bool_]]:
+def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools]:
     """Pairs wide enough, edges of thin bodies as rims; whether the wave runs over both sides; which are sheets."""
     held = pairs.take(np.linalg.norm(pairs.gaps, axis=1) >= narrow_m)
     sheets = held.angles > 2 - 1e-6

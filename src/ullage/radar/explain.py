@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
@@ -21,10 +22,6 @@ from ullage.radar.laid import Laid
 from ullage.radar.physical import lay, passive, radio
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 _CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are told as one
 _APART_M = 0.5  # but not where nothing of the object lies between, over more than this and than a face fills of a cell
@@ -153,8 +150,8 @@ class _Rows:
     points: Floats  # (n, 3) [m]
     chains: Longs  # (n, 3) objects in the order in which the wave meets them, -1 for none
     scatterers: Longs  # (n) which of the chain sent the wave back
-    rays: NDArray[np.bool_]  # (n) mirror points
-    whole: NDArray[np.bool_]  # (n) echoes that mean something without those of the same face
+    rays: Bools  # (n) mirror points
+    whole: Bools  # (n) echoes that mean something without those of the same face
 
 
 @dataclass(frozen=True, slots=True, eq=False)

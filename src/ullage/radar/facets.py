@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.solids import EVEN, Backs, backs, welded
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 FLAT_M = 0.15
 """Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
@@ -51,7 +48,7 @@ class Flats:
     flat_of: Ints  # (c) face of each
     widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
     across: Floats  # (p, 2, 3) two unit vectors in each, at right angles
-    smooth: NDArray[np.bool_]  # (p) whether each is a facet of a curved surface
+    smooth: Bools  # (p) whether each is a facet of a curved surface
 
     def __len__(self) -> int:
         return len(self.offsets)
@@ -86,14 +83,14 @@ class Surfaces:
     home: Surfaces | None = None  # these before they moved
     poses: Floats | None = None  # (o, 4, 4) of the objects, when they have moved
 
-    def casters(self, thin: NDArray[np.bool_]) -> tuple[Raycaster, Veil | None]:
+    def casters(self, thin: Bools) -> tuple[Raycaster, Veil | None]:
         """Rays over what is opaque, and over what is not, for a choice of thin objects (o); built when first asked."""
         key = thin.tobytes()
         if key not in self.split:
             self.split[key] = self._split(thin)
         return self.split[key]
 
-    def _split(self, thin: NDArray[np.bool_]) -> tuple[Raycaster, Veil | None]:
+    def _split(self, thin: Bools) -> tuple[Raycaster, Veil | None]:
         mine = thin[self.solid.face_object]
         if not mine.any():
             return self.rays, None
@@ -109,7 +106,7 @@ def only(scene: Scene, kept: NDArray[np.generic]) -> Scene:
     return replace(scene, faces=scene.faces[kept], face_object=scene.face_object[kept], corner_normals=None)
 
 
-def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
+def gather(scene: Scene, faces: Bools) -> Surfaces:
     """The chosen faces of a scene, moving ones as they stand at their start; faces without area are left out."""
     corners = scene.corners()
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -133,9 +130,7 @@ def gather(scene: Scene, faces: NDArray[np.bool_]) -> Surfaces:
                     index[large], at.astype(np.int64))  # fmt: skip
 
 
-def strewn(
-    corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: Surfaces
-) -> tuple[Surfaces, NDArray[np.int64]]:
+def strewn(corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: Surfaces) -> tuple[Surfaces, Longs]:
     """Triangles (f, 3, 3) with normals, objects and outer sides, among what else there is, and their order (f)."""
     size = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     order, first = _clusters(corners.mean(1), np.sqrt(size))
@@ -156,7 +151,7 @@ def twins(corners: Floats) -> tuple[Longs, Longs]:
     return face[twin], face[twin + 1]
 
 
-def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> NDArray[np.int64]:
+def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> Longs:
     """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object.
 
     Neighbours may be off by what files round; but where that adds up to a bend, as round a wall of long, narrow strips,
@@ -219,7 +214,7 @@ def _planes(corners: Floats, normals: Floats, patch: Longs) -> tuple[Floats, Flo
     return normal, np.asarray(middle)
 
 
-def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDArray[np.bool_]:
+def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> Bools:
     """Whether each patch is a facet of a curved surface: one that goes on over two edges with hardly a bend."""
     count = int(patch.max()) + 1 if len(patch) else 0
     if not count:
@@ -231,7 +226,7 @@ def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> NDAr
     return np.asarray(ways >= 2)
 
 
-def _extents(corners: Floats, patch: NDArray[np.int64]) -> Floats:
+def _extents(corners: Floats, patch: Longs) -> Floats:
     """Twice the greatest distance of each patch from its centre of area [m].
 
     A rectangle's is its diagonal. Unlike a box along the axes, it stays the same when the world is turned.
@@ -248,9 +243,7 @@ def _extents(corners: Floats, patch: NDArray[np.int64]) -> Floats:
     return 2 * out
 
 
-def _flats(
-    corners: Floats, normals: Floats, stuffs: Ints, patch: NDArray[np.int64], curved: NDArray[np.bool_]
-) -> Flats:
+def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs, curved: Bools) -> Flats:
     """Rims of patches: the directed edges that no neighbour of the same patch runs back along."""
     names, lead, patch = np.unique(patch, return_index=True, return_inverse=True)
     normal, middle = _planes(corners, normals, patch)
@@ -310,7 +303,7 @@ def _extent(normals: Floats, offsets: Floats, across: Floats, first: Ints, start
     return np.column_stack([middle, radius]), high - low
 
 
-def _ordered(start: NDArray[np.int64], end: NDArray[np.int64], first: Ints) -> tuple[NDArray[np.int64], Ints, Ints]:
+def _ordered(start: Longs, end: Longs, first: Ints) -> tuple[Longs, Ints, Ints]:
     """An order that strings each face's rim into closed loops, the first loop of each face, and of loops the edge."""
     order: list[int] = []
     loops, loop_of = [0], [0]
@@ -353,7 +346,7 @@ def _turning(starts: Floats, ends: Floats, loops: Ints, rounded: float) -> Longs
 
 
 def _convex(
-    triangles: Floats, patch: NDArray[np.int64], normal: Floats, starts: Floats, first: Ints, loop_of: Ints
+    triangles: Floats, patch: Longs, normal: Floats, starts: Floats, first: Ints, loop_of: Ints
 ) -> tuple[Floats, Ints, Ints]:
     """Convex outlines that cover each face: its rim, sliced, where that is one convex loop; otherwise its triangles."""
     outlines: list[Floats] = []
@@ -382,7 +375,7 @@ def _slices(outline: Floats) -> list[Floats]:
     return [np.concatenate([outline[:1], outline[i : i + step + 1]]) for i in range(1, len(outline) - 1, step)]
 
 
-def _outlines(starts: Floats, first: Ints, normal: Floats) -> tuple[Floats, Longs, NDArray[np.bool_]]:
+def _outlines(starts: Floats, first: Ints, normal: Floats) -> tuple[Floats, Longs, Bools]:
     """Rims as one loop each without the corners at which they run straight on, where each begins; which are convex."""
     of = np.repeat(np.arange(len(normal)), np.diff(first))
     before, after = _neighbours(first)
@@ -436,9 +429,9 @@ def joined(parts: Sequence[Flats]) -> Flats:
                  loose("widths"), loose("across"), loose("smooth").astype(np.bool_))  # fmt: skip
 
 
-def _clusters(centres: Floats, sizes: Floats) -> tuple[NDArray[np.int64], Ints]:
+def _clusters(centres: Floats, sizes: Floats) -> tuple[Longs, Ints]:
     """An order of the triangles and where each cluster starts: halves along the longest side, large ones alone."""
-    groups: list[NDArray[np.int64]] = []
+    groups: list[Longs] = []
     waiting = [np.arange(len(centres))]
     while waiting:
         group = waiting.pop()

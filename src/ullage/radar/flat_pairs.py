@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as kernel
 from ullage.radar.context import Bench, View
@@ -23,10 +24,6 @@ from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies,
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, deposit
 from ullage.radar.ways import FACES, largest
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 FAINT = 2e-3
 """Chains that do not make this share of a frame's strongest echo are left out."""
@@ -126,9 +123,7 @@ def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any])
                      np.where(at == AFTER, face, last)])  # fmt: skip
 
 
-def _told(
-    ready: Bench, path: Real, after: NDArray[np.bool_], lengths: Floats, value: Complexes, grids: Complexes
-) -> Laid:
+def _told(ready: Bench, path: Real, after: Bools, lengths: Floats, value: Complexes, grids: Complexes) -> Laid:
     """Lays the echoes of paths (n), some of which meet their face after both bodies."""
     echo = deposit(ready, lengths / C0, value, grids, (0.0, 1.0))
     stuffs = path.stuffs

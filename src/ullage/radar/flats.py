@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import edges as kernel
 from ullage.kernels import rims as draw
 from ullage.radar.context import Bench, View, common, shading
@@ -16,11 +17,6 @@ from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.folding import limits_of
 from ullage.radar.laid import Laid, laid_by
 from ullage.radar.penetration import TAPS
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 _NUDGE_M = 5e-3
 _RINGS = np.arange(6) * np.pi / 3
@@ -74,7 +70,7 @@ def lay_flats(
     part: Surfaces,
     view: View,
     grids: Complexes,
-    done: NDArray[np.bool_] | None = None,
+    done: Bools | None = None,
 ) -> list[Laid]:
     """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it.
 
@@ -162,7 +158,7 @@ def lay_rim(
 
 def _looks(
     ready: Bench, flats: Flats | Outlined, rim: Rim, points: Floats, which: Longs
-) -> tuple[Floats, Longs, Longs, NDArray[np.bool_]]:
+) -> tuple[Floats, Longs, Longs, Bools]:
     """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
 
     Also on which face each look lies, which of the looks each piece and end is seen by, and which points of the zones
@@ -178,7 +174,7 @@ def _looks(
     return spots[: count + about], faces[: count + about], seats, within
 
 
-def _mean(shade: Complexes, extra: Floats, held: NDArray[np.bool_]) -> tuple[Complexes, Floats]:
+def _mean(shade: Complexes, extra: Floats, held: Bools) -> tuple[Complexes, Floats]:
     """Mean factor and delay over the part of each zone that lies on its face."""
     share = held.sum(1)
     shade, extra = shade.reshape(held.shape), extra.reshape(held.shape)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import double_fringe, fringe, lines
 from ullage.kernels import wires as string
@@ -16,11 +16,6 @@ from ullage.radar import double_diffraction as double
 from ullage.radar.context import KAPPA, REACH, Bench, View, common, grown, shading
 from ullage.radar.facets import Surfaces
 from ullage.radar.laid import Laid, laid_by
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
-Complexes = NDArray[np.complex128]
 
 FAINT = 10 ** (-150 / 20)
 """Edges that cannot return more are left out, as path gain amplitude."""
@@ -71,9 +66,7 @@ class Parted:
     ties: Longs  # (n) piece that goes on from each end, -1 for none
 
 
-def _heard(
-    ready: Bench, view: View, starts: Floats, ends: Floats, lit: NDArray[np.bool_], factors: Floats | None = None
-) -> Longs:
+def _heard(ready: Bench, view: View, starts: Floats, ends: Floats, lit: Bools, factors: Floats | None = None) -> Longs:
     """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
     strong = np.ones(len(lit)) if factors is None else factors
     heard = np.zeros(len(lit), np.bool_)

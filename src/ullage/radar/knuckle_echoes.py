@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes
 from ullage.radar.ball_echoes import lay_balls, smoothed
 from ullage.radar.context import Bench, View, common, lay_triangles, shading, triangles
 from ullage.radar.facets import Surfaces
 from ullage.radar.knuckles import Knuckle
 from ullage.radar.laid import Laid, centroids
 from ullage.radar.wall_bounces import PULL_M
-
-Floats = NDArray[np.float64]
-
-Complexes = NDArray[np.complex128]
-
-Bools = NDArray[np.bool_]
 
 
 def lay_heads(

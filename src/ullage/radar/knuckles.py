@@ -11,16 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.radar.facets import SMOOTH_DEG, Flats, Surfaces, strewn
 from ullage.radar.rounds import OFF_M, Round, Shell
 from ullage.radar.solids import Backs
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 EDGE_M = 0.03
 """Triangles that stand for a torus are no longer than this [m]."""
@@ -140,7 +136,7 @@ def _knuckle(shell: Shell, tube: Tube, still: Surfaces) -> Knuckle:
     return Knuckle(fine, float(depth), float(sides.min(1).max()), shell.stuff, flats, small)
 
 
-def _refined(corners: Floats, tube: Tube) -> tuple[Floats, NDArray[np.int64]]:
+def _refined(corners: Floats, tube: Tube) -> tuple[Floats, Longs]:
     """Triangles (m, 3, 3) on the tube in place of some (n, 3, 3), cut evenly in its angles; which each is of."""
     angles = np.stack(tube.angles(corners), -1)
     count = np.ceil(np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2).max(1) / EDGE_M).astype(np.int64)
@@ -176,7 +172,7 @@ def _taken(still: Surfaces, tube: Tube, stuff: int) -> tuple[Bools, Bools]:
     return large, small
 
 
-def _backs(middles: Floats, still: Surfaces, parent: NDArray[np.int64], corners: Floats, normals: Floats) -> Backs:
+def _backs(middles: Floats, still: Surfaces, parent: Longs, corners: Floats, normals: Floats) -> Backs:
     """Outer sides of triangles (m, 3, 3), each turned as the face whose middle (n, 3) lies nearest to its parent's."""
     flats = still.flats
     centres = np.concatenate([still.corners.mean(1), flats.spheres[:, :3]])

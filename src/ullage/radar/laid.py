@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 
 Again = Callable[[Complexes, Complexes], None]
 Places = Callable[[], Floats]
@@ -20,14 +18,14 @@ Places = Callable[[], Floats]
 class Laid:
     """Echoes laid down, for those who want to know where they came from."""
 
-    stuffs: NDArray[np.int32]  # (m) object
+    stuffs: Ints  # (m) object
     points: Floats | Places  # (m, 3) [m], or what gives them: most frames are never explained
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
     again: Again  # lays them once more, each times a factor (m), on other grids (3, g)
-    via: NDArray[np.int64] | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
-    before: NDArray[np.int64] | None = None  # (m) how many of them before the object; None: all
-    rays: NDArray[np.bool_] | None = None  # (m) true for a mirror point, false for what its rim adds; None: neither
+    via: Longs | None = None  # (m, 2) objects that mirror on the way, -1 for none; None: none at all
+    before: Longs | None = None  # (m) how many of them before the object; None: all
+    rays: Bools | None = None  # (m) true for a mirror point, false for what its rim adds; None: neither
 
     @property
     def places(self) -> Floats:
@@ -41,7 +39,7 @@ def centroids(triangles: Floats) -> Floats:
 
 
 def laid_by(
-    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: NDArray[np.int32], points: Floats | Places,
+    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: Ints, points: Floats | Places,
     **more: Any,
 ) -> Laid:  # fmt: skip
     """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays.

@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ullage.data import Floats, Frames, Times
+from ullage.arrays import Floats, Longs
+from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.radar.copies import cores
 from ullage.radar.receiving import Fidelity, Receiving
@@ -62,7 +63,7 @@ class LiveRadars:
     def reset(self) -> None:
         """Begin anew, as after a clock that jumped: the next pose is the first."""
         self._first_ns: int | None = None
-        self._last: tuple[Times, Floats, Floats] | None = None
+        self._last: tuple[Longs, Floats, Floats] | None = None
         self._given = dict.fromkeys(self.sensors, 0)
 
     def advance(self, t_ns: ArrayLike, position: ArrayLike, quat_xyzw: ArrayLike) -> dict[str, Frames]:
@@ -95,7 +96,7 @@ class LiveRadars:
         """Let go of the threads."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def _with_last(self, t_ns: Times, position: Floats, quat: Floats) -> tuple[Times, Floats, Floats]:
+    def _with_last(self, t_ns: Longs, position: Floats, quat: Floats) -> tuple[Longs, Floats, Floats]:
         poses = (t_ns, position, quat)
         if self._last is not None:
             before = self._last
@@ -108,7 +109,7 @@ class LiveRadars:
         return poses
 
     def _due(self, name: str, now_ns: int) -> NDArray[np.int64]:
-        """Times of the frames not yet given that lie no later than the last pose."""
+        """Longs of the frames not yet given that lie no later than the last pose."""
         start = self._first_ns or 0
         rate = self._rate_hz[name]
         count = int((now_ns - start) * 1e-9 * rate) + 2  # one too many at most; cut by the clock below

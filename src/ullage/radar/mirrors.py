@@ -7,11 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Longs
 from ullage.radar.facets import Flats
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 
 def mirrored(point: Floats, flats: Flats, faces: Longs) -> Floats:

@@ -7,16 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Ints
 from ullage.geometry import invert
 from ullage.radar.facets import Flats, Surfaces, gather, joined, only
 from ullage.radar.solids import Backs, Boxes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 class Movers:
@@ -27,7 +24,7 @@ class Movers:
         faces: which of its faces move (f).
     """
 
-    def __init__(self, scene: Scene, faces: NDArray[np.bool_]) -> None:
+    def __init__(self, scene: Scene, faces: Bools) -> None:
         owners = np.unique(scene.face_object[faces])
         parts = [gather(scene, faces & (scene.face_object == owner)) for owner in owners]
         solid = only(scene, np.isin(scene.face_object, owners))

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import beams as kernel
 from ullage.kernels import bounces, edges
 from ullage.kernels import rims as draw
@@ -24,10 +24,6 @@ from ullage.radar.laid import Laid
 from ullage.radar.mirrors import mirrored
 from ullage.radar.visibility import between
 from ullage.radar.zones import shares, strengths
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 MIRRORS = 32
 """At most so many mirrors are used, those that look largest from the radar."""
@@ -47,7 +43,7 @@ class Beams:
     firsts: Floats  # (b, 3) its first image [m]
     chains: Longs  # (b, 2) flat faces that mirror, -1 for none
     ends_on: Longs  # (b) face at the end
-    first: NDArray[np.int32]  # (b + 1) first edge of each
+    first: Ints  # (b + 1) first edge of each
     edges: Floats  # (e, 2, 3) outlines of the lit parts [m]
     weights: Floats  # (b) how much of each counts
 
@@ -116,7 +112,7 @@ def _chosen(flats: Flats, look: Floats, gate_m: float, wavelength_m: float) -> C
 
 
 @lru_cache(maxsize=8)
-def _wide(flats: Flats, least_m: float) -> NDArray[np.bool_]:
+def _wide(flats: Flats, least_m: float) -> Bools:
     """Which faces (p) are no narrow facets of curved surfaces: those are done by `curves`, with one bounce at them."""
     return np.asarray(~(flats.smooth & (flats.widths.min(1, initial=np.inf) < least_m)))
 
@@ -224,7 +220,7 @@ def _through(flats: Flats, view: View, beams: Beams, lit: Floats) -> Floats:
     return path
 
 
-def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> NDArray[np.bool_]:
+def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> Bools:
     """Whether each path (b, 5, 3) that is wanted (not 0) is free on all its legs."""
     out = wanted != 0
     starts, ends = np.empty((2, 4 * len(path), 3))

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Ints
 from ullage.radar.context import Bench, View, common, lay_triangles, shading, triangles
 from ullage.radar.facets import Surfaces
 from ullage.radar.knuckle_echoes import lay_heads
 from ullage.radar.laid import Laid, centroids
 from ullage.radar.patches import Patches
 from ullage.radar.wall_bounces import PULL_M
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 
 def lay_curved(
@@ -42,7 +38,7 @@ def _laid(ready: Bench, parts: list[Surfaces], patches: Patches, view: View, gri
 
 
 def _before(
-    ready: Bench, parts: list[Surfaces], patches: Patches, view: View, leaves: Floats, owner: NDArray[np.int32]
+    ready: Bench, parts: list[Surfaces], patches: Patches, view: View, leaves: Floats, owner: Ints
 ) -> tuple[Complexes, Floats]:
     """Factor and delay [s] of what stands before leaves (m) of pieces: a ray for each cell, or leaf of a long piece."""
     cell = patches.cell[owner]

@@ -11,17 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.facets import Surfaces, strewn
 from ullage.radar.solids import Backs, welded
 from ullage.world import point_normal, smoothing
 from ullage.world.notices import notify
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 SHARE = 1 / 128
 """Middles of edges lie so far off the curved surface at the most, over the wavelength.
@@ -56,7 +52,7 @@ class Curved:
     """Facets that patches stand in for."""
 
     corners: Floats  # (n, 3, 3) [m]
-    stuffs: NDArray[np.int32]  # (n) object
+    stuffs: Ints  # (n) object
     control: Floats  # (n, 7, 3) as in `point_normal.displacements` [m]
     sagitta: Floats  # (n) [m]
     row: Longs  # (n) which small triangle each is, or counted on after these which flat face it belongs to

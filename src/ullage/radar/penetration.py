@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Bools, Complexes, Floats
 from ullage.geometry import C0
 from ullage.specs import RadarSpec
 from ullage.world.materials import Material
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 COSINES = 65
 """Entries of a table over cos(incidence), from 0 to 1."""
@@ -126,7 +124,7 @@ class Curtains:
 
     factor: Complexes  # (o, COSINES) two-way amplitude, the carrier's turn over `delay_s` taken out; 0: opaque
     delay_s: Floats  # (o, COSINES) two-way delay over that of the air replaced [s]
-    thin: NDArray[np.bool_]  # (o) which objects let anything through
+    thin: Bools  # (o) which objects let anything through
 
 
 def curtains(materials: Sequence[Material], spec: RadarSpec) -> Curtains:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Singles
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
@@ -54,10 +55,6 @@ from ullage.radar.wire_bounces import lay_wire_bounces
 from ullage.radar.wires import placed
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 
 def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int = 1, seed: int = 0) -> NDArray[Any]:
@@ -100,7 +97,7 @@ def passive(echo: Complexes) -> float:
     return float((1 + square * square) ** -0.25)
 
 
-def radio(baseband: Complexes, spec: RadarSpec) -> NDArray[np.float32]:
+def radio(baseband: Complexes, spec: RadarSpec) -> Singles:
     """The real signal at the antenna (n, b) from its complex envelope."""
     phase = 2 * np.pi * spec.center_hz * 2 * spec.range_m / C0
     return np.asarray((baseband * np.exp(1j * phase)).real, np.float32)

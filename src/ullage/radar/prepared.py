@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.geometry import invert
 from ullage.radar.balls import Ball, balls_of
 from ullage.radar.diffraction import sharp_edges
@@ -19,8 +19,6 @@ from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
 from ullage.radar.rounds import Round, Shell, capped, rounds_of, shells_of
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 class Prepared:
@@ -72,7 +70,7 @@ class Prepared:
             )
         return self._patches[key]
 
-    def _claimed(self) -> NDArray[np.bool_]:
+    def _claimed(self) -> Bools:
         """Faces of the scene (s) for which there are closed forms."""
         out = np.zeros(len(self.scene.faces), bool)
         for wall in self.rounds:
@@ -96,7 +94,7 @@ class Prepared:
         moved = [o.motion is not None for o in self.scene.objects]
         return tuple(r.moved(poses[r.stuff] @ invert(start[r.stuff])) if moved[r.stuff] else r for r in self.rounds)
 
-    def poses(self, t_ns: NDArray[np.int64]) -> Floats | list[None]:
+    def poses(self, t_ns: Longs) -> Floats | list[None]:
         """Of all objects (n, o, 4, 4) at some times (n) [ns]; a None for each where nothing moves."""
         return self.scene.poses(t_ns) if any(o.motion is not None for o in self.scene.objects) else [None] * len(t_ns)
 

@@ -11,14 +11,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.specs import RadarSpec
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _OVERSAMPLING = 14.0  # grid rate over pulse bandwidth; a cubic B-spline then errs by less than 1e-6
 _RAISED = 2.5116  # length of a raised cosine times the width of its spectrum at -10 dB

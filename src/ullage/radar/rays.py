@@ -20,8 +20,8 @@ rays within three bins. The range axis of a frame reaches R_max (`reaching_max_r
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs, Singles
 from ullage.data import Trajectory
 from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import quat_matrix
@@ -30,12 +30,8 @@ from ullage.specs import RadarSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 
-
-def echoes_thesis(
-    scene: Scene, path: Trajectory, spec: RadarSpec, *, caster: Raycaster | None = None
-) -> NDArray[np.float32]:
+def echoes_thesis(scene: Scene, path: Trajectory, spec: RadarSpec, *, caster: Raycaster | None = None) -> Singles:
     """Noise-free amplitude profiles of the ray model.
 
     Args:
@@ -65,7 +61,7 @@ def _cast(
     coefficient: Floats,
     position: Floats,
     quat_xyzw: Floats,
-    t_ns: NDArray[np.int64],
+    t_ns: Longs,
     spec: RadarSpec,
     out: Floats,
 ) -> None:

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats
 from ullage.kernels import impulses as kernel
 from ullage.radar.context import Bench, View
 from ullage.radar.facets import Surfaces
 from ullage.radar.visibility import between
 from ullage.radar.wall_bounces import PULL_M
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

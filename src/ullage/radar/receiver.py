@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Longs, Singles
 from ullage.data import Samples
 from ullage.errors import InputError
 from ullage.fan import smoothed
@@ -23,9 +24,6 @@ from ullage.geometry import C0
 from ullage.kernels.receiver import limit_envelope
 from ullage.radar.leakage import leakage
 from ullage.specs import NoiseSpec, RadarSpec
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 THERMAL, COMMON, THESIS = 0, 1, 2
 """Components that draw random numbers of their own."""
@@ -56,7 +54,7 @@ def normalised(count: Floats, spec: RadarSpec) -> Floats:
     return np.asarray(np.asarray(count) * lattice(spec) - dac_limit(spec))
 
 
-def counted(value: Floats, spec: RadarSpec) -> NDArray[np.int64]:
+def counted(value: Floats, spec: RadarSpec) -> Longs:
     """The counts that a normalised RF value stands for, between none and all of them."""
     count = np.rint((np.asarray(value) + dac_limit(spec)) / lattice(spec))
     return np.clip(count, 0, round(2 * dac_limit(spec) / lattice(spec))).astype(np.int64)
@@ -247,7 +245,7 @@ def baseband_noise(spec: RadarSpec, seed: int, frames: range) -> Complexes:
     return np.asarray(total * (noise_sigma(spec) / np.sqrt(2)))
 
 
-def receive_thesis(clean: NDArray[Any], spec: RadarSpec, *, seed: int, first_frame: int = 0) -> NDArray[np.float32]:
+def receive_thesis(clean: NDArray[Any], spec: RadarSpec, *, seed: int, first_frame: int = 0) -> Singles:
     """The receiver of the ray model: white noise on each bin, then the moving average that clean profiles already had.
 
     Args:

@@ -27,16 +27,13 @@ import yaml
 from numpy.typing import NDArray
 from scipy.signal import hilbert
 
+from ullage.arrays import Bools, Complexes, Floats
 from ullage.data import Frames, Metric
 from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.geometry import C0
 from ullage.radar.receiver import FILTER_SCALE, SIGMA_RATIO, dac_limit, noise_sigma, receive, unit
 from ullage.specs import DirectPathSpec, NoiseSpec, RadarSpec
-
-Complexes = NDArray[np.complex128]
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 WINDOW = 16
 """Frames whose means are compared to find out whether anything moved."""
@@ -67,8 +64,8 @@ class Receiver:
 
     radar: RadarSpec
     misfit: dict[str, Metric]
-    still: Flags  # (n) frames at rest
-    moving: Flags  # (n) frames of which the instrument's own response was taken; all False: of the still ones
+    still: Bools  # (n) frames at rest
+    moving: Bools  # (n) frames of which the instrument's own response was taken; all False: of the still ones
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -144,7 +141,7 @@ def _baseband(frames: Frames) -> Complexes:
     return np.asarray(hilbert(frames.samples.astype(np.float64), axis=1) * carrier, np.complex128)
 
 
-def _parts(profiles: Complexes, sensor: str) -> tuple[Flags, Flags]:
+def _parts(profiles: Complexes, sensor: str) -> tuple[Bools, Bools]:
     """Which frames are at rest, and which are surely not.
 
     Windows of 16 frames are compared by their means, bin by bin, over the variance within the quietest windows. The
@@ -183,7 +180,7 @@ def _whiteness(steps: Complexes) -> Floats:
     return np.asarray((steps[:-1] * steps[1:].conj()).mean(0).real / np.maximum(power, 1e-300))
 
 
-def _steps(profiles: Complexes, still: Flags) -> Complexes:
+def _steps(profiles: Complexes, still: Bools) -> Complexes:
     """Changes between successive frames at rest, over root two: noise alone, with the variance of one frame."""
     pairs = np.flatnonzero(still[1:] & still[:-1])
     return np.asarray((profiles[pairs + 1] - profiles[pairs]) / np.sqrt(2))
@@ -202,7 +199,7 @@ class _Rest:
     kurtosis: float  # excess, of the additive noise
 
     @classmethod
-    def of(cls, profiles: Complexes, still: Flags, spec: RadarSpec, sensor: str) -> _Rest:
+    def of(cls, profiles: Complexes, still: Bools, spec: RadarSpec, sensor: str) -> _Rest:
         """Measure frames at rest (n, b).
 
         Raises:
@@ -229,7 +226,7 @@ class _Rest:
         return cls(np.sqrt(variance), phase, drift, amplitude, between.real, mean, excess)
 
 
-def _strong_bins(size: Floats, spec: RadarSpec) -> Flags:
+def _strong_bins(size: Floats, spec: RadarSpec) -> Bools:
     """Bins whose echoes are strong and, where any are, within the DAC window, which would flatten their errors."""
     strong = size > _STRONG * size.max()
     noise = spec.noise or NoiseSpec()
@@ -256,7 +253,7 @@ def _jitter(steps: Floats, pairs: Floats) -> tuple[float, float]:
     return np.sqrt(max(white, 0.0)), np.sqrt(max(2 * (now - white), 0.0))
 
 
-def _correlation(steps: Complexes, quiet: Flags) -> Complexes:
+def _correlation(steps: Complexes, quiet: Bools) -> Complexes:
     """Correlation of the noise between bins at lags 1 to 3, over pairs of quiet bins."""
     power = (np.abs(steps[:, quiet]) ** 2).mean()
     out = []
@@ -267,7 +264,7 @@ def _correlation(steps: Complexes, quiet: Flags) -> Complexes:
 
 
 def _own_response(
-    profiles: Complexes, still: Flags, moving: Flags, frames: Frames
+    profiles: Complexes, still: Bools, moving: Bools, frames: Frames
 ) -> tuple[DirectPathSpec, tuple[str, ...]]:
     """The instrument's own response over range, from the moving part where there is one."""
     every = 1 if np.iscomplexobj(frames.samples) else max(1, int(C0 / 2 / (4 * frames.spec.bandwidth_hz)
@@ -304,7 +301,7 @@ def _in_band(profile: Complexes, frames: Frames) -> Complexes:
     return np.asarray(np.fft.ifft(np.where(np.abs(offset) < frames.spec.bandwidth_hz, np.fft.fft(profile), 0)))
 
 
-def _that_stays(profiles: Complexes, moving: Flags) -> tuple[Complexes, int]:
+def _that_stays(profiles: Complexes, moving: Bools) -> tuple[Complexes, int]:
     """The mean (b) over a moving part, and the last bin that stays the same in it.
 
     That bin lies far out where only things around the radar move: their echoes and the instrument's are not parted.
@@ -315,14 +312,14 @@ def _that_stays(profiles: Complexes, moving: Flags) -> tuple[Complexes, int]:
     return mean, _last_of_run(np.abs(mean) > _SIGNIFICANT * error)
 
 
-def _windows(chosen: Flags) -> list[slice]:
+def _windows(chosen: Bools) -> list[slice]:
     """Pieces of at most 16 successive chosen frames."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
     return [slice(a, min(a + WINDOW, end)) for start, end in zip(edges[::2], edges[1::2], strict=True)
             for a in range(start, end, WINDOW)]  # fmt: skip
 
 
-def _last_of_run(own: Flags) -> int:
+def _last_of_run(own: Bools) -> int:
     """The last bin of the run of significant bins from the start; gaps of up to a tenth of the run are bridged."""
     last = int(np.argmax(own))
     for here, there in pairwise(np.flatnonzero(own)):

@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.radar.simulate import simulate
 from ullage.specs import MountSpec
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +66,7 @@ def template(frames: Frames, scene: Scene, index: int) -> Floats:
     return np.asarray(alone.amplitude, float).ravel()
 
 
-def _solve(received: Floats, templates: Floats, seen: NDArray[np.bool_], names: tuple[str, ...]) -> ReflectionFit:
+def _solve(received: Floats, templates: Floats, seen: Bools, names: tuple[str, ...]) -> ReflectionFit:
     from scipy.optimize import nnls
 
     design = np.column_stack([templates[:, seen], np.ones(len(received))])

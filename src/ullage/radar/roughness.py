@@ -15,8 +15,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import grit as kernel
 from ullage.radar.context import Bench, View, common, shading
@@ -28,10 +28,6 @@ from ullage.radar.wires import moved
 from ullage.specs import RadarSpec
 from ullage.world.materials import Material
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 SPACING_M = 0.05
 """Mean distance between scatterers [m]; several to every range bin and beam."""
@@ -48,7 +44,7 @@ class Grit:
     points: Floats  # (n, 3) [m]
     normals: Floats  # (n, 3)
     weights: Complexes  # (n) root of the area each stands for, times its random amplitude [m]
-    stuffs: NDArray[np.int32]  # (n) object
+    stuffs: Ints  # (n) object
     first: Longs  # (t + 1) first of each tile
     middles: Longs  # (t) the scatterer that speaks for each tile
 
@@ -99,7 +95,7 @@ def _on_object(corners: Floats, area: Floats, spacing: float, key: list[int]) ->
     return points, normals, (amplitude[0] + 1j * amplitude[1]) * np.sqrt(area.sum() / count)
 
 
-def _tiled(points: Floats, normals: Floats, weights: Complexes, stuffs: NDArray[np.int32]) -> Grit:
+def _tiled(points: Floats, normals: Floats, weights: Complexes, stuffs: Ints) -> Grit:
     cell = np.floor((points + 1e-4) / TILE_M)
     key = np.concatenate([stuffs[:, None], np.round(4 * normals), cell], 1).astype(np.int64)
     _, tile = np.unique(key, axis=0, return_inverse=True)

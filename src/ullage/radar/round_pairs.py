@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as flat
 from ullage.kernels import pairs as kernel
@@ -26,10 +27,6 @@ from ullage.radar.multipath import most_looked
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, deposit
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 BODIES = 8
 """Between so many bodies waves go, those that look largest; each fades in."""
@@ -46,9 +43,9 @@ class Bodies:
     axes: Floats  # (m, 3, 3) rows: two across the axis, and the axis
     radii: Floats  # (m) [m]
     ends: Floats  # (m, 2) of drums along the axis, from the centre [m]
-    balls: NDArray[np.bool_]  # (m)
+    balls: Bools  # (m)
     depths: Floats  # (m) by so much facets lie off [m]
-    stuffs: NDArray[np.int32]  # (m)
+    stuffs: Ints  # (m)
 
     def take(self, which: Longs) -> Bodies:
         """Some of them."""
@@ -201,7 +198,7 @@ def covered(body: Bodies, points: Floats, bends: Floats, wavelength: float) -> C
     return ends_leave(body.ends, body.balls, along, bends, wavelength)
 
 
-def ends_leave(ends: Floats, balls: NDArray[np.bool_], along: Floats, bends: Floats, wavelength: float) -> Complexes:
+def ends_leave(ends: Floats, balls: Bools, along: Floats, bends: Floats, wavelength: float) -> Complexes:
     """What ends (m, 2) [m] leave of waves (m) at places along the axis [m] where paths bend so; balls have none."""
     sine, cosine = fresnel((ends - along[:, None]) * np.sqrt(2 * bends / wavelength)[:, None])
     out = np.diff(cosine - 1j * sine, axis=1)[:, 0] / (1 - 1j)

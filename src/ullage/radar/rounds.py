@@ -15,11 +15,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.facets import SMOOTH_DEG, twins
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 OFF_M = 2.5e-3
 """Corners of facets may lie so far off the cylinder [m]: a sixteenth of a wave."""
@@ -81,7 +79,7 @@ class Shell:
         return Shell(self.corners[which], self.normals[which], self.area[which], self.stuff, self.faces[which])
 
 
-def shells_of(scene: Scene, faces: NDArray[np.bool_]) -> list[Shell]:
+def shells_of(scene: Scene, faces: Bools) -> list[Shell]:
     """The smooth surfaces among some faces (f) of a scene, as they stand at its start."""
     corners = scene.corners()[faces]
     stuffs = scene.face_object[faces]
@@ -149,7 +147,7 @@ def linked(shell: Shell) -> list[Longs]:
     return _connected(shell.corners, shell.normals, np.full(len(shell.area), shell.stuff, np.int32))
 
 
-def _connected(corners: Floats, normals: Floats, stuffs: NDArray[np.int32]) -> list[Longs]:
+def _connected(corners: Floats, normals: Floats, stuffs: Ints) -> list[Longs]:
     """Triangles (f, 3, 3) of one object that go on from each to the next with hardly a bend, surface by surface."""
     if not len(corners):
         return []
@@ -203,7 +201,7 @@ def _about(direction: Floats) -> Floats:
     return np.array([[x, y], [-y, x]])
 
 
-def _leveled(normals: Floats, area: Floats) -> tuple[NDArray[np.bool_], Floats, bool]:
+def _leveled(normals: Floats, area: Floats) -> tuple[Bools, Floats, bool]:
     """Which facets (n) lie along an axis; columns (3, 3), the axis first; whether the search for it has settled."""
     kept = np.ones(len(area), bool)
     for search in range(4):
@@ -218,7 +216,7 @@ def _leveled(normals: Floats, area: Floats) -> tuple[NDArray[np.bool_], Floats, 
     return kept, turn, bool((level == kept).all())
 
 
-def leveled(normals: Floats, area: Floats) -> NDArray[np.bool_]:
+def leveled(normals: Floats, area: Floats) -> Bools:
     """Which facets (n) of a surface are a cylinder's, if it has one: those along the axis."""
     kept, _, settled = _leveled(normals, area)
     return kept if settled else np.zeros(len(area), bool)

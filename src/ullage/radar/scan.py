@@ -8,17 +8,15 @@ where the neighbouring rays end: of the two on either side, the one that ends at
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.errors import InputError
 from ullage.fan import fan_shape, ray_area, ray_fan, smoothed
 from ullage.kernels.rays import deposit
 from ullage.specs import RadarSpec
 
-Floats = NDArray[np.float64]
 
-
-def echoes_of_scans(range_m: Floats, intensity: Floats, spec: RadarSpec) -> NDArray[np.float32]:
+def echoes_of_scans(range_m: Floats, intensity: Floats, spec: RadarSpec) -> Singles:
     """Noise-free amplitude profiles of scans with the fan of `spec.thesis`.
 
     Args:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels import rims as kernel
-
-Floats = NDArray[np.float64]
 
 WELD_M = 1e-6
 """Corners nearer than this are one [m]."""
@@ -21,7 +20,7 @@ EVEN = 1e-6
 _CLEAR_M = 1e-3  # a radar this far outside a body's box is outside the body
 
 
-def welded(corners: Floats) -> NDArray[np.int64]:
+def welded(corners: Floats) -> Longs:
     """Numbers (f, 3) of the corners of triangles (f, 3, 3), the same for corners in one place."""
     places = np.round(corners.reshape(-1, 3) / WELD_M).astype(np.int64)
     ids = np.zeros(len(places), np.int64)
@@ -45,17 +44,17 @@ class Backs:
     """The outer sides of triangles or faces of closed bodies."""
 
     outward: Floats  # (n, 4) plane [normal, -offset] that is positive outside; 0 for faces of no closed body
-    body: NDArray[np.int32]  # (n) body of each
+    body: Ints  # (n) body of each
     boxes: Boxes  # about the bodies
 
-    def hidden(self, origins: Floats, opaque: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def hidden(self, origins: Floats, opaque: Bools) -> Bools:
         """Which faces (n) turn their backs to all of the places (k, 3) outside their bodies, where opaque (n)."""
         out = np.empty(len(opaque), np.bool_)
         some = origins[:1] if (origins == origins[0]).all() else origins
         kernel.hidden(self.outward, self.body, self._held(some), some, opaque, out)
         return out
 
-    def inside(self, origins: Floats) -> NDArray[np.bool_]:
+    def inside(self, origins: Floats) -> Bools:
         """Which faces (n) are of bodies whose boxes hold all of the places (k, 3)."""
         return np.asarray(np.asarray(self._held(origins).all(1))[self.body])
 
@@ -73,7 +72,7 @@ class Backs:
         body = [part.body + end for part, end in zip(parts, ends, strict=False)]
         return Backs(np.concatenate([p.outward for p in parts]), np.concatenate(body).astype(np.int32), boxes)
 
-    def _held(self, origins: Floats) -> NDArray[np.bool_]:
+    def _held(self, origins: Floats) -> Bools:
         """Which boxes (m) hold which places (k, 3), nearly: (m, k)."""
         out = np.empty((len(self.boxes.centres), len(origins)), np.bool_)
         places = np.ascontiguousarray(origins)  # the kernel is compiled for one layout
@@ -81,7 +80,7 @@ class Backs:
         return out
 
 
-def backs(corners: Floats, normals: Floats, stuffs: NDArray[np.int32]) -> Backs:
+def backs(corners: Floats, normals: Floats, stuffs: Ints) -> Backs:
     """The outer sides of triangles (f, 3, 3) that belong to closed bodies of one object, evenly turned.
 
     A body is closed where every edge is shared by two triangles that run along it in opposite ways.

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import rays as kernel
 from ullage.radar.facets import Surfaces, Veil
 from ullage.radar.penetration import Curtains
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 SLACK_M = 2e-3
 """Two surfaces nearer than this along a ray count as one [m]; Embree's float32 and shared edges need it."""
@@ -46,7 +43,7 @@ def _through(
     veils: Sequence[Veil],
     origin: Floats,
     points: Floats,
-    todo: NDArray[np.int64],
+    todo: Longs,
     sheets: Curtains,
     factor: Complexes,
     late: Floats,
@@ -71,7 +68,7 @@ def _through(
         todo, length, passed, ray = todo[:count], length[:count], passed[:count], ray[:count]
 
 
-def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats, NDArray[np.int32], Floats]:
+def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats, Ints, Floats]:
     """Distance [m], object and cos(incidence) of the first sheet each ray meets; inf where there is none."""
     if len(veils) == 1:
         face, distance, slope = veils[0].rays.trace(origins, rays)
@@ -85,7 +82,7 @@ def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats
     return least, stuff, cosine
 
 
-def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> NDArray[np.bool_]:
+def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> Bools:
     """Whether nothing stands between the points a (n, 3) and b (n, 3), which may lie on surfaces."""
     clear = None
     for part in parts:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fresnel
 
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import chains as kernel
 from ullage.radar.context import Bench, View
@@ -27,10 +27,6 @@ from ullage.radar.round_pairs import BODIES, FAINT
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, around, deposit, planes_of, swapped
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Turn = tuple[Plane, int] | None
 Chain = tuple[View, bool, tuple[bool, ...], Turn]
 
@@ -47,7 +43,7 @@ _FEWEST, _MOST = 64, 720  # so many lines
 class Lines:
     """Paths over each of some lines along the wall, all round."""
 
-    walls: NDArray[np.bool_]  # (s) which surfaces are the wall
+    walls: Bools  # (s) which surfaces are the wall
     corners: Floats  # (s + 2, n, 3) [m]
     normals: Floats  # (s, n, 3) of the surfaces, to where the waves are
     length: Floats  # (n) [m]

@@ -18,10 +18,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.antenna import gain
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import impulses as kernel
 from ullage.radar.context import Bench, View
@@ -30,10 +30,6 @@ from ullage.radar.laid import Laid
 from ullage.radar.mirrors import across, dot, reflected
 from ullage.radar.rounds import Round
 from ullage.radar.visibility import between
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 LEAST_M = 0.25
 """Narrower pipes are wave guides, not mirrors: their radius is but a few waves [m]."""
@@ -305,7 +301,7 @@ def _covered(wall: Round, plane: Plane | None, met: Met, along: Floats, waveleng
     return np.asarray(((ends[1] - ends[0]) / (1 - 1j)).prod(0))
 
 
-def _free(parts: list[Surfaces], view: View, wall: Round, fan: Fan, met: Met, plane: Plane | None) -> NDArray[np.bool_]:
+def _free(parts: list[Surfaces], view: View, wall: Round, fan: Fan, met: Met, plane: Plane | None) -> Bools:
     """Which rays (n) have all legs free and meet what is there: the wall may have gaps, the floor may end."""
     stops, count = met.stops, len(met.leg)
     ends = [np.broadcast_to(origin, (1, count, 3)) for origin in view.origins]

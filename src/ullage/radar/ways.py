@@ -14,8 +14,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels import ways as kernel
 from ullage.radar.context import Bench, View
 from ullage.radar.facets import Flats, Surfaces
@@ -23,9 +23,6 @@ from ullage.radar.laid import Laid
 from ullage.radar.multipath import most_looked
 from ullage.radar.visibility import between
 
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Legs = tuple[tuple[int, ...], tuple[int, ...]]
 
 FACES = 3

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels import ways as kernel
 from ullage.kernels import wires as string
 from ullage.radar.context import KAPPA, REACH, Bench, View, common, grown
@@ -21,10 +21,6 @@ from ullage.radar.facets import Flats, Surfaces
 from ullage.radar.laid import Laid, laid_by
 from ullage.radar.ways import Ways, reached
 from ullage.radar.wires import placed
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

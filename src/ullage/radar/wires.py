@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.world.materials import Material
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 THINNEST_M = 1e-4
 """Wires thinner than this are refused [m]."""
@@ -34,10 +32,10 @@ class Lines:
     starts: Floats  # (w, 3) [m]
     ends: Floats  # (w, 3) [m]
     radii: Floats  # (w) [m]
-    stuffs: NDArray[np.int32]  # (w) object
+    stuffs: Ints  # (w) object
     series: Complexes  # (w, 2, _SINES) TM and TE, straight back
     modes: Complexes  # (k, 2, n, _SINES) TM and TE by order, for other directions, of every kind of wire
-    kinds: NDArray[np.int64]  # (w) which of these each wire is
+    kinds: Longs  # (w) which of these each wire is
 
     def __len__(self) -> int:
         return len(self.radii)
@@ -130,9 +128,7 @@ def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:
     return starts, ends
 
 
-def moved(
-    rows: Sequence[Floats], stuffs: NDArray[np.int32], poses: Floats | None, *, turn_only: bool = False
-) -> Sequence[Floats]:
+def moved(rows: Sequence[Floats], stuffs: Ints, poses: Floats | None, *, turn_only: bool = False) -> Sequence[Floats]:
     """Points (w, 3) [m] of objects, or with `turn_only` directions, in the world by the objects' poses (o, 4, 4)."""
     if poses is None:
         return rows

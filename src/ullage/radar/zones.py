@@ -15,8 +15,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import bounces
 from ullage.kernels import zones as kernel
 from ullage.radar.context import Bench, View
@@ -24,10 +24,6 @@ from ullage.radar.facets import Flats
 
 if TYPE_CHECKING:
     from ullage.radar.multipath import Beams
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Longs = NDArray[np.int64]
 
 NEAR = 0.02
 """Paths over points that exceed the mirror path by more than this many waves are judged by one point."""
@@ -76,7 +72,7 @@ def shares(
     beams: Beams,
     path: Floats,
     strong: Strengths,
-    clear: Callable[[Floats, Floats], NDArray[np.bool_]],
+    clear: Callable[[Floats, Floats], Bools],
 ) -> Complexes:
     """What part (b) of the echo of each path (b, 5, 3) is left by what stands in its way.
 
@@ -92,7 +88,7 @@ def shares(
     zones = _strongest(beams, path, strong, NEAR * ready.spec.wavelength_m)
     many = len(zones.paths)
 
-    def reached(of: Longs, points: Floats) -> NDArray[np.bool_]:
+    def reached(of: Longs, points: Floats) -> Bools:
         out = np.empty((len(of), 5, 3))
         bounces.legs(beams.images, beams.firsts, beams.chains, flats.normals, flats.offsets, view.origins,
                      zones.paths[of], points, out)  # fmt: skip
@@ -111,9 +107,7 @@ def shares(
     return out
 
 
-def _borders(
-    zones: Zones, asked: Floats, free: NDArray[np.bool_], clear: Callable[[Longs, Floats], NDArray[np.bool_]]
-) -> Floats:
+def _borders(zones: Zones, asked: Floats, free: Bools, clear: Callable[[Longs, Floats], Bools]) -> Floats:
     """Phases (k, rays, cells) at which cells begin that were asked at these phases, where light and shadow change.
 
     `clear` tells whether paths of zones (n) over points (n, 3) are free.

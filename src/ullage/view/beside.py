@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Image
 from ullage.processing.baseband import envelope
 from ullage.view.saving import save_figure
 
-Floats = NDArray[np.float64]
 COLORS = {"recorded": "#22577a", "simulated": "#d1495b"}
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.radar.explain import Contribution
 from ullage.view.figures import TRUTH_COLOR, drawing
@@ -16,7 +16,6 @@ from ullage.view.figures import TRUTH_COLOR, drawing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
 _COLORS = ("#1f6feb", "#d97706", "#2a9d5c")  # one, two, three bounces
 
 

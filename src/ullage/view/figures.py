@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.grids import UNKNOWN, Image, OccupancyMap
 from ullage.view.map_picture import map_picture, plane_of
@@ -36,7 +37,6 @@ __all__ = [
     "snapshot_figure",
 ]
 
-Floats = NDArray[np.float64]
 TRUTH_COLOR = "#d1495b"
 
 

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ullage.data import Frames, Trajectory
 from ullage.grids import Grid
 from ullage.specs import RadarSpec
 from ullage.view.figures import TRUTH_COLOR, draw_map, drawing
 
-Floats = NDArray[np.float64]
 FOLDER = Path("docs/pictures/gallery")
 BLUE = "#2e86ab"
 LOBE_DEG = 65.0

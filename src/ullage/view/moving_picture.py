@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from ullage.arrays import Floats, Ints
 from ullage.errors import InputError, UllageError
 from ullage.files import write_whole
 from ullage.geometry import quat_matrix
@@ -23,8 +23,7 @@ from ullage.world import shapes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
-Colors = NDArray[np.float64]  # (..., 3) red, green, blue, 0 to 1
+Colors = Floats  # (..., 3) red, green, blue, 0 to 1
 
 SKY, INK, SOFT = np.array([0.075, 0.095, 0.12]), (232, 238, 244), (150, 163, 176)
 DRONE, WALL, MISSED = "#ff2e63", "#ffb703", "#ff4d4d"
@@ -371,7 +370,7 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
     return color, depth
 
 
-def _hits(eye: Floats, rays: Floats, corners: Floats) -> tuple[NDArray[np.int32], Floats]:
+def _hits(eye: Floats, rays: Floats, corners: Floats) -> tuple[Ints, Floats]:
     return _caster(corners).hits(np.broadcast_to(eye, rays.shape), rays)
 
 

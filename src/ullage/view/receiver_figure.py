@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.radar.receiver import noise_sigma, receive, unit
@@ -17,7 +17,6 @@ from ullage.view.figures import drawing
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Complexes = NDArray[np.complex128]
 COLORS = {"recorded": "#22577a", "simulated": "#d1495b"}
 DIRECT = slice(0, 8)
 """Bins of the direct path."""
@@ -64,7 +63,7 @@ def _steps(frames: Complexes) -> Complexes:
     return np.asarray(np.diff(frames, axis=0) / np.sqrt(2))
 
 
-def _common_phase(frames: Complexes) -> NDArray[np.float64]:
+def _common_phase(frames: Complexes) -> Floats:
     mean = frames.mean(0)[DIRECT]
     return np.asarray(np.angle((frames[:, DIRECT] * mean.conj()).sum(1)))
 

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.grids import Image
 from ullage.view.saving import save_figure
 
-Floats = NDArray[np.float64]
 LINES = {
     "recorded": ("#22577a", "-"), "world": ("#d1495b", "-"), "receiver": ("#d1495b", "--"),
     "tails": ("#8d99ae", ":"), "isotropic": ("#edae49", ":"),

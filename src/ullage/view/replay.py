@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.files import write_whole
@@ -36,8 +37,6 @@ SPAN_DB = 60.0
 IMAGE_DB = 30.0
 """The image goes from its peak so far down [dB]."""
 UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, AMBIGUOUS_CELL = range(4)
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)

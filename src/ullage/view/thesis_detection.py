@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Image
 from ullage.view.figures import TRUTH_COLOR
@@ -20,7 +21,6 @@ from ullage.world.section import section, wire_section
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
 BLUE = "#22577a"
 LEAST_M, MOST_M = 0.45, 9.0
 """Ranges drawn [m]; the direct path lies nearer."""

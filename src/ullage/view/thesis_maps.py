@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.grids import Image, OccupancyMap
 from ullage.view.figures import draw_map, draw_plan
@@ -17,8 +17,6 @@ from ullage.view.saving import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs, Singles
 from ullage.data import Detections, Frames, Recording, Trajectory, sensors_of
 from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
@@ -20,8 +21,6 @@ from ullage.view.map_picture import map_picture
 from ullage.view.viewer_output import ViewerOutput
 from ullage.view.viewer_scene import TIMELINE, arcs, body_of, entity, log_poses, rgba, time_column
 from ullage.world.scene import Scene
-
-Times = NDArray[np.int64]
 
 RATE_HZ = 30.0  # at most so many frames a second and radar
 PROFILE_HZ = 5.0  # of the bars of a profile
@@ -61,12 +60,12 @@ class ViewerSink:
         self.address = self._output.open(self._rr, self._rec)
         self._closed = False
         self._sensors: dict[str, _Shown] = {}
-        self._bounds: NDArray[np.float64] | None = None
+        self._bounds: Floats | None = None
         self._laid_out: tuple[Any, ...] = ()
         self._now_ns = 0
         self._height_m = 0.0
         self._top_db = -np.inf
-        self._body_last: tuple[int, NDArray[np.float64]] | None = None
+        self._body_last: tuple[int, Floats] | None = None
         self._map_given: tuple[float, float] = (-np.inf, -np.inf)  # recording's and wall clock [s]
         self._map_waiting: OccupancyMap | None = None
         self._rec.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -219,7 +218,7 @@ class ViewerSink:
         if shown.chunk.poses is not None:
             self._arcs(shown, hits, order)
 
-    def _arcs(self, shown: _Shown, hits: Detections, order: NDArray[np.int64]) -> None:
+    def _arcs(self, shown: _Shown, hits: Detections, order: Longs) -> None:
         """Echoes as arcs over the beam, on which each may lie; points where the bearing is known, or ahead."""
         chunk, rr, path = shown.chunk, self._rr, f"world/echoes/{shown.name}"
         row = np.searchsorted(chunk.t_ns, hits.t_ns[order])
@@ -334,13 +333,13 @@ class _Shown:
         return given
 
 
-def spread(t_ns: Times, rate_hz: float) -> NDArray[np.int64]:
+def spread(t_ns: Longs, rate_hz: float) -> Longs:
     """Rows of rising times, thinned to at most this rate [Hz]; the last one is always among them."""
     slot = np.ceil((t_ns - t_ns[-1]) * rate_hz * 1e-9 - 1e-6)
     return np.flatnonzero(np.append(slot[1:] != slot[:-1], True))
 
 
-def _centers(grid: Grid, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+def _centers(grid: Grid, cells: Longs) -> Singles:
     axes = (grid.x_m[cells[:, 2]], grid.y_m[cells[:, 1]], grid.z_m[cells[:, 0]])
     return np.stack(axes, axis=1).astype(np.float32)
 

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs, Singles
 from ullage.data import Unit
 from ullage.errors import need
 from ullage.view.viewer_scene import TIMELINE, rgba
-
-Floats = NDArray[np.float64]
-Levels = NDArray[np.float32]
 
 WINDOW_S = 20.0  # of the rolling picture
 COLUMNS = 240
@@ -40,7 +38,7 @@ class RangeTime:
         self._levels = np.full((self.rows, COLUMNS), np.nan, np.float32)
         self._last: int | None = None
 
-    def add(self, t_ns: NDArray[np.int64], level_db: Levels) -> None:
+    def add(self, t_ns: Longs, level_db: Singles) -> None:
         """Take profiles (n, b) [dB]."""
         pad = self.rows * self._group - level_db.shape[1]
         level = np.pad(level_db, ((0, 0), (0, pad)), constant_values=-np.inf)
@@ -173,7 +171,7 @@ def _trails(rrb: Any, trails: list[str]) -> dict[str, Any]:
 
 
 def image_colors(share: NDArray[Any]) -> NDArray[np.uint8]:
-    """Levels 0 to 1 as RGBA (..., 4): the weaker, the clearer, so that the floor stays visible."""
+    """Singles 0 to 1 as RGBA (..., 4): the weaker, the clearer, so that the floor stays visible."""
     from matplotlib import colormaps
 
     out = (colormaps["inferno"](share) * 255).astype(np.uint8)

@@ -6,16 +6,14 @@ import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Frames, Trajectory
 from ullage.errors import need
 from ullage.fan import drawn_rays
 from ullage.specs import RadarSpec
 from ullage.view.world_picture import CLEAR, COLORS
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 SENSOR_COLORS = ("#4cc9f0", "#f9c74f", "#f3722c", "#90be6d", "#c77dff", "#f28482")
 """One for each radar, in turn."""
@@ -60,7 +58,7 @@ def log_scene(rec: Any, scene: Scene) -> None:
             log_poses(rec, path, thing.motion.at(thing.motion.t_ns))
 
 
-def hull_objects(scene: Scene) -> NDArray[np.bool_]:
+def hull_objects(scene: Scene) -> Bools:
     """Which objects are walls, floors and decks around everything else: long, and of large triangles."""
     size = np.ptp(scene.bounds, axis=0)
     surface = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
@@ -100,7 +98,7 @@ def turned_inwards(corners: Floats, center: Floats) -> Floats:
     return np.where(away[:, None, None], corners[:, ::-1], corners)
 
 
-def _wires(scene: Scene, mine: NDArray[np.bool_]) -> Any:
+def _wires(scene: Scene, mine: Bools) -> Any:
     rr = need("rerun", extra="view")
     strips = np.stack([scene.wires.start[mine], scene.wires.end[mine]], axis=1).astype(np.float32)
     return rr.LineStrips3D(strips, radii=rr.Radius.ui_points(0.8), colors=rgba("#f1faee"))
@@ -115,7 +113,7 @@ def log_poses(rec: Any, path: str, poses: Trajectory) -> None:
     rec.send_columns(path, indexes=[time_column(poses.t_ns)], columns=columns)
 
 
-def time_column(t_ns: NDArray[np.int64]) -> Any:
+def time_column(t_ns: Longs) -> Any:
     """Times on the viewer's one time line: seconds of the run, or dates where the clock is one of dates."""
     rr = need("rerun", extra="view")
     if is_date(int(t_ns[0])):

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Bools, Floats
 from ullage.errors import InputError
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene, Wires
@@ -22,8 +23,6 @@ from ullage.world.section import section, wire_section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Floats = NDArray[np.float64]
 
 COLORS = {
     "steel": "#8fa3b5", "pec": "#8fa3b5", "aluminium": "#b9c4cf", "concrete": "#d9d5cc", "wood": "#c49a6c",
@@ -246,7 +245,7 @@ def _openness(caster: Raycaster, point: Floats, normal: Floats, *, reach_m: floa
     return free / len(local)
 
 
-def _edges(depth: Floats, pixel: float) -> NDArray[np.bool_]:
+def _edges(depth: Floats, pixel: float) -> Bools:
     """Where the depth jumps or the surface bends, from second differences."""
     far = np.nan_to_num(depth, posinf=1e4)
     out = np.zeros(depth.shape, bool)
@@ -291,7 +290,7 @@ def _draw_wires(axes: Any, eye: _Eye, depth: Floats, wires: Wires, keep: list[tu
         axes.plot(*np.where(gone[:, None], np.nan, eye.project(fine)).T, color="#222222", lw=0.8)
 
 
-def _hidden(eye: _Eye, depth: Floats, points: Floats) -> NDArray[np.bool_]:
+def _hidden(eye: _Eye, depth: Floats, points: Floats) -> Bools:
     """Whether something stands between the eye and each point (n, 3)."""
     spot = eye.project(points)
     column = np.clip(((spot[:, 0] - eye.extent[0]) / eye.pixel).astype(int), 0, eye.shape[1] - 1)

@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.world import shapes
 from ullage.world.shapes import Shape
 from ullage.world.solids import Part, bar, block, clean, join, limb, loft, mirrored, moved
-
-Floats = NDArray[np.float64]
 
 _WHEELS = (1.28, -1.26)  # axles along x [m]
 _WHEEL_M, _ARCH_M = 0.31, 0.36

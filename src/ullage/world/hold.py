@@ -15,14 +15,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.world.lengths import length
 from ullage.world.shapes import Shape
 from ullage.world.solids import Part, Solid, clean, flat, join
-
-Floats = NDArray[np.float64]
 
 LEAST_M = {"length_m": 12.0, "width_m": 12.0, "height_m": 8.0}
 """Smaller holds than this have no room for their tanks and stools [m]."""

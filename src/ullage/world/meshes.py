@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Ints
 from ullage.errors import InputError, shown
 from ullage.untrusted import regular_size
 from ullage.world.notices import notify
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Mesh = tuple[Floats, Ints]
 
 

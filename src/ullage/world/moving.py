@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ullage.data import Floats, Times, Trajectory
+from ullage.arrays import Floats, Longs
+from ullage.data import Trajectory
 from ullage.geometry import apply, rotations
 
-Poses = tuple[Times, Floats, Floats]
-"""Times (n) [ns], positions (n, 3) [m] and attitudes (n, 4) xyzw."""
+Poses = tuple[Longs, Floats, Floats]
+"""Longs (n) [ns], positions (n, 3) [m] and attitudes (n, 4) xyzw."""
 
 
 class LiveMotion:
@@ -31,8 +32,8 @@ class LiveMotion:
         self._known: Poses | None = None
 
     @property
-    def t_ns(self) -> Times:
-        """Times of the poses that are known (n) [ns]."""
+    def t_ns(self) -> Longs:
+        """Longs of the poses that are known (n) [ns]."""
         return self._all()[0]
 
     def see(self, t_ns: int, position: ArrayLike, quat_xyzw: ArrayLike) -> None:
@@ -114,8 +115,8 @@ class CarriedMotion:
     pose: Floats  # (4, 4) world_from_old_world
 
     @property
-    def t_ns(self) -> Times:
-        """Times that it is known at (n) [ns]."""
+    def t_ns(self) -> Longs:
+        """Longs that it is known at (n) [ns]."""
         return np.asarray(self.motion.t_ns)
 
     def at(self, t_ns: ArrayLike) -> Trajectory:

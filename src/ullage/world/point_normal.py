@@ -9,12 +9,9 @@ straight lines of a cone or cylinder stay straight and one wrong normal does not
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Longs
 from ullage.world.smoothing import Hinges
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 STEEPEST = 3.0
 """At one end of an edge the patch leaves the chord at most so many times as steeply as at the other."""

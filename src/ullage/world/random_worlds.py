@@ -17,16 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.world import shapes
 from ullage.world.materials import material
 from ullage.world.scene import Scene
 from ullage.world.shapes import Shape
 from ullage.world.solids import Part, Rod, Solid, block, clean, flat, join, moved, scene_of
-
-Floats = NDArray[np.float64]
 
 TUNING = ("room", "corridor", "tank", "machines", "shelves")
 """Kinds on which thresholds may be chosen."""

@@ -16,12 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.arrays import Bools, Floats, Ints, Singles
 from ullage.errors import InputError
 from ullage.kernels.rays import aim, refine_faces, refine_wires
 from ullage.world.scene import Motion, Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _SIDES = 8
 """Sides of the prism that stands for a round wire in Embree."""
@@ -92,7 +90,7 @@ class Raycaster:
         slack_m: float = 1e-3,
         leave_m: float = 0.0,
         t_ns: ArrayLike | None = None,
-    ) -> NDArray[np.bool_]:
+    ) -> Bools:
         """Whether nothing stands between origin (3) or (n, 3) and each target (n, 3).
 
         What stands within `slack_m` of the target or `leave_m` of the origin does not count.
@@ -149,11 +147,11 @@ class _Body:
     wire_radius: Floats  # (w)
     wire_id: Ints  # (w)
 
-    def query(self, start: Floats, rays: Floats, query: str, reach: NDArray[np.float32]) -> NDArray[Any]:
+    def query(self, start: Floats, rays: Floats, query: str, reach: Singles) -> NDArray[Any]:
         near = np.subtract(start, self.centre, dtype=np.float64).astype(np.float32)
         return np.asarray(self.tree.run(near, rays.astype(np.float32), dists=reach.copy(), query=query))
 
-    def open(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> NDArray[np.bool_]:
+    def open(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Bools:
         """Whether nothing of this body stands between points, but for the first and last metres given."""
         if not len(ends):  # Embree takes as long to say nothing as to answer a hundred rays
             return np.ones(0, bool)
@@ -191,7 +189,7 @@ def _bodies(scene: Scene, *, wires: bool) -> Iterator[_Body]:
     moves = np.array([thing.motion is not None for thing in scene.objects], bool)
     face_moves = moves[scene.face_object] if len(scene.face_object) else np.zeros(0, bool)
     wire_moves = moves[scene.wires.object_id] if len(scene.wires) else np.zeros(0, bool)
-    groups: list[tuple[int, NDArray[np.bool_], NDArray[np.bool_]]] = [(-1, ~face_moves, ~wire_moves)]
+    groups: list[tuple[int, Bools, Bools]] = [(-1, ~face_moves, ~wire_moves)]
     groups += [(int(k), scene.face_object == k, scene.wires.object_id == k) for k in np.flatnonzero(moves)]
     for thing, of_face, of_wire in groups:
         body = _body(scene, thing, np.flatnonzero(of_face), np.flatnonzero(of_wire) if wires else np.zeros(0, int))

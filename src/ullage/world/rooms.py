@@ -12,11 +12,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Ints
 from ullage.world.solids import Box, Part, Rod, Solid, clean, flat, join
-
-Floats = NDArray[np.float64]
 
 GLASS_M, DOOR_M, PIPE_M = 0.006, 0.04, 0.004
 """Thickness of a pane, a door leaf and a half-pipe's wall [m]."""
@@ -100,7 +98,7 @@ def _hole(gap: Opening) -> Any:
     return box(gap.middle_m - half, gap.sill_m, gap.middle_m + half, gap.sill_m + gap.height_m)
 
 
-def _reveal(wall: Wall, gap: Opening) -> tuple[Floats, NDArray[np.int32]]:
+def _reveal(wall: Wall, gap: Opening) -> tuple[Floats, Ints]:
     """The four inner sides of an opening, from the wall's face out to the recess."""
     ring = np.asarray(_hole(gap).exterior.coords)[:-1]
     near, far = wall.place(ring), wall.place(ring, depth_m=gap.recess_m)
@@ -174,7 +172,7 @@ def wire_parts() -> list[Solid]:
 
 def half_pipe(
     radius_m: float, low_m: float, high_m: float, *, middle: Sequence[float], bulge_deg: float = 0.0, sides: int = 24
-) -> tuple[Floats, NDArray[np.int32]]:
+) -> tuple[Floats, Ints]:
     """An upright half-pipe as a sheet; it bulges toward `bulge_deg` [deg] and is open on the other side."""
     turn = math.radians(bulge_deg) + np.linspace(-math.pi / 2, math.pi / 2, sides + 1)
     arc = np.array(middle) + radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -8,9 +8,10 @@ from itertools import chain, count
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ullage.data import Times, Trajectory
+from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.data import Trajectory
 from ullage.display import Displayed, plots
 from ullage.errors import InputError, shown
 from ullage.geometry import apply, invert, transform
@@ -22,16 +23,13 @@ from ullage.world.moving import carried
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-
 
 class Motion(Protocol):
     """Where a thing is over time: a whole `Trajectory`, or one that grows as it is watched."""
 
     @property
-    def t_ns(self) -> Times:
-        """Times that it is known at (n) [ns]."""
+    def t_ns(self) -> Longs:
+        """Longs that it is known at (n) [ns]."""
 
     def at(self, t_ns: ArrayLike) -> Trajectory:
         """world_from_object at times (m) between the first and the last of those [ns]."""
@@ -311,7 +309,7 @@ class Scene(Displayed):
         models = {key: turn @ pose if not name or key == name else pose for key, pose in self.models.items()}
         return replace(out, models=models)
 
-    def _through(self, pose: Floats, mine: NDArray[np.bool_]) -> Scene:
+    def _through(self, pose: Floats, mine: Bools) -> Scene:
         """Objects `mine` (o) taken through a rigid transform (4, 4), at rest or moving; corners shared are doubled."""
         still = mine & self._still()
         face, wire = still[self.face_object], still[self.wires.object_id]
@@ -334,11 +332,11 @@ class Scene(Displayed):
             normals = np.where(face[:, None, None], normals @ pose[:3, :3].T, normals)
         return replace(self, vertices=vertices, faces=faces, objects=objects, wires=wires, corner_normals=normals)
 
-    def _still(self) -> NDArray[np.bool_]:
+    def _still(self) -> Bools:
         """Which objects (o) do not move."""
         return np.array([o.motion is None for o in self.objects], bool)
 
-    def _of(self, model: str) -> NDArray[np.bool_]:
+    def _of(self, model: str) -> Bools:
         """Which objects (o) belong to a model."""
         return np.array([o.name == model or o.name.startswith(f"{model}::") for o in self.objects], bool)
 

@@ -13,16 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import apply, transform
 from ullage.world import shapes
 from ullage.world.lengths import length, lengths, number
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 MOST_FACES = 2_000_000
 """No object made here may have more triangles than this."""

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.world.materials import Material
@@ -31,7 +31,6 @@ from ullage.world.sdf_resolve import Missing, Resolver
 from ullage.world.sdf_sensors import ray_rigs_of, rigs_of
 from ullage.world.sdf_tree import Link, Scope, TreeReader
 
-Floats = NDArray[np.float64]
 Geometry = Literal["collision", "visual"]
 
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import apply
 from ullage.world import shapes
 from ullage.world.meshes import MOST_FACES, Mesh
 from ullage.world.scene import Scene, SceneObject, Wires
 from ullage.world.sdf_geometry import SAGITTA_M, Rod
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)

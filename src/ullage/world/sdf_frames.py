@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.geometry import invert
 from ullage.world.sdf_parse import Place, Pose
 from ullage.world.sdf_tree import Frame, Joint, Link, Scope
 
-Floats = NDArray[np.float64]
 Named = Link | Joint | Frame | Scope
 
 

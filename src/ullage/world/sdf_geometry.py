@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.world import shapes
 from ullage.world.meshes import Mesh, load_mesh
 from ullage.world.sdf_parse import Node
 from ullage.world.sdf_resolve import MissingFileError, Resolver
-
-Floats = NDArray[np.float64]
 
 SAGITTA_M = 2.5e-4
 """Facets of cylinders stay this close to the true surface, 1/160 of a wavelength at 7.3 GHz [m]."""

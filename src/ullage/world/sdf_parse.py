@@ -10,15 +10,14 @@ from typing import Any, NoReturn
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix, transform
 from ullage.untrusted import regular_size
 from ullage.world.notices import notify
 from ullage.world.sdf_schema import ELEMENTS
 
-Floats = NDArray[np.float64]
 Element = Any  # lxml's: its stubs lag behind it
 
 MOST_BYTES = 64 * 2**20

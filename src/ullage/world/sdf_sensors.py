@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import invert, transform
 from ullage.specs import MountSpec, RadarSpec, Rig
@@ -29,7 +29,6 @@ from ullage.world.sdf_frames import ScopeFrames
 from ullage.world.sdf_parse import NAMESPACE, Node, read_pose
 from ullage.world.sdf_tree import Link
 
-Floats = NDArray[np.float64]
 KIND = "ullage_radar"
 RAY_TYPES = ("ray", "gpu_ray", "lidar", "gpu_lidar")
 FULL_DEG = 360.0

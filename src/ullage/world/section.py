@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 def section(scene: Scene, z_m: float) -> Floats:

@@ -12,10 +12,9 @@ from math import ceil, pi, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage.arrays import Floats, Ints
 from ullage.errors import InputError
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Shape = tuple[Floats, Ints]
 
 MOST_FACES = 4_000_000

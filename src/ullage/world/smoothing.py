@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from ullage.arrays import Floats, Longs
 
 CREASE_DEG = 40.0
 """Facets that meet at more than this keep a crease between them [deg].

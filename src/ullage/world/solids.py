@@ -8,16 +8,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ullage.arrays import Floats
 from ullage.geometry import apply, transform
 from ullage.world import shapes
 from ullage.world.materials import material
 from ullage.world.scene import Scene
 from ullage.world.sdf_geometry import SAGITTA_M, WIRE_RADIUS_M, WIRE_SLENDERNESS
 from ullage.world.shapes import Shape
-
-Floats = NDArray[np.float64]
 
 ROUND_SIDES = 16
 """Sides of a round part in furniture."""

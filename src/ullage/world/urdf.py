@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, transform
 from ullage.world.notices import one_notice_per_kind
@@ -26,8 +26,6 @@ from ullage.world.sdf_parse import Node, Pose, parse_xml, read_xml
 from ullage.world.sdf_resolve import Resolver
 from ullage.world.sdf_tree import Link, Scope
 from ullage.world.xacro_process import expand_xacro
-
-Floats = NDArray[np.float64]
 
 _NAMES = """
 acceleration actuator axis box calibration capsule child collision color contact cylinder dynamics effort gazebo

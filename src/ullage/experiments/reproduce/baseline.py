@@ -6,8 +6,8 @@ The flights of chapter 6 hardly notice a wrong term. Here each statement isolate
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.experiments.laws import decibel, radars
 from ullage.experiments.reproduce.bench import Bench
@@ -21,7 +21,6 @@ from ullage.specs import RadarSpec, Rig
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 HERE = Trajectory.stationary()
 LOBE_DEG = 65.0
 """Opening that the thesis gives [deg] (4.3.1)."""

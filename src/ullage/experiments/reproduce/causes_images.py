@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory
 from ullage.experiments.catalog import find_scenario
@@ -23,8 +23,6 @@ from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec, Rig
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

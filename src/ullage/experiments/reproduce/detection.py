@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.experiments.laws import TARGETS, alone
 from ullage.experiments.reproduce.bench import Bench, Flown
@@ -17,7 +17,6 @@ from ullage.processing.summation import apex
 from ullage.view.thesis_detection import Pass, draw_images, draw_target
 from ullage.world.section import section, wire_section
 
-Floats = NDArray[np.float64]
 FIGURES = {"ntnu-plate": "6.3", "ntnu-plate45": "6.4", "ntnu-pole": "6.5", "ntnu-wire": "6.6"}
 SAR = {"ntnu-plate": "6.7", "ntnu-plate45": "6.7", "ntnu-pole": "6.8", "ntnu-wire": "6.8"}
 WAYS = {

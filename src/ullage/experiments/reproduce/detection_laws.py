@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory
 from ullage.experiments.laws import TAIL_M, TARGETS, alone, decibel, radars, strafe, without
@@ -14,7 +14,6 @@ from ullage.radar.simulate import simulate
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 LAWS: tuple[Fidelity, ...] = ("thesis", "physical")
 
 
@@ -78,7 +77,7 @@ def clutter(bench: Bench, scene: Scene, path: Trajectory, wire_m: Floats) -> Non
          _left(whole, suppress_floor(whole), at_wire, less=bare), "dB", high=-6)  # fmt: skip
 
 
-def _left(before: Frames, after: Frames, where: NDArray[np.bool_], *, less: Frames | None = None) -> float:
+def _left(before: Frames, after: Frames, where: Bools, *, less: Frames | None = None) -> float:
     """What suppression leaves within some bins, rms over rms [dB]; `less` holds what ought to be left.
 
     NaN where there was no echo to suppress.

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Metric, Trajectory
 from ullage.geometry import rpy_quat
 from ullage.grids import Grid, OccupancyMap, Tiles
@@ -18,7 +18,6 @@ from ullage.specs import Rig
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 Fidelity = Literal["physical", "thesis"]
 Recordings = dict[str, Frames]
 Scores = dict[str, list[dict[str, float]]]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.experiments.reproduce import flights
 from ullage.experiments.reproduce.bench import Bench
@@ -60,7 +61,7 @@ def cases(seed: int) -> Iterator[tuple[str, Frames, Image]]:
         yield name, frames, focus(frames, GRID)
 
 
-def _moved(frames: Frames, position: flights.Floats) -> Frames:
+def _moved(frames: Frames, position: Floats) -> Frames:
     path = frames.believed
     return replace(frames, poses=Trajectory(path.t_ns, position, path.quat_xyzw))
 

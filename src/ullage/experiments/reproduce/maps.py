@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.experiments.reproduce.bench import Bench, Flown
 from ullage.grids import Grid, OccupancyMap
@@ -19,7 +19,6 @@ from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 from ullage.world.section import section
 
-Floats = NDArray[np.float64]
 MEASURES = (
     "f1",
     "precision",

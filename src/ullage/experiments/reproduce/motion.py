@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec, Rig
 from ullage.world.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 def integration_s(spec: RadarSpec) -> float:

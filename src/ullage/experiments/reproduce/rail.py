@@ -6,8 +6,8 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.errors import UllageWarning
 from ullage.experiments.reproduce.bench import Bench
@@ -23,7 +23,6 @@ from ullage.view.beside import Look, draw_rail
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 READS = ("pulson440/rail_a/radar.out", "pulson440/rail_a/mocap.csv", "pulson440/rail_a/reflector.csv")
 EDGE_M = 0.3
 """Edge of the simulated corner reflector [m]: the real one's is not written down; one gain factor takes it up."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes
 from ullage.data import Frames
 from ullage.errors import UllageWarning
 from ullage.experiments.reproduce.bench import Bench
@@ -15,7 +15,6 @@ from ullage.radar.receiver import receive, unit
 from ullage.specs import RadarSpec
 from ullage.view.receiver_figure import draw_receiver
 
-Complexes = NDArray[np.complex128]
 READS = ("x4/xethru_datafloat_20190614_141837.dat",)
 STILL = slice(200, 4900)
 QUIET = 100

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.config import MapMethod
 from ullage.data import Frames, Trajectory
 from ullage.experiments.reproduce import flights
@@ -24,7 +24,6 @@ from ullage.view.figures import drawing
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-Floats = NDArray[np.float64]
 RADIAL = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.37, 0.45, 0.5, 0.55, 0.65, 0.74, 0.9, 1.0)
 SIDEWAYS = {False: (0.1, 0.175, 0.25, 0.32, 0.5, 0.75, 1.0, 1.5, 2.0), True: (0.175, 0.5, 1.0, 2.0)}
 ROUNDS = {False: (0.5, 1.0, 2.0, 4.0), True: (0.5, 4.0)}

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.experiments.laws import TARGETS, alone, decibel
 from ullage.grids import Grid, Image
 from ullage.processing.sar import focus
 from ullage.world.library import WORLDS
 
-Floats = NDArray[np.float64]
 IMAGE_BOX = np.array([[-1.5, -2.0, 1.1], [4.3, 2.0, 1.1]])
 """Where images are made: from beyond the direct path to the wall behind the targets [m]."""
 CELL_M = 0.05

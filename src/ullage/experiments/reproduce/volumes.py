@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Floats
 from ullage.experiments.reproduce import flights
 from ullage.experiments.reproduce.bench import Bench
-from ullage.experiments.reproduce.flights import Floats, Recordings, Scores, interval, mean_of
+from ullage.experiments.reproduce.flights import Recordings, Scores, interval, mean_of
 from ullage.geometry import quat_matrix
 from ullage.grids import Grid, OccupancyMap
 from ullage.processing.metrics import map_quality

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from ullage.data import Floats, Frames
+from ullage.arrays import Floats
+from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
 from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of

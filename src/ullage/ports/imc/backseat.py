@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.flight.missions import Waypoints
 from ullage.ports.imc.codec import Packet, make, readable
 from ullage.ports.imc.link import Link

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.flight.live import Wish
 from ullage.ports.imc.codec import Message, Packet, make
 from ullage.ports.imc.places import Geodetic

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats, Frames, Trajectory, joined
+from ullage.arrays import Floats
+from ullage.data import Frames, Trajectory, joined
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.ports import conversions

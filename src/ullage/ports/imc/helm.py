@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
 from ullage.ports.imc.codec import NOBODY, Packet, make

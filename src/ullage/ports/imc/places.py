@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats, Trajectory
+from ullage.arrays import Floats
+from ullage.data import Trajectory
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
 from ullage.ports.ned import FLIP, SWAP
 

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats, Frames
+from ullage.arrays import Floats
+from ullage.data import Frames
 from ullage.geometry import matrix_quat, quat_rpy, transform
 from ullage.ports import conversions
 from ullage.ports import messages as ros

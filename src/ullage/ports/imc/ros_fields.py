@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.geometry import matrix_quat, quat_matrix, quat_rpy, rpy_quat
 from ullage.ports.ned import FLIP, SWAP
 

@@ -6,7 +6,8 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from ullage.data import Floats, Frames, Trajectory
+from ullage.arrays import Floats
+from ullage.data import Frames, Trajectory
 from ullage.errors import UllageWarning
 from ullage.geometry import invert
 from ullage.ports.imc import radars

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.errors import need
 from ullage.geometry import quat_matrix, rpy_quat
 from ullage.ports.intake import Counters

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.geometry import rpy_quat
 from ullage.ports.mavlink.dialect import CUSTOM, mavlink, orientation_of
 from ullage.ports.ned import FLIP

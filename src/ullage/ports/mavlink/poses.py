@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
 from ullage.ports.intake import Counters, checked_pose

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ullage.data import Floats
+from ullage.arrays import Floats
 from ullage.geometry import quat_matrix, rotations
 
 KEPT_NS = 30_000_000_000

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
 from ullage.kernels.surface_cells import BODY_M, Plane, Views, draw_extensions, draw_surfaces, draw_tubes, find_hidden
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, smoothed, transported
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 FREE, OCCUPIED = 5, 95  # percent
 FULL_NATS = 30.0  # an echo with as many counts in full
@@ -30,7 +27,7 @@ ROUNDS = 3  # of hiding: what hides may be hidden itself
 
 def render(
     grid: Grid, surfaces: list[Surface], flown: Floats, wavelength_m: float, fold_m: float, spec: LikelihoodSpec
-) -> tuple[OccupancyMap, Flags]:
+) -> tuple[OccupancyMap, Bools]:
     """Draw a map.
 
     Args:
@@ -65,7 +62,7 @@ def render(
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
 
 
-def _body(grid: Grid, flown: Floats) -> NDArray[np.int64]:
+def _body(grid: Grid, flown: Floats) -> Longs:
     """Flat index of the cells within the radius of the body about the track."""
     if not len(flown):
         return np.zeros(0, np.int64)
@@ -77,7 +74,7 @@ def _body(grid: Grid, flown: Floats) -> NDArray[np.int64]:
     return np.unique(np.ravel_multi_index(tuple(cell[inside].T), grid.shape))
 
 
-def _views(surfaces: list[Surface], wavelength_m: float, spec: LikelihoodSpec) -> tuple[Views, NDArray[np.int64]]:
+def _views(surfaces: list[Surface], wavelength_m: float, spec: LikelihoodSpec) -> tuple[Views, Longs]:
     """All sightings of all surfaces as rows, and the surface of each."""
     states, sigmas = zip(*(smoothed(one) for one in surfaces), strict=True)
     state, sigma = np.concatenate(states), np.concatenate(sigmas)
@@ -100,9 +97,7 @@ def _views(surfaces: list[Surface], wavelength_m: float, spec: LikelihoodSpec) -
     return views, owner
 
 
-def _visible(
-    plane: Plane, views: Views, owner: NDArray[np.int64], possible: Flags, spec: LikelihoodSpec
-) -> tuple[Flags, Floats]:
+def _visible(plane: Plane, views: Views, owner: Longs, possible: Bools, spec: LikelihoodSpec) -> tuple[Bools, Floats]:
     """Which echoes come straight from a surface, and the evidence of these in each cell (cells)."""
     count = np.bincount(owner)
     alive = possible[owner]
@@ -118,7 +113,7 @@ def _visible(
     return alive, evidence
 
 
-def _unobstructed(views: Views, owner: NDArray[np.int64]) -> Flags:
+def _unobstructed(views: Views, owner: Longs) -> Bools:
     """Whether each echo (k) is about as strong as the strongest of its surface, so that nothing stands in its path.
 
     A round surface changes the level of a flat one by the root of how its specular point moves against the sensor's.
@@ -129,7 +124,7 @@ def _unobstructed(views: Views, owner: NDArray[np.int64]) -> Flags:
     return np.asarray(level >= CLEAR * full[owner])
 
 
-def _flown_through(views: Views, owner: NDArray[np.int64], flown: Floats) -> Flags:
+def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:
     """Whether the track passes the specular points of each surface, as it passes those of false ones only (s)."""
     range_m, bearing = views.state[:, 0], views.state[:, 1]
     unit = np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
@@ -142,7 +137,7 @@ def _flown_through(views: Views, owner: NDArray[np.int64], flown: Floats) -> Fla
     return np.asarray(np.bincount(owner, near) / np.bincount(owner) > FLOWN_SHARE)
 
 
-def _folded(surfaces: list[Surface], fold_m: float) -> Flags:
+def _folded(surfaces: list[Surface], fold_m: float) -> Bools:
     """Whether echoes of each surface (s) are those of another one, farther by the unambiguous range."""
     out = np.zeros(len(surfaces), bool)
     reference = np.stack([one.position for one in surfaces])

@@ -12,14 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Singles
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, strongest, subtract, sum_directions
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.poses import AperturePoses, PoseErrors
 from ullage.processing.likelihood.spec import LikelihoodSpec
-
-Floats = NDArray[np.float64]
 
 FAR_END_M = 0.3  # of the range axis that the search leaves out
 LEAST_ROWS = 12  # of an aperture: three frames of four sensors
@@ -82,7 +80,7 @@ class EchoFinder:
         rest = np.array([row[2:] for row in found]).reshape(-1, 3)
         return Echoes(key.position[:2], state, covariance, *rest.T)
 
-    def _sum(self, key: Keyframe, low: int, high: int, energy: NDArray[np.float32]) -> None:
+    def _sum(self, key: Keyframe, low: int, high: int, energy: Singles) -> None:
         """Energy that a flat reflector explains; `refine` finds its curvature."""
         sum_directions(key.aperture, self._directions, 0.0, low, high, energy[0])
 

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.antenna import boresight_pattern
+from ullage.arrays import Floats, Longs
 from ullage.data import Frames
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels.matched_sums import GAIN_CELLS, Aperture
 from ullage.processing.likelihood.spec import LikelihoodSpec
-
-Floats = NDArray[np.float64]
 
 UPSAMPLING = 2  # of range bins, so that linear interpolation between them is good to 1 %
 LATEST_NS = 10_000_000_000  # a sensor that lags by more is not waited for
@@ -58,7 +57,7 @@ class Keyframe:
     first_bin: int  # beyond the direct path
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
-    moment: NDArray[np.int64]  # (m) index of the time of each row of the aperture
+    moment: Longs  # (m) index of the time of each row of the aperture
 
 
 class KeyframeSelector:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Bools, Floats
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap
@@ -17,8 +17,6 @@ from ullage.processing.likelihood.keyframes import KeyframeSelector
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker
 from ullage.processing.mapper_door import in_order, plane_of
-
-Floats = NDArray[np.float64]
 
 CELL_M = 0.05  # places of the track are kept apart by as much
 
@@ -104,7 +102,7 @@ class LikelihoodMapper:
         """Use the frames that waited for a complete aperture."""
         self._take_in(finish=True)
 
-    def _rendered(self) -> tuple[OccupancyMap, list[Surface], NDArray[np.bool_]]:
+    def _rendered(self) -> tuple[OccupancyMap, list[Surface], Bools]:
         surfaces = self._tracker.confirmed()
         flown = (np.array(list(self._flown), float).reshape(-1, 2) + 0.5) * CELL_M
         omap, kept = render(self.grid, surfaces, flown, self._wavelength_m, self._fold_m, self.spec)

@@ -11,11 +11,9 @@ import math
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels.matched_sums import Aperture
-
-Floats = NDArray[np.float64]
 
 KEPT = 41  # estimates of the variance; their median counts
 LEAST_VARIANCE = 1e-3  # of a phase, that the model itself leaves [rad^2]
@@ -60,7 +58,7 @@ class EchoPhases:
         variance: of a phase by what the echo does not explain [rad^2].
     """
 
-    def __init__(self, rows: NDArray[np.complex128], gain: Floats, moment: NDArray[np.int64]) -> None:
+    def __init__(self, rows: Complexes, gain: Floats, moment: Longs) -> None:
         weighted = gain * rows
         sums = np.bincount(moment, weighted.real) + 1j * np.bincount(moment, weighted.imag)
         size = np.abs(sums)
@@ -79,7 +77,7 @@ class AperturePoses:
         moment: (m) index of the time of each row; sensors share the errors of one time.
     """
 
-    def __init__(self, aperture: Aperture, moment: NDArray[np.int64]) -> None:
+    def __init__(self, aperture: Aperture, moment: Longs) -> None:
         self._aperture, self._moment = aperture, moment
         self._covariance = np.zeros((3, 3))
         self.sigma: float | None = None

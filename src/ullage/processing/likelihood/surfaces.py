@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats
 from ullage.processing.likelihood.echoes import Echoes
 from ullage.processing.likelihood.spec import LikelihoodSpec
-
-Floats = NDArray[np.float64]
 
 STEPS = np.array([1e-4, 1e-5, 1e-4])  # of the numerical derivatives: m, rad, 1/m
 NOISE = np.array([6e-4, math.radians(0.1), 0.015])  # that a surface may bend in a keyframe: m, rad, 1/m
