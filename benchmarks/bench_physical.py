@@ -15,7 +15,7 @@ from collections import defaultdict
 import numpy as np
 
 import ullage as ul
-from ullage.kernels import beams, bounces, double_fringe, edges, facets, fringe, pulse, rims
+from ullage.kernels import beams, bounces, double_edge_diffraction, edge_diffraction, edges, facets, outlines, pulse
 from ullage.radar import multipath, physical, visibility
 from ullage.radar.physical import echoes
 from ullage.world.library import WORLDS
@@ -101,13 +101,24 @@ def cores():
 
 
 STAGES = (
-    (edges, "cut", "cut rims"), (rims, "lay_rims", "lay rims"), (fringe, "lay_fringes", "conducting edges"),
-    (double_fringe, "lay_doubles", "conducting edges"), (fringe, "audible", "conducting edges"),
-    (facets, "split", "split triangles"), (facets, "deposit", "lay triangles"), (pulse, "convolve", "pulse"),
-    (beams, "trace", "trace beams"), (bounces, "reflect", "follow paths"), (bounces, "legs", "follow paths"),
-    (bounces, "stand_ins", "follow paths"), (bounces, "cover", "follow paths"), (physical, "seen", "rays, first"),
-    (multipath, "between", "rays, bounces"), (visibility, "_through", "sheets"), (physical, "lay", "rest"),
-)  # fmt: skip
+    (edges, "cut", "cut outlines"),
+    (outlines, "accumulate_outlines", "outlines"),
+    (edge_diffraction, "accumulate_edge_diffraction", "conducting edges"),
+    (double_edge_diffraction, "accumulate_doubles", "conducting edges"),
+    (edge_diffraction, "audible", "conducting edges"),
+    (facets, "split", "split triangles"),
+    (facets, "accumulate", "triangles"),
+    (pulse, "convolve", "pulse"),
+    (beams, "trace", "trace beams"),
+    (bounces, "reflect", "follow paths"),
+    (bounces, "legs", "follow paths"),
+    (bounces, "stand_ins", "follow paths"),
+    (bounces, "cover", "follow paths"),
+    (physical, "seen", "rays, first"),
+    (multipath, "between", "rays, bounces"),
+    (visibility, "_through", "sheets"),
+    (physical, "lay", "rest"),
+)
 
 
 @contextlib.contextmanager

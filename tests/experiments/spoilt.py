@@ -171,7 +171,7 @@ def short_axis(patch: Patch) -> None:
 
 
 def no_max_range(patch: Patch) -> None:
-    kept = ullage.radar.rays.deposit
+    kept = ullage.radar.rays.accumulate
     patch.setattr(ullage.radar.rays, "deposit", lambda *a: kept(*a[:5], 11.0, *a[6:]))
     patch.setattr(
         ullage.radar.models,

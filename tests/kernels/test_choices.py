@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ullage.kernels import beams, impulses, rims
+from ullage.kernels import beams, impulses, outlines
 
 C0 = 299_792_458.0
 
@@ -28,8 +28,8 @@ def test_backs_are_hidden_from_outside_and_only_from_there():
     axes, halves = Rotation.random(40, random_state=2).as_matrix(), rng.uniform(0.2, 1.0, (40, 3))
     origins, opaque, out = np.array([[0.2, 0.1, 0.0], [0.3, -0.4, 0.1]]), rng.random(40) > 0.2, np.empty(40, np.bool_)
     held = np.empty((40, 2), np.bool_)
-    rims.held_by(middles, axes, halves, origins, 1e-3, held)
-    rims.hidden(outward, np.arange(40, dtype=np.int32), held, origins, opaque, out)
+    outlines.held_by(middles, axes, halves, origins, 1e-3, held)
+    outlines.hidden(outward, np.arange(40, dtype=np.int32), held, origins, opaque, out)
     behind = [outward[:, :3] @ o + outward[:, 3] < 0 for o in origins]
     inside = [(abs(np.einsum("nki,ni->nk", axes, o - middles)) <= halves + 1e-3).all(1) for o in origins]
     expected = opaque & behind[0] & behind[1] & ~inside[0] & ~inside[1]
@@ -42,7 +42,7 @@ def test_faces_that_mirror_a_radar_beyond_the_gate_are_followed_farther():
     normals, offsets = np.tile([1.0, 0, 0], (4, 1)), np.array([5.0, 15, 15, 40])
     spheres = np.array([[5.0, 0, 0, 1], [15, 0, 0, 1], [15, 8, 0, 1], [40, 0, 0, 1]])
     out = np.empty(4)
-    rims.limits(normals, offsets, spheres, np.zeros(3), 10.0, 30.0, out)
+    outlines.limits(normals, offsets, spheres, np.zeros(3), 10.0, 30.0, out)
     assert list(out) == [10, 30, 10, 10]
 
 

@@ -6,14 +6,14 @@ import pytest
 import ullage as ul
 from ullage.geometry import C0
 from ullage.kernels import edges
-from ullage.kernels import rims as kernel
-from ullage.radar import flats, physical
+from ullage.kernels import outlines as kernel
+from ullage.radar import physical, planar
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
     bins=2000, range_start_m=0.0, prf_div=255
 )
 WAVE = 2 * np.pi * RADAR.center_hz / C0
-READY = physical.bench(ul.scenes.plate(width_m=1, height_m=1, distance_m=3, material="pec"), RADAR, edges=False)
+READY = physical.radar_context(ul.scenes.plate(width_m=1, height_m=1, distance_m=3, material="pec"), RADAR, edges=False)
 
 
 def by_rim(size, one, other):
@@ -21,17 +21,17 @@ def by_rim(size, one, other):
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * np.array([*size, 0]) / 2
     normal, offset, first, limit = np.array([[0, 0, 1.0]]), np.zeros(1), np.array([0, 4], np.int32), np.array([50.0])
     sphere, pair = np.array([[0, 0, 0, np.hypot(*size) / 2]]), np.stack([one, other])[None]
-    face, still = np.array([0]), physical.view_of(RADAR, one, np.eye(3))
-    rim = flats.parted(1, 4, lambda *room: edges.cut(
+    face, still = np.array([0]), physical.antenna_pair(RADAR, one, np.eye(3))
+    rim = planar.parted(1, 4, lambda *room: edges.cut(
         face, sphere, normal, offset, first, corners, np.roll(corners, -1, 0), pair, still.aside, limit, 1e9,
         READY.pulse.omega, False, *room))  # fmt: skip
     points = np.empty((1, 9))
     count = kernel.crossings(face, rim.windings, normal, offset, pair, limit, points)
     grids = np.zeros((3, READY.places), complex)
-    told = normal, np.zeros(1, np.int32), *physical.common(READY, physical.View(pair[0], still.frames, still.fields),
-                                                           grids)  # fmt: skip
+    antennas = physical.AntennaPair(pair[0], still.frames, still.fields)
+    told = normal, np.zeros(1, np.int32), *physical.common(READY, antennas, grids)
     many = len(rim.owner) + len(rim.holders) + count
-    flats.lay_rim(rim, points[:count], face[:count], np.ones(many, complex), np.zeros(many), told)
+    planar.accumulate_outline(rim, points[:count], face[:count], np.ones(many, complex), np.zeros(many), told)
     return grids.sum()
 
 

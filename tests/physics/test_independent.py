@@ -6,9 +6,9 @@ import pytest
 import ullage as ul
 from ullage.experiments.validation_rows import radar
 from ullage.geometry import C0
-from ullage.radar.context import bench, view_of
-from ullage.radar.flats import lay_flats
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import image_lengths
+from ullage.radar.planar import accumulate_planar
 from ullage.radar.pulse import envelope
 
 SIZE, AT = np.array([6.0, 4.0, 3.0]), np.array([0.31, -0.42, 0.17])
@@ -30,8 +30,8 @@ def images():
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_a_rooms_delays_are_those_of_its_image_sources(images, order):
     far, orders, _ = images
-    ready = bench(ul.scenes.room(tuple(SIZE), material="pec"), radar())
-    ours = np.unique(np.round(image_lengths(ready, view_of(radar(), AT, np.eye(3)), order), 4))
+    ready = radar_context(ul.scenes.room(tuple(SIZE), material="pec"), radar())
+    ours = np.unique(np.round(image_lengths(ready, antenna_pair(radar(), AT, np.eye(3)), order), 4))
     want = np.unique(np.round(far[orders == order], 4))
     ours, want = ours[ours <= 18.0], want[(want <= 18.0) & (want > 1e-3)]
     assert len(ours) == len(want)
@@ -41,10 +41,10 @@ def test_a_rooms_delays_are_those_of_its_image_sources(images, order):
 def test_a_rooms_walls_weigh_as_their_image_sources(images):
     """Mirror echoes fall as the distance of the image, as pressure does."""
     far, orders, damping = images
-    ready = bench(ul.scenes.room(tuple(SIZE), material="pec"), radar())
+    ready = radar_context(ul.scenes.room(tuple(SIZE), material="pec"), radar())
     grids = np.zeros((3, ready.places), complex)
     parts = ready.world.parts()
-    (laid,) = lay_flats(ready, parts, parts[0], view_of(radar(), AT, np.eye(3)), grids)
+    (laid,) = accumulate_planar(ready, parts, parts[0], antenna_pair(radar(), AT, np.eye(3)), grids)
     first = np.flatnonzero(orders == 1)
     first = first[np.argsort(far[first])]
     delays, echoes = laid.delay_s[-len(first) :], laid.echo[-len(first) :]  # mirror points come last

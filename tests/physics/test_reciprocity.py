@@ -5,7 +5,7 @@ import pytest
 
 import ullage as ul
 from ullage.radar import physical
-from ullage.radar.multipath import lay_bounces, looks
+from ullage.radar.multipath import accumulate_bounces, looks
 from ullage.world.library import WORLDS
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
@@ -14,8 +14,8 @@ RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).
 
 
 def sent(ready, one, other):
-    still = physical.view_of(RADAR, one, np.eye(3))
-    return physical.View(np.stack([one, other]), still.frames, still.fields)
+    still = physical.antenna_pair(RADAR, one, np.eye(3))
+    return physical.AntennaPair(np.stack([one, other]), still.frames, still.fields)
 
 
 def apart(rng, low, high, distance):
@@ -29,12 +29,12 @@ def apart(rng, low, high, distance):
 
 def differ(scene, low, high, bounces, distances, seed=3):
     """Largest difference of any place of the delay grids over the largest of them, places changed."""
-    ready, rng, worst = physical.bench(scene, RADAR), np.random.default_rng(seed), 0.0
+    ready, rng, worst = physical.radar_context(scene, RADAR), np.random.default_rng(seed), 0.0
     for distance in distances:
         one, other = apart(rng, low, high, distance)
         grids = np.zeros((2, 3, ready.places), complex)
-        physical.lay(ready, sent(ready, one, other), None, bounces, grids[0])
-        physical.lay(ready, sent(ready, other, one), None, bounces, grids[1])
+        physical.accumulate(ready, sent(ready, one, other), None, bounces, grids[0])
+        physical.accumulate(ready, sent(ready, other, one), None, bounces, grids[1])
         worst = max(worst, abs(grids[0] - grids[1]).max() / abs(grids).max())
     return worst
 
@@ -65,13 +65,16 @@ def test_worlds_of_balls_wires_edges_and_frames(world):
 @pytest.mark.parametrize("size", [(8.0, 5.0, 2.4), (4.0, 3.5, 3.0)])
 def test_two_walls_give_the_wave_of_their_one_image_wherever_the_antennas_are(size):
     """Over a large wall and a small one, in either order, it is lambda / (4 pi L) of the image in both."""
-    ready, rng = physical.bench(ul.scenes.room(size, material="pec"), RADAR, edges=False), np.random.default_rng(4)
-    flats, half = ready.world.still.flats, np.array(size) / 2
+    ready, rng = (
+        physical.radar_context(ul.scenes.room(size, material="pec"), RADAR, edges=False),
+        np.random.default_rng(4),
+    )
+    flats, half = ready.world.still.planar, np.array(size) / 2
     for distance in DISTANCES:
         one, other = apart(rng, -0.8 * half, 0.8 * half, distance)
         view, grids = sent(ready, one, other), np.zeros((3, ready.places), complex)
         parts = ready.world.parts()
-        laid = lay_bounces(ready, parts, flats, view, 2, looks(ready, flats, view), grids)
+        laid = accumulate_bounces(ready, parts, flats, view, 2, looks(ready, flats, view), grids)
         delay = np.concatenate([part.delay_s for part in laid])
         for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # the four upright corners
             image = one.copy()

@@ -58,9 +58,9 @@ def test_an_arc_is_what_the_integral_over_it_says(height):
         wall = Round(
             np.zeros(3), np.eye(3), radius, -1.5, 1.5, 0.0, width, 0, strips=np.array([[angle, half, -1.5, 1.5]])
         )
-        view = physical.View(np.array([eye, eye]), np.array([np.eye(3)] * 2), np.zeros((2, 3)))
+        antennas = physical.AntennaPair(np.array([eye, eye]), np.array([np.eye(3)] * 2), np.zeros((2, 3)))
         lines = arcs._lines(wall)
-        spots = arcs._spots(view, lines, arcs._places(view, lines, np.array([True]), np.inf))
+        spots = arcs._spots(antennas, lines, arcs._places(antennas, lines, np.array([True]), np.inf))
         mine = arcs._along(spots, wave) * arcs._across_chord(spots, wave) * spots.outward.mean(0)
         mine = (mine / spots.ranges.prod(0) * np.exp(-1j * wave * spots.ranges.sum(0))).sum()
         true = _integral(angle, half, radius, eye, wave, bent=True) - _integral(
@@ -92,7 +92,7 @@ def test_a_cap_ends_on_the_circle_that_its_wall_ends_on():
     radius, count, wave, eye = 1.0, 40, 2 * np.pi / 0.0411, np.array([0.3, 0.2, 0.9])
     half, angle = np.pi / count, (2 * np.arange(count) + 1) * np.pi / count
     strips = np.column_stack([angle, np.full(count, half), np.zeros(count), np.full(count, 3.0)])
-    view = physical.View(np.array([eye, eye]), np.array([np.eye(3)] * 2), np.zeros((2, 3)))
+    antennas = physical.AntennaPair(np.array([eye, eye]), np.array([np.eye(3)] * 2), np.zeros((2, 3)))
     t, s = np.meshgrid((np.arange(100) + 0.5) / 50 - 1, (np.arange(24) + 0.5) / 24)
     chord, rise = np.cos(half), np.sqrt(1 - (np.sin(half) * t) ** 2) - np.cos(half)
     on = np.stack([chord + rise * s, np.sin(half) * t], -1)
@@ -104,8 +104,8 @@ def test_a_cap_ends_on_the_circle_that_its_wall_ends_on():
         wall = Round(np.zeros(3), np.eye(3), radius, 0.0, 3.0, 0.0, 0.15, 0, strips=strips,
                      caps=np.tile([sign, 0.0], (count, 1)))  # fmt: skip
         lines = arcs._lines(wall)
-        places = arcs._places(view, lines, np.array([True]), np.inf)
-        spots = arcs._spots(view, lines, places.some(np.flatnonzero(places.flat)))
+        places = arcs._places(antennas, lines, np.array([True]), np.inf)
+        spots = arcs._spots(antennas, lines, places.some(np.flatnonzero(places.flat)))
         each = arcs._across_chord(spots, wave) * eye[2] / spots.ranges[0] ** 3 * np.exp(-2j * wave * spots.ranges[0])
         mine = np.bincount(spots.lines.strips, each.real) + 1j * np.bincount(spots.lines.strips, each.imag)
         assert abs(sign * mine - true).max() < 0.02 * abs(true).max()
@@ -156,7 +156,7 @@ def test_strips_with_holes_stay_as_they_are():
 def test_what_is_hidden_adds_nothing():
     tank = ul.scenes.cylinder(3.0, 3.0, 0.0, edge_m=0.1)
     box = ul.scenes.cylinder(0.3, 0.6, 0.0, edge_m=0.01)
-    ready = physical.bench(Scene.union([tank, box]), SPEC)
-    parts, wall = ready.world.parts(None), ready.world.rounds[0]
-    view = physical.view_of(SPEC, np.zeros(3), np.eye(3))
-    assert arcs.lay_arcs(ready, parts, (wall,), view, np.zeros((3, ready.places), complex)) == []
+    context = physical.radar_context(Scene.union([tank, box]), SPEC)
+    parts, wall = context.world.parts(None), context.world.rounds[0]
+    antennas = physical.antenna_pair(SPEC, np.zeros(3), np.eye(3))
+    assert arcs.accumulate_arcs(context, parts, (wall,), antennas, np.zeros((3, context.places), complex)) == []

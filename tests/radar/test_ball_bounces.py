@@ -25,12 +25,12 @@ def test_it_is_physical_optics_iterated_over_the_wall(away, bounces, within):
 
 
 def inside(scene: Scene, place: tuple[float, float, float], spec: ul.RadarSpec = SPEC, bounces: int = 2) -> complex:
-    """What `lay_inside` alone lays on the grids, at the carrier."""
-    ready = physical.bench(scene, spec)
-    view = physical.view_of(spec, np.array(place), np.eye(3))
-    grids = np.zeros((3, ready.places), complex)
-    laid = ball_bounces.lay_inside(ready, ready.world.parts(None), view, bounces, grids)
-    return sum((part.echo.sum() for part in laid), 0j)
+    """What `accumulate_inside` alone lays on the grids, at the carrier."""
+    context = physical.radar_context(scene, spec)
+    antennas = physical.antenna_pair(spec, np.array(place), np.eye(3))
+    grids = np.zeros((3, context.places), complex)
+    echoes = ball_bounces.accumulate_inside(context, context.world.parts(None), antennas, bounces, grids)
+    return sum((part.echo.sum() for part in echoes), 0j)
 
 
 def test_meshes_of_a_ball_are_one_ball():
@@ -58,11 +58,11 @@ def test_what_is_not_there_mirrors_nothing_and_what_stands_between_hides():
 
 def sent(points: np.ndarray, place: np.ndarray, field: np.ndarray, wave: float) -> tuple[np.ndarray, np.ndarray]:
     """Electric fields (n, 3) of an isotropic antenna at points (n, 3), and how the waves travel (n, 3)."""
-    ways = points - place
-    far = np.linalg.norm(ways, axis=1, keepdims=True)
-    ways = ways / far
-    across = field - (ways @ field)[:, None] * ways
-    return across / np.linalg.norm(across, axis=1, keepdims=True) * np.exp(-1j * wave * far) / far, ways
+    paths = points - place
+    far = np.linalg.norm(paths, axis=1, keepdims=True)
+    paths = paths / far
+    across = field - (paths @ field)[:, None] * paths
+    return across / np.linalg.norm(across, axis=1, keepdims=True) * np.exp(-1j * wave * far) / far, paths
 
 
 def currents(points: np.ndarray, inward: np.ndarray, known: np.ndarray, area: float, wave: float) -> np.ndarray:
@@ -88,8 +88,8 @@ def test_fields_turn_as_maxwells_equations_have_it(place, within):
     turn, z = np.arange(count) * np.pi * (3 - 5**0.5), 1 - (2 * np.arange(count) + 1) / count
     inward = -np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], 1)
     points = -radius * inward
-    electric, ways = sent(points, np.array(place), field, wave)
-    made = 2 * np.cross(inward, np.cross(ways, electric))
+    electric, paths = sent(points, np.array(place), field, wave)
+    made = 2 * np.cross(inward, np.cross(paths, electric))
     made = currents(points, inward, made, area, wave)
     want = -0.125j / np.pi * (electric * made).sum() * area
     assert abs(inside(ul.scenes.sphere(radius, 0.0, edge_m=0.1), place, spec) - want) < within * abs(want)

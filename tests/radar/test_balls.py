@@ -23,11 +23,11 @@ def bowl(level: float, edge_m: float = 0.1) -> tuple[Scene, float]:
     vertices, faces = shapes.capsule(1.0, 1.0, segment_m=edge_m)
     vertices = vertices + np.array([0, 0, 0.5])
     below = vertices[faces][..., 2].max(1) < min(level, 1e-6) + 1e-6
-    rim = float(vertices[faces[below]][..., 2].max())
-    return Scene.of_mesh(vertices, faces[below], name="bowl", made_of="pec"), rim
+    outline = float(vertices[faces[below]][..., 2].max())
+    return Scene.of_mesh(vertices, faces[below], name="bowl", made_of="pec"), outline
 
 
-def kirchhoff(eye: np.ndarray, rim: float, step: float = 0.004) -> complex:
+def kirchhoff(eye: np.ndarray, outline: float, step: float = 0.004) -> complex:
     """Path gain over all of a ball of 1 m below a rim, point by point, both sides lit."""
     wave, total = 2 * np.pi * EVEN.center_hz / C0, 0j
     for angle in (np.arange(int(np.pi / step)) + 0.5) * np.pi / int(np.pi / step):
@@ -35,11 +35,11 @@ def kirchhoff(eye: np.ndarray, rim: float, step: float = 0.004) -> complex:
         around = (np.arange(count) + 0.5) * 2 * np.pi / count
         ring = np.sin(angle) * np.array([np.cos(around), np.sin(around), np.full(count, 1 / np.tan(angle))])
         out = ring.T @ TURN
-        out = out[out[:, 2] <= rim]
-        ways = out - eye
-        far = np.linalg.norm(ways, axis=1)
+        out = out[out[:, 2] <= outline]
+        paths = out - eye
+        far = np.linalg.norm(paths, axis=1)
         area = 2 * np.sin(angle) * np.sin(np.pi / int(np.pi / step) / 2) * 2 * np.pi / count
-        total += (abs((ways * out).sum(1)) / far**3 * np.exp(-2j * wave * far)).sum() * area
+        total += (abs((paths * out).sum(1)) / far**3 * np.exp(-2j * wave * far)).sum() * area
     return complex(-1j / (4 * np.pi) * total)
 
 
@@ -50,9 +50,9 @@ def kirchhoff(eye: np.ndarray, rim: float, step: float = 0.004) -> complex:
      (-0.38, (0.6, -0.3, 0.5))],
 )  # fmt: skip
 def test_a_ball_or_a_bowl_is_what_the_integral_over_it_says(level, eye):
-    scene, rim = (ul.scenes.sphere(1.0, 0.0, edge_m=0.15), 1.0) if level == 1 else bowl(level)
+    scene, outline = (ul.scenes.sphere(1.0, 0.0, edge_m=0.15), 1.0) if level == 1 else bowl(level)
     here = ul.Trajectory.stationary(eye, n=1)
-    mine, true = physical.path_gain_cw(scene, here, EVEN, edges=False)[0], kirchhoff(np.array(eye), rim)
+    mine, true = physical.path_gain_cw(scene, here, EVEN, edges=False)[0], kirchhoff(np.array(eye), outline)
     assert abs(mine - true) < 0.02 * abs(true)
 
 
@@ -83,7 +83,7 @@ def test_between_its_near_wall_and_its_far_one_a_ball_is_silent():
 def test_which_surfaces_are_balls():
     def of(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[float, int, bool]]:
         found = prepare(Scene.of_mesh(vertices, faces, name="thing", made_of="pec")).balls
-        return [(round(ball.radius, 6), len(ball.caps), bool(ball.flats.any() or ball.small.any())) for ball in found]
+        return [(round(ball.radius, 6), len(ball.caps), bool(ball.planar.any() or ball.small.any())) for ball in found]
 
     ball = shapes.sphere(1.0, edge_m=0.2)
     assert of(*ball) == [(1.0, 0, True)]
@@ -100,8 +100,8 @@ def test_where_a_head_goes_over_into_its_wall_there_is_no_edge():
     """Seen from the head the rims of the dome and of the wall cancel: what is left is that the wall bends less."""
     tank = Scene.of_mesh(*shapes.capsule(1.5, 3.0, segment_m=0.15), name="tank", made_of="pec")
     found = abs(physical.echoes(tank, ul.Trajectory.stationary((0.1, 0.15, 2.1), n=1), EVEN)[0])
-    rim = (SPEC.range_m > 1.35) & (SPEC.range_m < 1.9)
-    assert found[rim].max() < 3e-3 * found.max()
+    outline = (SPEC.range_m > 1.35) & (SPEC.range_m < 1.9)
+    assert found[outline].max() < 3e-3 * found.max()
 
 
 def vessel(radius: float, crown: float, knuckle: float, around: int = 64) -> tuple[np.ndarray, np.ndarray]:
@@ -124,9 +124,9 @@ def vessel(radius: float, crown: float, knuckle: float, around: int = 64) -> tup
 
 def test_the_crowns_of_dished_heads_are_found_and_the_wall_between_them():
     world = prepare(Scene.of_mesh(*vessel(1.5, 3.0, 0.3), name="vessel", made_of="pec"))
-    rim = 3.0 * np.cos(np.arcsin(1.2 / 2.7))
+    outline = 3.0 * np.cos(np.arcsin(1.2 / 2.7))
     assert [ball.radius for ball in world.balls] == pytest.approx([3.0, 3.0])
-    assert [ball.caps[0, 3] for ball in world.balls] == pytest.approx([-rim, -rim])
+    assert [ball.caps[0, 3] for ball in world.balls] == pytest.approx([-outline, -outline])
     (wall,) = world.rounds
     assert (wall.radius, wall.high - wall.low) == pytest.approx((1.5, 2.0))
 
@@ -135,18 +135,23 @@ def test_all_facets_of_a_ball_are_done_and_no_others():
     capsule = Scene.of_mesh(*shapes.capsule(0.7, 1.5, segment_m=0.1), name="tank", made_of="pec")
     world = prepare(capsule)
     still, heads = world.still, world.balls
-    middles = still.flats.spheres[:, :3]
-    assert np.array_equal(heads[0].flats | heads[1].flats, abs(middles[:, 2]) > 0.75)
+    middles = still.planar.spheres[:, :3]
+    assert np.array_equal(heads[0].planar | heads[1].planar, abs(middles[:, 2]) > 0.75)
     assert np.array_equal(heads[0].small | heads[1].small, abs(still.corners.mean(1)[:, 2]) > 0.75)
-    assert not (heads[0].flats & heads[1].flats).any()
+    assert not (heads[0].planar & heads[1].planar).any()
 
 
 def test_what_stands_before_a_ball_hides_it():
     ball, box = ul.scenes.sphere(1.0, 0.0, edge_m=0.15), ul.scenes.sphere(0.3, 0.0, edge_m=0.02)
     path = ul.Trajectory.stationary((0.0, 0.0, 0.0), n=1)
-    ready = physical.bench(Scene.union([ball, box]), SPEC)
-    view = physical.view_of(SPEC, path.position[0], np.eye(3))
-    assert ball_echoes.lay_balls(ready, ready.world.parts(None), view, np.zeros((3, ready.places), complex))[0] == []
+    context = physical.radar_context(Scene.union([ball, box]), SPEC)
+    antennas = physical.antenna_pair(SPEC, path.position[0], np.eye(3))
+    assert (
+        ball_echoes.accumulate_balls(
+            context, context.world.parts(None), antennas, np.zeros((3, context.places), complex)
+        )[0]
+        == []
+    )
 
 
 @pytest.mark.filterwarnings("ignore:sphere")

@@ -9,8 +9,8 @@ import ullage as ul
 from ullage.antenna import gain
 from ullage.experiments.oracles import dense_tank
 from ullage.experiments.validation_rows import over
-from ullage.radar import ball_echoes, curves, physical, ways
-from ullage.radar.context import bench, view_of
+from ullage.radar import ball_echoes, curves, paths, physical
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import beams_of, looks
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import path_gain_cw
@@ -73,8 +73,8 @@ def db(ratio):
 
 
 def kinds(scene):
-    still = bench(scene, radar()).world.still
-    return len(still.corners), int(still.flats.smooth.sum()), len(still.flats)
+    still = radar_context(scene, radar()).world.still
+    return len(still.corners), int(still.planar.smooth.sum()), len(still.planar)
 
 
 def test_what_is_curved():
@@ -108,7 +108,7 @@ def test_a_ball_over_a_floor_is_the_ball_and_its_image(monkeypatch, step_m, with
     conductor turns the sign at each bounce. Small triangles, and facets large enough to be done by their rims:
     the lone ball is not taken for a smooth one. Waves from the ball over the floor back to it are `test_flat_pairs`'
     matter."""
-    monkeypatch.setattr(physical, "lay_flat_pairs", lambda *_: [])
+    monkeypatch.setattr(physical, "accumulate_flat_pairs", lambda *_: [])
     radius = 0.1 if step_m < 0.1 else 0.8
     alone = ball(radius, centre=(3.0, 0, 0.0), step_m=step_m)
     monkeypatch.setattr(ball_echoes, "taken", lambda *_: [])
@@ -140,11 +140,11 @@ def test_the_antenna_weighs_the_way_to_the_floor_and_the_way_from_the_ball():
     middle, image = np.array([2.0, 0, -0.5]), np.array([0, 0, -2.0])
     half = (middle - image) / np.linalg.norm(middle - image) + middle / np.linalg.norm(middle)
     spot = middle - 0.1 * half / np.linalg.norm(half)
-    ways = np.stack([spot, (spot - image) * [1, 1, -1]])
+    paths = np.stack([spot, (spot - image) * [1, 1, -1]])
     turn = np.deg2rad(25.0)
     down = replace(at(0, 0, 0), quat_xyzw=np.array([[0, np.sin(turn / 2), 0, np.cos(turn / 2)]]))
     axes = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
-    sent, taken = gain(patch.antenna, ways / np.linalg.norm(ways, axis=1)[:, None] @ axes.T)
+    sent, taken = gain(patch.antenna, paths / np.linalg.norm(paths, axis=1)[:, None] @ axes.T)
     found = [order(scene, down, s, 2) for s in (patch, spec)]
     assert abs(found[0] / found[1]) == pytest.approx(sent * taken, rel=0.01)
 
@@ -170,16 +170,16 @@ def test_a_small_offset_of_the_antennas_changes_little():
 def test_nothing_is_counted_twice():
     """Of paths with one bounce at a curved surface, none is left to the mirrors; flat faces leave none to this."""
     spec = radar()
-    ready = bench(scenes.tank(2.0, 1.2, strips=24), spec)
-    flats, view = ready.world.still.flats, view_of(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
-    look = looks(ready, flats, view)
-    beams = beams_of(ready, flats, view, 3, look)
+    context = radar_context(scenes.tank(2.0, 1.2, strips=24), spec)
+    planar, antennas = context.world.still.planar, antenna_pair(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
+    look = looks(context, planar, antennas)
+    beams = beams_of(context, planar, antennas, 3, look)
     faces = np.column_stack([beams.chains, beams.ends_on])
-    bent = (flats.smooth[faces] & (faces >= 0)).sum(1)
+    bent = (planar.smooth[faces] & (faces >= 0)).sum(1)
     assert not beams.weights[bent == 1].any()
-    led = ways.ways_of(ready, flats, view, 3, look)
+    led = paths.paths_of(context, planar, antennas, 3, look)
     assert len(led)
-    assert not (flats.smooth[led.faces] & (led.faces >= 0)).any()
+    assert not (planar.smooth[led.faces] & (led.faces >= 0)).any()
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.2, 0.5), (0.0, 0.0, 0.4), (-0.2, 0.9, 0.8)])
@@ -234,16 +234,16 @@ def test_it_is_told_by_name_and_a_leg_that_is_blocked_gives_nothing():
 
 
 def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
-    monkeypatch.setattr(ways, "FACES", 2)
+    monkeypatch.setattr(paths, "FACES", 2)
     scene = Scene.union([scenes.room((5, 4, 2.4)), ball(centre=(1.0, 0.0, 0.0))])
     path = ul.Trajectory.line((-0.6, -0.02, 0.3), (-0.6, 0.02, 0.3), 0.5, 400)
     spec = radar()
     faces = set()
-    flats = bench(scene, spec).world.still.flats
+    planar = radar_context(scene, spec).world.still.planar
     for place in path.position:
-        ready = bench(scene, spec)
-        view = view_of(spec, place, np.eye(3))
-        faces.add(tuple(ways.ways_of(ready, flats, view, 2, looks(ready, flats, view)).faces.ravel()))
+        context = radar_context(scene, spec)
+        antennas = antenna_pair(spec, place, np.eye(3))
+        faces.add(tuple(paths.paths_of(context, planar, antennas, 2, looks(context, planar, antennas)).faces.ravel()))
     both = [ul.simulate(scene, path, spec, max_bounces=b).samples for b in (1, 2)]
     bare = [ul.simulate(scenes.room((5, 4, 2.4)), path, spec, max_bounces=b).samples for b in (1, 2)]
     change = abs(np.diff((both[1] - both[0]) - (bare[1] - bare[0]), axis=0)).max(1)
@@ -280,7 +280,7 @@ def test_what_is_far_away_changes_nothing_of_what_is_near(thing):
     """Hundreds of faces beyond the gate, as in a hall or a hold: the echoes over the floor are those without them."""
     spec, near = radar(bins=100), Scene.union([floor(material="concrete"), thing])
     wide = Scene.union([near, afar()])
-    assert (~bench(wide, spec).world.still.flats.smooth).sum() > 500
+    assert (~radar_context(wide, spec).world.still.planar.smooth).sum() > 500
     for bounces in (2, 3):
         alone, padded = (ul.simulate(s, at(0, 0, 0), spec, max_bounces=bounces).samples[0] for s in (near, wide))
         fewer = ul.simulate(near, at(0, 0, 0), spec, max_bounces=bounces - 1).samples[0]

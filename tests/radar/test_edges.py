@@ -9,7 +9,7 @@ from scipy.special import fresnel
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.kernels import double_fringe, fringe
+from ullage.kernels import double_edge_diffraction, edge_diffraction
 from ullage.radar.double_diffraction import facing_pairs
 from ullage.radar.physical import path_gain_cw
 from ullage.radar.prepared import prepare
@@ -33,7 +33,7 @@ def strength(n, phi, u=None, field=None):
     inward = np.array([[[1.0, 0, 0], [np.cos(turn), np.sin(turn), 0]]])
     normals = np.array([[[0, 1.0, 0], [np.sin(turn), -np.cos(turn), 0]]])
     rows = np.array([u, field, field], float)
-    return sum(fringe.face(float(n), inward, normals, 0, i, 1.0, rows, np.empty(2)) for i in range(2))
+    return sum(edge_diffraction.face(float(n), inward, normals, 0, i, 1.0, rows, np.empty(2)) for i in range(2))
 
 
 @pytest.mark.parametrize("n", [2.0, 1.75, 1.5, 1.2])
@@ -69,14 +69,14 @@ def sommerfeld(x, phi, hard):
 
 
 @pytest.mark.parametrize(("deg", "mu"), [(40, 0.5), (130, -0.4), (70, -1.7), (150, -6.0), (230, 0.3)])
-def test_fringe_currents_are_those_of_the_exact_half_plane(deg, mu):
+def test_edge_diffraction_currents_are_those_of_the_exact_half_plane(deg, mu):
     """The integral of exact less optical current along the face, for steps that no single angle gives."""
     phi, loss = np.radians(deg), 0.02
     s = (np.arange(400_000) + 0.5) * 1.5e-3  # of the root of kx, which takes the edge's singularity out
     x = s * s / 2
     weight = np.exp(1j * mu * x - loss * x) * s * 1.5e-3
     out = np.empty(2)
-    fringe.fringe(2.0, phi, mu, out)
+    edge_diffraction.edge_diffraction(2.0, phi, mu, out)
     lit = phi < np.pi
     optical = 2 * np.exp(1j * x * np.cos(phi)) * lit
     hard = np.sum((sommerfeld(x, phi, True) - optical) * weight) / 2j
@@ -90,11 +90,11 @@ def test_transition_function():
     s, c = fresnel(np.sqrt(2 * x / np.pi))
     tail = np.sqrt(np.pi / 8) * (1 - 1j) - np.sqrt(np.pi / 2) * (c - 1j * s)
     want = 2j * np.sqrt(x) * np.exp(1j * x) * tail
-    ours = np.array([double_fringe.transition(float(v)) for v in x])
+    ours = np.array([double_edge_diffraction.transition(float(v)) for v in x])
     assert abs(ours - want).max() < 5e-3
 
 
-def test_a_plate_is_four_rims_and_a_box_twelve_edges():
+def test_a_plate_is_four_outlines_and_a_box_twelve_edges():
     plate = edges_of(ul.scenes.plate(0.5, 0.3, 3.0))
     assert sorted(np.linalg.norm(plate.ends - plate.starts, axis=1)) == pytest.approx([0.3, 0.3, 0.5, 0.5])
     assert plate.angles == pytest.approx([2] * 4)
@@ -118,7 +118,7 @@ def test_smooth_meshes_dielectrics_and_what_touches_have_no_edges():
     assert (standing.starts[:, 2] + standing.ends[:, 2] > -0.39).all()
 
 
-def test_the_rims_of_a_thin_body_are_those_of_a_sheet():
+def test_the_outlines_of_a_thin_body_are_those_of_a_sheet():
     """The sides of a body of 0.1 mm are no faces."""
     turn = np.array([[np.cos(0.7), -np.sin(0.7), 0], [np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
     body = trimesh.creation.box((1e-4, 0.3, 0.3))

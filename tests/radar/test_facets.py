@@ -30,8 +30,8 @@ def test_corners_that_a_file_rounded_leave_a_plane_whole():
     vertices = np.column_stack([x, y, rng.uniform(-4e-6, 4e-6, 81)])
     cell = np.arange(72).reshape(8, 9)[:, :8].reshape(-1, 1)
     faces = np.concatenate([cell + np.array(way) for way in ((0, 1, 9), (1, 10, 9))]).astype(np.int32)
-    flats = prepare(Scene.of_mesh(vertices, faces, name="floor", made_of="pec")).still.flats
-    assert len(flats.normals) == 1
+    planar = prepare(Scene.of_mesh(vertices, faces, name="floor", made_of="pec")).still.planar
+    assert len(planar.normals) == 1
 
 
 def test_a_sliver_that_a_file_rounded_leaves_a_plane_whole():
@@ -41,8 +41,8 @@ def test_a_sliver_that_a_file_rounded_leaves_a_plane_whole():
     vertices = np.concatenate([*row, [[-1e-3, 10.0, 1.5e-8]]])
     cell = np.arange(5)[:, None]
     faces = np.concatenate([[[0, 6, 12]], cell + np.array((0, 1, 6)), cell + np.array((1, 7, 6))]).astype(np.int32)
-    flats = prepare(Scene.of_mesh(vertices, faces, name="floor", made_of="pec")).still.flats
-    assert len(flats.normals) == 1
+    planar = prepare(Scene.of_mesh(vertices, faces, name="floor", made_of="pec")).still.planar
+    assert len(planar.normals) == 1
 
 
 def cut_in_needles(count: int, fan: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -74,16 +74,16 @@ def test_a_plate_cut_in_4000_needles_echoes_as_the_plate(kind, far_m, fan):
         plate = Scene.of_mesh(
             corners.astype(kind).astype(float), faces.astype(np.int32), name="plate", made_of="concrete"
         )
-        assert len(prepare(plate).still.flats) == 1
+        assert len(prepare(plate).still.planar) == 1
         return np.asarray(physical.echoes(plate, ul.Trajectory.stationary(here), spec))
 
     whole = echo(2, fan=False)
     assert abs(echo(4000, fan) - whole).max() < 1e-3 * abs(whole).max()
 
 
-def test_cuts_by_needles_leave_a_rim_no_corners():
+def test_cuts_by_needles_leave_a_outline_no_corners():
     flat, faces = cut_in_needles(4000, fan=False)
     plate = Scene.of_mesh(
         np.column_stack([np.full(len(flat), 3.0), flat]), faces.astype(np.int32), name="plate", made_of="concrete"
     )
-    assert len(prepare(plate).still.flats.starts) <= 6
+    assert len(prepare(plate).still.planar.starts) <= 6

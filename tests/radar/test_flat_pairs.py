@@ -9,10 +9,10 @@ import ullage as ul
 from ullage.experiments.validation_rows import radar
 from ullage.geometry import quat_matrix
 from ullage.radar import flat_pairs
-from ullage.radar.context import bench, view_of
-from ullage.radar.flat_pairs import lay_flat_pairs
+from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.flat_pairs import accumulate_flat_pairs
 from ullage.radar.multipath import looks
-from ullage.radar.round_pairs import lay_pairs
+from ullage.radar.round_pairs import accumulate_pairs
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -43,18 +43,21 @@ def world(kinds, *walls):
                        + list(walls))  # fmt: skip
 
 
-def heard(scene, pose, spec, which=lay_flat_pairs, view=None):
-    """What `lay_flat_pairs` alone lays on the grids, or `lay_pairs`; each echo that is not 0."""
-    ready = bench(scene, spec)
-    view = view or view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    made, grids = ready.world, np.zeros((3, ready.places), complex)
-    flats = made.still.flats
-    more = () if which is lay_pairs else (flats,)
-    look = () if which is lay_pairs else (looks(ready, flats, view) * (flats.widths.min(1) > 1),)
-    laid = which(ready, made.parts(), made.rounds, *more, view, *look, grids)
-    return {(*(int(k) for k in part.via[i]), int(part.stuffs[i]), int(before)): part.echo[i]
-            for part in laid for i, before in enumerate(part.before if part.before is not None else part.via[:, 0] * 0)
-            if part.echo[i]}  # fmt: skip
+def heard(scene, pose, spec, which=accumulate_flat_pairs, antennas=None):
+    """What `accumulate_flat_pairs` alone lays on the grids, or `accumulate_pairs`; each echo that is not 0."""
+    context = radar_context(scene, spec)
+    antennas = antennas or antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    made, grids = context.world, np.zeros((3, context.places), complex)
+    planar = made.still.planar
+    more = () if which is accumulate_pairs else (planar,)
+    look = () if which is accumulate_pairs else (looks(context, planar, antennas) * (planar.widths.min(1) > 1),)
+    echoes = which(context, made.parts(), made.rounds, *more, antennas, *look, grids)
+    return {
+        (*(int(k) for k in part.via[i]), int(part.object_ids[i]), int(before)): part.echo[i]
+        for part in echoes
+        for i, before in enumerate(part.before if part.before is not None else part.via[:, 0] * 0)
+        if part.echo[i]
+    }
 
 
 @pytest.mark.parametrize("kinds", [("ball", "ball"), ("drum", "ball"), ("drum", "drum")])
@@ -63,9 +66,9 @@ def test_a_wall_is_the_world_mirrored_in_it(kinds):
     spec, pose = radar(), at(0, 0, 0)
     over = heard(world(kinds, side_wall()), pose, spec)
     image = body(kinds[1], np.array([2.5, -2.1, -0.1]), "b")
-    view = view_of(spec, np.zeros(3), np.eye(3))
-    turned = replace(view, origins=np.array([[0, 0, 0], [0, -2.4, 0.0]]))
-    free = heard(Scene.union([body(kinds[0], FIRST, "a"), image]), pose, spec, lay_pairs, turned)
+    antennas = antenna_pair(spec, np.zeros(3), np.eye(3))
+    turned = replace(antennas, origins=np.array([[0, 0, 0], [0, -2.4, 0.0]]))
+    free = heard(Scene.union([body(kinds[0], FIRST, "a"), image]), pose, spec, accumulate_pairs, turned)
     assert abs(free[0, -1, 1, 0]) > 1e-6
     assert over[0, 2, 1, 2] == pytest.approx(-2 * free[0, -1, 1, 0], rel=0.03)  # twice: both ways round
 
@@ -76,8 +79,8 @@ def test_a_body_before_a_wall_has_its_own_image_for_the_other(kinds):
     over = heard(world(kinds, side_wall()), at(0, 0, 0.1), radar())
     image = body(kinds[0], (2.0, -3.0, 0.1), "b")
     apart = np.array([[0, 0, 0.1], [0, -2.4, 0.1]])
-    turned = replace(view_of(radar(), apart[0], np.eye(3)), origins=apart)
-    free = heard(Scene.union([body(kinds[0], FIRST, "a"), image]), at(0, 0, 0.1), radar(), lay_pairs, turned)
+    turned = replace(antenna_pair(radar(), apart[0], np.eye(3)), origins=apart)
+    free = heard(Scene.union([body(kinds[0], FIRST, "a"), image]), at(0, 0, 0.1), radar(), accumulate_pairs, turned)
     assert over[0, 1, 0, 2] == pytest.approx(-free[0, -1, 1, 0], rel=0.03)
 
 

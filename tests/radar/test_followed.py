@@ -6,11 +6,11 @@ import pytest
 import ullage as ul
 from ullage.antenna import gain
 from ullage.kernels import lit
-from ullage.kernels import rims as draw
+from ullage.kernels import outlines as draw
 from ullage.radar import curves, multipath, zones
-from ullage.radar.context import bench
-from ullage.radar.flats import Rim
+from ullage.radar.context import radar_context
 from ullage.radar.physical import echoes
+from ullage.radar.planar import Outline
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -21,23 +21,23 @@ def room(plate=True):
     return ul.scenes.room((6, 4, 3), plate=there)
 
 
-def rim(rng, count=40):
+def outline(rng, count=40):
     """Pieces, ends beside some of them and ends by themselves, of no shape at all."""
     pieces, tips = rng.uniform(-1, 1, (count, 12)), rng.uniform(-1, 1, (count, 9))
     pieces[:, 6:8] += 3
     tips[:, 3] += 3
     ties = np.where(rng.random(count) < 0.5, rng.integers(0, count, count), -1)
     owner, holders = (rng.integers(0, 5, count).astype(np.int32) for _ in range(2))
-    return Rim(pieces, owner, tips, holders, ties.astype(np.int32), np.ones(5))
+    return Outline(pieces, owner, tips, holders, ties.astype(np.int32), np.ones(5))
 
 
 def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
     """Thousands, most of them too faint by themselves."""
-    rng, ready, rest = np.random.default_rng(1), bench(room(), RADAR), 2e-6
+    rng, context, rest = np.random.default_rng(1), radar_context(room(), RADAR), 2e-6
     loud, paths = rest * 10 ** rng.uniform(-2.0, -1.3, 4000), rng.uniform(0, 1.0, 4000) ** 3
     loud[::50] = 0
-    told = curves.audible(ready, loud, paths, rest)
-    cells, steps = (paths / (2 * ready.pulse.half_m)).astype(int), np.frexp((loud / rest) ** 2)[1]
+    told = curves.audible(context, loud, paths, rest)
+    cells, steps = (paths / (2 * context.pulse.half_m)).astype(int), np.frexp((loud / rest) ** 2)[1]
     steps[loud == 0] = 1000
     below = np.zeros(len(loud))
     for cell, step in {*zip(cells, steps, strict=True)}:
@@ -47,13 +47,13 @@ def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
     together = told & (loud <= rest / curves.MANY)
     assert together.mean() > 0.02
     assert (~told & (loud > 0)).mean() > 0.2
-    assert (curves.audible(ready, loud, paths, 0.0) == (loud > 0)).all()
+    assert (curves.audible(context, loud, paths, 0.0) == (loud > 0)).all()
 
 
 def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():
-    parted, gains = rim(np.random.default_rng(2)), np.arange(1.0, 6)
+    parted, gains = outline(np.random.default_rng(2)), np.arange(1.0, 6)
     louds, paths = np.empty((2, 80))
-    count = lit.rim_louds(
+    count = lit.outline_louds(
         parted.pieces, parted.owner, parted.tips, parted.holders, parted.ties, gains, 2.0, louds, paths
     )
     lone = parted.ties < 0
@@ -66,7 +66,7 @@ def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():
 
 
 def test_ends_are_seen_where_the_piece_is_that_goes_on_or_by_themselves():
-    parted, normals = rim(np.random.default_rng(3)), np.tile([0.0, 0, 1], (5, 1))
+    parted, normals = outline(np.random.default_rng(3)), np.tile([0.0, 0, 1], (5, 1))
     spots, faces, seats = np.empty((80, 3)), np.empty(80, np.int64), np.empty(80, np.int64)
     count = draw.look_at(
         parted.pieces, parted.owner, parted.tips, parted.holders, parted.ties, normals, 0.0, spots, faces, seats
@@ -94,7 +94,7 @@ def test_a_zone_about_a_mirror_point_is_looked_at_where_it_lies_on_the_face():
 
 
 def test_paths_are_free_where_all_their_legs_are_and_only_wanted_ones_are_asked():
-    parts = bench(room(), RADAR).world.parts(None)
+    parts = radar_context(room(), RADAR).world.parts(None)
     a, left, right, behind = [-1.0, 0, 0], [1.0, 1.9, 0.2], [1.0, -1.9, 0.2], [2.8, 0.0, 0.0]  # the plate is before it
     paths = np.array(
         [
@@ -110,18 +110,20 @@ def test_paths_are_free_where_all_their_legs_are_and_only_wanted_ones_are_asked(
 
 def followed(monkeypatch, scene, place=(0.1, 0.2, 0.1)):
     """Beams as they are followed, what they would bring, and which of them are laid."""
-    kept, shares, lay = {}, multipath.shares, multipath.lay_rim
+    kept, shares, accumulate = {}, multipath.shares, multipath.accumulate_outline
 
-    def shares_of(ready, flats, view, beams, path, strong, clear):
-        kept.update(path=path, beams=beams, view=view, level=strong.level.copy(), excess=strong.excess, flats=flats)
-        return shares(ready, flats, view, beams, path, strong, clear)
+    def shares_of(context, planar, antennas, beams, path, strong, clear):
+        kept.update(
+            path=path, beams=beams, antennas=antennas, level=strong.level.copy(), excess=strong.excess, planar=planar
+        )
+        return shares(context, planar, antennas, beams, path, strong, clear)
 
-    def laid(rim, points, which, *more, **told):
-        kept["owner"] = np.unique(np.concatenate([rim.owner, rim.holders, which]))
-        return lay(rim, points, which, *more, **told)
+    def added(outline, points, which, *more, **told):
+        kept["owner"] = np.unique(np.concatenate([outline.owner, outline.holders, which]))
+        return accumulate(outline, points, which, *more, **told)
 
     monkeypatch.setattr(multipath, "shares", shares_of)
-    monkeypatch.setattr(multipath, "lay_rim", laid)
+    monkeypatch.setattr(multipath, "accumulate_outline", added)
     echoes(scene, ul.Trajectory.stationary(place), RADAR, max_bounces=3)
     return kept
 
@@ -139,11 +141,11 @@ def test_beams_are_as_strong_as_their_gains_reflections_and_length(monkeypatch):
     """In a room of metal that reflects all, with one antenna for both ways."""
     scene = ul.scenes.room((6, 4, 3), material="pec")
     kept = followed(monkeypatch, scene)
-    path, beams, flats = kept["path"], kept["beams"], kept["flats"]
+    path, beams, planar = kept["path"], kept["beams"], kept["planar"]
     heard = np.flatnonzero(kept["level"])
     full = heard[beams.weights[heard] == 1.0]  # over one mirror some count twice or not at all, and fields may turn
     first = np.where((path[full, 1] == path[full, 0]).all(1)[:, None], path[full, 2], path[full, 1])
-    turn = kept["view"].frames[0].T
+    turn = kept["antennas"].frames[0].T
     gains = gain(RADAR.antenna, (first - path[full, 0]) @ turn) * gain(
         RADAR.antenna, (path[full, 3] - path[full, 4]) @ turn
     )
@@ -153,9 +155,9 @@ def test_beams_are_as_strong_as_their_gains_reflections_and_length(monkeypatch):
     assert len(full) > 10
     assert (kept["level"][full] <= 1.01 * most).all()
     assert (kept["level"][full] > 0.45 * most).any()
-    normals = flats.normals[beams.ends_on]
-    height = np.einsum("bi,bi->b", normals, beams.images) - flats.offsets[beams.ends_on]
-    mirror = np.linalg.norm(beams.images - 2 * height[:, None] * normals - kept["view"].origins[1], axis=1)
+    normals = planar.normals[beams.ends_on]
+    height = np.einsum("bi,bi->b", normals, beams.images) - planar.offsets[beams.ends_on]
+    mirror = np.linalg.norm(beams.images - 2 * height[:, None] * normals - kept["antennas"].origins[1], axis=1)
     assert kept["excess"][full] == pytest.approx(there + back - mirror[full], abs=1e-9)
 
 

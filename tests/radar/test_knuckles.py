@@ -63,12 +63,12 @@ def test_a_knuckle_is_all_of_its_torus_and_nothing_else():
     world = prepare(scene)
     assert len(world.balls) == 2
     one, other = world.knuckles
-    middles = np.concatenate([world.still.flats.spheres[:, :3], world.still.corners.mean(1)])
+    middles = np.concatenate([world.still.planar.spheres[:, :3], world.still.corners.mean(1)])
     out, up = np.hypot(*middles.T[:2]), abs(middles[:, 2])
     bent = (up > HALF + 1e-3) & (out > CROWN * np.sin(LEAN) - 1e-3)
-    mine = np.concatenate([one.flats | other.flats, one.small | other.small])
+    mine = np.concatenate([one.planar | other.planar, one.small | other.small])
     assert np.array_equal(mine, bent)
-    assert not (one.flats & other.flats).any()
+    assert not (one.planar & other.planar).any()
     turn = np.pi / 2 - LEAN
     area = 2 * np.pi * KNUCKLE * ((RADIUS - KNUCKLE) * turn + KNUCKLE * np.sin(turn))
     for knuckle in (one, other):

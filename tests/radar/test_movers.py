@@ -68,12 +68,12 @@ def test_where_they_start_they_are_as_they_were():
     np.testing.assert_array_equal(home.corners, same.corners)
     there = movers.at(moving.poses(10**9))
     np.testing.assert_allclose(np.linalg.norm(there.normals, axis=1), 1, atol=1e-12)
-    edges = there.flats.ends - there.flats.starts
+    edges = there.planar.ends - there.planar.starts
     np.testing.assert_allclose(
-        np.linalg.norm(edges, axis=1), np.linalg.norm(home.flats.ends - home.flats.starts, axis=1), atol=1e-12
+        np.linalg.norm(edges, axis=1), np.linalg.norm(home.planar.ends - home.planar.starts, axis=1), atol=1e-12
     )
-    lead = there.flats.starts[there.flats.first[:-1]]
-    np.testing.assert_allclose(np.einsum("ni,ni->n", lead, there.flats.normals), there.flats.offsets, atol=1e-12)
+    lead = there.planar.starts[there.planar.first[:-1]]
+    np.testing.assert_allclose(np.einsum("ni,ni->n", lead, there.planar.normals), there.planar.offsets, atol=1e-12)
 
 
 def test_a_caster_told_to_stand_sees_what_one_asked_for_the_time_sees():

@@ -6,7 +6,7 @@ import pytest
 import ullage as ul
 from ullage.kernels import bounces
 from ullage.radar import multipath
-from ullage.radar.context import bench, view_of
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import between
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
@@ -55,7 +55,7 @@ def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):
     radar = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
     room = ul.scenes.room((6, 4, 3), material="steel")
     path = ul.Trajectory.line((0.2, -0.04, 0.1), (0.2, 0.04, 0.1), 0.5, 1250)
-    flats = prepare(room).still.flats
+    planar = prepare(room).still.planar
     sets = set()
     chosen = multipath._chosen
 
@@ -68,7 +68,7 @@ def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):
     both = [ul.simulate(room, path, radar, max_bounces=order).samples for order in (1, 2)]
     samples = both[1] - both[0]
     step = abs(np.diff(samples, axis=0)).max(1)
-    assert len(flats) > 3
+    assert len(planar) > 3
     assert len(sets) > 1
     assert step.max() < 0.15 * abs(samples).max()
 
@@ -89,12 +89,12 @@ def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     faces = np.array([[0, 2, 1], [1, 2, 3], [0, 1, 4], [4, 1, 5]])
     roof = Scene(vertices, faces, np.zeros(4, np.int32), ul.scenes.plate(1, 1, 1).objects[:1])
     scene = Scene.union([roof, ul.scenes.room((9, 8, 6))])
-    flats = prepare(scene).still.flats
+    planar = prepare(scene).still.planar
     radar = ul.RadarSpec.preset("x4m05", noise=None)
-    view = view_of(radar, np.array([0.3, 0.2, height]), np.eye(3))
-    look = multipath.looks(bench(scene, radar), flats, view)
-    beams = multipath.trace(flats, view, 3, 9.0, multipath._chosen(flats, look, 9.0, radar.wavelength_m))
-    sides = np.flatnonzero(flats.stuffs == 0)
+    antennas = antenna_pair(radar, np.array([0.3, 0.2, height]), np.eye(3))
+    look = multipath.looks(radar_context(scene, radar), planar, antennas)
+    beams = multipath.trace(planar, antennas, 3, 9.0, multipath._chosen(planar, look, 9.0, radar.wavelength_m))
+    sides = np.flatnonzero(planar.object_ids == 0)
     assert len(sides) == 2
     assert np.isin(beams.chains, sides).any()
     assert not np.isin(beams.chains, sides).all(1).any()

@@ -130,7 +130,7 @@ def test_pieces_stand_for_whole_facets_and_fill_the_surface():
     world = prepare(scene)
     found = world.patches(SPEC.wavelength_m, 0.5)
     assert found.small.all()
-    assert found.flats.all()
+    assert found.planar.all()
     a, b, c = found.fine.corners.transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     assert area == pytest.approx(4 * np.pi**2 * 0.4 * 0.12, rel=3e-3)  # facets: 1.3 % less

@@ -5,10 +5,10 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.radar.context import bench, view_of
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.penetration import coherent
-from ullage.radar.physical import echoes, lay
-from ullage.radar.roughness import Grit, grit_of, spectrum
+from ullage.radar.physical import accumulate, echoes
+from ullage.radar.roughness import DiffuseScatterers, diffuse_scatterers_of, spectrum
 from ullage.world.materials import material
 from ullage.world.scene import Scene
 
@@ -19,18 +19,18 @@ HERE = ul.Trajectory.stationary()
 
 def rough(size, distance, *, height=1e-3, length=0.02, yaw_deg=0.0):
     plate = ul.scenes.plate(size, size, distance, yaw_deg=yaw_deg)
-    stuff = material("pec").but(roughness_m=height, correlation_m=length)
-    return Scene.of_mesh(plate.vertices, plate.faces, name="plate", made_of=stuff)
+    object_id = material("pec").but(roughness_m=height, correlation_m=length)
+    return Scene.of_mesh(plate.vertices, plate.faces, name="plate", made_of=object_id)
 
 
 def diffuse(scene, seed, spec=RADAR, position=(0, 0, 0)):
     """The diffuse echoes alone at one pose, at the carrier."""
-    from ullage.radar.roughness import lay_grit
+    from ullage.radar.roughness import accumulate_diffuse_scatterers
 
-    ready = bench(scene, spec, seed=seed)
-    grids = np.zeros((3, ready.places), complex)
-    view = view_of(spec, np.asarray(position, float), np.eye(3))
-    return lay_grit(ready, ready.world.parts(), view, None, grids).echo.sum()
+    context = radar_context(scene, spec, seed=seed)
+    grids = np.zeros((3, context.places), complex)
+    antennas = antenna_pair(spec, np.asarray(position, float), np.eye(3))
+    return accumulate_diffuse_scatterers(context, context.world.parts(), antennas, None, grids).echo.sum()
 
 
 @pytest.mark.parametrize("height", [2e-4, 1e-3, 3e-3, 0.02])
@@ -38,9 +38,9 @@ def test_what_the_mirror_echo_loses_is_what_scatters(height):
     """The lobe over all directions holds 1 - exp(-g), for any correlation length, up to the waves that run along."""
     for cosine in (1.0, 0.6):
         for length in (0.1, 1.0):
-            stuff = material("pec").but(roughness_m=height, correlation_m=length)
+            object_id = material("pec").but(roughness_m=height, correlation_m=length)
             sine = np.geomspace(1e-5, 3e5, 4000)  # past 1 there are no waves: the whole spectrum is summed here
-            power = spectrum(stuff, WAVE, np.full(len(sine), cosine), sine)
+            power = spectrum(object_id, WAVE, np.full(len(sine), cosine), sine)
             total = np.trapezoid(power * (2 * WAVE) ** 2 * sine * sine, np.log(sine)) / (2 * np.pi)
             assert total + coherent(WAVE * height, cosine) ** 2 == pytest.approx(1, abs=3e-3)
 
@@ -90,29 +90,31 @@ def test_the_same_spot_answers_the_same_phase():
 def test_an_aperture_focuses_it():
     """Each scatterer's phase follows its own distance along a track, so apertures form speckle."""
     scene = rough(0.4, 3.0, yaw_deg=40)
-    ready = bench(scene, RADAR, seed=1)
-    whole = grit_of(ready.world, 1)
-    one = Grit(
-        whole.points[:1], whole.normals[:1], whole.weights[:1], whole.stuffs[:1], np.array([0, 1]), np.array([0])
+    context = radar_context(scene, RADAR, seed=1)
+    whole = diffuse_scatterers_of(context.world, 1)
+    one = DiffuseScatterers(
+        whole.points[:1], whole.normals[:1], whole.weights[:1], whole.object_ids[:1], np.array([0, 1]), np.array([0])
     )
-    ready.world.grit[1] = one
-    from ullage.radar.roughness import lay_grit
+    context.world.diffuse_scatterers[1] = one
+    from ullage.radar.roughness import accumulate_diffuse_scatterers
 
     field = []
     for y in np.linspace(-0.5, 0.5, 41):
-        grids = np.zeros((3, ready.places), complex)
+        grids = np.zeros((3, context.places), complex)
         at = np.array([0, y, 0])
-        echo = lay_grit(ready, ready.world.parts(), view_of(RADAR, at, np.eye(3)), None, grids).echo.sum()
+        echo = accumulate_diffuse_scatterers(
+            context, context.world.parts(), antenna_pair(RADAR, at, np.eye(3)), None, grids
+        ).echo.sum()
         field.append(echo * np.exp(2j * WAVE * np.linalg.norm(one.points[0] - at)))
     assert np.ptp(np.unwrap(np.angle(field))) < 1e-6
 
 
 def test_explained_and_hidden():
     scene = rough(0.5, 3.0, yaw_deg=35)
-    ready = bench(scene, RADAR, seed=0)
-    grids = np.zeros((3, ready.places), complex)
-    laid = lay(ready, view_of(RADAR, np.zeros(3), np.eye(3)), None, 1, grids)
-    assert sum(len(part.echo) for part in laid) > 4
+    context = radar_context(scene, RADAR, seed=0)
+    grids = np.zeros((3, context.places), complex)
+    echoes = accumulate(context, antenna_pair(RADAR, np.zeros(3), np.eye(3)), None, 1, grids)
+    assert sum(len(part.echo) for part in echoes) > 4
     screen = ul.scenes.plate(2, 2, 1.0)
     assert diffuse(Scene.union([scene, screen]), 0) == 0
     assert abs(diffuse(scene, 0)) > 0

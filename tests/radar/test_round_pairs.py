@@ -81,9 +81,9 @@ def test_a_ball_over_a_huge_ball_is_a_ball_over_a_floor():
     wide = body((0, 0, -1e3 - 1.0), 1e3, ball=True)
     near = paths_over(np.zeros(3), np.array([0, 0.5, 0.2]), wide, small)
     normal, spot = found.normals[1, 0], found.corners[2, 0]
-    ways = [spot - np.array([0, 0, -2.0]), np.array([0, 0.5, 0.2]) - spot]
-    legs = [np.linalg.norm(way) for way in ways]
-    u, cosine = ways[0] / legs[0], -normal @ ways[0] / legs[0]
+    paths = [spot - np.array([0, 0, -2.0]), np.array([0, 0.5, 0.2]) - spot]
+    legs = [np.linalg.norm(way) for way in paths]
+    u, cosine = paths[0] / legs[0], -normal @ paths[0] / legs[0]
     flat = (1 / legs[0] + 1 / legs[1]) * (np.eye(3) - np.outer(u, u)) + 2 * cosine / 0.3 * np.eye(3)
     frame = np.linalg.svd(normal[None])[2][1:]
     want = cosine / legs[0] / legs[1] / np.sqrt(np.linalg.det(frame @ flat @ frame.T))

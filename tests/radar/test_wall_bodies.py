@@ -8,11 +8,11 @@ import pytest
 import ullage as ul
 from ullage.experiments.validate import drum_heard, over_wall
 from ullage.experiments.validation_rows import radar
-from ullage.radar.context import bench, view_of
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import looks
 from ullage.radar.prepared import prepare
 from ullage.radar.rounds import Round
-from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, lay_wall_bodies, lines_over
+from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, accumulate_wall_bodies, lines_over
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -26,15 +26,24 @@ def at(*position, roll_deg=0.0):
     return replace(ul.Trajectory.stationary(position), quat_xyzw=np.array([[np.sin(half), 0, 0, np.cos(half)]]))
 
 
-def body(centre, radius, *, ball, axis=(0, 0, 1.0), stuff=1):
+def body(centre, radius, *, ball, axis=(0, 0, 1.0), object_id=1):
     up = np.array(axis) / np.linalg.norm(axis)
     side = np.cross(up, [0.3, 0.5, 0.7])
     side /= np.linalg.norm(side)
-    return Round(np.array(centre, float), np.array([side, np.cross(up, side), up]), radius, -9.0, 9.0, 0.0, 0.05, stuff,
-                 ball=ball)  # fmt: skip
+    return Round(
+        np.array(centre, float),
+        np.array([side, np.cross(up, side), up]),
+        radius,
+        -9.0,
+        9.0,
+        0.0,
+        0.05,
+        object_id,
+        ball=ball,
+    )
 
 
-WALL = replace(body((0, 0, 0), 1.5, ball=False, stuff=0), axes=np.eye(3))
+WALL = replace(body((0, 0, 0), 1.5, ball=False, object_id=0), axes=np.eye(3))
 
 
 def onto(one, point):
@@ -53,17 +62,17 @@ def tank(thing, height=3.0):
 
 
 def heard(scene, pose, spec, bounces):
-    """What `lay_wall_bodies` alone lays on the grids, echo by echo."""
-    ready = bench(scene, spec)
-    view = view_of(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
-    world, grids = ready.world, np.zeros((3, ready.places), complex)
-    flats = world.still.flats
-    look = looks(ready, flats, view)
-    return lay_wall_bodies(ready, world.parts(), world.rounds, flats, view, bounces, look, grids)
+    """What `accumulate_wall_bodies` alone lays on the grids, echo by echo."""
+    context = radar_context(scene, spec)
+    antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
+    world, grids = context.world, np.zeros((3, context.places), complex)
+    planar = world.still.planar
+    look = looks(context, planar, antennas)
+    return accumulate_wall_bodies(context, world.parts(), world.rounds, planar, antennas, bounces, look, grids)
 
 
-def total(laid):
-    return sum((part.echo.sum() for part in laid), 0j)
+def total(echoes):
+    return sum((part.echo.sum() for part in echoes), 0j)
 
 
 @pytest.mark.parametrize("walls", [WALL_FIRST, TO_AND_FRO])
@@ -151,14 +160,14 @@ def off_the_image(place):
     ball = scenes.sphere(0.3, 0.0, edge_m=0.06, name="thing")
     ball = replace(ball, vertices=ball.vertices + np.array([0.8, 0.0, 1.5]))
     deep = Scene.union([replace(wall, vertices=wall.vertices - [0, 0, 3.0]), ball])
-    ready = bench(deep, spec)
+    context = radar_context(deep, spec)
     both = [place * [1, 1, -1], place]
-    view = replace(view_of(spec, place, np.eye(3)), origins=np.array(both))
-    flats, grids = ready.world.still.flats, np.zeros((3, ready.places), complex)
-    told = ready, ready.world.parts(), ready.world.rounds, flats, view, 2, np.zeros(len(flats)), grids
-    want = total(lay_wall_bodies(*told))  # both orders, image to radar; radar to image is as much
+    antennas = replace(antenna_pair(spec, place, np.eye(3)), origins=np.array(both))
+    planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
+    told = context, context.world.parts(), context.world.rounds, planar, antennas, 2, np.zeros(len(planar)), grids
+    want = total(accumulate_wall_bodies(*told))  # both orders, image to radar; radar to image is as much
     floor = [part for part in heard(scene, at(*place), spec, 3) if ((part.via >= 0).sum(1) == 2).all()
-             and (part.via[:, 0] != part.stuffs).all()]  # fmt: skip
+             and (part.via[:, 0] != part.object_ids).all()]  # fmt: skip
     assert abs(want) > 1e-5
     return abs(total(floor) / (2 * want) - 1)
 

@@ -10,7 +10,7 @@ import ullage as ul
 from ullage.experiments.validate import walls_heard
 from ullage.experiments.validation_rows import radar
 from ullage.radar import wall_bounces
-from ullage.radar.context import bench, view_of
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import looks
 from ullage.radar.prepared import prepare
 from ullage.radar.rounds import rounds_of, shells_of
@@ -38,13 +38,13 @@ def wall(radius=1.5, height=2.0, strips=96, material="pec"):
 
 
 def walls(scene, pose, spec, bounces=2):
-    """What `lay_walls` alone lays on the grids, at the carrier, and how much of it there is."""
-    ready = bench(scene, spec)
-    view = view_of(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
-    flats, grids = ready.world.still.flats, np.zeros((3, ready.places), complex)
-    look, world = looks(ready, flats, view), ready.world
-    laid = wall_bounces.lay_walls(ready, world.parts(), world.rounds, flats, view, bounces, look, grids)
-    return sum((part.echo.sum() for part in laid), 0j)
+    """What `accumulate_walls` alone lays on the grids, at the carrier, and how much of it there is."""
+    context = radar_context(scene, spec)
+    antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
+    planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
+    look, world = looks(context, planar, antennas), context.world
+    echoes = wall_bounces.accumulate_walls(context, world.parts(), world.rounds, planar, antennas, bounces, look, grids)
+    return sum((part.echo.sum() for part in echoes), 0j)
 
 
 @pytest.mark.parametrize(("place", "bounces"), [((0.0, 0.0, 0.8), 2), ((0.4, 0.1, 0.8), 2), ((1.1, 0.0, 1.2), 2),

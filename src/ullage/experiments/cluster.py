@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import ullage
 from ullage.errors import InputError, UllageError, need, one_line
-from ullage.radar.copies import cores
+from ullage.radar.worker_pool import cores
 
 Where = int | str | None
 """Worker processes here (1: this process, without Dask; None: one for each core), or a scheduler's address."""

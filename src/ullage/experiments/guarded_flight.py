@@ -20,8 +20,8 @@ from ullage.flight.navigation import navigate
 from ullage.flight.vehicle import check_clear
 from ullage.processing.guard import Guard, Limit, State
 from ullage.processing.obstacles import ObstacleSectors, ObstacleStage
-from ullage.radar.copies import cores
 from ullage.radar.receiving import Receiving
+from ullage.radar.worker_pool import cores
 from ullage.specs import Rig
 from ullage.world.scene import Scene
 

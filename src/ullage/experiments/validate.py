@@ -15,11 +15,11 @@ from ullage.experiments import oracles
 from ullage.experiments.validation_rows import HERE, Row, db, gain, over, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.ball_bounces import fan_weights
-from ullage.radar.context import bench, view_of
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
 from ullage.radar.physical import echoes, path_gain_cw
-from ullage.radar.wall_bodies import lay_wall_bodies
+from ullage.radar.wall_bodies import accumulate_wall_bodies
 from ullage.radar.wall_bounces import fan_of
 from ullage.specs import RadarSpec
 from ullage.world import scenes
@@ -158,7 +158,7 @@ def walls_heard(
     weight = np.exp(-0.5 * ((hz - 7.29e9) / 0.45e9) ** 2)
     ranges = bounces * radius_m + np.arange(-0.5, 0.1, 0.01)
     delayed = np.exp(4j * np.pi / C0 * np.multiply.outer(ranges, hz)) * weight / weight.sum()
-    pose, radius = Trajectory.stationary(place), bench(scene, radar()).world.rounds[0].radius
+    pose, radius = Trajectory.stationary(place), radar_context(scene, radar()).world.rounds[0].radius
     ours = [over(scene, pose, radar().but(center_hz=f), "wall", ("wall",) * (bounces - 1)) for f in hz]
     want = [oracles.dense_walls(radius, height_m, np.array(place), f, bounces) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want)
@@ -166,11 +166,11 @@ def walls_heard(
 
 def over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int) -> complex:
     """Path gain at the carrier of the echoes over a tank's wall and round bodies in it alone, so many bounces."""
-    ready = bench(scene, spec)
-    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    ready = radar_context(scene, spec)
+    view = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     world, grids = ready.world, np.zeros((3, ready.places), complex)
-    look = np.zeros(len(world.still.flats))
-    laid = lay_wall_bodies(ready, world.parts(), world.rounds, world.still.flats, view, bounces, look, grids)
+    look = np.zeros(len(world.still.planar))
+    laid = accumulate_wall_bodies(ready, world.parts(), world.rounds, world.still.planar, view, bounces, look, grids)
     return complex(sum(p.echo.sum() for p in laid if p.via is not None and ((p.via >= 0).sum(1) == bounces - 1).all()))
 
 
@@ -190,7 +190,7 @@ def drum_heard(
     inside = scenes.cylinder(drum[2], 6.0, 0.0, name="drum", edge_m=0.06)
     inside = replace(inside, vertices=inside.vertices + np.array([*drum[:2], 3.5]))
     scene, pose = Scene.union([scenes.tank(1.2, 7.0, "pec", strips=96), inside]), Trajectory.stationary((*place, 3.5))
-    wall, body = sorted((one.radius for one in bench(scene, radar()).world.rounds), reverse=True)
+    wall, body = sorted((one.radius for one in radar_context(scene, radar()).world.rounds), reverse=True)
     ours = [over_wall(scene, pose, radar().but(center_hz=f), 3 if twice else 2) for f in hz]
     want = [oracles.tank_and_drum(wall, (*drum[:2], body), np.array(place), f, twice=twice) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want) / np.sqrt(2 * ranges)
@@ -199,8 +199,8 @@ def drum_heard(
 def rooms() -> Iterator[Row]:
     """Oracle 6: mirror paths of a room against the image method."""
     size, at = np.array([6.0, 4.0, 3.0]), np.array([0.31, -0.42, 0.17])
-    ready = bench(scenes.room(tuple(size), material="pec"), radar())
-    view = view_of(radar(), at, np.eye(3))
+    ready = radar_context(scenes.room(tuple(size), material="pec"), radar())
+    view = antenna_pair(radar(), at, np.eye(3))
     for order in (1, 2, 3):
         ours = np.unique(np.round(image_lengths(ready, view, order), 7))
         ours = ours[ours <= 18.0]

@@ -8,8 +8,8 @@ import numpy as np
 
 from ullage.data import Trajectory
 from ullage.geometry import quat_matrix
-from ullage.radar.context import bench, view_of
-from ullage.radar.physical import lay, path_gain_cw
+from ullage.radar.context import antenna_pair, radar_context
+from ullage.radar.physical import accumulate, path_gain_cw
 from ullage.specs import AntennaSpec, RadarSpec
 from ullage.world.scene import Scene
 
@@ -57,12 +57,12 @@ def gain(
 
 def over(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: tuple[str, ...]) -> complex:
     """Path gain at the carrier of the echo of one object by way of others, those in the order in which they come."""
-    ready = bench(scene, spec)
-    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    ready = radar_context(scene, spec)
+    view = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     names = [o.name for o in scene.objects]
     wanted = [*(names.index(name) for name in via), -1, -1][:2]
-    laid = lay(ready, view, None, 1 + len(via), np.zeros((3, ready.places), complex))
+    laid = accumulate(ready, view, None, 1 + len(via), np.zeros((3, ready.places), complex))
     return complex(sum(
-        part.echo[(part.stuffs == names.index(thing)) & (part.via == wanted).all(1)].sum()
+        part.echo[(part.object_ids == names.index(thing)) & (part.via == wanted).all(1)].sum()
         for part in laid if part.via is not None
     ))  # fmt: skip

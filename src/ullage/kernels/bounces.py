@@ -175,14 +175,14 @@ def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignor
 
 
 @core(nogil=True, error_model="numpy")
-def reflect_field(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
+def reflect_field(gamma, object_id, n, u, field):  # type: ignore[no-untyped-def]
     """Turns the field (3) into that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
     place = min(cosine, 1.0) * (gamma.shape[3] - 1)
     i = min(int(place), gamma.shape[3] - 2)
     w = place - i
-    te = gamma[stuff, 0, 0, i] * (1 - w) + gamma[stuff, 0, 0, i + 1] * w
-    tm = gamma[stuff, 0, 1, i] * (1 - w) + gamma[stuff, 0, 1, i + 1] * w
+    te = gamma[object_id, 0, 0, i] * (1 - w) + gamma[object_id, 0, 0, i + 1] * w
+    tm = gamma[object_id, 0, 1, i] * (1 - w) + gamma[object_id, 0, 1, i + 1] * w
     sx, sy, sz = u[1] * n[2] - u[2] * n[1], u[2] * n[0] - u[0] * n[2], u[0] * n[1] - u[1] * n[0]
     size = max(math.sqrt(sx * sx + sy * sy + sz * sz), 1e-12)
     sx, sy, sz = sx / size, sy / size, sz / size
@@ -194,14 +194,14 @@ def reflect_field(gamma, stuff, n, u, field):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, factor, frames_out, fields_out, units,  # type: ignore[no-untyped-def]
+def reflect(paths, chains, ends_on, normals, object_ids, gamma, frames, fields, factor, frames_out, fields_out, units,  # type: ignore[no-untyped-def]
             field):  # fmt: skip
     """What all reflections along each path make of the transmitted field, as the receiver's polarisation takes it.
 
     Args:
         paths: (b, 5, 3) corners from transmitter to receiver [m].
         chains: (b, 2) faces that mirror, -1 for none; ends_on: (b) the face at the end.
-        normals: (p, 3) and stuffs: (p) of the faces.
+        normals: (p, 3) and object ids: (p) of the faces.
         gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
         frames: (2, 3, 3) sensor_from_world and fields: (2, 3) of transmitter and receiver.
         factor: (b) multiplied by the reflections; paths where it is 0 get nothing at all.
@@ -231,12 +231,12 @@ def reflect(paths, chains, ends_on, normals, stuffs, gamma, frames, fields, fact
         for k in range(3):
             field[k] = start[k]
         if double:
-            reflect_field(gamma, stuffs[chains[i, 0]], normals[chains[i, 0]], unit, field)
+            reflect_field(gamma, object_ids[chains[i, 0]], normals[chains[i, 0]], unit, field)
         face = chains[i, 1] if double else chains[i, 0]
         unit_to(paths[i, 1], paths[i, 2], unit)
-        reflect_field(gamma, stuffs[face], normals[face], unit, field)
+        reflect_field(gamma, object_ids[face], normals[face], unit, field)
         unit_to(paths[i, 2], paths[i, 3], unit)
-        reflect_field(gamma, stuffs[ends_on[i]], normals[ends_on[i]], unit, field)
+        reflect_field(gamma, object_ids[ends_on[i]], normals[ends_on[i]], unit, field)
         unit_to(paths[i, 3], paths[i, 4], unit)
         field_across(fields[1], unit, taken)
         factor[i] *= field[0] * taken[0] + field[1] * taken[1] + field[2] * taken[2]

@@ -335,7 +335,7 @@ def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-d
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
+def _outline(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
          ties, line, spots, marks, at):  # fmt: skip
     """Parts all edges of face p, as `cut` does; gives the turns of the rim around the axis."""
     sign, round_axis = _about(spheres, normals, p, line)
@@ -392,6 +392,6 @@ def cut(patches, spheres, normals, offsets, first, starts, ends, origins, aside,
         windings[i] = 0.0
         length = _before(normals, offsets, spheres, p, origins, p if len(origins) > 1 else 0, aside, limit, line)
         if length >= 0:
-            windings[i] = _rim(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces,
+            windings[i] = _outline(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces,
                                owner, tips, holders, ties, line, spots, marks, at)  # fmt: skip
     return at[0], at[1]

@@ -171,7 +171,7 @@ def turned(x):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _lay(grids, kind, place, value):  # type: ignore[no-untyped-def]
+def _accumulate(grids, kind, place, value):  # type: ignore[no-untyped-def]
     """Adds an impulse at a fractional place of one grid, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
     if i < 1 or i + 2 >= grids.shape[1]:
@@ -185,7 +185,7 @@ def _lay(grids, kind, place, value):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
+def accumulate_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     """Echo of one triangle: unit area, complex amplitude `w` and phase `x` [rad] at its corners, both linear between.
 
     Args:
@@ -211,7 +211,7 @@ def lay_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
         ab, ac = 1.0 / (x[a] - x[b]), 1.0 / (x[a] - x[c])
         inner = w[a] + 1j * ((w[b] - w[a]) * ab + (w[c] - w[a]) * ac)
         value = scale * (-2.0 * ab * ac) * inner * turned(x[a])
-        _lay(grids, VERTEX, places[a], value)
+        _accumulate(grids, VERTEX, places[a], value)
         total += value
     return total
 
@@ -228,7 +228,7 @@ def _bulk(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
     mean = (w[0] + w[1] + w[2]) / 3
     value = mean * complex(real, imag) - 1j * (w[0] * y0 + w[1] * y1 + w[2] * y2) / 12
     value *= scale * turned(middle)
-    _lay(grids, BULK, (places[0] + places[1] + places[2]) / 3, value)
+    _accumulate(grids, BULK, (places[0] + places[1] + places[2]) / 3, value)
     return value
 
 
@@ -253,31 +253,31 @@ def _strip(grids, w, x, places, scale, a, b, c):  # type: ignore[no-untyped-def]
     edge = far * i * (w0 + w1 + w3)
     rest = far * (w0 * rest1 + w1 * rest2 + w3 * rest3)
     middle = 0.5 * (places[b] + places[c])
-    _lay(grids, VERTEX, places[a], at_a)
-    _lay(grids, EDGE, middle, edge)
-    _lay(grids, VERTEX, middle, rest)
+    _accumulate(grids, VERTEX, places[a], at_a)
+    _accumulate(grids, EDGE, middle, edge)
+    _accumulate(grids, VERTEX, middle, rest)
     return at_a + edge + rest
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _reflection(gamma, stuff, tap, cosine, across):  # type: ignore[no-untyped-def]
+def _reflection(gamma, object_id, tap, cosine, across):  # type: ignore[no-untyped-def]
     """Reflection coefficient from the tables over cos(incidence): `across` is the TE share of the power."""
     n = gamma.shape[3] - 1
     u = min(cosine, 0.9999999) * n
     i = int(u)
     u -= i
-    te = gamma[stuff, tap, 0, i] * (1 - u) + gamma[stuff, tap, 0, i + 1] * u
-    tm = gamma[stuff, tap, 1, i] * (1 - u) + gamma[stuff, tap, 1, i + 1] * u
+    te = gamma[object_id, tap, 0, i] * (1 - u) + gamma[object_id, tap, 0, i + 1] * u
+    tm = gamma[object_id, tap, 1, i] * (1 - u) + gamma[object_id, tap, 1, i + 1] * u
     return across * te + (1 - across) * tm
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _late(lag, stuff, tap, cosine):  # type: ignore[no-untyped-def]
+def _late(lag, object_id, tap, cosine):  # type: ignore[no-untyped-def]
     """Delay of an inner echo from the table over cos(incidence) [s]."""
     n = lag.shape[2] - 1
     u = min(cosine, 0.9999999) * n
     i = int(u)
-    return lag[stuff, tap, i] * (1 - u + i) + lag[stuff, tap, i + 1] * (u - i)
+    return lag[object_id, tap, i] * (1 - u + i) + lag[object_id, tap, i + 1] * (u - i)
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -337,18 +337,42 @@ def _corners(leaves, k, normals, face, origins, frames, fields, o, table, flat, 
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def deposit(leaves, owner, of, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-            gamma, lag, omega, t0, dt, fold, grids, echo, delay, rows, w):  # fmt: skip
+def accumulate(  # type: ignore[no-untyped-def]
+    leaves,
+    owner,
+    of,
+    transmission,
+    extra,
+    normals,
+    object_ids,
+    origins,
+    frames,
+    fields,
+    table,
+    flat,
+    factor,
+    gamma,
+    lag,
+    omega,
+    t0,
+    dt,
+    fold,
+    grids,
+    echo,
+    delay,
+    rows,
+    w,
+):
     """Lays the echo of every piece on the delay grids.
 
     Args:
         leaves: (m, 3, 3) pieces [m].
         owner: (m) triangle of each piece.
         of: (m) radar of each piece.
-        shade: (m) complex two-way factor of what lies between, 0 where hidden.
+        transmission: (m) complex two-way factor of what lies between, 0 where hidden.
         extra: (m) delay added by it [s].
         normals: (f, 3) unit normals of the triangles.
-        stuffs: (f) material of each triangle.
+        object_ids: (f) material of each triangle.
         origins: (w, 2, 3) transmitter and receiver of each radar, or their images [m].
         frames: (w, 2, 3, 3) sensor_from_world rotations (with mirrors) for both.
         fields: (w, 2, 3) unit electric fields in the world.
@@ -370,28 +394,28 @@ def deposit(leaves, owner, of, shade, extra, normals, stuffs, origins, frames, f
     last = t0 + grids.shape[1] * dt
     for k in range(len(leaves)):
         echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
+        if transmission[k] == 0:
             continue
-        stuff, o = stuffs[owner[k]], of[k]
+        object_id, o = object_ids[owner[k]], of[k]
         early, area, share = _corners(
             leaves, k, normals, owner[k], origins, frames, fields, o, table, flat, base, cosine, tau
         )
-        scale = 1j * area / (4 * math.pi) * shade[k] * factor[o]
+        scale = 1j * area / (4 * math.pi) * transmission[k] * factor[o]
         for tap in range(gamma.shape[1]):
-            if lag[stuff, tap, 0] < 0:
+            if lag[object_id, tap, 0] < 0:
                 break
-            late = extra[k] + _late(lag, stuff, tap, (cosine[0] + cosine[1] + cosine[2]) / 3)
+            late = extra[k] + _late(lag, object_id, tap, (cosine[0] + cosine[1] + cosine[2]) / 3)
             mean = (tau[0] + tau[1] + tau[2] - 3 * early) / (3 * C0) + late
             if tap == 0:
                 delay[k] = mean
             landed = mean - math.floor((mean - t0) / fold) * fold
             for i in range(3):
-                w[i] = base[i] * cosine[i] * _reflection(gamma, stuff, tap, cosine[i], share)
+                w[i] = base[i] * cosine[i] * _reflection(gamma, object_id, tap, cosine[i], share)
             while landed < last:
                 for i in range(3):
                     t = (tau[i] - early) / C0 + late + landed - mean
                     x[i] = omega * t
                     places[i] = (t - t0) / dt
-                value = lay_triangle(grids, w, x, places, scale)
+                value = accumulate_triangle(grids, w, x, places, scale)
                 echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
                 landed += fold

@@ -11,15 +11,15 @@ from ullage.kernels.vectors import dot, field_across, unit_to
 
 
 @lean(nogil=True, error_model="numpy")
-def polarised(corners, normals, stuffs, gamma, frames, fields, table, flat, units, field, out):  # type: ignore[no-untyped-def]
+def polarised(corners, normals, object_ids, gamma, frames, fields, table, flat, units, field, out):  # type: ignore[no-untyped-def]
     """What the antennas and all reflections make of waves.
 
     Args:
         corners: (s + 2, n, 3) of each path from transmitter to receiver [m].
-        normals: (s, n, 3) unit normals, and stuffs: (s, n) materials, where it is reflected.
+        normals: (s, n, 3) unit normals, and object ids: (s, n) materials, where it is reflected.
         gamma: (m, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
         frames: (1, 2, 3, 3) sensor_from_world and fields: (1, 2, 3) of transmitter and receiver.
-        table, flat: as in `facets.deposit`.
+        table, flat: as in `facets.accumulate`.
         units, field: (2, 3), (3) complex, scratch.
         out: (n) gets the factors.
     """
@@ -31,7 +31,7 @@ def polarised(corners, normals, stuffs, gamma, frames, fields, table, flat, unit
         for k in range(3):
             field[k] = taken[k]
         for s in range(len(normals)):
-            reflect_field(gamma, stuffs[s, i], normals[s, i], way, field)
+            reflect_field(gamma, object_ids[s, i], normals[s, i], way, field)
             unit_to(corners[s + 1, i], corners[s + 2, i], way)
         gain *= toward(table, flat, frames, ONE, TO, -way[0], -way[1], -way[2])
         field_across(fields[0, 1], way, taken)

@@ -29,7 +29,7 @@ def _strength(point, ends, turned, table, flat, axes, slopes):  # type: ignore[n
         point: (3) [m].
         ends: (2, 3, 3), the last of each three are the images [m].
         turned: (1, 2, 3, 3) sensor_from_world of the images.
-        table, flat: as in `facets.deposit`.
+        table, flat: as in `facets.accumulate`.
         axes: (2 or more, 3) unit vectors.
         slopes: (6) gets them, how the path bends along the first two axes [1/m], and the gains alone.
     """
@@ -111,17 +111,17 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
 
 
 @core(nogil=True, error_model="numpy")
-def _kept(point, images, faces, normals, stuffs, most, stuff, slopes):  # type: ignore[no-untyped-def]
+def _kept(point, images, faces, normals, object_ids, most, object_id, slopes):  # type: ignore[no-untyped-def]
     """What the mirrors of a way and a thing at a point (3) reflect at the most.
 
     Args:
-        point: (3) [m]; images: (2, 3, 3) and faces: (2, 2) of the way, as in `ways.lead`.
-        normals: (p, 3) and stuffs: (p) of the faces; stuff: the thing's object.
+        point: (3) [m]; images: (2, 3, 3) and faces: (2, 2) of the way, as in `paths.lead`.
+        normals: (p, 3) and object ids: (p) of the faces; object: the thing's object.
         most: (s, c) the larger of both coefficients over cos(incidence).
         slopes: (6) as `_strength` gives them.
     """
     half = 0.5 * math.sqrt(slopes[0] * slopes[0] + slopes[1] * slopes[1] + slopes[2] * slopes[2])
-    out = most[stuff, round(min(half, 1.0) * (most.shape[1] - 1))]
+    out = most[object_id, round(min(half, 1.0) * (most.shape[1] - 1))]
     for side in range(2):
         x, y, z = point[0] - images[side, 2, 0], point[1] - images[side, 2, 1], point[2] - images[side, 2, 2]
         r = max(math.sqrt(x * x + y * y + z * z), 1e-9)
@@ -130,7 +130,7 @@ def _kept(point, images, faces, normals, stuffs, most, stuff, slopes):  # type: 
             if p < 0:
                 continue
             along = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
-            out *= most[stuffs[p], round(min(abs(along) / r, 1.0) * (most.shape[1] - 1))]
+            out *= most[object_ids[p], round(min(abs(along) / r, 1.0) * (most.shape[1] - 1))]
             x, y, z = x - 2 * along * normals[p, 0], y - 2 * along * normals[p, 1], z - 2 * along * normals[p, 2]
     return out
 
@@ -146,7 +146,7 @@ def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-unty
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, stuffs,  # type: ignore[no-untyped-def]
+def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, object_ids,  # type: ignore[no-untyped-def]
                outward, inside, first, starts, table, flat, most, wave, of, on, gains, louds, paths,
                scratch):  # fmt: skip
     """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
@@ -155,9 +155,9 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
         images, turned, faces, planes, counts: as in `lead`; weights: (n) of the ways.
         gate: largest mean range [m].
         items: (k) faces to ask for.
-        spheres: (p, 4), normals: (p, 3), offsets: (p), stuffs: (p), first: (p + 1), starts: (e, 3) of the faces.
+        spheres: (p, 4), normals: (p, 3), offsets: (p), object_ids: (p), first: (p + 1), starts: (e, 3) of the faces.
         outward: (p, 4) as in `solids.Backs`; inside: (p) whether the antennas may be in the body of a face.
-        table, flat: as in `facets.deposit`; most: as in `_kept`; wave: wave number [1/m].
+        table, flat: as in `facets.accumulate`; most: as in `_kept`; wave: wave number [1/m].
         of, on: (m), (m) get way and face of each pair.
         gains: (m) gets the antennas' gains there, times the way's weight and what it reflects.
         louds: (m) gets what each returns at the most, about, so that squares add up to the power of a curved surface.
@@ -190,7 +190,7 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
                 continue
             loud, width, gain = _loud(p, images[i], turned[i : i + 1], table, flat, wave, normals, spheres, first,
                                       starts, axes, places, slopes)  # fmt: skip
-            kept = weights[i] * _kept(places[0], images[i], faces[i], normals, stuffs, most, stuffs[p], slopes)
+            kept = weights[i] * _kept(places[0], images[i], faces[i], normals, object_ids, most, object_ids[p], slopes)
             if count < len(of):
                 half = math.pi / wave  # strips narrower than half a wave add up in phase with those beside them
                 of[count], on[count], gains[count] = i, p, kept * gain
@@ -204,7 +204,7 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
 
 
 @lean(nogil=True, error_model="numpy")
-def rim_louds(pieces, owner, tips, holders, ties, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
+def outline_louds(pieces, owner, tips, holders, ties, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
     """How loud pieces of rims are and ends, at the most: those from which a piece goes on are told with that.
 
     Args:

@@ -91,13 +91,15 @@ def refine_wires(  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def pass_sheets(todo, lengths, passed, rays, distance, stuff, cosine, slack, last, through, delays, factor, late):  # type: ignore[no-untyped-def]
+def pass_transmissive(  # type: ignore[no-untyped-def]
+    todo, lengths, passed, rays, distance, object_id, cosine, slack, last, through, delays, factor, late
+):
     """Takes rays through the sheets that they meet next, and forgets those that meet none on their way.
 
     Args:
         todo, lengths, passed, rays: (n), (n) [m], (n) [m], (n, 3) point each ray leads to, how far that is, how much of
             the way is done, unit vectors; in place, those that are left first.
-        distance, stuff, cosine: (n) [m], (n), (n) to the next sheet, its object, cos(incidence).
+        distance, object_id, cosine: (n) [m], (n), (n) to the next sheet, its object, cos(incidence).
         slack: what stands so near to the point is none, and twice that lies a sheet's other side [m].
         last: whether what is left now is lost.
         through, delays: (s, c) what sheets let through, there and back, and their delay [s] over cos(incidence).
@@ -122,8 +124,8 @@ def pass_sheets(todo, lengths, passed, rays, distance, stuff, cosine, slack, las
         place = min(cosine[i] * n, n - 1e-3)
         low = int(place)
         u = place - low
-        factor[point] *= through[stuff[i], low] * (1 - u) + through[stuff[i], low + 1] * u
-        late[point] += delays[stuff[i], low] * (1 - u) + delays[stuff[i], low + 1] * u
+        factor[point] *= through[object_id[i], low] * (1 - u) + through[object_id[i], low + 1] * u
+        late[point] += delays[object_id[i], low] * (1 - u) + delays[object_id[i], low + 1] * u
     return count
 
 
@@ -139,7 +141,7 @@ def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True)
-def deposit(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):  # type: ignore[no-untyped-def]
+def accumulate(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):  # type: ignore[no-untyped-def]
     """Sum I_m cos(theta) (|v| / far_m)^2 of the rays (n, m) into range bins `out` (n, b)."""
     frames, bins = out.shape
     for f in range(frames):

@@ -9,7 +9,7 @@ import numpy as np
 from ullage.kernels.facets import FROM, TO, _mean_range, toward
 from ullage.kernels.loops import core, loop
 from ullage.kernels.near import spread
-from ullage.kernels.rims import lay_line
+from ullage.kernels.outlines import accumulate_line
 
 C0 = 299_792_458.0
 
@@ -95,25 +95,25 @@ def _element(pieces, k, end, axis, radius, series, w, wave, origins, o, frames, 
 
 
 @loop(fastmath=True, nogil=True, error_model="numpy")
-def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
+def accumulate_wires(pieces, owner, transmission, extra, radii, series, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
               omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
     """Lays the echoes of pieces of wire (m, 2, 3) on the delay grids.
 
     Args:
         pieces: (m, 2, 3) ends of each piece [m].
         owner: (m) wire of each piece.
-        shade: (m) complex two-way factor of what lies between.
+        transmission: (m) complex two-way factor of what lies between.
         extra: (m) delay added by it [s].
         radii: (w) [m].
         series: (w, 2, c) complex backscatter series, TM and TE, over the sine of the angle to the axis.
-        origins: (1 or w, 2, 3) radars for all or for each wire, as in `facets.deposit`, and so the rest.
+        origins: (1 or w, 2, 3) radars for all or for each wire, as in `facets.accumulate`, and so the rest.
     """
     unit, wave = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi), omega / C0
     last = t0 + grids.shape[1] * dt
     axis, out = np.empty(3), np.empty(2)
     for k in range(len(pieces)):
         echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
+        if transmission[k] == 0:
             continue
         w, size = owner[k], 0.0
         o = w if len(origins) > 1 else 0
@@ -128,7 +128,7 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         path0, bend = out[0], out[1]
         w1 = _element(pieces, k, TO, axis, radii[w], series, w, wave, origins, o, frames, fields, table, flat, out)
         path1, bend = out[0], 0.5 * (bend + out[1])
-        w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
+        w0, w1 = w0 * scale * size * transmission[k], w1 * scale * size * transmission[k]
         # mean of bend s (L - s) / 2, by which the chord lies beyond the path: half of it at the most
         early = min(bend * size / 12, 0.5) * size
         late = extra[k] - early / C0
@@ -138,7 +138,7 @@ def lay_wires(pieces, owner, shade, extra, radii, series, origins, frames, field
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            value = lay_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
+            value = accumulate_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
                              (b - t0) / dt)  # fmt: skip
             echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
             landed += fold

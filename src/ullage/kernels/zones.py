@@ -47,7 +47,7 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
         ends_on: (b) face at the end.
         normals: (p, 3), offsets: (p), across: (p, 2, 3) of the faces.
         factor: (b) complex, what reflections leave; paths where it is 0 are left out.
-        frames: (1, 2, 3, 3) sensor_from_world; table, flat: the antennas' pattern, as in `facets.deposit`.
+        frames: (1, 2, 3, 3) sensor_from_world; table, flat: the antennas' pattern, as in `facets.accumulate`.
         wave: number [1/m].
         axes: (b, 2, 3) gets those of the zones, in the plane of incidence and across it, to where the phase is 1 [m].
         units: (2, 3) scratch.

@@ -24,11 +24,11 @@ from scipy.special import fresnel
 from ullage.antenna import gain
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
-from ullage.radar.context import Bench, View, shading
+from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.laid import Laid
 from ullage.radar.rounds import Round
-from ullage.radar.wall_bounces import deposit
+from ullage.radar.wall_bounces import accumulate
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
 PANEL_M = 0.025
@@ -60,7 +60,7 @@ class Lines:
     strips: Longs  # (n) which strip, of all walls
     walls: Longs  # (n) which wall
     sealed: Bools  # (n) whether flat caps close that all round at both ends
-    stuffs: Longs  # (n) object
+    object_ids: Longs  # (n) object
 
     def some(self, which: NDArray[np.generic] | slice) -> Lines:
         """Some of them."""
@@ -89,33 +89,33 @@ class Spots:
     lines: Lines  # (m) the line of each
     places: Places  # (m)
     points: Floats  # (m, 3) [m]
-    ways: Floats  # (2, m, 3) unit vectors from both antennas to them
+    paths: Floats  # (2, m, 3) unit vectors from both antennas to them
     ranges: Floats  # (2, m) [m]
     upward: Floats  # (2, m) cosines of both ways to the axis
     outward: Floats  # (2, m) and to the way from the axis
 
 
-def lay_arcs(
-    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], view: View, grids: Complexes
-) -> list[Laid]:
+def accumulate_arcs(
+    context: RadarContext, parts: list[Surfaces], rounds: tuple[Round, ...], antennas: AntennaPair, grids: Complexes
+) -> list[EchoSet]:
     """Adds to the delay grids what arcs of round walls and drums echo beyond the strips of their meshes.
 
     Args:
-        ready: radar and scene.
+        context: radar and scene.
         parts: what stands still and what moves.
         rounds: round walls and bodies.
-        view: where the radar is.
+        antennas: where the radar is.
         grids: (3, g) complex, added to.
     """
-    wavelength = ready.spec.wavelength_m
-    lines = lines_of(rounds, wavelength / 2, float(np.sqrt(wavelength * ready.gate[1] / 2)))
+    wavelength = context.spec.wavelength_m
+    lines = lines_of(rounds, wavelength / 2, float(np.sqrt(wavelength * context.gate[1] / 2)))
     if lines is None:
         return []
-    places = _places(view, lines, ~ready.sheets.thin, 2 * ready.gate[1])
+    places = _places(antennas, lines, ~context.transmissive.thin, 2 * context.gate[1])
     if not len(places.rows):
         return []
-    places, between = _free(ready, parts, view, lines, places)
-    return [_laid(ready, view, _spots(view, lines, places), between, grids)] if len(places.rows) else []
+    places, between = _free(context, parts, antennas, lines, places)
+    return [_echoes_of(context, antennas, _spots(antennas, lines, places), between, grids)] if len(places.rows) else []
 
 
 @lru_cache(maxsize=8)  # walls that stand still are the same from frame to frame
@@ -148,7 +148,7 @@ def _lines(wall: Round) -> Lines:
                  np.stack([low, high])[:, strips], caps.T[:, strips], aside, (chord / panels)[strips], chord[strips],
                  (wall.radius * (1 - np.cos(half)))[strips], (wall.depth + _PULL_M) * each, strips,
                  np.zeros(len(strips), np.int64), np.full(len(strips), _sealed(wall)),
-                 np.full(len(strips), wall.stuff))  # fmt: skip
+                 np.full(len(strips), wall.object_id))  # fmt: skip
 
 
 def _sealed(wall: Round) -> bool:
@@ -156,14 +156,14 @@ def _sealed(wall: Round) -> bool:
     return bool(len(wall.caps) and (wall.caps == 1).all() and wall.strips[:, 1].sum() > np.pi - _WHOLE_RAD)
 
 
-def _left(ways: Floats) -> Floats:
+def _left(paths: Floats) -> Floats:
     """Vectors (n, 2) a quarter turn on."""
-    return np.asarray(ways[:, ::-1] * [-1, 1])
+    return np.asarray(paths[:, ::-1] * [-1, 1])
 
 
-def _places(view: View, lines: Lines, opaque: Bools, most: float) -> Places:
+def _places(antennas: AntennaPair, lines: Lines, opaque: Bools, most: float) -> Places:
     """Where waves over lines come from that go no farther than `most` [m], walls of some objects (o) being opaque."""
-    gaps = view.origins[:, None] - lines.at
+    gaps = antennas.origins[:, None] - lines.at
     climb, inside = _dots(gaps, lines.axes), _dots(gaps, lines.inward) > 0
     apart = np.sqrt(np.maximum(_dots(gaps, gaps) - climb**2, _LEAST_M**2))
     feet = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
@@ -173,20 +173,20 @@ def _places(view: View, lines: Lines, opaque: Bools, most: float) -> Places:
     heard[0] &= (lines.ends[0] <= feet) & (feet < lines.ends[1])
     level = (ahead[1:, 0] * ahead[1:, 1] > 0) & (lines.caps != 0)
     beyond = ahead[1:, 0] * _SIDES[1:, None] < 0
-    out = lines.sealed & opaque[lines.stuffs] & _any(~inside.any(0) | beyond.any(0), lines.walls)
+    out = lines.sealed & opaque[lines.object_ids] & _any(~inside.any(0) | beyond.any(0), lines.walls)
     wall, row = np.nonzero(heard & (inside[0] == inside[1]) & ~(out & inside[0]))
-    cap, rim = np.nonzero(heard[1:] & level & ~(out & ~beyond))
-    group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, rim])
+    cap, outline = np.nonzero(heard[1:] & level & ~(out & ~beyond))
+    group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, outline])
     return Places(row, _SIDES[group], np.arange(len(row)) >= len(wall), heights[group, row])
 
 
-def _spots(view: View, lines: Lines, places: Places) -> Spots:
+def _spots(antennas: AntennaPair, lines: Lines, places: Places) -> Spots:
     some = lines.some(places.rows)
     points = some.at + places.heights[:, None] * some.axes
-    ways = points - view.origins[:, None]
-    ranges = np.maximum(np.sqrt(_dots(ways, ways)), _LEAST_M)
-    ways /= ranges[..., None]
-    return Spots(some, places, points, ways, ranges, _dots(ways, some.axes), -_dots(ways, some.inward))
+    paths = points - antennas.origins[:, None]
+    ranges = np.maximum(np.sqrt(_dots(paths, paths)), _LEAST_M)
+    paths /= ranges[..., None]
+    return Spots(some, places, points, paths, ranges, _dots(paths, some.axes), -_dots(paths, some.inward))
 
 
 def _any(some: Bools, walls: Longs) -> Bools:
@@ -196,7 +196,7 @@ def _any(some: Bools, walls: Longs) -> Bools:
 
 
 def _free(
-    ready: Bench, parts: list[Surfaces], view: View, lines: Lines, places: Places
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, lines: Lines, places: Places
 ) -> tuple[Places, tuple[Complexes, Floats]]:
     """The places (m) that are seen, and factor and delay [s] of what stands before them.
 
@@ -207,43 +207,47 @@ def _free(
     one, at = places.some(first), places.rows[first]
     axes, inward, pull = lines.axes[at], lines.inward[at], lines.pull[at]
     points = lines.at[at] + one.heights[:, None] * axes
-    ways = points - view.origins[0]
-    off = np.where(one.flat, pull, np.copysign(pull, -_dots(ways, inward)))
-    along = -_PULL_M * np.where(one.flat, np.sign(_dots(ways, axes)), one.side)
-    shade, late = shading(ready, parts, view, points + off[:, None] * inward + along[:, None] * axes)
+    paths = points - antennas.origins[0]
+    off = np.where(one.flat, pull, np.copysign(pull, -_dots(paths, inward)))
+    along = -_PULL_M * np.where(one.flat, np.sign(_dots(paths, axes)), one.side)
+    transmission, late = transmission_to(
+        context, parts, antennas, points + off[:, None] * inward + along[:, None] * axes
+    )
     back = np.repeat(np.arange(len(first)), np.diff(first, append=len(flat)))
-    free = np.flatnonzero(shade[back])
-    return places.some(free), (shade[back[free]], late[back[free]])
+    free = np.flatnonzero(transmission[back])
+    return places.some(free), (transmission[back[free]], late[back[free]])
 
 
-def _laid(ready: Bench, view: View, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes) -> Laid:
+def _echoes_of(
+    context: RadarContext, antennas: AntennaPair, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes
+) -> EchoSet:
     """Lays what comes from spots (m), with factor and delay [s] of what stands before each."""
-    (shade, late), wave, lines = between, 2 * np.pi / ready.spec.wavelength_m, spots.lines
+    (transmission, late), wave, lines = between, 2 * np.pi / context.spec.wavelength_m, spots.lines
     behind, flat, caps = _behind(spots), spots.places.flat, int(np.searchsorted(spots.places.flat, True))
     value = _across_chord(spots, wave)
     value[:caps] *= _along(spots, wave)
-    value *= 1j / (4 * np.pi) * view.factor * shade * np.exp(1j * wave * behind)
-    value *= _gains(ready, view, spots.ways) / spots.ranges.prod(0)
+    value *= 1j / (4 * np.pi) * antennas.factor * transmission * np.exp(1j * wave * behind)
+    value *= _gains(context, antennas, spots.paths) / spots.ranges.prod(0)
     cosine = np.where(flat, spots.upward, spots.outward)
     normals = np.where(flat[:, None], lines.axes, lines.inward)
     cosine = abs(cosine).mean(0)
-    value *= cosine * reflection(ready, view, lines.stuffs, cosine, spots.ways, normals)
+    value *= cosine * reflection(context, antennas, lines.object_ids, cosine, spots.paths, normals)
     delay = (spots.ranges.sum(0) + behind) / C0 + late
 
     def put(value: Complexes, grids: Complexes) -> Complexes:
         kinds = ((slice(caps), (1.5, -0.5)), (slice(caps, None), (1.0, 0.0)))  # as the root of f, and as it is
-        return np.concatenate([deposit(ready, delay[some], value[some], grids, shares) for some, shares in kinds])
+        return np.concatenate([accumulate(context, delay[some], value[some], grids, shares) for some, shares in kinds])
 
     def again(factors: Complexes, others: Complexes) -> None:
         put(value * factors, others)
 
-    return Laid(lines.stuffs.astype(np.int32), spots.points, put(value, grids), delay, again)
+    return EchoSet(lines.object_ids.astype(np.int32), spots.points, put(value, grids), delay, again)
 
 
-def _gains(ready: Bench, view: View, ways: Floats) -> Floats:
+def _gains(context: RadarContext, antennas: AntennaPair, paths: Floats) -> Floats:
     """What both antennas' patterns make of waves (2, m, 3)."""
-    one = gain(ready.spec.antenna, ways[0] @ view.frames[0].T)
-    return one * (one if _one_place(view) else gain(ready.spec.antenna, ways[1] @ view.frames[1].T))
+    one = gain(context.spec.antenna, paths[0] @ antennas.frames[0].T)
+    return one * (one if _one_place(antennas) else gain(context.spec.antenna, paths[1] @ antennas.frames[1].T))
 
 
 def _behind(spots: Spots) -> Floats:
@@ -284,7 +288,7 @@ def _across_chord(spots: Spots, wave: float) -> Complexes:
     Of caps, what it is over the plane between both [m2].
     """
     lines, flat, u = spots.lines, spots.places.flat, NODES[:, None]
-    aside = _dots(spots.ways, lines.left)
+    aside = _dots(spots.paths, lines.left)
     turn = wave * lines.half * aside.sum(0)
     curve = wave * lines.half**2 / 2 * ((1 - aside**2) / spots.ranges).sum(0)
     across = lines.aside + u * lines.half / lines.chord
@@ -307,36 +311,38 @@ def _dots(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
-def _one_place(view: View) -> bool:
+def _one_place(antennas: AntennaPair) -> bool:
     """Whether one antenna is the other."""
-    return bool((view.origins[0] == view.origins[1]).all() and (view.frames[0] == view.frames[1]).all())
+    return bool((antennas.origins[0] == antennas.origins[1]).all() and (antennas.frames[0] == antennas.frames[1]).all())
 
 
-def reflection(ready: Bench, view: View, stuffs: Longs, cosine: Floats, ways: Floats, inward: Floats) -> Complexes:
+def reflection(
+    context: RadarContext, antennas: AntennaPair, object_ids: Longs, cosine: Floats, paths: Floats, inward: Floats
+) -> Complexes:
     """Reflection coefficients (n) at the share of the fields that lies across the plane of incidence.
 
     Args:
-        ready: radar and scene.
-        view: where the radar is.
-        stuffs: (n) objects.
+        context: radar and scene.
+        antennas: where the radar is.
+        object_ids: (n) objects.
         cosine: (n) of incidence.
-        ways: (2, n, 3) unit vectors from both antennas.
+        paths: (2, n, 3) unit vectors from both antennas.
         inward: (n, 3) normals.
     """
-    rows = ready.gamma[stuffs, 0]
+    rows = context.gamma[object_ids, 0]
     places = np.minimum(cosine, 1.0) * (rows.shape[2] - 1)
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))
     te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
-    share = _across(view.fields[0], ways[0], inward)
-    if not _one_place(view):
-        share = (share + _across(view.fields[1], ways[1], inward)) / 2
+    share = _across(antennas.fields[0], paths[0], inward)
+    if not _one_place(antennas):
+        share = (share + _across(antennas.fields[1], paths[1], inward)) / 2
     return np.asarray(share * te + (1 - share) * tm)
 
 
-def _across(field: Floats, ways: Floats, normals: Floats) -> Floats:
+def _across(field: Floats, paths: Floats, normals: Floats) -> Floats:
     """Share (n) of a field's power that is TE, for waves (n, 3) at faces with some normals (n, 3)."""
     x, y, z = field
     side = normals @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # times the ways: the field across both
-    square = (1 - _dots(ways, normals) ** 2) * (1 - (ways @ field) ** 2)
-    return np.where(square < 1e-12, 0.5, np.minimum(_dots(ways, side) ** 2 / np.maximum(square, 1e-12), 1.0))
+    square = (1 - _dots(paths, normals) ** 2) * (1 - (paths @ field) ** 2)
+    return np.where(square < 1e-12, 0.5, np.minimum(_dots(paths, side) ** 2 / np.maximum(square, 1e-12), 1.0))

@@ -20,10 +20,10 @@ from ullage.arrays import Bools, Complexes, Floats
 from ullage.geometry import C0
 from ullage.radar.arcs import reflection
 from ullage.radar.balls import Ball
-from ullage.radar.context import Bench, View, shading
+from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.laid import Laid
-from ullage.radar.wall_bounces import PULL_M, deposit
+from ullage.radar.wall_bounces import PULL_M, accumulate
 
 LEAST_M = 0.05
 """Nearer to a ball the wave is no ray: its facets are done as they are [m]."""
@@ -52,31 +52,31 @@ class Part:
         return np.asarray(radius * places @ self.axes)
 
 
-def taken(ready: Bench, view: View) -> list[Part]:
+def taken(context: RadarContext, antennas: AntennaPair) -> list[Part]:
     """The balls and domes whose spheres echo instead of their facets, part by part."""
-    wavelength = ready.spec.wavelength_m
-    most, out = np.sqrt(wavelength * ready.gate[1] / 2), []
-    middle = view.origins.mean(0)
-    apart = apart_rad(ready, view)
-    for ball in ready.world.balls:
+    wavelength = context.spec.wavelength_m
+    most, out = np.sqrt(wavelength * context.gate[1] / 2), []
+    middle = antennas.origins.mean(0)
+    apart = apart_rad(context, antennas)
+    for ball in context.world.balls:
         coarse = wavelength / 2 < ball.widest < most  # others are no grating, or mirrors of their own
-        if coarse and smoothed(ready, ball.stuff):
+        if coarse and smoothed(context, ball.object_id):
             parts = _parts(ball, middle)
             near = min(part.low for part in parts)
             clear = parts[0].inner or parts[0].away > ball.radius or not ball.holds(parts[0].axes[0] * ball.radius)
             if clear and near > max(LEAST_M, apart):
-                out += [part for part in parts if part.low < ready.gate[1]]
+                out += [part for part in parts if part.low < context.gate[1]]
     return out
 
 
-def smoothed(ready: Bench, stuff: int) -> bool:
+def smoothed(context: RadarContext, object_id: int) -> bool:
     """Whether an object's smooth surfaces echo instead of its facets: without echoes from within."""
-    return bool((ready.lag[stuff, 1:, 0] < 0).all() and not ready.sheets.thin[stuff])
+    return bool((context.lag[object_id, 1:, 0] < 0).all() and not context.transmissive.thin[object_id])
 
 
-def apart_rad(ready: Bench, view: View) -> float:
+def apart_rad(context: RadarContext, antennas: AntennaPair) -> float:
     """By so much, over the range [m], a path's phase changes at most if the antennas are one between them [rad]."""
-    return float(((view.origins[1] - view.origins[0]) ** 2).sum()) / 4 * 2 * np.pi / ready.spec.wavelength_m
+    return float(((antennas.origins[1] - antennas.origins[0]) ** 2).sum()) / 4 * 2 * np.pi / context.spec.wavelength_m
 
 
 def _parts(ball: Ball, origin: Floats) -> list[Part]:
@@ -107,59 +107,61 @@ def _reach(ball: Ball, away: float, axis: Floats) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def lay_balls(
-    ready: Bench, parts: list[Surfaces], view: View, grids: Complexes
-) -> tuple[list[Laid], tuple[Bools | None, Bools | None]]:
+def accumulate_balls(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
+) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
     """Adds to the delay grids what balls and domes that stand still echo.
 
     Args:
-        ready: radar and scene.
+        context: radar and scene.
         parts: what stands still and what moves.
-        view: where the radar is.
+        antennas: where the radar is.
         grids: (3, g) complex, added to.
 
     Returns:
         What was laid; which small triangles (f) and which flat faces (p) of what stands still are done so.
     """
-    balls = taken(ready, view) if ready.world.balls else []
+    balls = taken(context, antennas) if context.world.balls else []
     if not balls:
         return [], (None, None)
-    laid = [told for part in balls if (told := _laid(ready, parts, part, view, grids)) is not None]
+    echoes = [told for part in balls if (told := _echoes_of(context, parts, part, antennas, grids)) is not None]
     small = np.logical_or.reduce([part.ball.small for part in balls])
-    return laid, (small, np.logical_or.reduce([part.ball.flats for part in balls]))
+    return echoes, (small, np.logical_or.reduce([part.ball.planar for part in balls]))
 
 
-def _laid(ready: Bench, parts: list[Surfaces], part: Part, view: View, grids: Complexes) -> Laid | None:
-    ball, wavelength = part.ball, ready.spec.wavelength_m
+def _echoes_of(
+    context: RadarContext, parts: list[Surfaces], part: Part, antennas: AntennaPair, grids: Complexes
+) -> EchoSet | None:
+    ball, wavelength = part.ball, context.spec.wavelength_m
     rings = _rings(part.low, part.high)
     around = np.asarray((np.arange(_AROUND) + 0.5) * (2 * np.pi / _AROUND), np.float64)
     points = part.points(rings, around)
     held = ball.holds(points)
-    bare = _bare(ready, view, part, ball.centre + points)
+    bare = _bare(context, antennas, part, ball.centre + points)
     series = np.fft.fft(bare, axis=1)[:, np.arange(-_MOST, _MOST + 1)] / _AROUND
     series = series * np.exp(-1j * np.arange(-_MOST, _MOST + 1) * around[0])
     size = np.asarray(abs(bare), np.float64)
-    free, late = _free(ready, parts, part, view, points, held, size)
+    free, late = _free(context, parts, part, antennas, points, held, size)
     if not free.any():
         return None
     ranges, weights = _panels(part, wavelength / 4)
     mean = _summed(part, ranges, _between(rings, series * free[:, None], ranges))
     delay = 2 * ranges / C0 + np.interp(ranges, rings, late)
-    value = 1j / (4 * np.pi) * view.factor * weights * ball.radius / part.away * ranges * mean
-    echo = deposit(ready, delay, value, grids, (1.0, 0.0))
+    value = 1j / (4 * np.pi) * antennas.factor * weights * ball.radius / part.away * ranges * mean
+    echo = accumulate(context, delay, value, grids, (1.0, 0.0))
     at = np.clip(np.searchsorted(rings, ranges) - 1, 0, len(rings) - 2)
     up = (ranges - rings[at]) / np.maximum(rings[at + 1] - rings[at], 1e-12)
     up = up * up * (3 - 2 * up)  # rings fade into each other, or each would have echoes of its own ends
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, delay, value * (factors[at] * (1 - up) + factors[at + 1] * up), others, (1.0, 0.0))
+        accumulate(context, delay, value * (factors[at] * (1 - up) + factors[at + 1] * up), others, (1.0, 0.0))
 
     total = np.zeros(len(rings), complex)
     np.add.at(total, at, echo * (1 - up))
     np.add.at(total, at + 1, echo * up)
     best = (size * np.where(held, 1.0, 1e-9)).argmax(1)
     places = ball.centre + points[np.arange(len(rings)), best]
-    return Laid(np.full(len(rings), ball.stuff, np.int32), places, total, 2 * rings / C0 + late, again)
+    return EchoSet(np.full(len(rings), ball.object_id, np.int32), places, total, 2 * rings / C0 + late, again)
 
 
 def _rings(low: float, high: float) -> Floats:
@@ -168,31 +170,37 @@ def _rings(low: float, high: float) -> Floats:
     return np.asarray(low * (high / low) ** share)
 
 
-def _bare(ready: Bench, view: View, part: Part, points: Floats) -> Complexes:
+def _bare(context: RadarContext, antennas: AntennaPair, part: Part, points: Floats) -> Complexes:
     """The integrand (n, m) at points (n, m, 3) of a ball, but for the phase of the way there and back [1/m2]."""
     flat = points.reshape(-1, 3)
-    ways = flat - view.origins[:, None]
-    ranges = np.linalg.norm(ways, axis=2)
-    ways /= ranges[..., None]
+    paths = flat - antennas.origins[:, None]
+    ranges = np.linalg.norm(paths, axis=2)
+    paths /= ranges[..., None]
     inward = (part.ball.centre - flat) / part.ball.radius
-    cosine = abs((ways * inward).sum(2)).mean(0)
-    value = cosine * reflection(ready, view, np.full(len(flat), part.ball.stuff), cosine, ways, inward)
-    for way, frame, far in zip(ways, view.frames, ranges, strict=True):
-        value *= gain(ready.spec.antenna, way @ frame.T) / far
-    if (view.origins[0] != view.origins[1]).any():
-        one = np.linalg.norm(flat - view.origins.mean(0), axis=1)
-        value *= np.exp(-2j * np.pi / ready.spec.wavelength_m * (ranges.sum(0) - 2 * one))
+    cosine = abs((paths * inward).sum(2)).mean(0)
+    value = cosine * reflection(context, antennas, np.full(len(flat), part.ball.object_id), cosine, paths, inward)
+    for way, frame, far in zip(paths, antennas.frames, ranges, strict=True):
+        value *= gain(context.spec.antenna, way @ frame.T) / far
+    if (antennas.origins[0] != antennas.origins[1]).any():
+        one = np.linalg.norm(flat - antennas.origins.mean(0), axis=1)
+        value *= np.exp(-2j * np.pi / context.spec.wavelength_m * (ranges.sum(0) - 2 * one))
     return np.asarray(value.reshape(points.shape[:2]))
 
 
 def _free(
-    ready: Bench, parts: list[Surfaces], part: Part, view: View, points: Floats, held: Bools, weights: Floats
+    context: RadarContext,
+    parts: list[Surfaces],
+    part: Part,
+    antennas: AntennaPair,
+    points: Floats,
+    held: Bools,
+    weights: Floats,
 ) -> tuple[Complexes, Floats]:
     """Mean factor (n) of what stands before each ring's points (n, m, 3) that are held (n, m), and its delay [s]."""
     ball = part.ball
     scale = 1 - (ball.depth + PULL_M) / ball.radius if part.inner else 1 + PULL_M / ball.radius
     seen, late = np.zeros(held.shape, complex), np.zeros(held.shape)
-    seen[held], late[held] = shading(ready, parts, view, ball.centre + scale * points[held])
+    seen[held], late[held] = transmission_to(context, parts, antennas, ball.centre + scale * points[held])
     share = np.where(held, weights + 1e-12 * weights.max(), 0.0)
     share = share / np.maximum(share.sum(1, keepdims=True), 1e-300)
     some = np.flatnonzero(held.any(1))

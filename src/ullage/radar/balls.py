@@ -37,9 +37,11 @@ class Ball:
     radius: float  # through the facets' corners [m]
     depth: float  # by so much their middles lie nearer to the centre [m]
     widest: float  # smallest side of the widest facet [m]
-    stuff: int  # object
+    object_id: int  # object
     caps: Floats  # (k, 4) openings: unit vector from the centre, and how far out along it each begins [m]
-    flats: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (p) which flat faces of what stands still are its
+    planar: Bools = field(
+        default_factory=lambda: np.zeros(0, bool)
+    )  # (p) which flat faces of what stands still are its
     small: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (f) and which small triangles
 
     def holds(self, points: Floats) -> Bools:
@@ -119,7 +121,7 @@ def _fitted(shell: Shell) -> Ball | None:
     filled = _solid_angles(local).sum() / (4 * np.pi)
     if share < _LEAST_SHARE or abs(filled - share) > _WHOLE * share:
         return None
-    return Ball(centre, radius, depth, float(sides.min(1).max()), shell.stuff, caps)
+    return Ball(centre, radius, depth, float(sides.min(1).max()), shell.object_id, caps)
 
 
 def _openings(local: Floats) -> Floats | None:
@@ -140,12 +142,12 @@ def _openings(local: Floats) -> Floats | None:
     places[tri.ravel()] = local.reshape(-1, 3)
     caps = []
     for name in np.unique(loop):
-        rim, inner = places[np.unique(ends[loop == name])], local[single[loop == name] // 3].mean((0, 1))
-        middle = rim.mean(0)
-        _, _, axes = np.linalg.svd(rim - middle)
+        outline, inner = places[np.unique(ends[loop == name])], local[single[loop == name] // 3].mean((0, 1))
+        middle = outline.mean(0)
+        _, _, axes = np.linalg.svd(outline - middle)
         out = axes[2] * (1 if (middle - inner) @ axes[2] > 0 else -1)
         level = float(middle @ out)
-        if len(rim) < 3 or abs(rim @ out - level).max() > OFF_M:
+        if len(outline) < 3 or abs(outline @ out - level).max() > OFF_M:
             return None
         caps.append([*out, level])
     return np.array(caps) if size - len(np.unique(ends)) >= _INNER else None
@@ -161,17 +163,17 @@ def _solid_angles(local: Floats) -> Floats:
 
 def _claimed(ball: Ball, still: Surfaces) -> Ball:
     """The ball with the flat faces and small triangles of what stands still that lie on it."""
-    flats, least = still.flats, ball.radius - ball.depth - OFF_M
-    small = _on(ball, still.corners).all(1) & (still.stuffs == ball.stuff)
+    planar, least = still.planar, ball.radius - ball.depth - OFF_M
+    small = _on(ball, still.corners).all(1) & (still.object_ids == ball.object_id)
     small &= abs(np.einsum("ni,ni->n", still.normals, still.corners[:, 0] - ball.centre)) > least
     small &= ball.holds(still.corners.mean(1) - ball.centre)
-    if not len(flats):
-        return replace(ball, flats=np.zeros(0, bool), small=small)
-    begin = flats.first[:-1]
-    large = np.logical_and.reduceat(_on(ball, flats.starts), begin) & (flats.stuffs == ball.stuff)
-    large &= abs(flats.normals @ ball.centre - flats.offsets) > least
-    middles = np.add.reduceat(flats.starts, begin) / np.diff(flats.first)[:, None]
-    return replace(ball, flats=large & ball.holds(middles - ball.centre), small=small)
+    if not len(planar):
+        return replace(ball, planar=np.zeros(0, bool), small=small)
+    begin = planar.first[:-1]
+    large = np.logical_and.reduceat(_on(ball, planar.starts), begin) & (planar.object_ids == ball.object_id)
+    large &= abs(planar.normals @ ball.centre - planar.offsets) > least
+    middles = np.add.reduceat(planar.starts, begin) / np.diff(planar.first)[:, None]
+    return replace(ball, planar=large & ball.holds(middles - ball.centre), small=small)
 
 
 def _on(ball: Ball, points: Floats) -> Bools:

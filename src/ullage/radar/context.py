@@ -16,10 +16,10 @@ from ullage.antenna import cube
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import facets as kernel
-from ullage.radar.diffraction import Rims, nowhere, rims_of
+from ullage.radar.diffraction import OutlineSet, nowhere, outlines_of
+from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.facets import Surfaces
-from ullage.radar.laid import Laid, centroids, laid_by
-from ullage.radar.penetration import Curtains, curtains, reflection_tables
+from ullage.radar.penetration import Transmissive, reflection_tables, transmissive_of
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
 from ullage.radar.visibility import seen
@@ -37,7 +37,7 @@ _ASIDE_M = np.array([3.1e-7, -4.3e-7, 2.7e-7])  # along none of the axes that th
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class AntennaPair:
     """A radar at one place: where it sends and receives from, and how it is turned."""
 
     origins: Floats  # (2, 3) transmitter and receiver [m]
@@ -52,7 +52,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bench:
+class RadarContext:
     """All that the frames of one radar in one scene share."""
 
     world: Prepared
@@ -62,14 +62,16 @@ class Bench:
     gamma: Complexes
     lag: Floats
     lines: Lines
-    rims: Rims
-    sheets: Curtains
+    outlines: OutlineSet
+    transmissive: Transmissive
     first_m: float  # range of the first grid place [m]
     places: int
     shift: int  # grid place of bin 0
     gate: tuple[float, float]  # ranges whose echoes can reach the frame [m]
     seed: int = 0  # of the fine structure of rough surfaces
-    whole_rims: bool = False  # rims of faces are cut all along, not done by their ends where those are all that counts
+    whole_outlines: bool = (
+        False  # rims of faces are cut all along, not done by their ends where those are all that counts
+    )
 
     @property
     def fold_s(self) -> float:
@@ -77,7 +79,7 @@ class Bench:
         return 1 / self.spec.prf_hz
 
 
-def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> Bench:
+def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> RadarContext:
     """Pulse, tables and gates of one radar in one scene; without `edges` plain physical optics.
 
     Raises:
@@ -87,7 +89,7 @@ def bench(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -
 
 
 @lru_cache(maxsize=8)  # tracks come in pieces
-def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> Bench:
+def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> RadarContext:
     pulse = tabulate(spec)
     pad = pulse.half + 4
     places = 2 * pad + (spec.bins - 1) * pulse.every + 1
@@ -96,9 +98,23 @@ def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> Bench:
     gamma = np.concatenate([gamma, _plain(gamma)])
     lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
     last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
-    rims = rims_of(world.edges if edges else nowhere(), spec.wavelength_m)
-    return Bench(world, spec, pulse, cube(spec.antenna), gamma, lag, strung(world.scene, spec.center_hz), rims,
-                 curtains(world.materials, spec), first, places, pad, (0.0, last), seed)  # fmt: skip
+    outlines = outlines_of(world.edges if edges else nowhere(), spec.wavelength_m)
+    return RadarContext(
+        world,
+        spec,
+        pulse,
+        cube(spec.antenna),
+        gamma,
+        lag,
+        strung(world.scene, spec.center_hz),
+        outlines,
+        transmissive_of(world.materials, spec),
+        first,
+        places,
+        pad,
+        (0.0, last),
+        seed,
+    )
 
 
 def _plain(gamma: Complexes) -> Complexes:
@@ -108,40 +124,52 @@ def _plain(gamma: Complexes) -> Complexes:
     return out
 
 
-def view_of(spec: RadarSpec, position: Floats, turn: Floats) -> View:
+def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats) -> AntennaPair:
     """The radar at a position (3) [m] with world_from_sensor rotation (3, 3)."""
     arm = turn[:, 1] * (spec.antenna_offset_m / 2)
     field = turn[:, 2] if spec.antenna.polarization == "vertical" else turn[:, 1]
-    return View(
+    return AntennaPair(
         np.stack([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), np.stack([field, field])
     )
 
 
-def lay_triangles(
+def accumulate_triangles(
     normals: Floats,
-    stuffs: Ints,
+    object_ids: Ints,
     pieces: tuple[Floats, Ints, Longs],
     between: tuple[Complexes, Floats],
     told: tuple[Any, ...],
-) -> Laid:
+) -> EchoSet:
     """Lays pieces of triangles, as `triangles` gives them, and the radar of each (m).
 
     With factor and delay [s] of what stands before each; what the kernel is `told` of radars (w) is as in `common`.
     """
-    (leaves, owner, of), (shade, extra) = pieces, between
+    (leaves, owner, of), (transmission, extra) = pieces, between
 
-    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.deposit(leaves, owner, of, shade, extra, normals, stuffs, *told[:-1], grids, *out, np.empty((5, 3)),
-                       np.empty(3, complex))  # fmt: skip
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        kernel.accumulate(
+            leaves,
+            owner,
+            of,
+            transmission,
+            extra,
+            normals,
+            object_ids,
+            *told[:-1],
+            grids,
+            *out,
+            np.empty((5, 3)),
+            np.empty(3, complex),
+        )
 
-    return laid_by(put, shade, told[-1], stuffs[owner], lambda: centroids(leaves))
+    return echo_set(put, transmission, told[-1], object_ids[owner], lambda: centroids(leaves))
 
 
-def common(ready: Bench, view: View, grids: Complexes) -> tuple[Any, ...]:
+def common(context: RadarContext, antennas: AntennaPair, grids: Complexes) -> tuple[Any, ...]:
     """What every kernel that lays echoes is told."""
-    return (view.origins[None], view.frames[None], view.fields[None], ready.table,
-            ready.spec.antenna.kind == "isotropic", np.array([view.factor], complex), ready.gamma, ready.lag,
-            ready.pulse.omega, ready.first_m * 2 / C0, ready.pulse.step_s, ready.fold_s, grids)  # fmt: skip
+    return (antennas.origins[None], antennas.frames[None], antennas.fields[None], context.table,
+            context.spec.antenna.kind == "isotropic", np.array([antennas.factor], complex), context.gamma, context.lag,
+            context.pulse.omega, context.first_m * 2 / C0, context.pulse.step_s, context.fold_s, grids)  # fmt: skip
 
 
 def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]) -> tuple[Floats, Ints]:
@@ -154,26 +182,30 @@ def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]
         size = int(1.2 * count)
 
 
-def triangles(ready: Bench, part: Surfaces, view: View, done: Bools | None = None) -> tuple[Floats, Ints]:
+def triangles(
+    context: RadarContext, part: Surfaces, antennas: AntennaPair, done: Bools | None = None
+) -> tuple[Floats, Ints]:
     """Triangles within the gate but those `done` (f), small enough for the closed form, and which each came from."""
-    opaque = ~ready.sheets.thin[part.stuffs]
-    if near(*view.origins):
-        dark = part.backs.hidden(view.origins, opaque)
+    opaque = ~context.transmissive.thin[part.object_ids]
+    if near(*antennas.origins):
+        dark = part.backs.hidden(antennas.origins, opaque)
     else:  # a face takes from one place and gives to the other
-        dark = part.backs.hidden(view.origins[:1], opaque) | part.backs.hidden(view.origins[1:], opaque)
+        dark = part.backs.hidden(antennas.origins[:1], opaque) | part.backs.hidden(antennas.origins[1:], opaque)
     if done is not None:
         dark = dark | done
     return grown(8192, (3, 3), lambda out, owner: kernel.split(
-        part.spheres, part.first, part.corners, dark, view.origins, np.array(ready.gate),
-        KAPPA * ready.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
+        part.spheres, part.first, part.corners, dark, antennas.origins, np.array(context.gate),
+        KAPPA * context.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
 
 
-def shading(ready: Bench, parts: list[Surfaces], view: View, points: Floats) -> tuple[Complexes, Floats]:
+def transmission_to(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, points: Floats
+) -> tuple[Complexes, Floats]:
     """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
-    one, other = view.origins
+    one, other = antennas.origins
     if near(one, other):
-        return seen(parts, (one + other) / 2, points, ready.sheets)
-    (factor, late), (back, later) = (seen(parts, eye, points, ready.sheets) for eye in (one, other))
+        return seen(parts, (one + other) / 2, points, context.transmissive)
+    (factor, late), (back, later) = (seen(parts, eye, points, context.transmissive) for eye in (one, other))
     return np.sqrt(factor) * np.sqrt(back), (late + later) / 2
 
 

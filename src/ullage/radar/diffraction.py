@@ -39,7 +39,7 @@ class Edges:
     inward: Floats  # (w, 2, 3) unit vectors in both faces, away from the edge
     normals: Floats  # (w, 2, 3) of both faces, into the free space
     widths: Floats  # (w, 2) of both faces across the edge [m]
-    stuffs: Ints  # (w) object
+    object_ids: Ints  # (w) object
     surfaces: Longs  # (w, 2) smooth surface on both sides
 
     def __len__(self) -> int:
@@ -59,11 +59,11 @@ class Sharp:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rims:
+class OutlineSet:
     """Edges as one wavelength has them: sides of thin plates are no faces."""
 
     edges: Edges
-    sheets: Bools  # (w) rim of a thin body: only its first face counts
+    transmissive: Bools  # (w) rim of a thin body: only its first face counts
     pairs: double.Pairs
     both: Bools  # (p) the wave runs over both sides
     bare: Bools  # (p) of a sheet, which a wave from behind meets too
@@ -88,7 +88,7 @@ def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
         thing = replace(scene.objects[index], motion=None)
         alone = Scene(scene.vertices, scene.faces[mine], np.zeros(mine.sum(), np.int32), (thing,))
         edges = _free(_edges(alone, np.ones(len(alone.faces), bool)), Raycaster(alone))
-        found.append(replace(edges, stuffs=np.full(len(edges), index, np.int32)))
+        found.append(replace(edges, object_ids=np.full(len(edges), index, np.int32)))
     joined = Edges(*(np.concatenate([getattr(e, f.name) for e in found]) for f in fields(Edges)))
     return Sharp(joined, double.strung([_pairs(e) for e in found]))
 
@@ -102,7 +102,7 @@ def _pairs(edges: Edges) -> double.Pairs:
     return double.facing_pairs(*(getattr(edges, f.name) for f in fields(edges)))
 
 
-def rims_of(sharp: Sharp, wavelength_m: float) -> Rims:
+def outlines_of(sharp: Sharp, wavelength_m: float) -> OutlineSet:
     """The edges that count at a wavelength [m], the wide face first where the other is the side of a thin plate."""
     edges = sharp.edges
     wide = edges.widths >= NARROW * wavelength_m
@@ -114,23 +114,25 @@ def rims_of(sharp: Sharp, wavelength_m: float) -> Rims:
                    widths=held.widths[row, order])  # fmt: skip
     pairs, both, bare = double.at_wavelength(sharp.pairs, NARROW * wavelength_m)
     gaps_m = np.linalg.norm(pairs.gaps, axis=1)
-    return Rims(held, np.asarray(~wide.all(1)), pairs, both, bare, 4 * np.sqrt(wavelength_m / gaps_m) / (2 * np.pi))
+    return OutlineSet(
+        held, np.asarray(~wide.all(1)), pairs, both, bare, 4 * np.sqrt(wavelength_m / gaps_m) / (2 * np.pi)
+    )
 
 
 def placed(edges: Edges, poses: Floats | None) -> Edges:
     """The edges in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
     if poses is None:
         return edges
-    starts, ends = moved((edges.starts, edges.ends), edges.stuffs, poses)
-    inward, normals = (np.stack(moved((v[:, 0], v[:, 1]), edges.stuffs, poses, turn_only=True), 1)
+    starts, ends = moved((edges.starts, edges.ends), edges.object_ids, poses)
+    inward, normals = (np.stack(moved((v[:, 0], v[:, 1]), edges.object_ids, poses, turn_only=True), 1)
                        for v in (edges.inward, edges.normals))  # fmt: skip
     return replace(edges, starts=starts, ends=ends, inward=inward, normals=normals)
 
 
-def facing(edges: Edges, sheets: Bools, origin: Floats) -> Bools:
+def facing(edges: Edges, transmissive: Bools, origin: Floats) -> Bools:
     """Which edges (w) have the point (3) in their open side; of a thin body, over its wide face."""
     lit = np.einsum("nfi,ni->nf", edges.normals, origin - edges.starts) > 0
-    return np.asarray(lit[:, 0] | (lit[:, 1] & ~sheets))
+    return np.asarray(lit[:, 0] | (lit[:, 1] & ~transmissive))
 
 
 def outward(edges: Edges, which: Ints | Longs) -> Floats:
@@ -158,7 +160,7 @@ def _edges(scene: Scene, chosen: Bools) -> Edges:
     area = np.linalg.norm(cross, axis=1) / 2
     held = area > 1e-12
     corners, normals = corners[held], cross[held] / (2 * area[held, None])
-    stuffs = scene.face_object[chosen][held]
+    object_ids = scene.face_object[chosen][held]
     if not len(corners):
         return _none()
     tri, edge = _halves(corners)
@@ -175,7 +177,7 @@ def _edges(scene: Scene, chosen: Bools) -> Edges:
     n1, n2, angle = _open(into, normals[tri[lead]])
     surfaces = smooth[tri[pairs]]
     widths = _widths(corners, smooth, a, into, surfaces)
-    return Edges(a, b, angle, into, np.stack([n1, n2], 1), widths, stuffs[tri[lead]], surfaces)
+    return Edges(a, b, angle, into, np.stack([n1, n2], 1), widths, object_ids[tri[lead]], surfaces)
 
 
 def _halves(corners: Floats) -> tuple[Longs, Longs]:

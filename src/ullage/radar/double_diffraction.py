@@ -32,10 +32,10 @@ class Pairs:
     inward: Floats  # (p, 2, 3) from each edge into the face
     normals: Floats  # (p, 3) of the face
     others: Floats  # (p, 2) widths of the faces beyond both edges [m]
-    stuffs: Ints  # (p) object
+    object_ids: Ints  # (p) object
 
     def __len__(self) -> int:
-        return len(self.stuffs)
+        return len(self.object_ids)
 
     def take(self, index: Bools | Longs) -> Pairs:
         """Some of them."""
@@ -49,7 +49,7 @@ def facing_pairs(
     inward: Floats,
     normals: Floats,
     widths: Floats,
-    stuffs: Ints,
+    object_ids: Ints,
     surfaces: Longs,
 ) -> Pairs:
     """Pairs among edges that bound the same smooth surface; arguments as the fields of `diffraction.Edges`."""
@@ -84,7 +84,7 @@ def facing_pairs(
     held = high - low > 1e-3
     out = Pairs(starts[a] + low[:, None] * along, starts[a] + high[:, None] * along, apart[:, None] * xa,
                 np.stack([angles[a], angles[b]], 1), np.stack([xa, inward[b, sb]], 1), n,
-                np.stack([widths[a, 1 - sa], widths[b, 1 - sb]], 1), stuffs[a])  # fmt: skip
+                np.stack([widths[a, 1 - sa], widths[b, 1 - sb]], 1), object_ids[a])  # fmt: skip
     return out.take(held)
 
 
@@ -108,16 +108,21 @@ def strung(parts: list[Pairs]) -> Pairs:
 def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools]:
     """Pairs wide enough, edges of thin bodies as rims; whether the wave runs over both sides; which are sheets."""
     held = pairs.take(np.linalg.norm(pairs.gaps, axis=1) >= narrow_m)
-    sheets = held.angles > 2 - 1e-6
-    thin = (held.others < narrow_m) | sheets
-    return replace(held, angles=np.where(thin, 2.0, held.angles)), np.asarray(thin.all(1)), np.asarray(sheets.all(1))
+    transmissive = held.angles > 2 - 1e-6
+    thin = (held.others < narrow_m) | transmissive
+    return (
+        replace(held, angles=np.where(thin, 2.0, held.angles)),
+        np.asarray(thin.all(1)),
+        np.asarray(transmissive.all(1)),
+    )
 
 
 def placed(pairs: Pairs, poses: Floats | None) -> Pairs:
     """The pairs in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
     if poses is None:
         return pairs
-    starts, ends = moved((pairs.starts, pairs.ends), pairs.stuffs, poses)
-    gaps, one, two, normals = moved((pairs.gaps, pairs.inward[:, 0], pairs.inward[:, 1], pairs.normals), pairs.stuffs,
-                                    poses, turn_only=True)  # fmt: skip
+    starts, ends = moved((pairs.starts, pairs.ends), pairs.object_ids, poses)
+    gaps, one, two, normals = moved(
+        (pairs.gaps, pairs.inward[:, 0], pairs.inward[:, 1], pairs.normals), pairs.object_ids, poses, turn_only=True
+    )
     return replace(pairs, starts=starts, ends=ends, gaps=gaps, inward=np.stack([one, two], 1), normals=normals)

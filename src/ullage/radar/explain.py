@@ -17,9 +17,9 @@ from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
-from ullage.radar.context import Bench, bench, view_of
-from ullage.radar.laid import Laid
-from ullage.radar.physical import lay, passive, radio
+from ullage.radar.context import RadarContext, antenna_pair, radar_context
+from ullage.radar.echo_set import EchoSet
+from ullage.radar.physical import accumulate, passive, radio
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
@@ -129,15 +129,15 @@ def contributions(
     count: int | None = None,
 ) -> list[Contribution]:
     """The contributions at the sensor's one pose, strongest first, all of them or so many."""
-    ready = bench(scene, spec, seed=seed)
-    grids = np.zeros((3, ready.places), complex)
-    view = view_of(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    laid = lay(ready, view, ready.world.poses(pose.t_ns)[0], max_bounces, grids)
-    rows = _rows(laid)
+    context = radar_context(scene, spec, seed=seed)
+    grids = np.zeros((3, context.places), complex)
+    antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    echoes = accumulate(context, antennas, context.world.poses(pose.t_ns)[0], max_bounces, grids)
+    rows = _rows(echoes)
     found = _alike(spec, list(_clusters(rows)))
-    told = sorted(found, key=lambda c: -np.abs(c.total) * _landing(ready, c)[2])[:count]
-    whole = passive(_heard(ready, grids))
-    return [_told(ready, scene, rows, laid, one, whole) for one in told]
+    told = sorted(found, key=lambda c: -np.abs(c.total) * _landing(context, c)[2])[:count]
+    whole = passive(_heard(context, grids))
+    return [_told(context, scene, rows, echoes, one, whole) for one in told]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,20 +169,20 @@ class _Cluster:
     whole: bool  # more than what the rims of faces add
 
 
-def _rows(laid: list[Laid]) -> _Rows:
+def _rows(echoes: list[EchoSet]) -> _Rows:
     """Images and rims together, so that one face's echo is told once."""
     chains, scatterers = [], []
-    for part in laid:
+    for part in echoes:
         many = np.arange(len(part.echo))
         via = np.full((len(many), 2), -1) if part.via is None else part.via
         before = (via >= 0).sum(1) if part.before is None else part.before
         chain = np.concatenate([via, np.full((len(many), 1), -1)], 1)
         chain[before == 1, 2] = via[before == 1, 1]
         chain[before == 0, 1:] = via[before == 0]
-        chain[many, before] = part.stuffs
+        chain[many, before] = part.object_ids
         chains.append(chain)
         scatterers.append(before)
-    echo = np.concatenate([part.echo for part in laid] or [np.zeros(0, complex)])
+    echo = np.concatenate([part.echo for part in echoes] or [np.zeros(0, complex)])
     at = np.flatnonzero(echo)
     if not len(at):
         none = np.zeros(0, np.int64)
@@ -191,8 +191,8 @@ def _rows(laid: list[Laid]) -> _Rows:
     def picked(rows: list[NDArray[Any]]) -> NDArray[Any]:
         return np.asarray(np.concatenate(rows)[at])
 
-    flags = [(p.rays, np.zeros(len(p.echo), bool), np.ones(len(p.echo), bool)) for p in laid]
-    return _Rows(at, echo[at], picked([p.delay_s for p in laid]), picked([p.places for p in laid]), picked(chains),
+    flags = [(p.rays, np.zeros(len(p.echo), bool), np.ones(len(p.echo), bool)) for p in echoes]
+    return _Rows(at, echo[at], picked([p.delay_s for p in echoes]), picked([p.places for p in echoes]), picked(chains),
                  picked(scatterers), picked([no if rays is None else rays for rays, no, _ in flags]),
                  picked([yes if rays is None else rays for rays, _, yes in flags]))  # fmt: skip
 
@@ -308,49 +308,51 @@ def _joined(one: _Cluster, other: _Cluster) -> _Cluster:
                    shares=np.concatenate([one.shares, other.shares]))  # fmt: skip
 
 
-def _landing(ready: Bench, one: _Cluster) -> tuple[float, float, float]:
+def _landing(context: RadarContext, one: _Cluster) -> tuple[float, float, float]:
     """Delay [s] at which a cluster lies in the frame, its phase there, and what of it still reaches a bin."""
-    spec, fold = ready.spec, ready.fold_s
+    spec, fold = context.spec, context.fold_s
     start, end = 2 * spec.range_start_m / C0, 2 * (spec.range_start_m + (spec.bins - 1) * spec.bin_m) / C0
-    laid = 2 * ready.first_m / C0
-    laid += (one.delay_s - laid) % fold  # where the kernels put it first, with this phase
+    echoes = 2 * context.first_m / C0
+    echoes += (one.delay_s - echoes) % fold  # where the kernels put it first, with this phase
     later = start + (one.delay_s - start) % fold
     at = later if later - end <= start - (later - fold) else later - fold
-    phase = np.angle(one.total) - ready.pulse.omega * (at - laid)
-    taps = abs(ready.pulse.taps[1])
-    beyond = round(max(start - at, at - end, 0.0) / ready.pulse.step_s)
+    phase = np.angle(one.total) - context.pulse.omega * (at - echoes)
+    taps = abs(context.pulse.taps[1])
+    beyond = round(max(start - at, at - end, 0.0) / context.pulse.step_s)
     left = taps[len(taps) // 2 + beyond] / taps.max() if beyond <= len(taps) // 2 else 0.0
     return at, float(np.angle(np.exp(1j * phase))), float(left) if beyond else 1.0
 
 
-def _told(ready: Bench, scene: Scene, rows: _Rows, laid: list[Laid], one: _Cluster, whole: float) -> Contribution:
+def _told(
+    context: RadarContext, scene: Scene, rows: _Rows, echoes: list[EchoSet], one: _Cluster, whole: float
+) -> Contribution:
     """The contribution of a cluster, whose samples keep the share `whole` of what is laid."""
     names, here = [scene.objects[k].name for k in one.chain], one.scatterer
-    at, phase, left = _landing(ready, one)
+    at, phase, left = _landing(context, one)
     x, y, z = (float(v) for v in one.point)
     level = float(20 * np.log10(max(abs(one.total) * left * whole, 1e-30)))
     return Contribution(names[here], len(names), one.delay_s, one.delay_s * C0 / 2, level, (x, y, z), phase,
                         tuple(names[:here]), tuple(names[here + 1 :]), at * C0 / 2,
-                        _samples(ready, laid, rows, one, whole))  # fmt: skip
+                        _samples(context, echoes, rows, one, whole))  # fmt: skip
 
 
-def _samples(ready: Bench, laid: list[Laid], rows: _Rows, one: _Cluster, whole: float) -> Samples:
+def _samples(context: RadarContext, echoes: list[EchoSet], rows: _Rows, one: _Cluster, whole: float) -> Samples:
     """What a cluster adds to a frame (b): its echoes laid once more, without all others."""
-    grids = np.zeros((3, ready.places), complex)
-    shares = np.zeros(sum(len(part.echo) for part in laid), complex)
+    grids = np.zeros((3, context.places), complex)
+    shares = np.zeros(sum(len(part.echo) for part in echoes), complex)
     np.add.at(shares, rows.at[one.rows], one.shares)
     first = 0
-    for part in laid:
+    for part in echoes:
         mine = shares[first : first + len(part.echo)]
         first += len(part.echo)
         if mine.any():
             part.again(mine, grids)
-    out = _heard(ready, grids) * whole
-    return radio(out[None], ready.spec)[0] if ready.spec.output == "rf" else out.astype(np.complex64)
+    out = _heard(context, grids) * whole
+    return radio(out[None], context.spec)[0] if context.spec.output == "rf" else out.astype(np.complex64)
 
 
-def _heard(ready: Bench, grids: Complexes) -> Complexes:
+def _heard(context: RadarContext, grids: Complexes) -> Complexes:
     """The bins (b) of delay grids."""
-    out = np.zeros(ready.spec.bins, complex)
-    pulses.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out)
+    out = np.zeros(context.spec.bins, complex)
+    pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out)
     return out

@@ -31,12 +31,12 @@ _CLUSTER = 16  # triangles, about
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flats:
+class PlanarPatches:
     """Flat faces of any outline, known by their rims."""
 
     normals: Floats  # (p, 3)
     offsets: Floats  # (p) plane normal . x = offset [m]
-    stuffs: Ints  # (p) object of each face
+    object_ids: Ints  # (p) object of each face
     spheres: Floats  # (p, 4) centre and radius [m]
     first: Ints  # (p + 1) first edge of each
     starts: Floats  # (e, 3) counter-clockwise about the normal, holes clockwise [m]
@@ -55,11 +55,11 @@ class Flats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Veil:
+class TransmissiveFaces:
     """The faces that let waves through."""
 
     rays: Raycaster
-    stuffs: Ints  # object of each face that rays can hit
+    object_ids: Ints  # object of each face that rays can hit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,29 +68,29 @@ class Surfaces:
 
     corners: Floats  # (f, 3, 3) [m]
     normals: Floats  # (f, 3)
-    stuffs: Ints  # (f) object of each triangle, which is also its row in the material tables
+    object_ids: Ints  # (f) object of each triangle, which is also its row in the material tables
     spheres: Floats  # (k, 4) centre and radius of each cluster [m]
     first: Ints  # (k + 1)
     backs: Backs  # of the triangles
-    flats: Flats
+    planar: PlanarPatches
     flat_backs: Backs  # of the flat faces
     rays: Raycaster
     solid: Scene  # the faces that rays can hit
     faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (f) face of the scene of each triangle
     flat_faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (m) faces of the scene in flat faces
     flat_at: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (m) and in which flat face each is
-    split: dict[bytes, tuple[Raycaster, Veil | None]] = field(default_factory=dict)
+    split: dict[bytes, tuple[Raycaster, TransmissiveFaces | None]] = field(default_factory=dict)
     home: Surfaces | None = None  # these before they moved
     poses: Floats | None = None  # (o, 4, 4) of the objects, when they have moved
 
-    def casters(self, thin: Bools) -> tuple[Raycaster, Veil | None]:
+    def casters(self, thin: Bools) -> tuple[Raycaster, TransmissiveFaces | None]:
         """Rays over what is opaque, and over what is not, for a choice of thin objects (o); built when first asked."""
         key = thin.tobytes()
         if key not in self.split:
             self.split[key] = self._split(thin)
         return self.split[key]
 
-    def _split(self, thin: Bools) -> tuple[Raycaster, Veil | None]:
+    def _split(self, thin: Bools) -> tuple[Raycaster, TransmissiveFaces | None]:
         mine = thin[self.solid.face_object]
         if not mine.any():
             return self.rays, None
@@ -98,7 +98,7 @@ class Surfaces:
             opaque, veil = self.home.casters(thin)
             return opaque.standing(self.poses), veil and replace(veil, rays=veil.rays.standing(self.poses))
         opaque, through = (Raycaster(only(self.solid, kept)) for kept in (~mine, mine))
-        return opaque, Veil(through, self.solid.face_object[mine])
+        return opaque, TransmissiveFaces(through, self.solid.face_object[mine])
 
 
 def only(scene: Scene, kept: NDArray[np.generic]) -> Scene:
@@ -114,28 +114,28 @@ def gather(scene: Scene, faces: Bools) -> Surfaces:
     index = np.flatnonzero(faces & (area > 1e-12))
     part = only(scene, index)
     rays = Raycaster(part)
-    corners, normals, stuffs = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
-    patch = coplanar(corners, normals, stuffs)
+    corners, normals, object_ids = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
+    patch = coplanar(corners, normals, object_ids)
     large = _extents(corners, patch)[patch] >= FLAT_M
-    sides = backs(corners, normals, stuffs)
-    curved = smooth(corners, normals, stuffs, patch)[patch[large]]
-    flats = _flats(corners[large], normals[large], stuffs[large], patch[large], curved)
+    sides = backs(corners, normals, object_ids)
+    curved = smooth(corners, normals, object_ids, patch)[patch[large]]
+    planar = _planar(corners[large], normals[large], object_ids[large], patch[large], curved)
     lead, at = np.unique(patch[large], return_index=True, return_inverse=True)[1:]
     small = np.flatnonzero(~large)
     order, first = _clusters(corners[small].mean(1), np.sqrt(area[index][small]))
     small = small[order]
     mine = np.ascontiguousarray(corners[small])
-    return Surfaces(mine, np.ascontiguousarray(normals[small]), stuffs[small].copy(), _spheres(mine, first), first,
-                    sides.take(small), flats, sides.take(np.flatnonzero(large)[lead]), rays, part, index[small],
+    return Surfaces(mine, np.ascontiguousarray(normals[small]), object_ids[small].copy(), _spheres(mine, first), first,
+                    sides.take(small), planar, sides.take(np.flatnonzero(large)[lead]), rays, part, index[small],
                     index[large], at.astype(np.int64))  # fmt: skip
 
 
-def strewn(corners: Floats, normals: Floats, stuffs: Ints, sides: Backs, home: Surfaces) -> tuple[Surfaces, Longs]:
+def strewn(corners: Floats, normals: Floats, object_ids: Ints, sides: Backs, home: Surfaces) -> tuple[Surfaces, Longs]:
     """Triangles (f, 3, 3) with normals, objects and outer sides, among what else there is, and their order (f)."""
     size = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     order, first = _clusters(corners.mean(1), np.sqrt(size))
     mine = np.ascontiguousarray(corners[order])
-    made = replace(home, corners=mine, normals=np.ascontiguousarray(normals[order]), stuffs=stuffs[order],
+    made = replace(home, corners=mine, normals=np.ascontiguousarray(normals[order]), object_ids=object_ids[order],
                    spheres=_spheres(mine, first), first=first, backs=sides.take(order))  # fmt: skip
     return made, order
 
@@ -151,7 +151,7 @@ def twins(corners: Floats) -> tuple[Longs, Longs]:
     return face[twin], face[twin + 1]
 
 
-def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> Longs:
+def coplanar(corners: Floats, normals: Floats, object_ids: Ints) -> Longs:
     """Which patch each triangle (f, 3, 3) belongs to: joined by edges, in one plane, of one object.
 
     Neighbours may be off by what files round; but where that adds up to a bend, as round a wall of long, narrow strips,
@@ -166,7 +166,7 @@ def coplanar(corners: Floats, normals: Floats, stuffs: Ints) -> Longs:
     gap = abs(np.einsum("ni,nki->nk", normals[a], corners[b] - corners[a, :1])).max(1)
     rounded = _rounded(corners)
     size = np.linalg.norm(corners[b, 1] - corners[b, 0], axis=1) + np.linalg.norm(corners[b, 2] - corners[b, 0], axis=1)
-    size, mine = np.maximum(size, 1e-2), stuffs[a] == stuffs[b]
+    size, mine = np.maximum(size, 1e-2), object_ids[a] == object_ids[b]
     same, patch = np.zeros(len(a), bool), np.arange(len(corners))
     asked = np.ones(len(corners), bool)
     for most in ROUNDED:
@@ -214,16 +214,16 @@ def _planes(corners: Floats, normals: Floats, patch: Longs) -> tuple[Floats, Flo
     return normal, np.asarray(middle)
 
 
-def smooth(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs) -> Bools:
+def smooth(corners: Floats, normals: Floats, object_ids: Ints, patch: Longs) -> Bools:
     """Whether each patch is a facet of a curved surface: one that goes on over two edges with hardly a bend."""
     count = int(patch.max()) + 1 if len(patch) else 0
     if not count:
         return np.zeros(0, bool)
     a, b = twins(corners)
     bend = abs(np.einsum("ni,ni->n", normals[a], normals[b]))
-    goes_on = (patch[a] != patch[b]) & (stuffs[a] == stuffs[b]) & (bend > np.cos(np.deg2rad(SMOOTH_DEG)))
-    ways = np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)
-    return np.asarray(ways >= 2)
+    goes_on = (patch[a] != patch[b]) & (object_ids[a] == object_ids[b]) & (bend > np.cos(np.deg2rad(SMOOTH_DEG)))
+    paths = np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)
+    return np.asarray(paths >= 2)
 
 
 def _extents(corners: Floats, patch: Longs) -> Floats:
@@ -243,7 +243,7 @@ def _extents(corners: Floats, patch: Longs) -> Floats:
     return 2 * out
 
 
-def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs, curved: Bools) -> Flats:
+def _planar(corners: Floats, normals: Floats, object_ids: Ints, patch: Longs, curved: Bools) -> PlanarPatches:
     """Rims of patches: the directed edges that no neighbour of the same patch runs back along."""
     names, lead, patch = np.unique(patch, return_index=True, return_inverse=True)
     normal, middle = _planes(corners, normals, patch)
@@ -255,13 +255,13 @@ def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs, curved:
     of = np.repeat(patch, 3)
     wide = int(tri.max(initial=0)) + 1
     key, back = (of * wide + start) * wide + end, (of * wide + end) * wide + start
-    rim = np.flatnonzero(~np.isin(key, back))
-    rim = rim[np.argsort(of[rim], kind="stable")]
-    first = np.searchsorted(of[rim], np.arange(len(names) + 1)).astype(np.int32)
-    a = turned.reshape(-1, 3)[rim]
-    b = np.roll(turned, -1, 1).reshape(-1, 3)[rim]
+    outline = np.flatnonzero(~np.isin(key, back))
+    outline = outline[np.argsort(of[outline], kind="stable")]
+    first = np.searchsorted(of[outline], np.arange(len(names) + 1)).astype(np.int32)
+    a = turned.reshape(-1, 3)[outline]
+    b = np.roll(turned, -1, 1).reshape(-1, 3)[outline]
     offsets = np.einsum("ni,ni->n", normal, middle)
-    order, loop_of, loops = _ordered(start[rim], end[rim], first)
+    order, loop_of, loops = _ordered(start[outline], end[outline], first)
     kept = _turning(a[order], b[order], loops, _rounded(corners))
     last = np.append(kept, len(order))[1:] - 1  # the edge that ends where the next one kept begins
     a, b = np.ascontiguousarray(a[order[kept]]), np.ascontiguousarray(b[order[last]])
@@ -270,8 +270,23 @@ def _flats(corners: Floats, normals: Floats, stuffs: Ints, patch: Longs, curved:
     mirrors, sizes, flat_of = _convex(turned, patch, normal, a, first, loop_of)
     across = _across(normal, first, a, b)
     spheres, widths = _extent(normal, offsets, across, first, a)
-    return Flats(normal, offsets, stuffs[lead].copy(), spheres, first, a, b, loop_of, loops, mirrors, sizes, flat_of,
-                 widths, across, curved[lead])  # fmt: skip
+    return PlanarPatches(
+        normal,
+        offsets,
+        object_ids[lead].copy(),
+        spheres,
+        first,
+        a,
+        b,
+        loop_of,
+        loops,
+        mirrors,
+        sizes,
+        flat_of,
+        widths,
+        across,
+        curved[lead],
+    )
 
 
 def _across(normals: Floats, first: Ints, starts: Floats, ends: Floats) -> Floats:
@@ -398,7 +413,7 @@ def _neighbours(first: NDArray[np.integer]) -> tuple[Longs, Longs]:
     return np.where(here == begin, last, here - 1), np.where(here == last, begin, here + 1)
 
 
-def joined(parts: Sequence[Flats]) -> Flats:
+def joined(parts: Sequence[PlanarPatches]) -> PlanarPatches:
     """The flat faces of several parts as one."""
     if len(parts) == 1:
         return parts[0]
@@ -422,7 +437,7 @@ def joined(parts: Sequence[Flats]) -> Flats:
         loop_of.append(part.loop_of[1:] + count)
         flat_of.append(part.flat_of + faces)
         edges, count, faces = edges + len(part.starts), count + len(part.loops) - 1, faces + len(part)
-    return Flats(loose("normals"), loose("offsets"), loose("stuffs").astype(np.int32), loose("spheres"),
+    return PlanarPatches(loose("normals"), loose("offsets"), loose("object_ids").astype(np.int32), loose("spheres"),
                  strung("first", "starts"), loose("starts"), loose("ends"),
                  np.concatenate(loop_of).astype(np.int32), np.concatenate(loops).astype(np.int32), loose("mirrors"),
                  loose("sizes").astype(np.int32), np.concatenate(flat_of).astype(np.int32),

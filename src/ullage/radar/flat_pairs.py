@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as kernel
-from ullage.radar.context import Bench, View
-from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.laid import Laid
+from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.echo_set import EchoSet
+from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import most_looked
+from ullage.radar.paths import FACES, largest
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies, shortest
 from ullage.radar.rounds import Round
-from ullage.radar.wall_bounces import PULL_M, deposit
-from ullage.radar.ways import FACES, largest
+from ullage.radar.wall_bounces import PULL_M, accumulate
 
 FAINT = 2e-3
 """Chains that do not make this share of a frame's strongest echo are left out."""
@@ -33,28 +33,33 @@ BEFORE, BETWEEN, AFTER = 0, 1, 2
 """Where a path meets the face: before both bodies, between them, or after both."""
 
 
-def lay_flat_pairs(
-    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, look: Floats,
+def accumulate_flat_pairs(
+    context: RadarContext,
+    parts: list[Surfaces],
+    rounds: tuple[Round, ...],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    look: Floats,
     grids: Complexes,
-) -> list[Laid]:  # fmt: skip
+) -> list[EchoSet]:
     """Adds the echoes over two round bodies and one of the flat faces that look largest (p) to the delay grids.
 
     Those too faint beside what the grids hold are left out.
     """
-    bodies = bodies_of(rounds, np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2))
+    bodies = bodies_of(rounds, np.sqrt(context.spec.wavelength_m * context.gate[1] / 2))
     if not len(bodies.radii):
         return []
-    which, weights, _ = seen_bodies(ready, bodies, view, MOST)
-    some = largest(look * ~flats.smooth, FACES)
+    which, weights, _ = seen_bodies(context, bodies, antennas, MOST)
+    some = largest(look * ~planar.smooth, FACES)
     held, shares = most_looked(look[some], FACES)
     faces = some[held]
-    rows, twice = _rows(len(faces), len(which), bool((view.origins[0] == view.origins[1]).all()))
+    rows, twice = _rows(len(faces), len(which), bool((antennas.origins[0] == antennas.origins[1]).all()))
     if not len(rows):
         return []
     nth = rows[:, 1]
     rows = np.stack([rows[:, 0], faces[nth], which[rows[:, 2]], which[rows[:, 3]]], 1)
     counts = twice * shares[held][nth] * weights[rows[:, 2]] * weights[rows[:, 3]]
-    return _laid(ready, parts, flats, view, bodies, rows, counts, FAINT * float(abs(grids).max()), grids)
+    return _echoes_of(context, parts, planar, antennas, bodies, rows, counts, FAINT * float(abs(grids).max()), grids)
 
 
 @lru_cache(maxsize=64)
@@ -70,19 +75,26 @@ def _rows(faces: int, bodies: int, one: bool) -> tuple[Longs, Floats]:
     return np.array(rows, np.int64).reshape(-1, 4), np.array(twice)
 
 
-def _laid(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, bodies: Bodies, rows: Longs, counts: Floats,
-    least: float, grids: Complexes,
-) -> list[Laid]:  # fmt: skip
+def _echoes_of(
+    context: RadarContext,
+    parts: list[Surfaces],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    bodies: Bodies,
+    rows: Longs,
+    counts: Floats,
+    least: float,
+    grids: Complexes,
+) -> list[EchoSet]:
     """The echoes over chains (m, 4) that count so (m), but for those less than a path gain amplitude."""
-    wavelength, top = ready.spec.wavelength_m, float(ready.table.max()) ** 2
-    full, gate = wavelength / (4 * np.pi) * view.factor, 2 * ready.gate[1]
+    wavelength, top = context.spec.wavelength_m, float(context.table.max()) ** 2
+    full, gate = wavelength / (4 * np.pi) * antennas.factor, 2 * context.gate[1]
     faint = least / (abs(full) * top)  # as a spread
     many = len(rows)
     loud, points, middles, turns = np.empty(many, np.int64), *np.empty((2, 2, many, 3)), np.empty((2, many, 3, 3))
     sizes, kinds = np.empty((2, many)), np.empty((2, many), np.bool_)
-    mirrors, things = (flats.normals, flats.offsets), (bodies.ends, bodies.balls)
-    count = kernel.unfold(rows, counts, view.origins, *mirrors, bodies.centres, bodies.axes, bodies.radii, *things,
+    mirrors, things = (planar.normals, planar.offsets), (bodies.ends, bodies.balls)
+    count = kernel.unfold(rows, counts, antennas.origins, *mirrors, bodies.centres, bodies.axes, bodies.radii, *things,
                           gate, faint, loud, points, middles, turns, sizes, kinds)  # fmt: skip
     if not count:
         return []
@@ -92,7 +104,7 @@ def _laid(
     some, values, alongs = np.empty(count, np.int64), np.empty(count), np.empty((2, count))
     corners, normals = np.empty((5, count, 3)), np.empty((3, count, 3))
     left = kernel.fold(loud, rows, counts, paths.corners, paths.normals, paths.length, paths.spread, paths.bends,
-                       middles, turns, *things, *mirrors, flats.widths, wavelength, gate, faint, PULL_M, some, values,
+                       middles, turns, *things, *mirrors, planar.widths, wavelength, gate, faint, PULL_M, some, values,
                        alongs, corners, normals, np.empty((5, 3)))  # fmt: skip
     if not left:
         return []
@@ -102,19 +114,19 @@ def _laid(
         body = chains[:, 2 + k]
         value = value * ends_leave(bodies.ends[body], bodies.balls[body], alongs[k, :left], paths.bends[some, k],
                                    wavelength)  # fmt: skip
-    path = _real(flats, bodies, chains, corners[:, :left], normals[:, :left])
-    value = value * turned(ready, view, path)
+    path = _real(planar, bodies, chains, corners[:, :left], normals[:, :left])
+    value = value * turned(context, antennas, path)
     value = value * (abs(value) > least) * free(parts, path)
-    return [_told(ready, path, chains[:, 0] == AFTER, lengths, value, grids)]
+    return [_told(context, path, chains[:, 0] == AFTER, lengths, value, grids)]
 
 
-def _real(flats: Flats, bodies: Bodies, chains: Longs, corners: Floats, normals: Floats) -> Real:
+def _real(planar: PlanarPatches, bodies: Bodies, chains: Longs, corners: Floats, normals: Floats) -> Real:
     """The paths of chains (n, 4) with what they meet, in the wave's order."""
     at, face, first, last = chains.T
     many = len(at)
     depths = _met(at, np.zeros(many), bodies.depths[first], bodies.depths[last])
-    stuffs = _met(at, flats.stuffs[face], bodies.stuffs[first], bodies.stuffs[last])
-    return Real(corners, normals, depths, stuffs, np.ones(many, np.bool_))
+    object_ids = _met(at, planar.object_ids[face], bodies.object_ids[first], bodies.object_ids[last])
+    return Real(corners, normals, depths, object_ids, np.ones(many, np.bool_))
 
 
 def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any]) -> NDArray[Any]:
@@ -123,15 +135,17 @@ def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any])
                      np.where(at == AFTER, face, last)])  # fmt: skip
 
 
-def _told(ready: Bench, path: Real, after: Bools, lengths: Floats, value: Complexes, grids: Complexes) -> Laid:
+def _told(
+    context: RadarContext, path: Real, after: Bools, lengths: Floats, value: Complexes, grids: Complexes
+) -> EchoSet:
     """Lays the echoes of paths (n), some of which meet their face after both bodies."""
-    echo = deposit(ready, lengths / C0, value, grids, (0.0, 1.0))
-    stuffs = path.stuffs
-    via = np.stack([stuffs[0], np.where(after, stuffs[2], stuffs[1])], 1).astype(np.int64)
+    echo = accumulate(context, lengths / C0, value, grids, (0.0, 1.0))
+    object_ids = path.object_ids
+    via = np.stack([object_ids[0], np.where(after, object_ids[2], object_ids[1])], 1).astype(np.int64)
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, lengths / C0, value * factors, others, (0.0, 1.0))
+        accumulate(context, lengths / C0, value * factors, others, (0.0, 1.0))
 
     points = np.where(after[:, None], path.corners[2], path.corners[3])
-    last = np.where(after, stuffs[1], stuffs[2]).astype(np.int32)
-    return Laid(last, points, echo, lengths / C0, again, via, np.where(after, 1, 2))
+    last = np.where(after, object_ids[1], object_ids[2]).astype(np.int32)
+    return EchoSet(last, points, echo, lengths / C0, again, via, np.where(after, 1, 2))

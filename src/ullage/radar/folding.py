@@ -15,26 +15,26 @@ from numpy.typing import NDArray
 
 from ullage.errors import UllageWarning
 from ullage.geometry import C0
-from ullage.kernels import rims as kernel
-from ullage.radar.facets import Flats
+from ullage.kernels import outlines as kernel
+from ullage.radar.facets import PlanarPatches
 from ullage.specs import RadarSpec
 
 if TYPE_CHECKING:
-    from ullage.radar.context import View
+    from ullage.radar.context import AntennaPair
 
 FOLDS = 2
 """Pulse intervals beyond the frame from which walls fold back."""
 
 
-def limits_of(flats: Flats, view: View, gate_m: float, fold_s: float) -> NDArray[np.float64]:
+def limits_of(planar: PlanarPatches, antennas: AntennaPair, gate_m: float, fold_s: float) -> NDArray[np.float64]:
     """How far the echoes of each face (p) are followed [m]: to the gate, or where it mirrors the radar, to the folds.
 
     Faces that mirror are those whose plane lies at the ranges of the folds, with the perpendicular's foot near them.
     """
     far_m = gate_m + FOLDS * fold_s * C0 / 2
-    origin = (view.origins[0] + view.origins[1]) / 2
-    limits = np.empty(len(flats))
-    kernel.limits(flats.normals, flats.offsets, flats.spheres, origin, gate_m, far_m, limits)
+    origin = (antennas.origins[0] + antennas.origins[1]) / 2
+    limits = np.empty(len(planar))
+    kernel.limits(planar.normals, planar.offsets, planar.spheres, origin, gate_m, far_m, limits)
     return limits
 
 

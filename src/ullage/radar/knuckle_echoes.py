@@ -5,33 +5,35 @@ from __future__ import annotations
 import numpy as np
 
 from ullage.arrays import Bools, Complexes
-from ullage.radar.ball_echoes import lay_balls, smoothed
-from ullage.radar.context import Bench, View, common, lay_triangles, shading, triangles
+from ullage.radar.ball_echoes import accumulate_balls, smoothed
+from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, common, transmission_to, triangles
+from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.knuckles import Knuckle
-from ullage.radar.laid import Laid, centroids
 from ullage.radar.wall_bounces import PULL_M
 
 
-def lay_heads(
-    ready: Bench, parts: list[Surfaces], view: View, grids: Complexes
-) -> tuple[list[Laid], tuple[Bools | None, Bools | None]]:
-    """Adds to the delay grids what balls, domes and knuckles that stand still echo; as `ball_echoes.lay_balls`."""
-    out, (small, large) = lay_balls(ready, parts, view, grids)
-    for knuckle in ready.world.knuckles:
-        if knuckle.widest < ready.spec.wavelength_m / 2 or not smoothed(ready, knuckle.stuff):
+def accumulate_heads(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
+) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
+    """Adds the echoes of still balls, domes and knuckles to the delay grids, as `ball_echoes.accumulate_balls`."""
+    out, (small, large) = accumulate_balls(context, parts, antennas, grids)
+    for knuckle in context.world.knuckles:
+        if knuckle.widest < context.spec.wavelength_m / 2 or not smoothed(context, knuckle.object_id):
             continue
-        out.append(_laid(ready, parts, knuckle, view, grids))
+        out.append(_echoes_of(context, parts, knuckle, antennas, grids))
         small = knuckle.small if small is None else small | knuckle.small
-        large = knuckle.flats if large is None else large | knuckle.flats
+        large = knuckle.planar if large is None else large | knuckle.planar
     return out, (small, large)
 
 
-def _laid(ready: Bench, parts: list[Surfaces], knuckle: Knuckle, view: View, grids: Complexes) -> Laid:
+def _echoes_of(
+    context: RadarContext, parts: list[Surfaces], knuckle: Knuckle, antennas: AntennaPair, grids: Complexes
+) -> EchoSet:
     fine = knuckle.fine
-    leaves, owner = triangles(ready, fine, view)
+    leaves, owner = triangles(context, fine, antennas)
     middles, normals = centroids(leaves), fine.normals[owner]
-    side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
-    between = shading(ready, parts, view, middles + (side * (knuckle.depth + PULL_M))[:, None] * normals)
+    side = np.sign(np.einsum("ni,ni->n", antennas.origins.mean(0) - middles, normals))
+    between = transmission_to(context, parts, antennas, middles + (side * (knuckle.depth + PULL_M))[:, None] * normals)
     pieces = leaves, owner, np.zeros(len(owner), np.int64)
-    return lay_triangles(fine.normals, fine.stuffs, pieces, between, common(ready, view, grids))
+    return accumulate_triangles(fine.normals, fine.object_ids, pieces, between, common(context, antennas, grids))

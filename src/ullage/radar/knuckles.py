@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Longs
-from ullage.radar.facets import SMOOTH_DEG, Flats, Surfaces, strewn
+from ullage.radar.facets import SMOOTH_DEG, PlanarPatches, Surfaces, strewn
 from ullage.radar.rounds import OFF_M, Round, Shell
 from ullage.radar.solids import Backs
 
@@ -32,8 +32,8 @@ class Knuckle:
     fine: Surfaces  # the torus, in small triangles
     depth: float  # facets lie so far off it [m]
     widest: float  # smallest side of the widest facet [m]
-    stuff: int  # object
-    flats: Bools  # (p) which flat faces of what stands still are its
+    object_id: int  # object
+    planar: Bools  # (p) which flat faces of what stands still are its
     small: Bools  # (f) and which small triangles
 
 
@@ -75,18 +75,20 @@ class Tube:
 def knuckles_of(shells: Sequence[Shell], walls: Sequence[Round], still: Surfaces) -> tuple[Knuckle, ...]:
     """The knuckles among smooth surfaces that stand still, beside round walls."""
     low, high = (np.array([of(s.corners, axis=(0, 1)) for s in shells]).reshape(-1, 3) for of in (np.min, np.max))
-    stuffs, found = np.array([shell.stuff for shell in shells]), []
+    object_ids, found = np.array([shell.object_id for shell in shells]), []
     for wall in walls:
         for end, side in () if wall.ball else ((wall.low, -1), (wall.high, 1)):
             # all of a tube lies so near to the middle of the wall's end
             middle, reach = wall.centre + end * wall.axes[2], np.sqrt(2) * wall.radius + OFF_M
             apart = np.maximum(np.maximum(low - middle, middle - high), 0.0)
-            mine = np.flatnonzero((stuffs == wall.stuff) & (np.linalg.norm(apart, axis=1) < reach)).tolist()
+            mine = np.flatnonzero((object_ids == wall.object_id) & (np.linalg.norm(apart, axis=1) < reach)).tolist()
             if not mine:
                 continue
             corners, normals, area, faces = (np.concatenate([getattr(shells[k], row) for k in mine])
                                              for row in ("corners", "normals", "area", "faces"))  # fmt: skip
-            whole = Shell(corners, normals, area, wall.stuff, faces)  # knuckles of few facets bend enough to come apart
+            whole = Shell(
+                corners, normals, area, wall.object_id, faces
+            )  # knuckles of few facets bend enough to come apart
             tube = _tube(whole, wall, end, side)
             found += [] if tube is None else [_knuckle(whole, tube, still)]
     return tuple(found)
@@ -96,9 +98,9 @@ def _tube(shell: Shell, wall: Round, end: float, side: int) -> Tube | None:
     """The tube by which a surface goes on from the end of a wall, as smooth as a tangent, if it does."""
     x, y, z = np.moveaxis(wall.local(shell.corners), 2, 0)
     inward, along = wall.radius - np.hypot(x, y), side * (z - end)
-    rim = (abs(inward) < OFF_M) & (abs(along) < OFF_M)
-    next_ = rim.any(1) & (along > -OFF_M).all(1) & ~rim.all(1)
-    off = ~rim[next_] & (inward[next_] > _TRUE_M)
+    outline = (abs(inward) < OFF_M) & (abs(along) < OFF_M)
+    next_ = outline.any(1) & (along > -OFF_M).all(1) & ~outline.all(1)
+    off = ~outline[next_] & (inward[next_] > _TRUE_M)
     if not off.any():
         return None
     h, d = along[next_][off], inward[next_][off]
@@ -129,11 +131,11 @@ def _knuckle(shell: Shell, tube: Tube, still: Surfaces) -> Knuckle:
     corners, parent, normals = corners[kept], parent[kept], cross[kept] / area[kept, None]
     told = shell.corners[mine], shell.normals[mine]
     depth = abs(np.einsum("nki,ni->nk", corners - told[0][parent, :1], told[1][parent])).max()
-    stuffs = np.full(len(corners), shell.stuff, np.int32)
+    object_ids = np.full(len(corners), shell.object_id, np.int32)
     sides = np.linalg.norm(told[0] - np.roll(told[0], 1, 1), axis=2)
-    flats, small = _taken(still, tube, shell.stuff)
-    fine, _ = strewn(corners, normals, stuffs, _backs(told[0].mean(1), still, parent, corners, normals), still)
-    return Knuckle(fine, float(depth), float(sides.min(1).max()), shell.stuff, flats, small)
+    planar, small = _taken(still, tube, shell.object_id)
+    fine, _ = strewn(corners, normals, object_ids, _backs(told[0].mean(1), still, parent, corners, normals), still)
+    return Knuckle(fine, float(depth), float(sides.min(1).max()), shell.object_id, planar, small)
 
 
 def _refined(corners: Floats, tube: Tube) -> tuple[Floats, Longs]:
@@ -162,20 +164,20 @@ def _pieces(many: int) -> Floats:
     return np.concatenate([1 - share.sum(2, keepdims=True), share], 2)
 
 
-def _taken(still: Surfaces, tube: Tube, stuff: int) -> tuple[Bools, Bools]:
+def _taken(still: Surfaces, tube: Tube, object_id: int) -> tuple[Bools, Bools]:
     """Which flat faces (p) and small triangles (f) of what stands still lie on a tube."""
-    flats: Flats = still.flats
-    small = tube.holds(still.corners).all(1) & (still.stuffs == stuff)
-    large = np.zeros(len(flats), bool)
-    if len(flats):
-        large = np.logical_and.reduceat(tube.holds(flats.starts), flats.first[:-1]) & (flats.stuffs == stuff)
+    planar: PlanarPatches = still.planar
+    small = tube.holds(still.corners).all(1) & (still.object_ids == object_id)
+    large = np.zeros(len(planar), bool)
+    if len(planar):
+        large = np.logical_and.reduceat(tube.holds(planar.starts), planar.first[:-1]) & (planar.object_ids == object_id)
     return large, small
 
 
 def _backs(middles: Floats, still: Surfaces, parent: Longs, corners: Floats, normals: Floats) -> Backs:
     """Outer sides of triangles (m, 3, 3), each turned as the face whose middle (n, 3) lies nearest to its parent's."""
-    flats = still.flats
-    centres = np.concatenate([still.corners.mean(1), flats.spheres[:, :3]])
+    planar = still.planar
+    centres = np.concatenate([still.corners.mean(1), planar.spheres[:, :3]])
     sides = np.concatenate([still.backs.outward, still.flat_backs.outward])
     body = np.concatenate([still.backs.body, still.flat_backs.body])
     nearest = np.asarray(cKDTree(centres).query(middles)[1], np.int64)[parent]

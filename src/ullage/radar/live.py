@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from ullage.arrays import Floats, Longs
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.radar.copies import cores
 from ullage.radar.receiving import Fidelity, Receiving
+from ullage.radar.worker_pool import cores
 from ullage.specs import RadarSpec, Rig
 from ullage.world.moving import between
 from ullage.world.scene import Scene

@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Complexes, Floats, Longs
-from ullage.radar.facets import Flats
+from ullage.radar.facets import PlanarPatches
 
 
-def mirrored(point: Floats, flats: Flats, faces: Longs) -> Floats:
+def mirrored(point: Floats, planar: PlanarPatches, faces: Longs) -> Floats:
     """Images (n, 3) of a point (3) in faces (n)."""
-    n = flats.normals[faces]
-    return np.asarray(point - 2 * (n @ point - flats.offsets[faces])[:, None] * n)
+    n = planar.normals[faces]
+    return np.asarray(point - 2 * (n @ point - planar.offsets[faces])[:, None] * n)
 
 
 def reflected(
-    gamma: Complexes, stuffs: NDArray[np.integer], field: NDArray[Any], u: Floats, normals: Floats
+    gamma: Complexes, object_ids: NDArray[np.integer], field: NDArray[Any], u: Floats, normals: Floats
 ) -> Complexes:
     """Fields (m, 3) of waves along u (m, 3) after a bounce at mirrors with unit normals (m, 3).
 
     Args:
         gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
-        stuffs: (m) material of each mirror.
+        object_ids: (m) material of each mirror.
         field: (m, 3) before the bounce.
         u: (m, 3) unit vectors of travel.
         normals: (m, 3).
@@ -32,7 +32,7 @@ def reflected(
     place = np.minimum(abs(dot(u, normals)), 1) * (gamma.shape[3] - 1)
     low = np.minimum(place.astype(np.int64), gamma.shape[3] - 2)
     share = place - low
-    rows = gamma[stuffs, 0]
+    rows = gamma[object_ids, 0]
     many = np.arange(len(u))
     te, tm = ((rows[many, k, low] * (1 - share) + rows[many, k, low + 1] * share)[:, None] for k in range(2))
     side = unit(np.cross(u, normals))

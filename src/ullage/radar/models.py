@@ -61,7 +61,7 @@ class Physical:
 
     def check(self, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:
         """Refuse a radar inside of things, and warn of what has no echo."""
-        from ullage.radar.doors import check
+        from ullage.radar.checks import check
 
         check(self.scene, path, sensors)
 

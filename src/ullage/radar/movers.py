@@ -10,7 +10,7 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints
 from ullage.geometry import invert
-from ullage.radar.facets import Flats, Surfaces, gather, joined, only
+from ullage.radar.facets import PlanarPatches, Surfaces, gather, joined, only
 from ullage.radar.solids import Backs, Boxes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -34,15 +34,17 @@ class Movers:
     def at(self, poses: Floats) -> Surfaces:
         """Where the objects have these poses (o, 4, 4)."""
         home, moves = self._home, poses @ self._start
-        led = home.stuffs[home.first[:-1]] if len(home.stuffs) else home.stuffs  # a cluster is of one object
+        led = (
+            home.object_ids[home.first[:-1]] if len(home.object_ids) else home.object_ids
+        )  # a cluster is of one object
         return replace(
             home,
-            corners=_carried(home.corners, moves, home.stuffs),
-            normals=_turned(home.normals, moves, home.stuffs),
+            corners=_carried(home.corners, moves, home.object_ids),
+            normals=_turned(home.normals, moves, home.object_ids),
             spheres=_rolled(home.spheres, moves, led),
-            backs=_backs(home.backs, moves, home.stuffs),
-            flats=_flats(home.flats, moves),
-            flat_backs=_backs(home.flat_backs, moves, home.flats.stuffs),
+            backs=_backs(home.backs, moves, home.object_ids),
+            planar=_planar(home.planar, moves),
+            flat_backs=_backs(home.flat_backs, moves, home.planar.object_ids),
             rays=home.rays.standing(poses),
             split={},
             home=home,
@@ -59,10 +61,17 @@ def _together(parts: Sequence[Surfaces], solid: Scene) -> Surfaces:
     backs = Backs.joined([part.backs for part in parts])
     flat_backs = Backs.joined([part.flat_backs for part in parts])
     return Surfaces(
-        loose(lambda p: p.corners), loose(lambda p: p.normals), loose(lambda p: p.stuffs), loose(lambda p: p.spheres),
-        np.concatenate([np.zeros(1, np.int32), *first]).astype(np.int32), backs, joined([p.flats for p in parts]),
-        flat_backs, Raycaster(solid), solid,
-    )  # fmt: skip
+        loose(lambda p: p.corners),
+        loose(lambda p: p.normals),
+        loose(lambda p: p.object_ids),
+        loose(lambda p: p.spheres),
+        np.concatenate([np.zeros(1, np.int32), *first]).astype(np.int32),
+        backs,
+        joined([p.planar for p in parts]),
+        flat_backs,
+        Raycaster(solid),
+        solid,
+    )
 
 
 def _turned(rows: Floats, moves: Floats, owner: Ints) -> Floats:
@@ -90,16 +99,16 @@ def _backs(backs: Backs, moves: Floats, owner: Ints) -> Backs:
     return Backs(np.concatenate([normals, level[:, None]], 1), backs.body, moved)
 
 
-def _flats(flats: Flats, moves: Floats) -> Flats:
-    edge_of = np.repeat(flats.stuffs, np.diff(flats.first))
-    normals = _turned(flats.normals, moves, flats.stuffs)
+def _planar(planar: PlanarPatches, moves: Floats) -> PlanarPatches:
+    edge_of = np.repeat(planar.object_ids, np.diff(planar.first))
+    normals = _turned(planar.normals, moves, planar.object_ids)
     return replace(
-        flats,
+        planar,
         normals=normals,
-        offsets=flats.offsets + np.einsum("ni,ni->n", normals, moves[flats.stuffs, :3, 3]),
-        spheres=_rolled(flats.spheres, moves, flats.stuffs),
-        starts=_carried(flats.starts, moves, edge_of),
-        ends=_carried(flats.ends, moves, edge_of),
-        mirrors=_carried(flats.mirrors, moves, flats.stuffs[flats.flat_of]),
-        across=np.ascontiguousarray(_turned(flats.across, moves, flats.stuffs)),
+        offsets=planar.offsets + np.einsum("ni,ni->n", normals, moves[planar.object_ids, :3, 3]),
+        spheres=_rolled(planar.spheres, moves, planar.object_ids),
+        starts=_carried(planar.starts, moves, edge_of),
+        ends=_carried(planar.ends, moves, edge_of),
+        mirrors=_carried(planar.mirrors, moves, planar.object_ids[planar.flat_of]),
+        across=np.ascontiguousarray(_turned(planar.across, moves, planar.object_ids)),
     )

@@ -5,40 +5,42 @@ from __future__ import annotations
 import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints
-from ullage.radar.context import Bench, View, common, lay_triangles, shading, triangles
+from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, common, transmission_to, triangles
+from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
-from ullage.radar.knuckle_echoes import lay_heads
-from ullage.radar.laid import Laid, centroids
+from ullage.radar.knuckle_echoes import accumulate_heads
 from ullage.radar.patches import Patches
 from ullage.radar.wall_bounces import PULL_M
 
 
-def lay_curved(
-    ready: Bench, parts: list[Surfaces], view: View, grids: Complexes
-) -> tuple[list[Laid], tuple[Bools | None, Bools | None]]:
-    """Add to the delay grids what curved surfaces that stand still echo; as `knuckles.lay_heads`."""
-    out, (small, large) = lay_heads(ready, parts, view, grids)
-    wavelength = ready.spec.wavelength_m
-    patches = ready.world.patches(wavelength, float(np.sqrt(wavelength * ready.gate[1] / 2)))
+def accumulate_curved(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
+) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
+    """Add to the delay grids what curved surfaces that stand still echo; as `knuckles.accumulate_heads`."""
+    out, (small, large) = accumulate_heads(context, parts, antennas, grids)
+    wavelength = context.spec.wavelength_m
+    patches = context.world.patches(wavelength, float(np.sqrt(wavelength * context.gate[1] / 2)))
     if patches is None:
         return out, (small, large)
-    out.append(_laid(ready, parts, patches, view, grids))
+    out.append(_echoes_of(context, parts, patches, antennas, grids))
     small = patches.small if small is None else small | patches.small
-    large = patches.flats if large is None else large | patches.flats
+    large = patches.planar if large is None else large | patches.planar
     return out, (small, large)
 
 
-def _laid(ready: Bench, parts: list[Surfaces], patches: Patches, view: View, grids: Complexes) -> Laid:
+def _echoes_of(
+    context: RadarContext, parts: list[Surfaces], patches: Patches, antennas: AntennaPair, grids: Complexes
+) -> EchoSet:
     """Lay the pieces; rays ask what stands before them from just before their facets, on the radar's side."""
     fine = patches.fine
-    leaves, owner = triangles(ready, fine, view)
-    between = _before(ready, parts, patches, view, leaves, owner)
+    leaves, owner = triangles(context, fine, antennas)
+    between = _before(context, parts, patches, antennas, leaves, owner)
     pieces = leaves, owner, np.zeros(len(owner), np.int64)
-    return lay_triangles(fine.normals, fine.stuffs, pieces, between, common(ready, view, grids))
+    return accumulate_triangles(fine.normals, fine.object_ids, pieces, between, common(context, antennas, grids))
 
 
 def _before(
-    ready: Bench, parts: list[Surfaces], patches: Patches, view: View, leaves: Floats, owner: Ints
+    context: RadarContext, parts: list[Surfaces], patches: Patches, antennas: AntennaPair, leaves: Floats, owner: Ints
 ) -> tuple[Complexes, Floats]:
     """Factor and delay [s] of what stands before leaves (m) of pieces: a ray for each cell, or leaf of a long piece."""
     cell = patches.cell[owner]
@@ -51,6 +53,8 @@ def _before(
     middles = np.concatenate([patches.middles[asked], centroids(leaves[alone])])
     normals = np.concatenate([patches.facing[asked], patches.fine.normals[owner[alone]]])
     depth = np.concatenate([patches.deep[asked], patches.depth[owner[alone]]])
-    side = np.sign(np.einsum("ni,ni->n", view.origins.mean(0) - middles, normals))
-    shade, late = shading(ready, parts, view, middles + (side * (depth + PULL_M))[:, None] * normals)
-    return shade[row], late[row]
+    side = np.sign(np.einsum("ni,ni->n", antennas.origins.mean(0) - middles, normals))
+    transmission, late = transmission_to(
+        context, parts, antennas, middles + (side * (depth + PULL_M))[:, None] * normals
+    )
+    return transmission[row], late[row]

@@ -44,7 +44,7 @@ class Patches:
     facing: Floats  # (c, 3) their unit normals
     deep: Floats  # (c) as `depth`, of cells [m]
     small: Bools  # (f) which small triangles of what stands still are done so
-    flats: Bools  # (p) and which flat faces
+    planar: Bools  # (p) and which flat faces
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class Curved:
     """Facets that patches stand in for."""
 
     corners: Floats  # (n, 3, 3) [m]
-    stuffs: Ints  # (n) object
+    object_ids: Ints  # (n) object
     control: Floats  # (n, 7, 3) as in `point_normal.displacements` [m]
     sagitta: Floats  # (n) [m]
     row: Longs  # (n) which small triangle each is, or counted on after these which flat face it belongs to
@@ -72,22 +72,22 @@ def patches_of(
     """
     faces = np.concatenate([still.faces, still.flat_faces])
     row = np.concatenate([np.arange(len(still.faces)), len(still.faces) + still.flat_at])  # small ones, then flats
-    corners, stuffs = scene.corners()[faces], scene.face_object[faces]
-    found = smoothing.hinges(corners, welded(corners), stuffs)
+    corners, object_ids = scene.corners()[faces], scene.face_object[faces]
+    found = smoothing.hinges(corners, welded(corners), object_ids)
     if not len(found):
         return None
     given = None if scene.corner_normals is None else scene.corner_normals[faces]
     control = point_normal.displacements(corners, smoothing.corner_normals(corners, found, given), found)
     sagitta = point_normal.sagitta(control)
     coarse = (_counts(sagitta, SHARE * wavelength_m) > 1) & ~claimed[faces]
-    region, rows = found.regions(len(faces)), len(still.faces) + len(still.flats)
+    region, rows = found.regions(len(faces)), len(still.faces) + len(still.planar)
     coarse = (np.bincount(region, coarse)[region] > 0) & (sagitta > LEAST * wavelength_m)  # shifted, if not cut
     taken = np.bincount(row, coarse, rows) > 0
     taken &= np.bincount(row, claimed[faces] | (_widths(corners) >= widest_m), rows) == 0
     mine = np.flatnonzero(taken[row])
     if not len(mine):
         return None
-    chosen = Curved(corners[mine], stuffs[mine], control[mine], sagitta[mine], row[mine])
+    chosen = Curved(corners[mine], object_ids[mine], control[mine], sagitta[mine], row[mine])
     count = _bounded(chosen.sagitta, SHARE * wavelength_m, scene.name)
     return _cut(chosen, count, still, taken, SIGHT * wavelength_m)
 
@@ -98,15 +98,15 @@ def _cut(curved: Curved, count: Longs, still: Surfaces, taken: Bools, cell_m: fl
     normals, area = smoothing.face_normals(pieces)
     kept = area > 1e-12
     pieces, normals, of, within = pieces[kept], normals[kept], of[kept], within[kept]
-    fine, order = strewn(pieces, normals, curved.stuffs[of], _sides(pieces, normals, curved.row[of], still), still)
+    fine, order = strewn(pieces, normals, curved.object_ids[of], _sides(pieces, normals, curved.row[of], still), still)
     depth = 2 * curved.sagitta[of][order]  # the middle of a triangle bows out 4/3 as far as those of its edges
     cell = _cells(curved.corners[of], of, within, cell_m)[order]
     cell[_longest(fine.corners) > 2 * cell_m] = -1
     of_pieces = np.column_stack([fine.corners.mean(1), fine.normals, depth])
     middles, facing, deep = np.split(_means(of_pieces, cell), [3, 6], axis=1)
     facing = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
-    small, flats = taken[: len(still.faces)], taken[len(still.faces) :]
-    return Patches(fine, depth, cell, middles, facing, deep[:, 0], small, flats)
+    small, planar = taken[: len(still.faces)], taken[len(still.faces) :]
+    return Patches(fine, depth, cell, middles, facing, deep[:, 0], small, planar)
 
 
 def _sides(pieces: Floats, normals: Floats, row: Longs, still: Surfaces) -> Backs:

@@ -119,7 +119,7 @@ def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[C
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curtains:
+class Transmissive:
     """What lets waves through, by object and cos(incidence): two-way factors at the carrier and delays."""
 
     factor: Complexes  # (o, COSINES) two-way amplitude, the carrier's turn over `delay_s` taken out; 0: opaque
@@ -127,7 +127,7 @@ class Curtains:
     thin: Bools  # (o) which objects let anything through
 
 
-def curtains(materials: Sequence[Material], spec: RadarSpec) -> Curtains:
+def transmissive_of(materials: Sequence[Material], spec: RadarSpec) -> Transmissive:
     """Two-way transmission of every object's slab; what costs more than 50 dB there and back is opaque.
 
     Raises:
@@ -135,7 +135,7 @@ def curtains(materials: Sequence[Material], spec: RadarSpec) -> Curtains:
     """
     rows = [_curtain(m, spec.center_hz) for m in materials] or [(np.zeros(COSINES, complex), np.zeros(COSINES))]
     factor = np.stack([r[0] for r in rows])
-    return Curtains(factor, np.stack([r[1] for r in rows]), np.asarray(abs(factor).max(1) > 0))
+    return Transmissive(factor, np.stack([r[1] for r in rows]), np.asarray(abs(factor).max(1) > 0))
 
 
 @lru_cache(maxsize=512)

@@ -22,36 +22,36 @@ from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.kernels.near import LEAST_M
-from ullage.radar.arcs import lay_arcs
-from ullage.radar.ball_bounces import lay_inside
+from ullage.radar.arcs import accumulate_arcs
+from ullage.radar.ball_bounces import accumulate_inside
 from ullage.radar.context import (
     KAPPA,
     REACH,
-    Bench,
-    View,
-    bench,
+    AntennaPair,
+    RadarContext,
+    accumulate_triangles,
+    antenna_pair,
     common,
     grown,
-    lay_triangles,
-    shading,
+    radar_context,
+    transmission_to,
     triangles,
-    view_of,
 )
-from ullage.radar.curves import lay_curves
-from ullage.radar.facets import Flats, Surfaces, joined
-from ullage.radar.flat_pairs import lay_flat_pairs
-from ullage.radar.flats import lay_flats
-from ullage.radar.fringes import lay_edges
-from ullage.radar.laid import Laid, centroids, laid_by
-from ullage.radar.multipath import lay_bounces, looks
-from ullage.radar.patch_echoes import lay_curved
-from ullage.radar.roughness import lay_grit
-from ullage.radar.round_pairs import lay_pairs
+from ullage.radar.curves import accumulate_curves
+from ullage.radar.echo_set import EchoSet, centroids, echo_set
+from ullage.radar.edge_diffraction import accumulate_edges
+from ullage.radar.facets import PlanarPatches, Surfaces, joined
+from ullage.radar.flat_pairs import accumulate_flat_pairs
+from ullage.radar.multipath import accumulate_bounces, looks
+from ullage.radar.patch_echoes import accumulate_curved
+from ullage.radar.paths import paths_of
+from ullage.radar.planar import accumulate_planar
+from ullage.radar.roughness import accumulate_diffuse_scatterers
+from ullage.radar.round_pairs import accumulate_pairs
 from ullage.radar.rounds import Round
-from ullage.radar.wall_bodies import lay_wall_bodies
-from ullage.radar.wall_bounces import lay_walls
-from ullage.radar.ways import ways_of
-from ullage.radar.wire_bounces import lay_wire_bounces
+from ullage.radar.wall_bodies import accumulate_wall_bodies
+from ullage.radar.wall_bounces import accumulate_walls
+from ullage.radar.wire_bounces import accumulate_wire_bounces
 from ullage.radar.wires import placed
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
@@ -75,13 +75,13 @@ def echoes(scene: Scene, path: Trajectory, spec: RadarSpec, *, max_bounces: int 
     """
     if max_bounces not in (1, 2, 3):
         raise InputError(f"max_bounces is {max_bounces}", where="echoes", allowed="1, 2 or 3")
-    ready = bench(scene, spec, seed=seed)
-    turns, poses = quat_matrix(path.quat_xyzw), ready.world.poses(path.t_ns)
+    context = radar_context(scene, spec, seed=seed)
+    turns, poses = quat_matrix(path.quat_xyzw), context.world.poses(path.t_ns)
     out = np.zeros((len(path), spec.bins), complex)
     for i in range(len(path)):
-        grids = np.zeros((3, ready.places), complex)
-        lay(ready, view_of(spec, path.position[i], turns[i]), poses[i], max_bounces, grids)
-        pulses.convolve(grids, ready.pulse.taps, ready.pulse.every, ready.shift, out[i])
+        grids = np.zeros((3, context.places), complex)
+        accumulate(context, antenna_pair(spec, path.position[i], turns[i]), poses[i], max_bounces, grids)
+        pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out[i])
         out[i] *= passive(out[i])
     if spec.output == "rf":
         return radio(out, spec)
@@ -103,45 +103,49 @@ def radio(baseband: Complexes, spec: RadarSpec) -> Singles:
     return np.asarray((baseband * np.exp(1j * phase)).real, np.float32)
 
 
-def lay(ready: Bench, view: View, poses: Floats | None, max_bounces: int, grids: Complexes) -> list[Laid]:
+def accumulate(
+    context: RadarContext, antennas: AntennaPair, poses: Floats | None, max_bounces: int, grids: Complexes
+) -> list[EchoSet]:
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
-    parts = ready.world.parts(poses)
-    view = _off(parts, view)
-    out, done = lay_curved(ready, parts, view, grids)
+    parts = context.world.parts(poses)
+    antennas = _off(parts, antennas)
+    out, done = accumulate_curved(context, parts, antennas, grids)
     for part in parts:
         small, large = done if part is parts[0] else (None, None)
         if len(part.corners):
-            out.append(_lay_small(ready, parts, part, view, grids, small))
-        out += lay_flats(ready, parts, part, view, grids, large)
-    rounds, arcs = ready.world.rounds_at(poses), []
+            out.append(_accumulate_small(context, parts, part, antennas, grids, small))
+        out += accumulate_planar(context, parts, part, antennas, grids, large)
+    rounds, arcs = context.world.rounds_at(poses), []
     if rounds:
-        arcs = lay_arcs(ready, parts, rounds, view, grids)
+        arcs = accumulate_arcs(context, parts, rounds, antennas, grids)
         out += arcs
-    if len(ready.lines):
-        out += _lay_wires(ready, parts, view, poses, grids)
-    if len(ready.rims.edges):
-        out += lay_edges(ready, parts, view, poses, grids)
-    if ready.world.rough:
-        out.append(lay_grit(ready, parts, view, poses, grids))
+    if len(context.lines):
+        out += _accumulate_wires(context, parts, antennas, poses, grids)
+    if len(context.outlines.edges):
+        out += accumulate_edges(context, parts, antennas, poses, grids)
+    if context.world.rough:
+        out.append(accumulate_diffuse_scatterers(context, parts, antennas, poses, grids))
     if max_bounces > 1:
-        flats = joined([part.flats for part in parts])
-        look = looks(ready, flats, view)
-        out += lay_bounces(ready, parts, flats, view, max_bounces, look, grids)
+        planar = joined([part.planar for part in parts])
+        look = looks(context, planar, antennas)
+        out += accumulate_bounces(context, parts, planar, antennas, max_bounces, look, grids)
         loud = grids.sum(0) if arcs else grids  # what arcs add rises with f, which no kind of echo does alone
-        out += _lay_over(ready, parts, flats, view, poses, max_bounces, look, float(abs(loud).max()), grids)
+        out += _accumulate_over(
+            context, parts, planar, antennas, poses, max_bounces, look, float(abs(loud).max()), grids
+        )
         if rounds:
-            out += _lay_round(ready, parts, rounds, flats, view, max_bounces, look, grids)
+            out += _accumulate_round(context, parts, rounds, planar, antennas, max_bounces, look, grids)
     return out
 
 
-def _off(parts: list[Surfaces], view: View) -> View:
+def _off(parts: list[Surfaces], antennas: AntennaPair) -> AntennaPair:
     """The radar `LEAST_M` off the planes of all flat faces that it is in: on a face there is no side to be on.
 
     What lies in a plane to 1 nm comes to stand in front of it.
     """
-    origins = view.origins
+    origins = antennas.origins
     for part in parts:
-        normals, offsets = part.flats.normals, part.flats.offsets
+        normals, offsets = part.planar.normals, part.planar.offsets
         some = origins[:1] if (origins[0] == origins[1]).all() else origins
         gaps = np.array([normals @ origin for origin in some]) - offsets
         close = np.repeat(abs(gaps) < LEAST_M, 3 - len(some), 0)
@@ -150,60 +154,84 @@ def _off(parts: list[Surfaces], view: View) -> View:
             for s, p in np.argwhere(close):
                 gap = float(normals[p] @ origins[s] - offsets[p])
                 origins[s] += ((LEAST_M if gap > -1e-9 else -LEAST_M) - gap) * normals[p]
-    return view if origins is view.origins else replace(view, origins=origins)
+    return antennas if origins is antennas.origins else replace(antennas, origins=origins)
 
 
-def _lay_over(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, poses: Floats | None, most: int, look: Floats,
-    peak: float, grids: Complexes,
-) -> list[Laid]:  # fmt: skip
-    """Adds the echoes of what is no mirror by way of the flat faces that look largest, all others being that loud."""
-    curved = flats.smooth.any() or any(len(part.corners) for part in parts)
-    if not (curved or len(ready.lines)) or flats.smooth.all():
-        return []
-    ways = ways_of(ready, flats, view, most, look)
-    out = lay_curves(ready, parts, flats, view, ways, peak, grids) if curved else []
-    return out + (lay_wire_bounces(ready, parts, flats, view, poses, ways, grids) if len(ready.lines) else [])
-
-
-def _lay_round(
-    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
+def _accumulate_over(
+    context: RadarContext,
+    parts: list[Surfaces],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    poses: Floats | None,
+    most: int,
+    look: Floats,
+    peak: float,
     grids: Complexes,
-) -> list[Laid]:  # fmt: skip
+) -> list[EchoSet]:
+    """Adds the echoes of what is no mirror by way of the flat faces that look largest, all others being that loud."""
+    curved = planar.smooth.any() or any(len(part.corners) for part in parts)
+    if not (curved or len(context.lines)) or planar.smooth.all():
+        return []
+    paths = paths_of(context, planar, antennas, most, look)
+    out = accumulate_curves(context, parts, planar, antennas, paths, peak, grids) if curved else []
+    return out + (
+        accumulate_wire_bounces(context, parts, planar, antennas, poses, paths, grids) if len(context.lines) else []
+    )
+
+
+def _accumulate_round(
+    context: RadarContext,
+    parts: list[Surfaces],
+    rounds: tuple[Round, ...],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    most: int,
+    look: Floats,
+    grids: Complexes,
+) -> list[EchoSet]:
     """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
-    out = lay_walls(ready, parts, rounds, flats, view, most, look, grids)
-    out += lay_inside(ready, parts, view, most, grids)
+    out = accumulate_walls(context, parts, rounds, planar, antennas, most, look, grids)
+    out += accumulate_inside(context, parts, antennas, most, grids)
     if len(rounds) > 1:
-        out += lay_wall_bodies(ready, parts, rounds, flats, view, most, look, grids)
-        out += lay_pairs(ready, parts, rounds, view, grids)
-    return out + (lay_flat_pairs(ready, parts, rounds, flats, view, look, grids) if most > 2 else [])
+        out += accumulate_wall_bodies(context, parts, rounds, planar, antennas, most, look, grids)
+        out += accumulate_pairs(context, parts, rounds, antennas, grids)
+    return out + (accumulate_flat_pairs(context, parts, rounds, planar, antennas, look, grids) if most > 2 else [])
 
 
-def _lay_wires(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> list[Laid]:
-    lines = ready.lines
+def _accumulate_wires(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
+) -> list[EchoSet]:
+    lines = context.lines
     starts, ends = placed(lines, poses)
-    gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
+    gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
     pieces, owner = grown(2048, (2, 3), lambda out, of: string.cut_wires(
-        starts, ends, view.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
+        starts, ends, antennas.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
     if not len(pieces):
         return []
     middle = 0.5 * (pieces[:, 0] + pieces[:, 1])
-    shade, extra = shading(ready, parts, view, middle)
-    told = common(ready, view, grids)
+    transmission, extra = transmission_to(context, parts, antennas, middle)
+    told = common(context, antennas, grids)
 
-    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        string.lay_wires(pieces, owner, shade, extra, lines.radii, lines.series, *told[:6], *told[8:-1], grids, *out)
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        string.accumulate_wires(
+            pieces, owner, transmission, extra, lines.radii, lines.series, *told[:6], *told[8:-1], grids, *out
+        )
 
-    return [laid_by(put, shade, grids, lines.stuffs[owner], middle)]
+    return [echo_set(put, transmission, grids, lines.object_ids[owner], middle)]
 
 
-def _lay_small(
-    ready: Bench, parts: list[Surfaces], part: Surfaces, view: View, grids: Complexes, done: Bools | None
-) -> Laid:
-    leaves, owner = triangles(ready, part, view, done)
-    between = shading(ready, parts, view, centroids(leaves))
+def _accumulate_small(
+    context: RadarContext,
+    parts: list[Surfaces],
+    part: Surfaces,
+    antennas: AntennaPair,
+    grids: Complexes,
+    done: Bools | None,
+) -> EchoSet:
+    leaves, owner = triangles(context, part, antennas, done)
+    between = transmission_to(context, parts, antennas, centroids(leaves))
     pieces = leaves, owner, np.zeros(len(owner), np.int64)
-    return lay_triangles(part.normals, part.stuffs, pieces, between, common(ready, view, grids))
+    return accumulate_triangles(part.normals, part.object_ids, pieces, between, common(context, antennas, grids))
 
 
 @lru_cache(maxsize=8)
@@ -231,12 +259,12 @@ def path_gain_cw(
         max_bounces: 1 to 3.
         edges: whether conducting edges are corrected; without, the plain integral of physical optics.
     """
-    ready = bench(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
-    turns, poses = quat_matrix(pose.quat_xyzw), ready.world.poses(pose.t_ns)
+    context = radar_context(scene, _carrier_only(spec, frequency_hz or spec.center_hz), edges=edges)
+    turns, poses = quat_matrix(pose.quat_xyzw), context.world.poses(pose.t_ns)
     out = np.zeros(len(pose), complex)
     for i in range(len(pose)):
-        grids = np.zeros((3, ready.places), complex)
-        lay(ready, view_of(spec, pose.position[i], turns[i]), poses[i], max_bounces, grids)
+        grids = np.zeros((3, context.places), complex)
+        accumulate(context, antenna_pair(spec, pose.position[i], turns[i]), poses[i], max_bounces, grids)
         out[i] = grids.sum()
         out[i] *= passive(out[i : i + 1])
     return out

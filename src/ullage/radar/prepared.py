@@ -33,7 +33,7 @@ class Prepared:
         self.rough = any(material.roughness_m for material in self.materials)
         self._movers = Movers(scene, self.moving) if self.moving.any() else None
         self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
-        self.grit: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
+        self.diffuse_scatterers: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self._patches: dict[tuple[float, float], Patches | None] = {}
         self.edges = sharp_edges(scene, self.still.rays)
 
@@ -46,13 +46,13 @@ class Prepared:
     def balls(self) -> tuple[Ball, ...]:
         """Balls and domes that stand still."""
         moves = [o.motion is not None for o in self.scene.objects]
-        return balls_of([shell for shell in self._shells if not moves[shell.stuff]], self.still)
+        return balls_of([shell for shell in self._shells if not moves[shell.object_id]], self.still)
 
     @cached_property
     def knuckles(self) -> tuple[Knuckle, ...]:
         """Knuckles of dished heads that stand still."""
         moves = [o.motion is not None for o in self.scene.objects]
-        walls = [wall for wall in self.rounds if not moves[wall.stuff]]
+        walls = [wall for wall in self.rounds if not moves[wall.object_id]]
         return knuckles_of(self._shells, walls, self.still) if walls else ()
 
     def patches(self, wavelength_m: float, widest_m: float) -> Patches | None:
@@ -62,7 +62,7 @@ class Prepared:
         """
         key = wavelength_m, widest_m
         if key not in self._patches:
-            bent = self.still.flats.smooth.any() or len(self.still.corners)
+            bent = self.still.planar.smooth.any() or len(self.still.corners)
             self._patches[key] = (
                 patches_of(self.scene, self.still, self._claimed(), wavelength_m=wavelength_m, widest_m=widest_m)
                 if bent
@@ -75,15 +75,15 @@ class Prepared:
         out = np.zeros(len(self.scene.faces), bool)
         for wall in self.rounds:
             out[wall.faces] = True
-        masks = [(ball.small, ball.flats) for ball in self.balls]
-        for small, flats in (*masks, *((knuckle.small, knuckle.flats) for knuckle in self.knuckles)):
+        masks = [(ball.small, ball.planar) for ball in self.balls]
+        for small, planar in (*masks, *((knuckle.small, knuckle.planar) for knuckle in self.knuckles)):
             out[self.still.faces[small]] = True
-            out[self.still.flat_faces[flats[self.still.flat_at]]] = True
+            out[self.still.flat_faces[planar[self.still.flat_at]]] = True
         return out
 
     @cached_property
     def _shells(self) -> list[Shell]:
-        bent = self.still.flats.smooth.any() or len(self.still.corners) or self.moving.any()
+        bent = self.still.planar.smooth.any() or len(self.still.corners) or self.moving.any()
         return shells_of(self.scene, np.ones(len(self.moving), bool)) if bent else []
 
     def rounds_at(self, poses: Floats | None) -> tuple[Round, ...]:
@@ -92,7 +92,9 @@ class Prepared:
             return self.rounds
         start = self.scene.poses()
         moved = [o.motion is not None for o in self.scene.objects]
-        return tuple(r.moved(poses[r.stuff] @ invert(start[r.stuff])) if moved[r.stuff] else r for r in self.rounds)
+        return tuple(
+            r.moved(poses[r.object_id] @ invert(start[r.object_id])) if moved[r.object_id] else r for r in self.rounds
+        )
 
     def poses(self, t_ns: Longs) -> Floats | list[None]:
         """Of all objects (n, o, 4, 4) at some times (n) [ns]; a None for each where nothing moves."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats
 from ullage.kernels import impulses as kernel
-from ullage.radar.context import Bench, View
+from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.facets import Surfaces
 from ullage.radar.visibility import between
 from ullage.radar.wall_bounces import PULL_M
@@ -22,7 +22,7 @@ class Real:
     corners: Floats  # (s + 2, n, 3) [m]
     normals: Floats  # (s, n, 3) to where the waves are
     depths: Floats  # (s, n) by so much facets lie off [m]
-    stuffs: NDArray[np.integer]  # (s, n)
+    object_ids: NDArray[np.integer]  # (s, n)
     there: Bools  # (n) whether there is such a path
 
 
@@ -36,10 +36,20 @@ def free(parts: list[Surfaces], path: Real) -> Bools:
     return np.asarray(path.there & clear[:legs].all(0) & ~clear[legs:].any(0))
 
 
-def turned(ready: Bench, view: View, path: Real) -> Complexes:
+def turned(context: RadarContext, antennas: AntennaPair, path: Real) -> Complexes:
     """What the antennas and all reflections make of the waves (n); the pattern is interpolated, to 3e-4."""
     out, scratch = np.empty(len(path.there), complex), (np.empty((2, 3)), np.empty(3, complex))
     corners, normals = (np.ascontiguousarray(row) for row in (path.corners, path.normals))
-    kernel.polarised(corners, normals, path.stuffs.astype(np.int64), ready.gamma, view.frames[None],
-                     view.fields[None], ready.table, ready.spec.antenna.kind == "isotropic", *scratch, out)  # fmt: skip
+    kernel.polarised(
+        corners,
+        normals,
+        path.object_ids.astype(np.int64),
+        context.gamma,
+        antennas.frames[None],
+        antennas.fields[None],
+        context.table,
+        context.spec.antenna.kind == "isotropic",
+        *scratch,
+        out,
+    )
     return out

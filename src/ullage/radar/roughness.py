@@ -18,10 +18,10 @@ import numpy as np
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
-from ullage.kernels import grit as kernel
-from ullage.radar.context import Bench, View, common, shading
+from ullage.kernels import diffuse_scatterers as kernel
+from ullage.radar.context import AntennaPair, RadarContext, common, transmission_to
+from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import Surfaces
-from ullage.radar.laid import Laid, laid_by
 from ullage.radar.penetration import COSINES, reflection_tables
 from ullage.radar.prepared import Prepared
 from ullage.radar.wires import moved
@@ -38,13 +38,13 @@ TILE_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grit:
+class DiffuseScatterers:
     """Scatterers of a scene's rough surfaces, tile by tile, in the frame of their objects."""
 
     points: Floats  # (n, 3) [m]
     normals: Floats  # (n, 3)
     weights: Complexes  # (n) root of the area each stands for, times its random amplitude [m]
-    stuffs: Ints  # (n) object
+    object_ids: Ints  # (n) object
     first: Longs  # (t + 1) first of each tile
     middles: Longs  # (t) the scatterer that speaks for each tile
 
@@ -52,15 +52,15 @@ class Grit:
         return len(self.weights)
 
 
-def grit_of(world: Prepared, seed: int) -> Grit:
+def diffuse_scatterers_of(world: Prepared, seed: int) -> DiffuseScatterers:
     """The scatterers of a scene for a seed; kept with it."""
-    if seed not in world.grit:
-        world.grit[seed] = strewn(world.scene, seed)
-    known: Grit = world.grit[seed]
+    if seed not in world.diffuse_scatterers:
+        world.diffuse_scatterers[seed] = strewn(world.scene, seed)
+    known: DiffuseScatterers = world.diffuse_scatterers[seed]
     return known
 
 
-def strewn(scene: Scene, seed: int) -> Grit:
+def strewn(scene: Scene, seed: int) -> DiffuseScatterers:
     """Strews scatterers over every rough object, evenly by area; the same for the same mesh wherever it stands."""
     rough = [i for i, o in enumerate(scene.objects) if o.material.roughness_m > 0]
     corners = scene.vertices[scene.faces]
@@ -71,12 +71,12 @@ def strewn(scene: Scene, seed: int) -> Grit:
              for i in rough if (mine := scene.face_object == i).any()]  # fmt: skip
     if not parts:
         none = np.zeros((0, 3))
-        return Grit(
+        return DiffuseScatterers(
             none, none, np.zeros(0, complex), np.zeros(0, np.int32), np.zeros(1, np.int64), np.zeros(0, np.int64)
         )
     points, normals, weights = (np.concatenate([p[k] for p in parts]) for k in range(3))
-    stuffs = np.concatenate([np.full(len(p[0]), i, np.int32) for p, i in zip(parts, rough, strict=True)])
-    return _tiled(points, normals, weights, stuffs)
+    object_ids = np.concatenate([np.full(len(p[0]), i, np.int32) for p, i in zip(parts, rough, strict=True)])
+    return _tiled(points, normals, weights, object_ids)
 
 
 def _on_object(corners: Floats, area: Floats, spacing: float, key: list[int]) -> tuple[Floats, Floats, Complexes]:
@@ -95,9 +95,9 @@ def _on_object(corners: Floats, area: Floats, spacing: float, key: list[int]) ->
     return points, normals, (amplitude[0] + 1j * amplitude[1]) * np.sqrt(area.sum() / count)
 
 
-def _tiled(points: Floats, normals: Floats, weights: Complexes, stuffs: Ints) -> Grit:
+def _tiled(points: Floats, normals: Floats, weights: Complexes, object_ids: Ints) -> DiffuseScatterers:
     cell = np.floor((points + 1e-4) / TILE_M)
-    key = np.concatenate([stuffs[:, None], np.round(4 * normals), cell], 1).astype(np.int64)
+    key = np.concatenate([object_ids[:, None], np.round(4 * normals), cell], 1).astype(np.int64)
     _, tile = np.unique(key, axis=0, return_inverse=True)
     order = np.argsort(tile.ravel(), kind="stable")
     tile = tile.ravel()[order]
@@ -106,7 +106,9 @@ def _tiled(points: Floats, normals: Floats, weights: Complexes, stuffs: Ints) ->
     mean = np.add.reduceat(points, first[:-1]) / np.diff(first)[:, None]
     gap = np.linalg.norm(points - mean[tile], axis=1)
     rank = np.lexsort((gap, tile))
-    return Grit(points, normals[order], weights[order], stuffs[order], first, rank[first[:-1]].astype(np.int64))
+    return DiffuseScatterers(
+        points, normals[order], weights[order], object_ids[order], first, rank[first[:-1]].astype(np.int64)
+    )
 
 
 @lru_cache(maxsize=256)
@@ -135,29 +137,43 @@ def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | Non
                      for g, s in zip(variance, across, strict=True)])  # fmt: skip
 
 
-def lay_grit(ready: Bench, parts: list[Surfaces], view: View, poses: Floats | None, grids: Complexes) -> Laid:
+def accumulate_diffuse_scatterers(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
+) -> EchoSet:
     """Adds the echoes of rough surfaces' scatterers to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
-    grit = grit_of(ready.world, ready.seed)
+    diffuse_scatterers = diffuse_scatterers_of(context.world, context.seed)
     if poses is not None:
-        (points,) = moved((grit.points,), grit.stuffs, poses)
-        (normals,) = moved((grit.normals,), grit.stuffs, poses, turn_only=True)
-        grit = replace(grit, points=points, normals=normals)
-    at = grit.points[grit.middles]
-    gap = np.linalg.norm(at - view.origins.mean(0), axis=1)
-    near = np.flatnonzero((gap > ready.gate[0] - TILE_M) & (gap < ready.gate[1] + TILE_M))
-    shade, extra = np.zeros(len(at), complex), np.zeros(len(at))
+        (points,) = moved((diffuse_scatterers.points,), diffuse_scatterers.object_ids, poses)
+        (normals,) = moved((diffuse_scatterers.normals,), diffuse_scatterers.object_ids, poses, turn_only=True)
+        diffuse_scatterers = replace(diffuse_scatterers, points=points, normals=normals)
+    at = diffuse_scatterers.points[diffuse_scatterers.middles]
+    gap = np.linalg.norm(at - antennas.origins.mean(0), axis=1)
+    near = np.flatnonzero((gap > context.gate[0] - TILE_M) & (gap < context.gate[1] + TILE_M))
+    transmission, extra = np.zeros(len(at), complex), np.zeros(len(at))
     if len(near):
-        shade[near], extra[near] = shading(ready, parts, view, at[near])
-    told, lobes = common(ready, view, grids), _lobes(ready)
+        transmission[near], extra[near] = transmission_to(context, parts, antennas, at[near])
+    told, lobes = common(context, antennas, grids), _lobes(context)
 
-    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        kernel.lay_grit(grit.points, grit.normals, grit.weights, grit.stuffs, grit.first, shade, extra, lobes,
-                        *told[:6], *told[8:-1], grids, *out)  # fmt: skip
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        kernel.accumulate_diffuse_scatterers(
+            diffuse_scatterers.points,
+            diffuse_scatterers.normals,
+            diffuse_scatterers.weights,
+            diffuse_scatterers.object_ids,
+            diffuse_scatterers.first,
+            transmission,
+            extra,
+            lobes,
+            *told[:6],
+            *told[8:-1],
+            grids,
+            *out,
+        )
 
-    return laid_by(put, shade, grids, grit.stuffs[grit.middles], at)
+    return echo_set(put, transmission, grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at)
 
 
-def _lobes(ready: Bench) -> Floats:
-    spec = ready.spec
+def _lobes(context: RadarContext) -> Floats:
+    spec = context.spec
     return np.stack([lobe(m, spec.center_hz, spec.bandwidth_hz) if m.roughness_m else np.zeros((2, COSINES))
-                     for m in ready.world.materials])  # fmt: skip
+                     for m in context.world.materials])  # fmt: skip

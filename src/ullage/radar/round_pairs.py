@@ -19,14 +19,14 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as flat
 from ullage.kernels import pairs as kernel
-from ullage.radar.context import Bench, View
+from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.laid import Laid
 from ullage.radar.mirrors import dot
 from ullage.radar.multipath import most_looked
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.rounds import Round
-from ullage.radar.wall_bounces import PULL_M, deposit
+from ullage.radar.wall_bounces import PULL_M, accumulate
 
 BODIES = 8
 """Between so many bodies waves go, those that look largest; each fades in."""
@@ -45,7 +45,7 @@ class Bodies:
     ends: Floats  # (m, 2) of drums along the axis, from the centre [m]
     balls: Bools  # (m)
     depths: Floats  # (m) by so much facets lie off [m]
-    stuffs: Ints  # (m)
+    object_ids: Ints  # (m)
 
     def take(self, which: Longs) -> Bodies:
         """Some of them."""
@@ -67,7 +67,7 @@ def bodies_of(rounds: tuple[Round, ...], narrow: float) -> Bodies:
     return Bodies(np.array([r.centre + (r.low + r.high) / 2 * r.axes[2] for r in rounds]),
                   np.array([r.axes for r in rounds]), np.array([r.radius for r in rounds]), np.stack([-half, half], 1),
                   np.array([r.ball for r in rounds]), np.array([r.depth for r in rounds]),
-                  np.array([r.stuff for r in rounds], np.int32))  # fmt: skip
+                  np.array([r.object_id for r in rounds], np.int32))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,15 +103,15 @@ def shortest(starts: Floats, stops: Floats, *bodies: NDArray[Any]) -> Paths:
     return Paths(corners, normals, lengths, spreads, bends)
 
 
-def lay_pairs(
-    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], view: View, grids: Complexes
-) -> list[Laid]:
+def accumulate_pairs(
+    context: RadarContext, parts: list[Surfaces], rounds: tuple[Round, ...], antennas: AntennaPair, grids: Complexes
+) -> list[EchoSet]:
     """Adds the echoes over two round bodies to the delay grids, but for those too faint beside what these hold."""
-    narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
-    bodies, together = bodies_of(rounds, narrow), bool((view.origins[0] == view.origins[1]).all())
+    narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
+    bodies, together = bodies_of(rounds, narrow), bool((antennas.origins[0] == antennas.origins[1]).all())
     if len(bodies.radii) < 2:
         return []
-    which, weights, gaps = seen_bodies(ready, bodies, view, BODIES)
+    which, weights, gaps = seen_bodies(context, bodies, antennas, BODIES)
     if len(which) < 2:
         return []
     one, other = np.repeat(which, len(which)), np.tile(which, len(which))
@@ -119,26 +119,28 @@ def lay_pairs(
     legs = np.stack([gaps[0, one] - bodies.radii[one], gaps[1, other] - bodies.radii[other],
                      between - bodies.radii[one] - bodies.radii[other]])  # fmt: skip
     most = bodies.radii[one] * bodies.radii[other] / (4 * np.maximum(legs, 1e-3).prod(0) * legs.sum(0))
-    seen = replace(view, factor=2 * view.factor) if together else view
+    seen = replace(antennas, factor=2 * antennas.factor) if together else antennas
     least = FAINT * float(abs(grids).max())
-    full = ready.spec.wavelength_m / (4 * np.pi) * abs(seen.factor) * float(ready.table.max()) ** 2
+    full = context.spec.wavelength_m / (4 * np.pi) * abs(seen.factor) * float(context.table.max()) ** 2
     loud = (most * full**2 > least**2) & ((one < other) if together else (one != other))
     if not loud.any():
         return []
-    return _laid(ready, parts, seen, bodies, one[loud], other[loud], weights, least, grids)
+    return _echoes_of(context, parts, seen, bodies, one[loud], other[loud], weights, least, grids)
 
 
-def seen_bodies(ready: Bench, bodies: Bodies, view: View, count: int) -> tuple[Longs, Floats, Floats]:
+def seen_bodies(
+    context: RadarContext, bodies: Bodies, antennas: AntennaPair, count: int
+) -> tuple[Longs, Floats, Floats]:
     """Which of all bodies (m) look largest, so many, what each counts, and how far both antennas are (2, m) [m]."""
-    gaps = _gaps(bodies, view)
-    look = np.where(gaps.min(0) < ready.gate[1] + bodies.radii, bodies.radii / np.maximum(gaps.max(0), 1e-6), 0.0)
+    gaps = _gaps(bodies, antennas)
+    look = np.where(gaps.min(0) < context.gate[1] + bodies.radii, bodies.radii / np.maximum(gaps.max(0), 1e-6), 0.0)
     return *most_looked(look, count), gaps
 
 
 @lru_cache(maxsize=8)  # asked twice in a frame
-def _gaps(bodies: Bodies, view: View) -> Floats:
+def _gaps(bodies: Bodies, antennas: AntennaPair) -> Floats:
     out = np.empty((2, len(bodies.radii)))
-    flat.gaps(view.origins, bodies.centres, bodies.axes, bodies.ends, bodies.balls, out)
+    flat.gaps(antennas.origins, bodies.centres, bodies.axes, bodies.ends, bodies.balls, out)
     return out
 
 
@@ -148,32 +150,39 @@ def apart(first: Bodies, last: Bodies) -> Floats:
     return np.asarray(first.gaps(last.centres) - lean * last.ends[:, 1])
 
 
-def _laid(
-    ready: Bench, parts: list[Surfaces], view: View, bodies: Bodies, one: Longs, other: Longs, weights: Floats,
-    least: float, grids: Complexes,
-) -> list[Laid]:  # fmt: skip
+def _echoes_of(
+    context: RadarContext,
+    parts: list[Surfaces],
+    antennas: AntennaPair,
+    bodies: Bodies,
+    one: Longs,
+    other: Longs,
+    weights: Floats,
+    least: float,
+    grids: Complexes,
+) -> list[EchoSet]:
     """The echoes over pairs of bodies (m), but for those less than a path gain amplitude."""
     first, last = bodies.take(one), bodies.take(other)
-    paths = paths_over(view.origins[0], view.origins[1], first, last)
-    wavelength = ready.spec.wavelength_m
-    value = wavelength / (4 * np.pi) * view.factor * paths.spread * weights[one] * weights[other]
-    value[(abs(value) * float(ready.table.max()) ** 2 <= least) | (paths.length >= 2 * ready.gate[1])] = 0
+    paths = paths_over(antennas.origins[0], antennas.origins[1], first, last)
+    wavelength = context.spec.wavelength_m
+    value = wavelength / (4 * np.pi) * antennas.factor * paths.spread * weights[one] * weights[other]
+    value[(abs(value) * float(context.table.max()) ** 2 <= least) | (paths.length >= 2 * context.gate[1])] = 0
     near = np.flatnonzero(value)  # most are too faint now that their bends are known, and need not be followed
     if not len(near):
         return []
     paths, first, last = paths.take(near), first.take(near), last.take(near)
     path = _real(first, last, paths)
-    value = value[near] * turned(ready, view, path)
+    value = value[near] * turned(context, antennas, path)
     for k, body in enumerate((first, last)):
         value = value * covered(body, paths.corners[1 + k], paths.bends[:, k], wavelength)
     value = value * (abs(value) > least) * free(parts, path)
-    via = np.stack([first.stuffs, np.full(len(near), -1)], 1).astype(np.int64)
-    echo = deposit(ready, paths.length / C0, value, grids, (0.0, 1.0))
+    via = np.stack([first.object_ids, np.full(len(near), -1)], 1).astype(np.int64)
+    echo = accumulate(context, paths.length / C0, value, grids, (0.0, 1.0))
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, paths.length / C0, value * factors, others, (0.0, 1.0))
+        accumulate(context, paths.length / C0, value * factors, others, (0.0, 1.0))
 
-    return [Laid(last.stuffs, paths.corners[2], echo, paths.length / C0, again, via)]
+    return [EchoSet(last.object_ids, paths.corners[2], echo, paths.length / C0, again, via)]
 
 
 def _real(first: Bodies, last: Bodies, paths: Paths) -> Real:
@@ -181,8 +190,13 @@ def _real(first: Bodies, last: Bodies, paths: Paths) -> Real:
     corners = paths.corners.copy()
     for k, body in enumerate((first, last)):
         corners[1 + k] = drawn(body, corners[1 + k])
-    return Real(corners, paths.normals, np.stack([first.depths, last.depths]), np.stack([first.stuffs, last.stuffs]),
-                np.ones(len(paths.length), bool))  # fmt: skip
+    return Real(
+        corners,
+        paths.normals,
+        np.stack([first.depths, last.depths]),
+        np.stack([first.object_ids, last.object_ids]),
+        np.ones(len(paths.length), bool),
+    )
 
 
 def drawn(body: Bodies, points: Floats) -> Floats:

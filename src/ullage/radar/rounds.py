@@ -43,7 +43,7 @@ class Round:
     high: float  # and where it ends [m]
     depth: float  # by so much facets lie nearer to the axis or farther from it [m]
     widest: float  # smaller extent of the widest facet [m]
-    stuff: int  # object
+    object_id: int  # object
     ball: bool = False
     strips: Floats = field(default_factory=lambda: np.zeros((0, 4)))  # (s, 4) angle, half width [rad], low, high [m]
     caps: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (s, 2) flat face at either end: 1, at holes -1
@@ -71,32 +71,37 @@ class Shell:
     corners: Floats  # (n, 3, 3) [m]
     normals: Floats  # (n, 3)
     area: Floats  # (n) [m2]
-    stuff: int  # object
+    object_id: int  # object
     faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (n) of the scene
 
     def take(self, which: NDArray[np.integer]) -> Shell:
         """Some of them."""
-        return Shell(self.corners[which], self.normals[which], self.area[which], self.stuff, self.faces[which])
+        return Shell(self.corners[which], self.normals[which], self.area[which], self.object_id, self.faces[which])
 
 
 def shells_of(scene: Scene, faces: Bools) -> list[Shell]:
     """The smooth surfaces among some faces (f) of a scene, as they stand at its start."""
     corners = scene.corners()[faces]
-    stuffs = scene.face_object[faces]
+    object_ids = scene.face_object[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1) / 2
     kept = area > 1e-12
-    corners, stuffs, area, normals = corners[kept], stuffs[kept], area[kept], normals[kept] / (2 * area[kept, None])
+    corners, object_ids, area, normals = (
+        corners[kept],
+        object_ids[kept],
+        area[kept],
+        normals[kept] / (2 * area[kept, None]),
+    )
     index = np.flatnonzero(faces)[kept]
-    return [Shell(corners[mine], normals[mine], area[mine], int(stuffs[mine[0]]), index[mine])
-            for mine in _connected(corners, normals, stuffs)]  # fmt: skip
+    return [Shell(corners[mine], normals[mine], area[mine], int(object_ids[mine[0]]), index[mine])
+            for mine in _connected(corners, normals, object_ids)]  # fmt: skip
 
 
 def rounds_of(shells: Sequence[Shell]) -> tuple[Round, ...]:
     """The round walls and bodies among smooth surfaces."""
     found = []
     for shell in shells:
-        told = shell.corners, shell.normals, shell.area, shell.stuff
+        told = shell.corners, shell.normals, shell.area, shell.object_id
         ball, wall = _ball(*told), _fitted(*told)
         if ball is not None and (wall is None or ball.depth < 2 * wall.depth):  # the rims of a drum lie on a ball, too
             found.append(replace(ball, faces=shell.faces))
@@ -109,11 +114,11 @@ def capped(walls: Sequence[Round], scene: Scene) -> tuple[Round, ...]:
     """The walls, each knowing at which ends of its strips flat faces of its object end, square to the axis."""
     corners, out = scene.corners(), list(walls)
     striped = [k for k, wall in enumerate(walls) if len(wall.strips)]
-    for stuff in np.unique([walls[k].stuff for k in striped]):
-        mine = corners[scene.face_object == stuff]
+    for object_id in np.unique([walls[k].object_id for k in striped]):
+        mine = corners[scene.face_object == object_id]
         sides = cKDTree(((mine + np.roll(mine, -1, 1)) / 2).reshape(-1, 3), balanced_tree=False, compact_nodes=False)
         for k in striped:
-            if walls[k].stuff == stuff:
+            if walls[k].object_id == object_id:
                 out[k] = replace(walls[k], caps=_caps(walls[k], mine, sides))
     return tuple(out)
 
@@ -144,15 +149,15 @@ def _caps(wall: Round, triangles: Floats, sides: cKDTree) -> Floats:
 
 def linked(shell: Shell) -> list[Longs]:
     """The parts of a surface that has come apart."""
-    return _connected(shell.corners, shell.normals, np.full(len(shell.area), shell.stuff, np.int32))
+    return _connected(shell.corners, shell.normals, np.full(len(shell.area), shell.object_id, np.int32))
 
 
-def _connected(corners: Floats, normals: Floats, stuffs: Ints) -> list[Longs]:
+def _connected(corners: Floats, normals: Floats, object_ids: Ints) -> list[Longs]:
     """Triangles (f, 3, 3) of one object that go on from each to the next with hardly a bend, surface by surface."""
     if not len(corners):
         return []
     a, b = twins(corners)
-    on = (stuffs[a] == stuffs[b]) & (
+    on = (object_ids[a] == object_ids[b]) & (
         abs(np.einsum("ni,ni->n", normals[a], normals[b])) > np.cos(np.deg2rad(SMOOTH_DEG))
     )
     links = coo_array((np.ones(on.sum(), np.int8), (a[on], b[on])), shape=(len(corners), len(corners)))
@@ -162,7 +167,7 @@ def _connected(corners: Floats, normals: Floats, stuffs: Ints) -> list[Longs]:
     return [group for group in groups if len(group) >= _FEWEST]
 
 
-def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
+def _fitted(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Round | None:
     """The cylinder that triangles (n, 3, 3) lie on, if they do; caps that close it smoothly are left off."""
     kept, turn, settled = _leveled(normals, area)
     axis = turn[:, 0]
@@ -191,7 +196,7 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round
     if most - least < LEAST_M:
         return None
     return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
-                 float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), stuff,
+                 float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), object_id,
                  strips=_strips(points, centre, area[kept]))  # fmt: skip
 
 
@@ -244,7 +249,7 @@ def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:
     return np.array(out).reshape(-1, 4)
 
 
-def _ball(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round | None:
+def _ball(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Round | None:
     """The ball that triangles (n, 3, 3) lie on, if they do."""
     points = corners.reshape(-1, 3)
     middle = points.mean(0)
@@ -264,7 +269,7 @@ def _ball(corners: Floats, normals: Floats, area: Floats, stuff: int) -> Round |
     depth = float(max(away.max() - radius, radius - gaps.min()))
     if depth > _DEEP * radius:
         return None
-    return Round(centre, np.eye(3), radius, -radius, radius, depth, float(sides.min(1).max()), stuff, ball=True)
+    return Round(centre, np.eye(3), radius, -radius, radius, depth, float(sides.min(1).max()), object_id, ball=True)
 
 
 def _arc(points: Floats) -> float:

@@ -17,9 +17,9 @@ import numpy as np
 from ullage import kernels
 from ullage.data import Frames, Samples, Trajectory, gathered
 from ullage.errors import InputError
-from ullage.radar.copies import PAYS_S, Crew, cores
 from ullage.radar.receiving import Fidelity, Receiving, _check_whole
 from ullage.radar.warmup import warming_up
+from ullage.radar.worker_pool import PAYS_S, WorkerPool, cores
 from ullage.specs import RadarSpec, Rig
 from ullage.world.scene import Scene
 
@@ -144,22 +144,22 @@ def _stream(
 
     ahead = max(2, math.ceil(2 * cores() / len(work.sensors)))
     waiting: deque[tuple[dict[str, Future[Samples]], slice]] = deque()
-    crew = Crew(samples)
+    pool = WorkerPool(samples)
     done = 0
     try:
         for cut in cuts:
             last = cut is cuts[-1]
-            waiting.append(({name: crew.submit(name, cut) for name in work.sensors}, cut))
+            waiting.append(({name: pool.submit(name, cut) for name in work.sensors}, cut))
             if cut is cuts[0] and not last and work.model.forks:
-                _fork_where_it_pays(crew, waiting[0][0], len(path) / cut.stop)
+                _fork_where_it_pays(pool, waiting[0][0], len(path) / cut.stop)
             while len(waiting) >= ahead or (waiting and last):
-                ready = piece(*waiting.popleft())
-                done += sum(len(frames) for frames in ready.values())
+                context = piece(*waiting.popleft())
+                done += sum(len(frames) for frames in context.values())
                 if progress is not None:
                     progress(done, len(path) * len(work.sensors))
-                yield ready
+                yield context
     finally:
-        crew.close()
+        pool.close()
 
 
 LEAD = 16
@@ -172,12 +172,12 @@ def pieces_of(count: int, chunk: int) -> list[slice]:
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], count], strict=False)]
 
 
-def _fork_where_it_pays(crew: Crew[Samples], first: dict[str, Future[Samples]], pieces: float) -> None:
+def _fork_where_it_pays(pool: WorkerPool[Samples], first: dict[str, Future[Samples]], pieces: float) -> None:
     """Copies of this process once the first pieces are made: kernels are compiled then, and the scene is ready."""
     began = time.process_time()
     wait(first.values())
     if (time.process_time() - began) * (pieces - 1) > PAYS_S:
-        crew.fork()
+        pool.fork()
 
 
 def _check_track(path: Trajectory, believed: Trajectory | None, chunk: int, first_frame: int) -> None:

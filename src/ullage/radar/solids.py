@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.kernels import rims as kernel
+from ullage.kernels import outlines as kernel
 
 WELD_M = 1e-6
 """Corners nearer than this are one [m]."""
@@ -80,7 +80,7 @@ class Backs:
         return out
 
 
-def backs(corners: Floats, normals: Floats, stuffs: Ints) -> Backs:
+def backs(corners: Floats, normals: Floats, object_ids: Ints) -> Backs:
     """The outer sides of triangles (f, 3, 3) that belong to closed bodies of one object, evenly turned.
 
     A body is closed where every edge is shared by two triangles that run along it in opposite ways.
@@ -90,7 +90,7 @@ def backs(corners: Floats, normals: Floats, stuffs: Ints) -> Backs:
     if not count:
         return Backs(outward, np.zeros(0, np.int32), Boxes(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3))))
     ids = welded(corners).reshape(-1)
-    ids = ids + np.repeat(stuffs.astype(np.int64), 3) * (int(ids.max()) + 1)
+    ids = ids + np.repeat(object_ids.astype(np.int64), 3) * (int(ids.max()) + 1)
     tri = ids.reshape(-1, 3)
     start, end = tri.ravel(), np.roll(tri, -1, 1).ravel()
     wide = int(ids.max()) + 1

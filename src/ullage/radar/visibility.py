@@ -8,8 +8,8 @@ import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import rays as kernel
-from ullage.radar.facets import Surfaces, Veil
-from ullage.radar.penetration import Curtains
+from ullage.radar.facets import Surfaces, TransmissiveFaces
+from ullage.radar.penetration import Transmissive
 
 SLACK_M = 2e-3
 """Two surfaces nearer than this along a ray count as one [m]; Embree's float32 and shared edges need it."""
@@ -19,15 +19,17 @@ SHEETS = 4
 """A wave is followed through at most so many sheets, one way."""
 
 
-def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats, sheets: Curtains) -> tuple[Complexes, Floats]:
+def seen(
+    parts: Sequence[Surfaces], origin: Floats, points: Floats, transmissive: Transmissive
+) -> tuple[Complexes, Floats]:
     """Two-way factor (n) and delay [s] (n) of what stands between the origin (3) and points (n, 3) on surfaces.
 
     1 in the open, 0 behind anything opaque; behind thin sheets what they let through, at most `SHEETS` of them.
     """
     clear = None
-    veils: list[Veil] = []
+    veils: list[TransmissiveFaces] = []
     for part in parts:
-        opaque, veil = part.casters(sheets.thin)
+        opaque, veil = part.casters(transmissive.thin)
         open_ = opaque.visible(origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
         clear = open_ if clear is None else clear & open_
         if veil is not None:
@@ -35,16 +37,16 @@ def seen(parts: Sequence[Surfaces], origin: Floats, points: Floats, sheets: Curt
     clear = np.ones(len(points), bool) if clear is None else clear
     factor, late = clear.astype(complex), np.zeros(len(points))
     if veils:
-        _through(veils, origin, points, np.flatnonzero(clear), sheets, factor, late)
+        _through(veils, origin, points, np.flatnonzero(clear), transmissive, factor, late)
     return factor, late
 
 
 def _through(
-    veils: Sequence[Veil],
+    veils: Sequence[TransmissiveFaces],
     origin: Floats,
     points: Floats,
     todo: Longs,
-    sheets: Curtains,
+    transmissive: Transmissive,
     factor: Complexes,
     late: Floats,
 ) -> None:
@@ -61,25 +63,25 @@ def _through(
     passed = np.zeros(len(todo))
     for step in range(SHEETS + 1):
         met = _first(veils, origin + ray * passed[:, None], ray)
-        count = kernel.pass_sheets(todo, length, passed, ray, *met, SLACK_M, step == SHEETS, sheets.factor,
-                                   sheets.delay_s, factor, late)  # fmt: skip
+        count = kernel.pass_transmissive(todo, length, passed, ray, *met, SLACK_M, step == SHEETS, transmissive.factor,
+                                   transmissive.delay_s, factor, late)  # fmt: skip
         if not count:
             return
         todo, length, passed, ray = todo[:count], length[:count], passed[:count], ray[:count]
 
 
-def _first(veils: Sequence[Veil], origins: Floats, rays: Floats) -> tuple[Floats, Ints, Floats]:
+def _first(veils: Sequence[TransmissiveFaces], origins: Floats, rays: Floats) -> tuple[Floats, Ints, Floats]:
     """Distance [m], object and cos(incidence) of the first sheet each ray meets; inf where there is none."""
     if len(veils) == 1:
         face, distance, slope = veils[0].rays.trace(origins, rays)
-        return distance, veils[0].stuffs[face], slope
+        return distance, veils[0].object_ids[face], slope
     least = np.full(len(rays), np.inf)
-    stuff, cosine = np.zeros(len(rays), np.int32), np.ones(len(rays))
+    object_id, cosine = np.zeros(len(rays), np.int32), np.ones(len(rays))
     for veil in veils:
         face, distance, slope = veil.rays.trace(origins, rays)
         near = np.flatnonzero((face >= 0) & (distance < least))
-        least[near], stuff[near], cosine[near] = distance[near], veil.stuffs[face[near]], slope[near]
-    return least, stuff, cosine
+        least[near], object_id[near], cosine[near] = distance[near], veil.object_ids[face[near]], slope[near]
+    return least, object_id, cosine
 
 
 def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> Bools:

@@ -18,17 +18,17 @@ from scipy.special import fresnel
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import chains as kernel
-from ullage.radar.context import Bench, View
-from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.laid import Laid
+from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.echo_set import EchoSet
+from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import most_looked
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import BODIES, FAINT
 from ullage.radar.rounds import Round
-from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, around, deposit, planes_of, swapped
+from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, accumulate, around, planes_of, swapped
 
 Turn = tuple[Plane, int] | None
-Chain = tuple[View, bool, tuple[bool, ...], Turn]
+Chain = tuple[AntennaPair, bool, tuple[bool, ...], Turn]
 
 WALL_FIRST = (True, False)
 TO_AND_FRO = (False, True, False)
@@ -53,28 +53,34 @@ class Lines:
     near: float  # how far off the wall the nearer leg begins, both as one [m]
 
 
-def lay_wall_bodies(
-    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, most: int, look: Floats,
+def accumulate_wall_bodies(
+    context: RadarContext,
+    parts: list[Surfaces],
+    rounds: tuple[Round, ...],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    most: int,
+    look: Floats,
     grids: Complexes,
-) -> list[Laid]:  # fmt: skip
+) -> list[EchoSet]:
     """Adds the echoes over the wall of a tank that the radar is in and one body in it to the delay grids.
 
     Two bounces; with three, another one at a floor or a roof across the axis, those that look largest (p), or from the
     body to the wall and back. What is too faint beside what the grids hold is left out.
     """
-    out: list[Laid] = []
-    one = bool((view.origins[0] == view.origins[1]).all() and (view.fields[0] == view.fields[1]).all())
+    out: list[EchoSet] = []
+    one = bool((antennas.origins[0] == antennas.origins[1]).all() and (antennas.fields[0] == antennas.fields[1]).all())
     least = FAINT * float(abs(grids).max())
-    for wall in around(ready, rounds, view):
-        planes = planes_of(flats, wall, look) if most > 2 else []
-        for body, weight in _within(ready, rounds, wall, view):
-            told = replace(view, factor=weight * view.factor)
+    for wall in around(context, rounds, antennas):
+        planes = planes_of(planar, wall, look) if most > 2 else []
+        for body, weight in _within(context, rounds, wall, antennas):
+            told = replace(antennas, factor=weight * antennas.factor)
             sides = [(replace(told, factor=2 * told.factor), False)] if one else [(told, False), (swapped(told), True)]
             chains: list[Chain] = [(side, back, WALL_FIRST, turn) for side, back in sides for turn in _turns(planes)]
             chains += [(told, False, TO_AND_FRO, None)] if most > 2 else []
             for side, back, walls, turn in chains:
-                laid = _over(ready, parts, side, wall, body, walls, turn, least, grids)
-                out += [] if laid is None else [_reversed(laid) if back else laid]
+                echoes = _over(context, parts, side, wall, body, walls, turn, least, grids)
+                out += [] if echoes is None else [_reversed(echoes) if back else echoes]
     return out
 
 
@@ -83,18 +89,20 @@ def _turns(planes: list[Plane]) -> list[Turn]:
     return [None, *((plane, end) for plane in planes for end in (0, 1))]
 
 
-def _within(ready: Bench, rounds: tuple[Round, ...], wall: Round, view: View) -> Iterator[tuple[Round, float]]:
+def _within(
+    context: RadarContext, rounds: tuple[Round, ...], wall: Round, antennas: AntennaPair
+) -> Iterator[tuple[Round, float]]:
     """The bodies within a wall that have both antennas outside, those that look largest, and what each counts."""
-    narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
-    bodies = [b for b in rounds if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, view)]
-    gaps = np.array([np.linalg.norm(view.origins - body.centre, axis=1).max() for body in bodies])
+    narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
+    bodies = [b for b in rounds if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
+    gaps = np.array([np.linalg.norm(antennas.origins - body.centre, axis=1).max() for body in bodies])
     which, weights = most_looked(np.array([body.radius for body in bodies]) / gaps, BODIES)
     for k in which:
         yield bodies[k], float(weights[k])
 
 
-def _outside(body: Round, view: View) -> bool:
-    x, y, z = body.local(view.origins).T
+def _outside(body: Round, antennas: AntennaPair) -> bool:
+    x, y, z = body.local(antennas.origins).T
     away = np.sqrt(x * x + y * y + (z * z if body.ball else 0.0))
     return bool((away > body.radius + body.depth + PULL_M).all())
 
@@ -127,35 +135,42 @@ def _feet(wall: Round, count: int) -> tuple[Floats, Floats]:
 
 
 def _over(
-    ready: Bench, parts: list[Surfaces], view: View, wall: Round, body: Round, walls: tuple[bool, ...],
-    turn: Turn, least: float, grids: Complexes,
-) -> Laid | None:  # fmt: skip
+    context: RadarContext,
+    parts: list[Surfaces],
+    antennas: AntennaPair,
+    wall: Round,
+    body: Round,
+    walls: tuple[bool, ...],
+    turn: Turn,
+    least: float,
+    grids: Complexes,
+) -> EchoSet | None:
     """Lays the echo over one chain of surfaces, with a bounce at a plane across the axis or without."""
-    ends = view.origins
+    ends = antennas.origins
     if turn is not None:
         heights = wall.local(ends)[:, 2] - turn[0].level
         if heights[0] * heights[1] <= 0:
             return None
         ends = ends.copy()
         ends[turn[1]] -= 2 * heights[turn[1]] * wall.axes[2]
-    lines, wave = lines_over(wall, body, ends, walls), 2 * np.pi / ready.spec.wavelength_m
-    near = lines.length < 2 * ready.gate[1]
-    value = lines.spread * near * view.factor / (2 * wave) * np.sqrt(0.5j * wave / np.pi)
+    lines, wave = lines_over(wall, body, ends, walls), 2 * np.pi / context.spec.wavelength_m
+    near = lines.length < 2 * context.gate[1]
+    value = lines.spread * near * antennas.factor / (2 * wave) * np.sqrt(0.5j * wave / np.pi)
     around_ = _sampled(lines, wall.radius, wave, value != 0)
     if around_ is None:
         return None
     first, share, weights = around_
     loud = np.abs(value[first]) * weights
-    if loud.sum() * float(ready.table.max()) ** 2 < least:
+    if loud.sum() * float(context.table.max()) ** 2 < least:
         return None
     wanted = np.zeros(len(value), np.bool_)
     wanted[first] = wanted[(first + 1) % len(value)] = True
     asked = np.flatnonzero(wanted)
-    path = _real(lines, wall, body, view.origins, turn, asked)
+    path = _real(lines, wall, body, antennas.origins, turn, asked)
     seen = np.zeros(len(value), complex)
-    seen[asked] = value[asked] * free(parts, path) * turned(ready, view, path)
-    seen[asked] *= _covered(lines, wall, body, asked, turn, ready.spec.wavelength_m)
-    return _deposited(ready, lines, wall, path, asked, (first, share, weights), seen, grids)
+    seen[asked] = value[asked] * free(parts, path) * turned(context, antennas, path)
+    seen[asked] *= _covered(lines, wall, body, asked, turn, context.spec.wavelength_m)
+    return _deposited(context, lines, wall, path, asked, (first, share, weights), seen, grids)
 
 
 def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Longs, Floats, Floats] | None:
@@ -175,21 +190,24 @@ def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, a
     """Some paths (n), what lies beyond a plane brought back; corners beyond ends of round things drawn onto them."""
     corners, normals = lines.corners[:, asked], lines.normals[:, asked]
     kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(asked), 1)  # wall, body, plane
-    there, plane_stuff = np.ones(len(asked), bool), -1
+    there, plane_object_id = np.ones(len(asked), bool), -1
     if turn is not None:
         plane, end = turn
         back = slice(None, None, -1 if end else 1)  # as seen from the end that is an image
         side = float(np.sign(wall.local(origins[end])[2] - plane.level))
         corners, normals, kinds, there = _unfolded(wall, plane, side, corners[back], normals[back], kinds[back])
-        corners, normals, kinds, plane_stuff = corners[back], normals[back], kinds[back], plane.stuff
+        corners, normals, kinds, plane_object_id = corners[back], normals[back], kinds[back], plane.object_id
     corners = corners.copy()
     for kind, thing in enumerate((wall, body)):
         if not thing.ball:
             up = (corners[1:-1] - thing.centre) @ thing.axes[2]
             inner = np.clip(up, thing.low + PULL_M, thing.high - PULL_M)
             corners[1:-1] += np.where(kinds == kind, inner - up, 0.0)[..., None] * thing.axes[2]
-    depths, stuffs = np.array([wall.depth, body.depth, 0.0]), np.array([wall.stuff, body.stuff, plane_stuff])
-    return Real(corners, normals, depths[kinds], stuffs[kinds], there)
+    depths, object_ids = (
+        np.array([wall.depth, body.depth, 0.0]),
+        np.array([wall.object_id, body.object_id, plane_object_id]),
+    )
+    return Real(corners, normals, depths[kinds], object_ids[kinds], there)
 
 
 def _unfolded(
@@ -236,32 +254,32 @@ def _covered(lines: Lines, wall: Round, body: Round, asked: Longs, turn: Turn, w
 
 
 def _deposited(
-    ready: Bench, lines: Lines, wall: Round, path: Real, asked: Longs, places: tuple[Longs, Floats, Floats],
+    context: RadarContext, lines: Lines, wall: Round, path: Real, asked: Longs, places: tuple[Longs, Floats, Floats],
     seen: Complexes, grids: Complexes,
-) -> Laid:  # fmt: skip
+) -> EchoSet:  # fmt: skip
     """Lays the sum over places along the wall; told as one echo for each point of stationary phase."""
     first, share, weights = places
     value, (length, slope) = np.empty(len(first), complex), np.empty((2, len(first)))
     step = 2 * np.pi * wall.radius / len(seen)
     kernel.summed(lines.length, lines.slope, step, seen, first, share, weights, value, length, slope)
-    echo = deposit(ready, length / C0, value, grids, (0.5, 0.5))
+    echo = accumulate(context, length / C0, value, grids, (0.5, 0.5))
     leads = np.flatnonzero((slope[:-1] * slope[1:] <= 0) & ((first[1:] - first[:-1]) % len(seen) <= 1))
     leads = leads if len(leads) else np.array([abs(slope).argmin()])
     count = len(leads)
     led, total = np.empty(len(first), np.int64), np.empty(count, complex)
     kernel.gathered(first, share, leads, len(seen), echo, led, total)
     at = np.searchsorted(asked, first[leads])
-    names = path.stuffs[:, at]
+    names = path.object_ids[:, at]
     via = np.full((count, 2), -1, np.int64)
     via[:, : len(names) - 1] = names[:-1].T
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, length / C0, value * factors[led], others, (0.5, 0.5))
+        accumulate(context, length / C0, value * factors[led], others, (0.5, 0.5))
 
-    return Laid(names[-1].astype(np.int32), path.corners[-2, at], total, length[leads] / C0, again, via)
+    return EchoSet(names[-1].astype(np.int32), path.corners[-2, at], total, length[leads] / C0, again, via)
 
 
-def _reversed(laid: Laid) -> Laid:
+def _reversed(echoes: EchoSet) -> EchoSet:
     """Echoes traced from the receiver, as the wave runs: it meets last what was traced first."""
-    via = np.array([[b, a] if b >= 0 else [a, b] for a, b in np.asarray(laid.via)], np.int64)
-    return replace(laid, via=via, before=np.zeros(len(via), np.int64))
+    via = np.array([[b, a] if b >= 0 else [a, b] for a, b in np.asarray(echoes.via)], np.int64)
+    return replace(echoes, via=via, before=np.zeros(len(via), np.int64))

@@ -24,9 +24,9 @@ from ullage.antenna import gain
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import impulses as kernel
-from ullage.radar.context import Bench, View
-from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.laid import Laid
+from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.echo_set import EchoSet
+from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import across, dot, reflected
 from ullage.radar.rounds import Round
 from ullage.radar.visibility import between
@@ -54,7 +54,7 @@ class Fan:
     """Rays across the axis of a cylinder, from wall to wall and to where they are to end, those that count."""
 
     points: Floats  # (b, n, 2) where they meet the wall [m]
-    ways: Floats  # (b + 1, n, 2) unit vectors of travel
+    paths: Floats  # (b + 1, n, 2) unit vectors of travel
     along: Floats  # (b + 1, n) path up to each wall, and to the end [m]
     weights: Complexes  # (n) of each in the sum, but for the root of the wave number across the axis
     names: Longs  # (n) number of each among those all round
@@ -64,7 +64,7 @@ class Fan:
     def some(self) -> Fan:
         """Every `EVERY`th of them."""
         which = np.append(np.arange(0, len(self.names) - 1, EVERY), len(self.names) - 1)
-        return replace(self, points=self.points[:, which], ways=self.ways[:, which], along=self.along[:, which],
+        return replace(self, points=self.points[:, which], paths=self.paths[:, which], along=self.along[:, which],
                        weights=self.weights[which], names=self.names[which])  # fmt: skip
 
 
@@ -73,67 +73,79 @@ class Plane:
     """A floor or a roof, across a cylinder's axis."""
 
     level: float  # along the axis [m]
-    stuff: int  # object
+    object_id: int  # object
 
 
-def lay_walls(
-    ready: Bench, parts: list[Surfaces], rounds: tuple[Round, ...], flats: Flats, view: View, max_bounces: int,
-    look: Floats, grids: Complexes,
-) -> list[Laid]:  # fmt: skip
+def accumulate_walls(
+    context: RadarContext,
+    parts: list[Surfaces],
+    rounds: tuple[Round, ...],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    max_bounces: int,
+    look: Floats,
+    grids: Complexes,
+) -> list[EchoSet]:
     """Adds the echoes from wall to wall of the round tanks that the radar is in to the delay grids.
 
     Two bounces; with three, another one at the wall, or one at a floor or a roof, those that look largest (p).
     """
-    out: list[Laid] = []
-    one = bool((view.origins[0] == view.origins[1]).all() and (view.fields[0] == view.fields[1]).all())
-    sides = [replace(view, factor=2 * view.factor)] if one else [view, swapped(view)]
-    for wall in around(ready, rounds, view):
-        planes = planes_of(flats, wall, look) if max_bounces > 2 else []
+    out: list[EchoSet] = []
+    one = bool((antennas.origins[0] == antennas.origins[1]).all() and (antennas.fields[0] == antennas.fields[1]).all())
+    sides = [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, swapped(antennas)]
+    for wall in around(context, rounds, antennas):
+        planes = planes_of(planar, wall, look) if max_bounces > 2 else []
         for side in sides:
             for bounces in range(2, max_bounces + 1):
-                told = _laid(ready, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
+                told = _echoes_of(context, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
                 out += told
     return out
 
 
-def swapped(view: View) -> View:
+def swapped(antennas: AntennaPair) -> AntennaPair:
     """The antennas in each other's place."""
-    return replace(view, **{row: getattr(view, row)[::-1].copy() for row in ("origins", "frames", "fields")})
+    return replace(antennas, **{row: getattr(antennas, row)[::-1].copy() for row in ("origins", "frames", "fields")})
 
 
-def around(ready: Bench, rounds: tuple[Round, ...], view: View) -> Iterator[Round]:
+def around(context: RadarContext, rounds: tuple[Round, ...], antennas: AntennaPair) -> Iterator[Round]:
     """The walls about both antennas whose opposite sides lie within the gate, but for facets that mirror as flats."""
-    narrow = np.sqrt(ready.spec.wavelength_m * ready.gate[1] / 2)
+    narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
     for wall in rounds:
-        if not wall.ball and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < ready.gate[1]:
-            places = wall.local(view.origins)
+        if not wall.ball and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < context.gate[1]:
+            places = wall.local(antennas.origins)
             if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - PULL_M).all():
                 yield wall
 
 
-def planes_of(flats: Flats, wall: Round, look: Floats) -> list[Plane]:
+def planes_of(planar: PlanarPatches, wall: Round, look: Floats) -> list[Plane]:
     """Floors and roofs: where faces lie across the axis, plane by plane, those that look largest (p) first."""
-    level = np.flatnonzero((abs(flats.normals @ wall.axes[2]) > 1 - 1e-6) & (look > 0))
+    level = np.flatnonzero((abs(planar.normals @ wall.axes[2]) > 1 - 1e-6) & (look > 0))
     found: list[Plane] = []
     for face in level[np.argsort(-look[level], kind="stable")]:
-        height = float(wall.local(flats.starts[flats.first[face]])[2])
+        height = float(wall.local(planar.starts[planar.first[face]])[2])
         if all(abs(height - plane.level) > SAME_M for plane in found):
-            found.append(Plane(height, int(flats.stuffs[face])))
+            found.append(Plane(height, int(planar.object_ids[face])))
         if len(found) == FLOORS:
             break
     return found
 
 
-def _laid(
-    ready: Bench, parts: list[Surfaces], view: View, wall: Round, bounces: int, planes: list[Plane], grids: Complexes
-) -> list[Laid]:
-    start, stop = wall.local(view.origins)
-    fan = fan_of(wall.radius, start[:2], stop[:2], bounces, 2 * np.pi / ready.spec.wavelength_m)
+def _echoes_of(
+    context: RadarContext,
+    parts: list[Surfaces],
+    antennas: AntennaPair,
+    wall: Round,
+    bounces: int,
+    planes: list[Plane],
+    grids: Complexes,
+) -> list[EchoSet]:
+    start, stop = wall.local(antennas.origins)
+    fan = fan_of(wall.radius, start[:2], stop[:2], bounces, 2 * np.pi / context.spec.wavelength_m)
     out = []
     for plane in (None, *planes):
         if plane is not None and (start[2] - plane.level) * (stop[2] - plane.level) <= 0:
             continue
-        told = _over(ready, parts, view, wall, fan, plane, grids)
+        told = _over(context, parts, antennas, wall, fan, plane, grids)
         if told is not None:
             out.append(told)
     return out
@@ -152,7 +164,7 @@ def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float
     least = min(np.sqrt(ZONES / (wave * radius)), 1.2)
     step = 2 * np.pi / (int(4 * wave * radius * least * bounces) + 64)
     shot = _shot(radius, start, bounces, step)
-    (x, y), (u, v), slope, width = shot.points[-1], shot.ways[-1], shot.slopes[-1], shot.width
+    (x, y), (u, v), slope, width = shot.points[-1], shot.paths[-1], shot.slopes[-1], shot.width
     on, off = stop[0] - x, stop[1] - y
     last = np.sqrt(on * on + off * off)
     on, off = on / last, off / last
@@ -163,9 +175,9 @@ def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float
     weights *= _fade(turn, last, width / slope, radius, wave, step)
     kept = np.flatnonzero(weights > FAINT * weights.max(initial=1e-30))
     weights = weights[kept] * (step * np.sqrt(0.5j / np.pi)) * 1j ** (shot.caustics[kept] % 4)
-    ways = np.concatenate([shot.ways, np.stack([on, off])[None]])[..., kept].transpose(0, 2, 1)
+    paths = np.concatenate([shot.paths, np.stack([on, off])[None]])[..., kept].transpose(0, 2, 1)
     along = np.concatenate([shot.legs.cumsum(0), path[None]])[:, kept]
-    return Fan(np.ascontiguousarray(shot.points[..., kept].transpose(0, 2, 1)), np.ascontiguousarray(ways), along,
+    return Fan(np.ascontiguousarray(shot.points[..., kept].transpose(0, 2, 1)), np.ascontiguousarray(paths), along,
                weights, kept, *_leads(kept, turn[kept], len(turn)))  # fmt: skip
 
 
@@ -174,7 +186,7 @@ class Shot:
     """Rays that were sent all round, up to their last wall."""
 
     points: Floats  # (b, 2, n) where they meet walls [m]
-    ways: Floats  # (b, 2, n) how they come there
+    paths: Floats  # (b, 2, n) how they come there
     legs: Floats  # (b, n) from wall to wall [m]
     slopes: Floats  # (b, n) cos(incidence)
     width: Floats  # (n) of the tube at the last wall over the angle between rays, less than 0 beyond a caustic [m]
@@ -184,7 +196,7 @@ class Shot:
 def _shot(radius: float, start: Floats, bounces: int, step: float) -> Shot:
     angle = (np.arange(round(2 * np.pi / step)) + 0.5) * step
     count = len(angle)
-    points, ways, legs, slopes = *np.empty((2, bounces, 2, count)), *np.empty((2, bounces, count))
+    points, paths, legs, slopes = *np.empty((2, bounces, 2, count)), *np.empty((2, bounces, count))
     (x, y), u, v = (np.full(count, c) for c in start), np.cos(angle), np.sin(angle)
     width, bend, caustics = np.zeros(count), np.ones(count), np.zeros(count, np.int64)
     for bounce in range(bounces):
@@ -194,10 +206,10 @@ def _shot(radius: float, start: Floats, bounces: int, step: float) -> Shot:
         slope = np.maximum((x * u + y * v) / radius, 1e-3)
         wider = width + leg * bend
         caustics += wider * width < 0
-        points[bounce], ways[bounce], legs[bounce], slopes[bounce] = (x, y), (u, v), leg, slope
+        points[bounce], paths[bounce], legs[bounce], slopes[bounce] = (x, y), (u, v), leg, slope
         width, bend = wider, bend - 2 * wider / (radius * slope)
         u, v = u - 2 * slope * x / radius, v - 2 * slope * y / radius
-    return Shot(points, ways, legs, slopes, width, caustics)
+    return Shot(points, paths, legs, slopes, width, caustics)
 
 
 def _leads(names: Longs, turn: Floats, count: int) -> tuple[Longs, Longs]:
@@ -229,37 +241,43 @@ def _share(shot: Shot, last: Floats, radius: float) -> Floats:
 
 
 def _over(
-    ready: Bench, parts: list[Surfaces], view: View, wall: Round, fan: Fan, plane: Plane | None, grids: Complexes
-) -> Laid | None:
+    context: RadarContext,
+    parts: list[Surfaces],
+    antennas: AntennaPair,
+    wall: Round,
+    fan: Fan,
+    plane: Plane | None,
+    grids: Complexes,
+) -> EchoSet | None:
     """Lays the echo over one fan, with a bounce at a plane across the axis or without."""
-    (_, _, begin), (_, _, end) = wall.local(view.origins)
+    (_, _, begin), (_, _, end) = wall.local(antennas.origins)
     rise = (end if plane is None else 2 * plane.level - end) - begin
     path = np.sqrt(fan.along[-1] ** 2 + rise**2)
-    if path.min(initial=np.inf) > 2 * ready.gate[1]:
+    if path.min(initial=np.inf) > 2 * context.gate[1]:
         return None
     looked = fan.some()
     met = _climb(wall, looked, plane, begin, rise)
-    free = _free(parts, view, wall, looked, met, plane)
+    free = _free(parts, antennas, wall, looked, met, plane)
     if not free.any():
         return None
-    seen = free * _covered(wall, plane, met, looked.along, ready.spec.wavelength_m)
-    seen *= _turned(ready, view, wall, looked, plane, met)
-    wavelength = ready.spec.wavelength_m
-    value = view.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * path)) / path * fan.weights
+    seen = free * _covered(wall, plane, met, looked.along, context.spec.wavelength_m)
+    seen *= _turned(context, antennas, wall, looked, plane, met)
+    wavelength = context.spec.wavelength_m
+    value = antennas.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * path)) / path * fan.weights
     value *= np.interp(fan.names, looked.names, seen)
-    echo = deposit(ready, path / C0, value, grids, (0.5, 0.5))
+    echo = accumulate(context, path / C0, value, grids, (0.5, 0.5))
     leads, count = fan.leads, len(fan.leads)
     via = np.full((count, 2), -1, np.int64)
-    via[:, : len(fan.points) - 1] = wall.stuff
+    via[:, : len(fan.points) - 1] = wall.object_id
     if plane is not None:
-        via[:, 1] = plane.stuff
+        via[:, 1] = plane.object_id
     points = np.stack([np.interp(fan.names[leads], looked.names, row) for row in met.stops[-1].T], 1)
     total = np.bincount(fan.led, echo.real, count) + 1j * np.bincount(fan.led, echo.imag, count)
 
     def again(factors: Complexes, others: Complexes) -> None:
-        deposit(ready, path / C0, value * factors[fan.led], others, (0.5, 0.5))
+        accumulate(context, path / C0, value * factors[fan.led], others, (0.5, 0.5))
 
-    return Laid(np.full(count, wall.stuff, np.int32), points, total, path[leads] / C0, again, via)
+    return EchoSet(np.full(count, wall.object_id, np.int32), points, total, path[leads] / C0, again, via)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,7 +294,7 @@ class Met:
 def _climb(wall: Round, fan: Fan, plane: Plane | None, begin: float, rise: float) -> Met:
     path = np.sqrt(fan.along[-1] ** 2 + rise**2)
     heights = begin + rise * fan.along[:-1] / fan.along[-1]
-    leg = np.full(len(path), len(fan.ways))
+    leg = np.full(len(path), len(fan.paths))
     if plane is not None:
         beyond = (heights - plane.level) * (begin - plane.level) < 0
         heights = np.where(beyond, 2 * plane.level - heights, heights)
@@ -301,10 +319,10 @@ def _covered(wall: Round, plane: Plane | None, met: Met, along: Floats, waveleng
     return np.asarray(((ends[1] - ends[0]) / (1 - 1j)).prod(0))
 
 
-def _free(parts: list[Surfaces], view: View, wall: Round, fan: Fan, met: Met, plane: Plane | None) -> Bools:
+def _free(parts: list[Surfaces], antennas: AntennaPair, wall: Round, fan: Fan, met: Met, plane: Plane | None) -> Bools:
     """Which rays (n) have all legs free and meet what is there: the wall may have gaps, the floor may end."""
     stops, count = met.stops, len(met.leg)
-    ends = [np.broadcast_to(origin, (1, count, 3)) for origin in view.origins]
+    ends = [np.broadcast_to(origin, (1, count, 3)) for origin in antennas.origins]
     corners = np.concatenate([ends[0], stops, ends[1]])
     outward = fan.points @ (wall.axes[:2] * 2 * (wall.depth + PULL_M) / wall.radius)
     legs, holds = [corners[:-1], corners[1:].copy()], [stops, stops + outward]
@@ -322,34 +340,38 @@ def _free(parts: list[Surfaces], view: View, wall: Round, fan: Fan, met: Met, pl
     return np.asarray(clear[: len(legs[0])].all(0) & ~clear[len(legs[0]) :].any(0))
 
 
-def _turned(ready: Bench, view: View, wall: Round, fan: Fan, plane: Plane | None, met: Met) -> Complexes:
+def _turned(
+    context: RadarContext, antennas: AntennaPair, wall: Round, fan: Fan, plane: Plane | None, met: Met
+) -> Complexes:
     """What the antennas and all reflections make of the waves (n)."""
-    ways, climb = fan.ways @ wall.axes[:2] * met.level[:, None], met.climb[:, None] * wall.axes[2]
-    normals, stuffs = fan.points @ wall.axes[:2] / wall.radius, np.full(len(climb), wall.stuff)
-    u = ways[0] + climb
-    field = across(view.fields[:1], u).astype(complex)
-    total = gain(ready.spec.antenna, u @ view.frames[0].T)
-    for leg in range(len(ways)):
+    paths, climb = fan.paths @ wall.axes[:2] * met.level[:, None], met.climb[:, None] * wall.axes[2]
+    normals, object_ids = fan.points @ wall.axes[:2] / wall.radius, np.full(len(climb), wall.object_id)
+    u = paths[0] + climb
+    field = across(antennas.fields[:1], u).astype(complex)
+    total = gain(context.spec.antenna, u @ antennas.frames[0].T)
+    for leg in range(len(paths)):
         mine = np.flatnonzero(met.leg == leg)
         if plane is not None and len(mine):
-            axis, floor = np.broadcast_to(wall.axes[2], (len(mine), 3)), np.full(len(mine), plane.stuff)
-            field[mine] = reflected(ready.gamma, floor, field[mine], (ways[leg] + climb)[mine], axis)
+            axis, floor = np.broadcast_to(wall.axes[2], (len(mine), 3)), np.full(len(mine), plane.object_id)
+            field[mine] = reflected(context.gamma, floor, field[mine], (paths[leg] + climb)[mine], axis)
             climb = climb.copy()
             climb[mine] *= -1
-        u = ways[leg] + climb
+        u = paths[leg] + climb
         if leg < len(normals):
-            field = reflected(ready.gamma, stuffs, field, u, normals[leg])
-    back = gain(ready.spec.antenna, -u @ view.frames[1].T)
-    return np.asarray(total * back * dot(field, across(view.fields[1:], u)))
+            field = reflected(context.gamma, object_ids, field, u, normals[leg])
+    back = gain(context.spec.antenna, -u @ antennas.frames[1].T)
+    return np.asarray(total * back * dot(field, across(antennas.fields[1:], u)))
 
 
-def deposit(ready: Bench, delay: Floats, value: Complexes, grids: Complexes, shares: tuple[float, float]) -> Complexes:
+def accumulate(
+    context: RadarContext, delay: Floats, value: Complexes, grids: Complexes, shares: tuple[float, float]
+) -> Complexes:
     """Lays impulses (n) at their delays [s] on the grids; gives them at the carrier.
 
     They fall by their `shares` as 1 and as 1 / f: a mirror's as 1 / f, points whose sum along a line makes a mirror's
     as its root, which is half of each.
     """
     echo = np.empty(len(value), complex)
-    kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), ready.pulse.omega, ready.first_m * 2 / C0,
-                    ready.pulse.step_s, ready.fold_s, shares, grids, echo)  # fmt: skip
+    kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), context.pulse.omega, context.first_m * 2 / C0,
+                    context.pulse.step_s, context.fold_s, shares, grids, echo)  # fmt: skip
     return echo

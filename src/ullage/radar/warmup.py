@@ -22,27 +22,27 @@ import numpy as np
 from ullage import kernels
 from ullage.data import Trajectory
 from ullage.radar import warmup_rounds
-from ullage.radar.copies import cores
+from ullage.radar.worker_pool import cores
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
 if TYPE_CHECKING:
-    from ullage.radar.context import Bench, View
-    from ullage.radar.facets import Flats
+    from ullage.radar.context import AntennaPair, RadarContext
+    from ullage.radar.facets import PlanarPatches
 
 Tell = Callable[[str], None]
 
 NEEDED: Mapping[str, tuple[str, ...]] = {
     "thesis": ("rays",),
-    "physical": ("pulse", "edges", "rims", "rays", "receiver"),
-    "rough": ("grit",),
+    "physical": ("pulse", "edges", "outlines", "rays", "receiver"),
+    "rough": ("diffuse_scatterers",),
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
-    "ways": ("ways", "lit"),
+    "paths": ("paths", "lit"),
     "rounds": ("impulses",),
     "pairs": ("pairs", "flat_pairs"),
     "chains": ("chains",),
-    "conductors": ("lines", "fringe", "double_fringe"),
+    "conductors": ("lines", "edge_diffraction", "double_edge_diffraction"),
 }
 """Kernel modules behind each part of a radar."""
 
@@ -63,17 +63,17 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "ways": many, "rounds": True,
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "paths": many, "rounds": True,
              "pairs": many, "chains": many}  # fmt: skip
     if scene is not None:
         from ullage.radar.prepared import prepare
 
         made = prepare(scene)
-        flats = made.still.flats
+        planar = made.still.planar
         there["rough"] = any(material.roughness_m > 0 for material in made.materials)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
-        led = flats.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
-        there["ways"] &= bool(led and (~flats.smooth).any())
+        led = planar.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
+        there["paths"] &= bool(led and (~planar.smooth).any())
         there["pairs"] = many and len(made.rounds) > 1
         there["rounds"] = there["pairs"] or any(len(wall.strips) for wall in made.rounds)
         there["chains"] = many and any(wall.holds(body) for wall in made.rounds for body in made.rounds)
@@ -320,76 +320,106 @@ def _room(roughness_m: float = 0.0) -> Scene:
     return replace(room, objects=walls)
 
 
-def _bench(scene: Scene) -> tuple[Bench, View, Flats]:
-    from ullage.radar.context import bench, view_of
+def _bench(scene: Scene) -> tuple[RadarContext, AntennaPair, PlanarPatches]:
+    from ullage.radar.context import antenna_pair, radar_context
 
     spec = RadarSpec.preset("x4m05")
-    ready = bench(scene, spec)
-    return ready, view_of(spec, np.zeros(3), np.eye(3)), ready.world.still.flats
+    context = radar_context(scene, spec)
+    return context, antenna_pair(spec, np.zeros(3), np.eye(3)), context.world.still.planar
 
 
-def _rims() -> None:
-    from ullage.radar.flats import rims
+def _outlines() -> None:
+    from ullage.radar.planar import outlines
 
-    ready, view, flats = _bench(_room())
-    rims(ready, flats, view, np.arange(len(flats)), np.full(len(flats), 9.0))
+    context, antennas, planar = _bench(_room())
+    outlines(context, planar, antennas, np.arange(len(planar)), np.full(len(planar), 9.0))
 
 
 def _echoes() -> None:
-    from ullage.radar.context import common, shading
-    from ullage.radar.flats import Rim, lay_parted
+    from ullage.radar.context import common, transmission_to
+    from ullage.radar.planar import Outline, accumulate_parted
 
-    ready, view, flats = _bench(_room())
-    told = flats.normals, flats.stuffs, *common(ready, view, np.zeros((3, ready.places), complex))
-    lay_parted(ready, flats, np.arange(len(flats)), Rim.none(len(flats)), np.full(len(flats), 9.0),
-               lambda at, _: shading(ready, ready.world.parts(), view, at), told)  # fmt: skip
+    context, antennas, planar = _bench(_room())
+    told = planar.normals, planar.object_ids, *common(context, antennas, np.zeros((3, context.places), complex))
+    accumulate_parted(context, planar, np.arange(len(planar)), Outline.none(len(planar)), np.full(len(planar), 9.0),
+               lambda at, _: transmission_to(context, context.world.parts(), antennas, at), told)  # fmt: skip
 
 
 def _beams() -> None:
     from ullage.radar.multipath import beams_of, looks
 
-    ready, view, flats = _bench(_room())
-    beams_of(ready, flats, view, 3, looks(ready, flats, view))
+    context, antennas, planar = _bench(_room())
+    beams_of(context, planar, antennas, 3, looks(context, planar, antennas))
 
 
 def _paths() -> None:
     """The kernels of `multipath` beyond beams and rims, on no paths at all."""
     from ullage.kernels import bounces
 
-    ready, view, flats = _bench(_room())
+    context, antennas, planar = _bench(_room())
     none, long, row, tips = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 9))
     points, paths, chains = np.zeros((0, 3)), np.zeros((0, 5, 3)), np.zeros((0, 2), np.int64)
     bounces.middles(np.zeros(1, np.int32), np.zeros((0, 2, 3)), points)
-    bounces.legs(points, points, chains, flats.normals, flats.offsets, view.origins, long, points, paths)
+    bounces.legs(points, points, chains, planar.normals, planar.offsets, antennas.origins, long, points, paths)
     bounces.stretches(paths, row, points, points, long)
-    bounces.cover(paths, chains, flats.normals, flats.widths, ready.spec.wavelength_m, np.zeros(3), row)
+    bounces.cover(paths, chains, planar.normals, planar.widths, context.spec.wavelength_m, np.zeros(3), row)
     bounces.stand_ins(points, np.zeros((0, 12)), none, tips, none, tips, long, row, row > 0, points)
-    bounces.reflect(paths, chains, long, flats.normals, flats.stuffs, ready.gamma, view.frames, view.fields,
-                    row + 0j, np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3)), np.zeros((3, 3)),
-                    np.zeros(3, complex))  # fmt: skip
+    bounces.reflect(
+        paths,
+        chains,
+        long,
+        planar.normals,
+        planar.object_ids,
+        context.gamma,
+        antennas.frames,
+        antennas.fields,
+        row + 0j,
+        np.zeros((0, 2, 3, 3)),
+        np.zeros((0, 2, 3)),
+        np.zeros((3, 3)),
+        np.zeros(3, complex),
+    )
 
 
-def _ways() -> None:
-    """The kernels of ways over flat faces, to no points, wires and facets at all."""
-    from ullage.kernels import lit, ways
+def _paths_over_faces() -> None:
+    """The kernels of paths over flat faces, to no points, wires and facets at all."""
+    from ullage.kernels import lit, paths
     from ullage.radar import curves
-    from ullage.radar.flats import Rim
     from ullage.radar.multipath import looks
-    from ullage.radar.ways import reached, ways_of
+    from ullage.radar.paths import paths_of, reached
+    from ullage.radar.planar import Outline
 
-    ready, view, flats = _bench(_room())
-    still, none, long, both = ready.world.still, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 2), complex)
-    led = ways_of(ready, flats, view, 3, looks(ready, flats, view))
-    known = reached([], flats, led, long, none)
-    mirrors = flats.normals, flats.stuffs, flats.widths, ready.spec.wavelength_m, ready.gamma
-    ways.weigh(known.stops, known.rows, long, long, led.faces, view.fields, *mirrors, np.zeros(0, np.int32),
+    context, antennas, planar = _bench(_room())
+    still, none, long, both = context.world.still, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 2), complex)
+    led = paths_of(context, planar, antennas, 3, looks(context, planar, antennas))
+    known = reached([], planar, led, long, none)
+    mirrors = planar.normals, planar.object_ids, planar.widths, context.spec.wavelength_m, context.gamma
+    paths.weigh(known.stops, known.rows, long, long, led.faces, antennas.fields, *mirrors, np.zeros(0, np.int32),
                both[:, 0].copy(), np.zeros((3, 3)), np.zeros((2, 3), complex))  # fmt: skip
-    ways.meet_wires(none, none, led.images, led.faces, 9.0, view.fields, flats.normals, flats.offsets, *mirrors[1:3],
-                    flats.first, flats.starts, flats.ends, *mirrors[3:], long, long, both, np.zeros(0),
-                    np.zeros((5, 4, 3)), np.zeros((2, 3), complex))  # fmt: skip
-    curves.met(ready, flats, still.flat_backs, led, long, 1.0)
-    curves.rims_heard(ready, Rim.none(0), np.zeros(0), 1.0)
-    lit.pair_up(curves.lit_by(ready, still, led), np.zeros(0, np.int32), long, long)
+    paths.meet_wires(
+        none,
+        none,
+        led.images,
+        led.faces,
+        9.0,
+        antennas.fields,
+        planar.normals,
+        planar.offsets,
+        *mirrors[1:3],
+        planar.first,
+        planar.starts,
+        planar.ends,
+        *mirrors[3:],
+        long,
+        long,
+        both,
+        np.zeros(0),
+        np.zeros((5, 4, 3)),
+        np.zeros((2, 3), complex),
+    )
+    curves.met(context, planar, still.flat_backs, led, long, 1.0)
+    curves.outlines_heard(context, Outline.none(0), np.zeros(0), 1.0)
+    lit.pair_up(curves.lit_by(context, still, led), np.zeros(0, np.int32), long, long)
 
 
 def _shapes() -> None:
@@ -400,29 +430,29 @@ def _shapes() -> None:
 
 
 def _conductors() -> None:
-    from ullage.radar.fringes import lay_edges
+    from ullage.radar.edge_diffraction import accumulate_edges
     from ullage.world import scenes
 
-    ready, view, _ = _bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"))
-    lay_edges(ready, ready.world.parts(), view, None, np.zeros((3, ready.places), complex))
+    context, antennas, _ = _bench(scenes.plate(width_m=0.5, height_m=0.5, distance_m=2.0, material="pec"))
+    accumulate_edges(context, context.world.parts(), antennas, None, np.zeros((3, context.places), complex))
 
 
 JOBS: tuple[Job, ...] = (
     Job("rays", "thesis", 1, _thesis),
-    Job("rims of faces", "physical", 5, _rims),
+    Job("outlines of faces", "physical", 5, _outlines),
     Job("beams", "bounces", 2.6, _beams),
     Job("edges of conductors", "conductors", 7.5, _conductors),
     Job("echoes of faces", "physical", 2.4, _echoes),
     Job("curved faces and wires", "shapes", 5, _shapes),
     Job("paths of bounces", "bounces", 2.6, _paths),
-    Job("ways over faces", "ways", 5, _ways),
+    Job("paths over faces", "paths", 5, _paths_over_faces),
     Job("echoes of round things", "rounds", 1, warmup_rounds.rounds),
     Job("paths over round bodies", "pairs", 4, warmup_rounds.pairs),
     Job("paths over a tank's wall", "chains", 3.3, warmup_rounds.chains),
-    Job("frames", "physical", 0.2, _walls, ("rims of faces", "echoes of faces")),
-    Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("rims of faces", "echoes of faces")),
+    Job("frames", "physical", 0.2, _walls, ("outlines of faces", "echoes of faces")),
+    Job("rough faces", "rough", 0.8, partial(_walls, roughness_m=1e-3), ("outlines of faces", "echoes of faces")),
     Job("bounces", "bounces", 0.9, partial(_walls, max_bounces=2),
-        ("rims of faces", "echoes of faces", "beams", "paths of bounces")),
+        ("outlines of faces", "echoes of faces", "beams", "paths of bounces")),
 )  # fmt: skip
 
 if __name__ == "__main__":

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Longs
-from ullage.kernels import ways as kernel
+from ullage.kernels import paths as kernel
 from ullage.kernels import wires as string
-from ullage.radar.context import KAPPA, REACH, Bench, View, common, grown
-from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.laid import Laid, laid_by
-from ullage.radar.ways import Ways, reached
+from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, common, grown
+from ullage.radar.echo_set import EchoSet, echo_set
+from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.paths import PathSet, reached
 from ullage.radar.wires import placed
 
 
@@ -33,50 +33,77 @@ class Strung:
     turns: Floats  # (m) angle about the wire between the way on and the way it came [rad]
 
 
-def lay_wire_bounces(
-    ready: Bench, parts: list[Surfaces], flats: Flats, view: View, poses: Floats | None, ways: Ways, grids: Complexes
-) -> list[Laid]:
+def accumulate_wire_bounces(
+    context: RadarContext,
+    parts: list[Surfaces],
+    planar: PlanarPatches,
+    antennas: AntennaPair,
+    poses: Floats | None,
+    paths: PathSet,
+    grids: Complexes,
+) -> list[EchoSet]:
     """Adds the echoes of wires over flat faces to the delay grids."""
-    lines = ready.lines
+    lines = context.lines
     starts, ends = placed(lines, poses)
-    met = _met(ready, flats, view, ways, starts, ends)
+    met = _met(context, planar, antennas, paths, starts, ends)
     if not len(met.on):
         return []
-    starts, ends, radars = starts[met.on], ends[met.on], ways.ends[met.of]
-    gate, fresnel = np.array(ready.gate), KAPPA * ready.spec.wavelength_m
+    starts, ends, radars = starts[met.on], ends[met.on], paths.ends[met.of]
+    gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
     pieces, owner = grown(512, (2, 3), lambda out, of: string.cut_wires(
         starts, ends, radars, gate, fresnel, REACH, out, of))  # fmt: skip
     middle = pieces.mean(1)
-    free = reached(parts, flats, ways, met.of[owner], middle).free
+    free = reached(parts, planar, paths, met.of[owner], middle).free
     if not free.any():
         return []
-    _, _, _, table, flat, factor, _, _, *rest = common(ready, view, grids)
-    told = (lines.radii[met.on], _series(ready, met), radars, ways.frames[met.of],
-            np.repeat(view.fields[None], len(met.on), 0), table, flat, factor * ways.weights[met.of])  # fmt: skip
+    _, _, _, table, flat, factor, _, _, *rest = common(context, antennas, grids)
+    told = (lines.radii[met.on], _series(context, met), radars, paths.frames[met.of],
+            np.repeat(antennas.fields[None], len(met.on), 0), table, flat, factor * paths.weights[met.of])  # fmt: skip
     at_once = np.zeros(len(pieces))
 
-    def put(shade: Complexes, grids: Complexes, *out: Any) -> None:
-        string.lay_wires(pieces, owner, shade, at_once, *told, *rest[:-1], grids, *out)
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        string.accumulate_wires(pieces, owner, transmission, at_once, *told, *rest[:-1], grids, *out)
 
-    laid = laid_by(put, free.astype(complex), grids, lines.stuffs[met.on[owner]], middle)
-    return [ways.told(laid, met.of[owner])]
+    echoes = echo_set(put, free.astype(complex), grids, lines.object_ids[met.on[owner]], middle)
+    return [paths.told(echoes, met.of[owner])]
 
 
-def _met(ready: Bench, flats: Flats, view: View, ways: Ways, starts: Floats, ends: Floats) -> Strung:
+def _met(
+    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, paths: PathSet, starts: Floats, ends: Floats
+) -> Strung:
     """Wires that ways meet within the gate where their paths are shortest."""
-    size = len(ways) * len(starts)
+    size = len(paths) * len(starts)
     of, on = np.empty(size, np.int64), np.empty(size, np.int64)
     waves, turns = np.empty((size, 2), complex), np.empty(size)
-    count = kernel.meet_wires(starts, ends, ways.images, ways.faces, ready.gate[1], view.fields, flats.normals,
-                              flats.offsets, flats.stuffs, flats.widths, flats.first, flats.starts, flats.ends,
-                              ready.spec.wavelength_m, ready.gamma, of, on, waves, turns, np.empty((5, 4, 3)),
-                              np.empty((2, 3), complex))  # fmt: skip
+    count = kernel.meet_wires(
+        starts,
+        ends,
+        paths.images,
+        paths.faces,
+        context.gate[1],
+        antennas.fields,
+        planar.normals,
+        planar.offsets,
+        planar.object_ids,
+        planar.widths,
+        planar.first,
+        planar.starts,
+        planar.ends,
+        context.spec.wavelength_m,
+        context.gamma,
+        of,
+        on,
+        waves,
+        turns,
+        np.empty((5, 4, 3)),
+        np.empty((2, 3), complex),
+    )
     return Strung(of[:count], on[:count], waves[:count], turns[:count])
 
 
-def _series(ready: Bench, met: Strung) -> Complexes:
+def _series(context: RadarContext, met: Strung) -> Complexes:
     """Series (m, 2, sines) of wires as the receiver's polarisation takes them: both rows alike."""
-    modes, kinds = ready.lines.modes, ready.lines.kinds[met.on]
+    modes, kinds = context.lines.modes, context.lines.kinds[met.on]
     orders = np.cos(met.turns[:, None] * np.arange(modes.shape[2]))
     share = (met.waves[:, :, None] * orders[:, None]).reshape(len(kinds), -1)
     out = np.empty((len(kinds), 2, modes.shape[3]), complex)

@@ -32,7 +32,7 @@ class Lines:
     starts: Floats  # (w, 3) [m]
     ends: Floats  # (w, 3) [m]
     radii: Floats  # (w) [m]
-    stuffs: Ints  # (w) object
+    object_ids: Ints  # (w) object
     series: Complexes  # (w, 2, _SINES) TM and TE, straight back
     modes: Complexes  # (k, 2, n, _SINES) TM and TE by order, for other directions, of every kind of wire
     kinds: Longs  # (w) which of these each wire is
@@ -124,13 +124,15 @@ def strung(scene: Scene, center_hz: float) -> Lines:
 
 def placed(lines: Lines, poses: Floats | None) -> tuple[Floats, Floats]:
     """Ends of the wires (w, 3), (w, 3) [m] where the objects have these poses (o, 4, 4); None: nothing moves."""
-    starts, ends = moved((lines.starts, lines.ends), lines.stuffs, poses)
+    starts, ends = moved((lines.starts, lines.ends), lines.object_ids, poses)
     return starts, ends
 
 
-def moved(rows: Sequence[Floats], stuffs: Ints, poses: Floats | None, *, turn_only: bool = False) -> Sequence[Floats]:
+def moved(
+    rows: Sequence[Floats], object_ids: Ints, poses: Floats | None, *, turn_only: bool = False
+) -> Sequence[Floats]:
     """Points (w, 3) [m] of objects, or with `turn_only` directions, in the world by the objects' poses (o, 4, 4)."""
     if poses is None:
         return rows
-    turn, shift = poses[stuffs, :3, :3], 0.0 if turn_only else poses[stuffs, :3, 3]
+    turn, shift = poses[object_ids, :3, :3], 0.0 if turn_only else poses[object_ids, :3, 3]
     return [np.einsum("nij,nj->ni", turn, points) + shift for points in rows]

@@ -19,8 +19,8 @@ import numpy as np
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import bounces
 from ullage.kernels import zones as kernel
-from ullage.radar.context import Bench, View
-from ullage.radar.facets import Flats
+from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.facets import PlanarPatches
 
 if TYPE_CHECKING:
     from ullage.radar.multipath import Beams
@@ -66,9 +66,9 @@ class Zones:
 
 
 def shares(
-    ready: Bench,
-    flats: Flats,
-    view: View,
+    context: RadarContext,
+    planar: PlanarPatches,
+    antennas: AntennaPair,
     beams: Beams,
     path: Floats,
     strong: Strengths,
@@ -77,20 +77,20 @@ def shares(
     """What part (b) of the echo of each path (b, 5, 3) is left by what stands in its way.
 
     Args:
-        ready: the bench.
-        flats: the faces.
-        view: the radar.
+        context: the bench.
+        planar: the faces.
+        antennas: the radar.
         beams: what the paths run in.
         path: corners from transmitter to receiver [m].
         strong: what they would bring; of 0 for those that do not matter.
         clear: whether paths (n, 5, 3) that are wanted (n), not 0, are free.
     """
-    zones = _strongest(beams, path, strong, NEAR * ready.spec.wavelength_m)
+    zones = _strongest(beams, path, strong, NEAR * context.spec.wavelength_m)
     many = len(zones.paths)
 
     def reached(of: Longs, points: Floats) -> Bools:
         out = np.empty((len(of), 5, 3))
-        bounces.legs(beams.images, beams.firsts, beams.chains, flats.normals, flats.offsets, view.origins,
+        bounces.legs(beams.images, beams.firsts, beams.chains, planar.normals, planar.offsets, antennas.origins,
                      zones.paths[of], points, out)  # fmt: skip
         return clear(out, np.ones(len(of)))
 
@@ -132,13 +132,29 @@ class Strengths:
     axes: Floats  # (b, 2, 3) of its Fresnel zone, to where the phase is 1 rad [m]
 
 
-def strengths(ready: Bench, flats: Flats, view: View, beams: Beams, path: Floats, factor: Complexes) -> Strengths:
+def strengths(
+    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, beams: Beams, path: Floats, factor: Complexes
+) -> Strengths:
     """How strong paths (b, 5, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
     out = Strengths(np.empty(len(path)), np.empty(len(path)), np.empty((len(path), 2, 3)))
-    kernel.strengths(path, beams.images, view.origins[1], beams.ends_on, flats.normals, flats.offsets, flats.across,
-                     factor, view.frames[None], ready.table, ready.spec.antenna.kind == "isotropic",
-                     2 * np.pi / ready.spec.wavelength_m, out.axes, np.empty((2, 3)), out.level,
-                     out.excess)  # fmt: skip
+    kernel.strengths(
+        path,
+        beams.images,
+        antennas.origins[1],
+        beams.ends_on,
+        planar.normals,
+        planar.offsets,
+        planar.across,
+        factor,
+        antennas.frames[None],
+        context.table,
+        context.spec.antenna.kind == "isotropic",
+        2 * np.pi / context.spec.wavelength_m,
+        out.axes,
+        np.empty((2, 3)),
+        out.level,
+        out.excess,
+    )
     return out
 
 

@@ -57,7 +57,7 @@ def _meshes(scene: Scene) -> list[str]:
         return out
     corners = scene.corners()
     tri = _welded(corners)
-    ends = _edges(tri).rim  # where nothing else goes on, as a window does in its frame
+    ends = _edges(tri).outline  # where nothing else goes on, as a window does in its frame
     for index in np.unique(scene.face_object):
         mine = scene.face_object == index
         name, edges = scene.objects[index].name, _edges(tri[mine])
@@ -65,9 +65,9 @@ def _meshes(scene: Scene) -> list[str]:
             out.append(
                 f"{edges.flipped} edges of {name!r} join faces that look opposite ways; faces echo on both sides"
             )
-        hole = corners[mine].reshape(-1, 3)[np.isin(tri[mine].ravel(), edges.rim)]
+        hole = corners[mine].reshape(-1, 3)[np.isin(tri[mine].ravel(), edges.outline)]
         # the rim of a sheet is as large as the sheet: that is no hole
-        if np.isin(edges.rim, ends).any() and _size(hole) < 0.9 * _size(corners[mine].reshape(-1, 3)):
+        if np.isin(edges.outline, ends).any() and _size(hole) < 0.9 * _size(corners[mine].reshape(-1, 3)):
             out.append(f"the mesh of {name!r} is not closed: {edges.open} of its edges have one face only")
     low, middle, high = np.sort(tri, axis=1).T
     wide = int(tri.max()) + 1
@@ -97,7 +97,7 @@ def _welded(corners: Floats) -> Longs:
 class _Edges:
     flipped: int  # between two faces turned against each other
     open: int  # with one face only
-    rim: Longs  # corners of those
+    outline: Longs  # corners of those
 
 
 def _edges(tri: Longs) -> _Edges:

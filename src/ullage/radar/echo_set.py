@@ -15,10 +15,10 @@ Places = Callable[[], Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Laid:
+class EchoSet:
     """Echoes laid down, for those who want to know where they came from."""
 
-    stuffs: Ints  # (m) object
+    object_ids: Ints  # (m) object
     points: Floats | Places  # (m, 3) [m], or what gives them: most frames are never explained
     echo: Complexes  # (m) at the carrier
     delay_s: Floats  # (m)
@@ -38,19 +38,19 @@ def centroids(triangles: Floats) -> Floats:
     return np.asarray((triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3)
 
 
-def laid_by(
-    put: Callable[..., None], shade: Complexes, grids: Complexes, stuffs: Ints, points: Floats | Places,
+def echo_set(
+    put: Callable[..., None], transmission: Complexes, grids: Complexes, object_ids: Ints, points: Floats | Places,
     **more: Any,
-) -> Laid:  # fmt: skip
+) -> EchoSet:  # fmt: skip
     """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays.
 
-    What `more` there is to tell of them is as in `Laid`.
+    What `more` there is to tell of them is as in `EchoSet`.
     """
-    many = len(shade)
+    many = len(transmission)
     echo, delay = np.empty(many, complex), np.empty(many)
-    put(shade, grids, echo, delay)
+    put(transmission, grids, echo, delay)
 
     def again(factors: Complexes, others: Complexes) -> None:
-        put(shade * factors, others, np.empty(many, complex), np.empty(many))
+        put(transmission * factors, others, np.empty(many, complex), np.empty(many))
 
-    return Laid(stuffs, points, echo, delay, again, **more)
+    return EchoSet(object_ids, points, echo, delay, again, **more)

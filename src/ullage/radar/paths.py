@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
-from ullage.kernels import ways as kernel
-from ullage.radar.context import Bench, View
-from ullage.radar.facets import Flats, Surfaces
-from ullage.radar.laid import Laid
+from ullage.kernels import paths as kernel
+from ullage.radar.context import AntennaPair, RadarContext
+from ullage.radar.echo_set import EchoSet
+from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import most_looked
 from ullage.radar.visibility import between
 
@@ -33,7 +33,7 @@ _CHAINS: dict[int, tuple[tuple[int, int], ...]] = {2: ((1, 0), (0, 1)), 3: ((1, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ways:
+class PathSet:
     """Ways there and back, over none, one or two faces on each leg."""
 
     faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
@@ -53,39 +53,39 @@ class Ways:
         """The radars (n, 2, 3) as what the ways lead to sees them [m]."""
         return np.ascontiguousarray(self.images[:, :, 2])
 
-    def told(self, laid: Laid, of: Longs) -> Laid:
+    def told(self, echoes: EchoSet, of: Longs) -> EchoSet:
         """Echoes with the ways (m) by which they come."""
         there = self.faces[:, 0] >= 0
-        return replace(laid, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
+        return replace(echoes, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
 
-    def end(self, view: View, told: tuple[Any, ...], of: Longs | None = None) -> tuple[Any, ...]:
+    def end(self, antennas: AntennaPair, told: tuple[Any, ...], of: Longs | None = None) -> tuple[Any, ...]:
         """What kernels are told, as `common` gives it, with the radar as the ends of all or some (m) ways see it."""
         some = slice(None) if of is None else of
-        fields = np.repeat(view.fields[None], len(self.weights[some]), 0)
+        fields = np.repeat(antennas.fields[None], len(self.weights[some]), 0)
         return (self.ends[some], self.frames[some], fields, *told[3:5], told[5] * self.weights[some], *told[6:])
 
 
-def ways_of(ready: Bench, flats: Flats, view: View, most: int, look: Floats) -> Ways:
+def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, most: int, look: Floats) -> PathSet:
     """Ways of two bounces up to as many over the faces that look largest (p), those that fade in as mirrors do.
 
     Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
     """
-    look = look * ~flats.smooth
+    look = look * ~planar.smooth
     first = largest(look, FACES)
     taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
-    one = bool((view.origins[0] == view.origins[1]).all())
+    one = bool((antennas.origins[0] == antennas.origins[1]).all())
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
     shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])
     faces, count = chosen[rows], len(rows)
     images, frames = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3, 3))
     planes, counts, reach = np.empty((count, kernel.PLANES, 4)), np.empty(count, np.int64), np.empty(count)
-    kernel.lead(faces, view.origins, view.frames, flats.normals, flats.offsets, flats.spheres, flats.across,
-                flats.first, flats.starts, images, frames, planes, counts, reach, np.empty((2, 2)))  # fmt: skip
-    via = np.where(chosen >= 0, flats.stuffs[chosen], -1)[over]
-    held = reach <= ready.gate[1]
+    kernel.lead(faces, antennas.origins, antennas.frames, planar.normals, planar.offsets, planar.spheres, planar.across,
+                planar.first, planar.starts, images, frames, planes, counts, reach, np.empty((2, 2)))  # fmt: skip
+    via = np.where(chosen >= 0, planar.object_ids[chosen], -1)[over]
+    held = reach <= context.gate[1]
     all_ = faces, via, legs, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
-    return Ways(*(all_ if held.all() else (row[held] for row in all_)))
+    return PathSet(*(all_ if held.all() else (row[held] for row in all_)))
 
 
 def largest(look: Floats, count: int) -> Longs:
@@ -137,7 +137,7 @@ class Reached:
 
 
 def reached(
-    parts: list[Surfaces], flats: Flats, ways: Ways, of: Longs, points: Floats, at: Longs | None = None
+    parts: list[Surfaces], planar: PlanarPatches, paths: PathSet, of: Longs, points: Floats, at: Longs | None = None
 ) -> Reached:
     """Follows both legs of ways (m) to points (m, 3) [m], or to those of them that `at` (m) names.
 
@@ -145,14 +145,14 @@ def reached(
     """
     at = np.arange(len(of)) if at is None else at
     room = 2 * len(of)
-    known = np.full((int(ways.legs.max(initial=0)) + 1, len(points)), -1, np.int32)
+    known = np.full((int(paths.legs.max(initial=0)) + 1, len(points)), -1, np.int32)
     rows, stops, free = np.full((len(of), 2), -1), np.empty((room, 4, 3)), np.zeros(room, np.bool_)
     many = 3 * len(of)
     (a, b), owner = np.empty((2, many, 3)), np.empty(many, np.int64)
     made = 0
     for side in (1, 0):
-        made, count, others = kernel.corners(points, at, of, side, made, ways.legs, ways.faces, ways.images,
-                                             flats.normals, flats.offsets, flats.first, flats.starts, flats.ends,
+        made, count, others = kernel.corners(points, at, of, side, made, paths.legs, paths.faces, paths.images,
+                                             planar.normals, planar.offsets, planar.first, planar.starts, planar.ends,
                                              known, rows, stops, free, a, b, owner)  # fmt: skip
         free[owner[:count][~between(parts, a[:count], b[:count])]] = False
         # most are blocked at the point: then the rest need not be asked

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.facets import BULK, ONE, _lay, same, te_share, toward, turned
+from ullage.kernels.facets import BULK, ONE, _accumulate, same, te_share, toward, turned
 from ullage.kernels.loops import lean
 from ullage.kernels.near import spread
 
@@ -14,20 +14,41 @@ C0 = 299_792_458.0
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
-             factor, omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
+def accumulate_diffuse_scatterers(  # type: ignore[no-untyped-def]
+    points,
+    normals,
+    weights,
+    object_ids,
+    first,
+    transmission,
+    extra,
+    lobes,
+    origins,
+    frames,
+    fields,
+    table,
+    flat,
+    factor,
+    omega,
+    t0,
+    dt,
+    fold,
+    grids,
+    echo,
+    delay,
+):
     """Lays the echoes of scatterers on the delay grids.
 
     Args:
         points: (n, 3) scatterers, tile by tile [m].
         normals: (n, 3) unit normals of the surface there.
         weights: (n) complex amplitude of each, the root of its area [m].
-        stuffs: (n) object of each.
+        object_ids: (n) object of each.
         first: (t + 1) first scatterer of each tile.
-        shade: (t) complex two-way factor of what stands before a tile.
+        transmission: (t) complex two-way factor of what stands before a tile.
         extra: (t) delay added by it [s].
         lobes: (o, 2, c) amplitude per root area of each object over cos(incidence), TE and TM [1/m].
-        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
+        origins: (1, 2, 3), as in `facets.accumulate`, and so the rest.
         echo: (t) gets the sum of each tile at the carrier.
         delay: (t) gets its mean delay [s].
     """
@@ -36,7 +57,7 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
     scale, mono = factor[0] / (4 * math.pi), same(origins, ONE)
     for k in range(len(first) - 1):
         echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
+        if transmission[k] == 0:
             continue
         total = 0.0
         for i in range(first[k], first[k + 1]):
@@ -55,15 +76,15 @@ def lay_grit(points, normals, weights, stuffs, first, shade, extra, lobes, origi
             u = min(cosine, 0.9999999) * most
             j = int(u)
             u -= j
-            te = lobes[stuffs[i], 0, j] * (1 - u) + lobes[stuffs[i], 0, j + 1] * u
-            tm = lobes[stuffs[i], 1, j] * (1 - u) + lobes[stuffs[i], 1, j + 1] * u
-            value = scale * shade[k] * weights[i] * g * (share * te + (1 - share) * tm)
+            te = lobes[object_ids[i], 0, j] * (1 - u) + lobes[object_ids[i], 0, j + 1] * u
+            tm = lobes[object_ids[i], 1, j] * (1 - u) + lobes[object_ids[i], 1, j + 1] * u
+            value = scale * transmission[k] * weights[i] * g * (share * te + (1 - share) * tm)
             late = path / C0 + extra[k]
             total += late
             landed = late - math.floor((late - t0) / fold) * fold
             while landed < last:
                 part = value * turned(omega * landed)
-                _lay(grids, BULK, (landed - t0) / dt, part)
+                _accumulate(grids, BULK, (landed - t0) / dt, part)
                 echo[k] += part if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
                 landed += fold
         delay[k] = total / max(first[k + 1] - first[k], 1)

@@ -8,7 +8,7 @@ from ullage.kernels.bounces import reflect_field
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
 from ullage.kernels.loops import core, lean
-from ullage.kernels.rims import held
+from ullage.kernels.outlines import held
 from ullage.kernels.vectors import field_across, mirrored, unit_to
 
 PLANES = 20  # of the beams of both legs of a way: five for each of two mirrors
@@ -177,7 +177,7 @@ def corners(points, at, of, side, made, legs, faces, images, normals, offsets, f
 
 
 @core(nogil=True, error_model="numpy")
-def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, last, wave):  # type: ignore[no-untyped-def]
+def _followed(stops, faces, field, normals, object_ids, widths, wavelength, gamma, last, wave):  # type: ignore[no-untyped-def]
     """The field (3) of an antenna at the end of one leg (4, 3) over its mirrors (2), and what share of it they cover.
 
     `last` (3) gets the direction in which it comes.
@@ -201,13 +201,15 @@ def _followed(stops, faces, field, normals, stuffs, widths, wavelength, gamma, l
         slope = abs(normals[p, 0] * last[0] + normals[p, 1] * last[1] + normals[p, 2] * last[2])
         for k in range(2):
             cover *= min(1.0, widths[p, k] * math.sqrt(slope) / max(zone, 1e-9))
-        reflect_field(gamma, stuffs[p], normals[p], last, wave)
+        reflect_field(gamma, object_ids[p], normals[p], last, wave)
         size = unit_to(stops[step + 1], stops[step + 2], last)
     return cover
 
 
 @lean(nogil=True, error_model="numpy")
-def weigh(stops, rows, todo, of, faces, fields, normals, stuffs, widths, wavelength, gamma, owned, out, units, waves):  # type: ignore[no-untyped-def]
+def weigh(  # type: ignore[no-untyped-def]
+    stops, rows, todo, of, faces, fields, normals, object_ids, widths, wavelength, gamma, owned, out, units, waves
+):
     """What the bounces of each way make of a wave, by polarisation; the point's is that of a mirror for these legs.
 
     Args:
@@ -215,7 +217,7 @@ def weigh(stops, rows, todo, of, faces, fields, normals, stuffs, widths, wavelen
         todo: (k) which points to do; of: (m) way to each.
         faces: (n, 2, 2) mirrors of each leg from its antenna on, -1 for none.
         fields: (2, 3) unit fields of the antennas.
-        normals: (p, 3), stuffs: (p) and widths: (p, 2) of the faces [m].
+        normals: (p, 3), object_ids: (p) and widths: (p, 2) of the faces [m].
         wavelength: [m].
         gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
         owned: (m) object of each point.
@@ -225,10 +227,12 @@ def weigh(stops, rows, todo, of, faces, fields, normals, stuffs, widths, wavelen
     sent, taken, between, there, back = units[0], units[1], units[2], waves[0], waves[1]
     for j in todo:
         i, cover = of[j], 1.0
-        cover *= _followed(stops[rows[j, 0]], faces[i, 0], fields[0], normals, stuffs, widths, wavelength, gamma, sent,
-                           there)  # fmt: skip
-        cover *= _followed(stops[rows[j, 1]], faces[i, 1], fields[1], normals, stuffs, widths, wavelength, gamma, taken,
-                           back)  # fmt: skip
+        cover *= _followed(
+            stops[rows[j, 0]], faces[i, 0], fields[0], normals, object_ids, widths, wavelength, gamma, sent, there
+        )
+        cover *= _followed(
+            stops[rows[j, 1]], faces[i, 1], fields[1], normals, object_ids, widths, wavelength, gamma, taken, back
+        )
         square = 0.0
         for k in range(3):
             between[k] = sent[k] + taken[k]
@@ -240,7 +244,7 @@ def weigh(stops, rows, todo, of, faces, fields, normals, stuffs, widths, wavelen
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, stuffs, widths, first, starts, ends,  # type: ignore[no-untyped-def]
+def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, object_ids, widths, first, starts, ends,  # type: ignore[no-untyped-def]
            wavelength, gamma, of, on, waves, turns, scratch, field):  # fmt: skip
     """Which wires each way can reach within the gate at their points of shortest path, and what becomes of the field.
 
@@ -270,8 +274,18 @@ def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, 
                     over = _stops(i, spot, faces, images, normals, offsets, first, starts, ends, side, stops[side])
                     met = over >= 0
                 if met:
-                    cover *= _followed(stops[side], faces[i, side], fields[side], normals, stuffs, widths, wavelength,
-                                       gamma, coming[side], field[side])  # fmt: skip
+                    cover *= _followed(
+                        stops[side],
+                        faces[i, side],
+                        fields[side],
+                        normals,
+                        object_ids,
+                        widths,
+                        wavelength,
+                        gamma,
+                        coming[side],
+                        field[side],
+                    )
             if not met:
                 continue
             along, across = complex(cover, 0.0), complex(cover, 0.0)

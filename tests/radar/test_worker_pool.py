@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.radar import copies, simulate
-from ullage.radar.copies import Crew
+from ullage.radar import simulate, worker_pool
+from ullage.radar.worker_pool import WorkerPool
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="copies of a process are made on Linux alone")
 TRACK = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 100)
@@ -21,23 +21,23 @@ ROOM = ul.scenes.room((6, 4, 3))
 
 @pytest.fixture
 def two_cores(monkeypatch):
-    monkeypatch.setattr(copies, "cores", lambda: 2)
+    monkeypatch.setattr(worker_pool, "cores", lambda: 2)
     monkeypatch.setattr(simulate, "PAYS_S", 0.0)
 
 
 def test_copies_give_the_bits_that_threads_give(two_cores, monkeypatch):
     made = []
-    fork = Crew.fork
-    monkeypatch.setattr(Crew, "fork", lambda self: (fork(self), made.extend(self._copies)))
+    fork = WorkerPool.fork
+    monkeypatch.setattr(WorkerPool, "fork", lambda self: (fork(self), made.extend(self._copies)))
     copied = ul.simulate(ROOM, TRACK, RADAR, seed=3)
     assert len(made) == 2
     assert not any(copy._process.is_alive() for copy in made)
-    monkeypatch.setattr(Crew, "fork", lambda self: None)
+    monkeypatch.setattr(WorkerPool, "fork", lambda self: None)
     assert ul.simulate(ROOM, TRACK, RADAR, seed=3).samples.tobytes() == copied.samples.tobytes()
 
 
 def test_a_copy_that_is_killed_is_done_without(two_cores):
-    hands = Crew(lambda k: (os.getpid(), k * k))
+    hands = WorkerPool(lambda k: (os.getpid(), k * k))
     hands.fork()
     first = [hands.submit(k).result() for k in range(2)]
     assert os.getpid() not in {pid for pid, _ in first}
@@ -51,7 +51,7 @@ def test_what_goes_wrong_in_a_copy_is_told(two_cores):
     def refuse(text):
         raise ul.InputError(text, where="piece", allowed="nothing")
 
-    hands = Crew(refuse)
+    hands = WorkerPool(refuse)
     hands.fork()
     for _ in range(3):  # and the copy goes on
         with pytest.raises(ul.InputError, match=r"piece: too odd \(allowed: nothing\)"):
@@ -60,8 +60,8 @@ def test_what_goes_wrong_in_a_copy_is_told(two_cores):
 
 
 def test_one_core_and_other_systems_do_it_in_threads(monkeypatch):
-    monkeypatch.setattr(copies, "cores", lambda: 1)
-    hands = Crew(os.getpid)
+    monkeypatch.setattr(worker_pool, "cores", lambda: 1)
+    hands = WorkerPool(os.getpid)
     hands.fork()
     assert hands.submit().result() == os.getpid()
     hands.close()
@@ -70,9 +70,9 @@ def test_one_core_and_other_systems_do_it_in_threads(monkeypatch):
 def test_nobody_outlives_a_killed_parent(tmp_path):
     code = """
 import sys, time
-from ullage.radar import copies
-copies.cores = lambda: 2
-hands = copies.Crew(lambda: None)
+from ullage.radar import worker_pool
+worker_pool.cores = lambda: 2
+hands = worker_pool.WorkerPool(lambda: None)
 hands.fork()
 print(*(copy._process.pid for copy in hands._copies), flush=True)
 time.sleep(600)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ullage.kernels.facets import EDGE, VERTEX, _late, _lay, _reflection, same, te_share, toward, turned
+from ullage.kernels.facets import EDGE, VERTEX, _accumulate, _late, _reflection, same, te_share, toward, turned
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import eased, height
 
@@ -57,7 +57,7 @@ def look_at(pieces, owner, tips, holders, ties, normals, inward, out, faces, sea
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap):  # type: ignore[no-untyped-def]
+def _weight(rows, k, at, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap):  # type: ignore[no-untyped-def]
     """Antenna gains and reflection coefficient at a point, rows[k, at : at + 3], of a face; and cos(incidence)."""
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     gain, cosine, share = 1.0, 0.0, 0.0
@@ -79,11 +79,11 @@ def _weight(rows, k, at, normals, stuffs, face, origins, frames, fields, o, tabl
             cosine *= 2
             share = te
             break
-    return gain * _reflection(gamma, stuffs[face], tap, cosine, share), cosine
+    return gain * _reflection(gamma, object_ids[face], tap, cosine, share), cosine
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def lay_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-untyped-def]
+def accumulate_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-untyped-def]
     """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
 
     Phases are those of the mean line; the true phase leads it by bow (4 s (1 - s) - 2 / 3) at share s, to first order.
@@ -97,26 +97,27 @@ def lay_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-unt
         value = mean * complex(1 - y2 / 6 + y2 * y2 / 120, bow * y2 * (2 / 45 - 0.00317 * y2))
         value -= half * complex(0.0, y / 3 * (1 - y2 / 10))
         value *= scale * turned(0.5 * (x0 + x1))
-        _lay(grids, EDGE, 0.5 * (place0 + place1), value)
+        _accumulate(grids, EDGE, 0.5 * (place0 + place1), value)
         return value
     slope = (w1 - w0) / (z * z)
     bent = mean * complex(bow * (1 / y2 - 1.0 / 3) / y, 0.0)
     even = mean * complex(0.0, -bow / y2)
     at0 = scale * turned(x0) * (bent + even - slope - w0 * complex(0.0, 1 / z))
     at1 = scale * turned(x1) * (slope + even - bent + w1 * complex(0.0, 1 / z))
-    _lay(grids, VERTEX, place0, at0)
-    _lay(grids, VERTEX, place1, at1)
+    _accumulate(grids, VERTEX, place0, at0)
+    _accumulate(grids, VERTEX, place1, at1)
     return at0 + at1
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def lay_pulses(grids, lines, kind, w0, w1, path0, path1, bow, late, mean, omega, t0, dt, fold):  # type: ignore[no-untyped-def]
+def accumulate_pulses(grids, lines, kind, w0, w1, path0, path1, bow, late, mean, omega, t0, dt, fold):  # type: ignore[no-untyped-def]
     """Lays an echo wherever a pulse's comes on the delay grids, one each `fold` [s]; gives that of one pulse.
 
     Args:
-        grids: as in `facets.deposit`.
-        lines: whether it is a line's, as in `lay_line`, or a point's of a `kind`, as in `facets._lay`, of strength w0.
-        w0, w1, bow: as in `lay_line`.
+        grids: as in `facets.accumulate`.
+        lines: whether it is a line's, as in `accumulate_line`, or a point's of a
+            `kind`, as in `facets._accumulate`, of strength w0.
+        w0, w1, bow: as in `accumulate_line`.
         path0, path1: delays of the paths to both ends [s].
         late: what is added to them [s]; mean: what comes of both, for all of the echo [s].
         omega: carrier [rad/s]; t0: first delay on the grids [s]; dt: their step [s].
@@ -125,17 +126,17 @@ def lay_pulses(grids, lines, kind, w0, w1, path0, path1, bow, late, mean, omega,
     while mean - late + shift < t0 + grids.shape[1] * dt:
         a, b = path0 + shift, path1 + shift
         if lines:
-            value = lay_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
+            value = accumulate_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
         else:
             value = w0 * turned(omega * a)
-            _lay(grids, kind, (a - t0) / dt, value)
+            _accumulate(grids, kind, (a - t0) / dt, value)
         echo += value if mean - late + shift < t0 + fold else 0j  # a pulse later it is the same echo
         shift += fold
     return echo
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _piece(pieces, k, follows, scale, extra, tap, normals, stuffs, face, origins, frames, fields, o, table, flat,  # type: ignore[no-untyped-def]
+def _piece(pieces, k, follows, scale, extra, tap, normals, object_ids, face, origins, frames, fields, o, table, flat,  # type: ignore[no-untyped-def]
            gamma, lag, wave, omega, weights, cosines):  # fmt: skip
     """Strengths of both ends of a piece of rim, their delays, the bow of its phase, and how late it comes [s].
 
@@ -143,10 +144,12 @@ def _piece(pieces, k, follows, scale, extra, tap, normals, stuffs, face, origins
     """
     w0, c0 = weights[tap], cosines[tap]
     if not follows:
-        w0, c0 = _weight(pieces, k, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
-    w1, c1 = _weight(pieces, k, STOP, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
+        w0, c0 = _weight(
+            pieces, k, START, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap
+        )
+    w1, c1 = _weight(pieces, k, STOP, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap)
     weights[tap], cosines[tap] = w1, c1
-    late = extra + _late(lag, stuffs[face], tap, 0.5 * (c0 + c1))
+    late = extra + _late(lag, object_ids[face], tap, 0.5 * (c0 + c1))
     late += pieces[k, 11] / C0
     w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
     w1 *= pieces[k, 9] * eased(wave, pieces[k, 7]) * pieces[k, 10] * scale
@@ -154,17 +157,44 @@ def _piece(pieces, k, follows, scale, extra, tap, normals, stuffs, face, origins
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _tip(ends, i, scale, extra, tap, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, lag,  # type: ignore[no-untyped-def]
+def _tip(ends, i, scale, extra, tap, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, lag,  # type: ignore[no-untyped-def]
          wave):  # fmt: skip
     """Strength of an end of a rim or of a mirror point, its delay, and how late it comes [s]."""
-    weight, cosine = _weight(ends, i, START, normals, stuffs, face, origins, frames, fields, o, table, flat, gamma, tap)
+    weight, cosine = _weight(
+        ends, i, START, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap
+    )
     weight *= eased(wave, ends[i, 3]) * scale * complex(ends[i, 4], ends[i, 5])
-    return weight, ends[i, 3] / C0, extra + _late(lag, stuffs[face], tap, cosine)
+    return weight, ends[i, 3] / C0, extra + _late(lag, object_ids[face], tap, cosine)
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-             gamma, lag, omega, t0, dt, fold, grids, echo, delay, weights, cosines):  # fmt: skip
+def accumulate_outlines(  # type: ignore[no-untyped-def]
+    pieces,
+    ends,
+    many,
+    owner,
+    transmission,
+    extra,
+    normals,
+    object_ids,
+    origins,
+    frames,
+    fields,
+    table,
+    flat,
+    factor,
+    gamma,
+    lag,
+    omega,
+    t0,
+    dt,
+    fold,
+    grids,
+    echo,
+    delay,
+    weights,
+    cosines,
+):
     """Lays the echoes of faces on the delay grids: pieces of rim, ends of rims, and mirror points.
 
     Args:
@@ -172,41 +202,79 @@ def lay_rims(pieces, ends, many, owner, shade, extra, normals, stuffs, origins, 
         ends: (n, 9) of rims, as `edges.cut` gives them, then mirror points, as `crossings` does.
         many: how many of them are ends of rims.
         owner: (m + n) face of each piece, then of each end.
-        shade: (m + n) complex two-way factor of what lies between.
+        transmission: (m + n) complex two-way factor of what lies between.
         extra: (m + n) delay added by it [s].
-        origins: (1 or p, 2, 3) radars for all or for each face, as in `facets.deposit`, and so the rest.
+        origins: (1 or p, 2, 3) radars for all or for each face, as in `facets.accumulate`, and so the rest.
         weights, cosines: (taps), (taps), scratch.
     """
     unit, wave = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi), omega / C0
     known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
+        if transmission[k] == 0:
             continue
         face = owner[k]
         o = face if len(origins) > 1 else 0
-        scale = unit * factor[o] * shade[k]
+        scale = unit * factor[o] * transmission[k]
         i = k - len(pieces)
         follows = i < 0 and k > 0 and known == k - 1 and owner[known] == face
         for j in range(3 if follows else 0):
             follows = follows and pieces[known, 3 + j] == pieces[k, j]
         known = k
         for tap in range(gamma.shape[1]):
-            if lag[stuffs[face], tap, 0] < 0:
+            if lag[object_ids[face], tap, 0] < 0:
                 break
             if i < 0:
                 w0, w1, path0, path1, bow, late = _piece(
-                    pieces, k, follows, scale, extra[k], tap, normals, stuffs, face, origins, frames, fields, o, table,
-                    flat, gamma, lag, wave, omega, weights, cosines)  # fmt: skip
+                    pieces,
+                    k,
+                    follows,
+                    scale,
+                    extra[k],
+                    tap,
+                    normals,
+                    object_ids,
+                    face,
+                    origins,
+                    frames,
+                    fields,
+                    o,
+                    table,
+                    flat,
+                    gamma,
+                    lag,
+                    wave,
+                    omega,
+                    weights,
+                    cosines,
+                )
             else:
-                w0, path0, late = _tip(ends, i, scale, extra[k], tap, normals, stuffs, face, origins, frames, fields, o,
-                                       table, flat, gamma, lag, wave)  # fmt: skip
+                w0, path0, late = _tip(
+                    ends,
+                    i,
+                    scale,
+                    extra[k],
+                    tap,
+                    normals,
+                    object_ids,
+                    face,
+                    origins,
+                    frames,
+                    fields,
+                    o,
+                    table,
+                    flat,
+                    gamma,
+                    lag,
+                    wave,
+                )
                 w1, path1, bow = 0j, path0, 0.0
             mean = 0.5 * (path0 + path1) + late
             if tap == 0:
                 delay[k] = mean
-            echo[k] += lay_pulses(grids, i < 0, VERTEX if i < many else EDGE, w0, w1, path0, path1, bow, late, mean,
-                                  omega, t0, dt, fold)  # fmt: skip
+            echo[k] += accumulate_pulses(
+                grids, i < 0, VERTEX if i < many else EDGE, w0, w1, path0, path1, bow, late, mean, omega, t0, dt, fold
+            )
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")

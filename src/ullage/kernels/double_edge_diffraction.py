@@ -7,7 +7,7 @@ import math
 from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
-from ullage.kernels.rims import lay_line
+from ullage.kernels.outlines import accumulate_line
 
 C0 = 299_792_458.0
 
@@ -75,8 +75,25 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames, fields, table, flat,  # type: ignore[no-untyped-def]
-           out):  # fmt: skip
+def _twice(  # type: ignore[no-untyped-def]
+    pieces,
+    k,
+    end,
+    w,
+    gaps,
+    width,
+    angles,
+    inward,
+    normals,
+    transmissive,
+    wave,
+    origins,
+    frames,
+    fields,
+    table,
+    flat,
+    out,
+):
     """Strength per length of the wave that runs over the face from edge to edge; and path length."""
     product = 1.0 + 0j
     for side in range(2):
@@ -88,27 +105,50 @@ def _twice(pieces, k, end, w, gaps, width, angles, inward, normals, sheets, wave
     both = -0.5 * (out[0, 0] * out[1, 1] + out[0, 1] * out[1, 0])
     path = out[0, 2] + out[1, 2]
     spread = 1 / math.sqrt(2 * math.pi * wave * width * (1 + width / path))
-    faces = 2.0 if sheets[w] else 1.0
+    faces = 2.0 if transmissive[w] else 1.0
     value = -faces * both * spread * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
     return value, path + width
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
-                flat, factor, omega, t0, dt, fold, grids, echo, delay, rows):  # fmt: skip
+def accumulate_doubles(  # type: ignore[no-untyped-def]
+    pieces,
+    owner,
+    transmission,
+    extra,
+    gaps,
+    angles,
+    inward,
+    normals,
+    transmissive,
+    origins,
+    frames,
+    fields,
+    table,
+    flat,
+    factor,
+    omega,
+    t0,
+    dt,
+    fold,
+    grids,
+    echo,
+    delay,
+    rows,
+):
     """Lays the echoes of waves that cross a face between two parallel edges, there and back.
 
     Args:
         pieces: (m, 2, 3) ends of each piece of the first edge [m].
         owner: (m) pair of each piece.
-        shade: (m) complex two-way factor of what lies between.
+        transmission: (m) complex two-way factor of what lies between.
         extra: (m) delay added by it [s].
         gaps: (p, 3) from the first edge to the second [m].
         angles: (p, 2) of the free space about both edges, over pi.
         inward: (p, 2, 3) from each edge into the face.
         normals: (p, 3) of the face.
-        sheets: (p) whether the wave runs over both sides.
-        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
+        transmissive: (p) whether the wave runs over both sides.
+        origins: (1, 2, 3), as in `facets.accumulate`, and so the rest.
         rows: (3, 3), scratch.
     """
     wave = omega / C0
@@ -116,18 +156,35 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
     last = t0 + grids.shape[1] * dt
     for k in range(len(pieces)):
         echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
+        if transmission[k] == 0:
             continue
         w, size, width = owner[k], 0.0, 0.0
         for j in range(3):
             size += (pieces[k, 1, j] - pieces[k, 0, j]) ** 2
             width += gaps[w, j] * gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
-        w0, path0 = _twice(pieces, k, FROM, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames,
+        w0, path0 = _twice(
+            pieces,
+            k,
+            FROM,
+            w,
+            gaps,
+            width,
+            angles,
+            inward,
+            normals,
+            transmissive,
+            wave,
+            origins,
+            frames,
+            fields,
+            table,
+            flat,
+            rows,
+        )
+        w1, path1 = _twice(pieces, k, TO, w, gaps, width, angles, inward, normals, transmissive, wave, origins, frames,
                            fields, table, flat, rows)  # fmt: skip
-        w1, path1 = _twice(pieces, k, TO, w, gaps, width, angles, inward, normals, sheets, wave, origins, frames,
-                           fields, table, flat, rows)  # fmt: skip
-        w0, w1 = w0 * scale * size * shade[k], w1 * scale * size * shade[k]
+        w0, w1 = w0 * scale * size * transmission[k], w1 * scale * size * transmission[k]
         early = size * size / 12 * 4 / max(path0 + path1 - 2 * width, 0.02)
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
@@ -136,7 +193,7 @@ def lay_doubles(pieces, owner, shade, extra, gaps, angles, inward, normals, shee
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            value = lay_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
+            value = accumulate_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
                              (b - t0) / dt)  # fmt: skip
             echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
             landed += fold

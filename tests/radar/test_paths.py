@@ -6,28 +6,28 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.radar.context import bench, view_of
+from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import looks
-from ullage.radar.ways import FACES, PAIRS, largest, ways_of
+from ullage.radar.paths import FACES, PAIRS, largest, paths_of
 
 
 def found(bounces, *, offset_m=0.0, size=(6, 4, 3), position=(0.3, 0.2, 0.1)):
     spec = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"}, antenna_offset_m=offset_m)
-    ready = bench(ul.scenes.room(size), spec)
-    view = view_of(spec, np.array(position), np.eye(3))
-    flats = ready.world.still.flats
-    return ways_of(ready, flats, view, bounces, looks(ready, flats, view)), ready
+    context = radar_context(ul.scenes.room(size), spec)
+    antennas = antenna_pair(spec, np.array(position), np.eye(3))
+    planar = context.world.still.planar
+    return paths_of(context, planar, antennas, bounces, looks(context, planar, antennas)), context
 
 
-def legs_of(ways):
+def legs_of(paths):
     """Of each path: the faces there and the faces back, each from its antenna on."""
-    return [tuple(tuple(int(f) for f in leg if f >= 0) for leg in way) for way in ways.faces]
+    return [tuple(tuple(int(f) for f in leg if f >= 0) for leg in way) for way in paths.faces]
 
 
 @pytest.mark.parametrize(("bounces", "most"), [(2, FACES), (3, PAIRS)])
 def test_paths_are_all_orders_of_the_faces_that_look_largest(bounces, most):
-    ways, _ = found(bounces, offset_m=0.3)
-    mine = [legs for legs in legs_of(ways) if sum(map(len, legs)) == bounces - 1]
+    paths, _ = found(bounces, offset_m=0.3)
+    mine = [legs for legs in legs_of(paths) if sum(map(len, legs)) == bounces - 1]
     chosen = sorted({face for legs in mine for leg in legs for face in leg})
     assert len(chosen) <= most
     if bounces == 2:
@@ -52,31 +52,31 @@ def test_where_both_antennas_are_in_one_place_a_path_and_its_reverse_are_one_twi
 
 
 def test_every_image_is_the_antenna_mirrored_in_the_faces_of_its_leg():
-    ways, ready = found(3, offset_m=0.3)
-    flats = ready.world.still.flats
-    for faces, images in zip(ways.faces, ways.images, strict=True):
+    paths, context = found(3, offset_m=0.3)
+    planar = context.world.still.planar
+    for faces, images in zip(paths.faces, paths.images, strict=True):
         for side in range(2):
             point = images[side, 0]
             for step, face in enumerate(faces[side]):
                 if face >= 0:
-                    point = point - 2 * (flats.normals[face] @ point - flats.offsets[face]) * flats.normals[face]
+                    point = point - 2 * (planar.normals[face] @ point - planar.offsets[face]) * planar.normals[face]
                 assert images[side, step + 1] == pytest.approx(point)
-    assert ways.ends == pytest.approx(ways.images[:, :, -1])
+    assert paths.ends == pytest.approx(paths.images[:, :, -1])
 
 
 @pytest.mark.parametrize("bounces", [2, 3])
 def test_the_objects_on_a_path_are_those_of_its_faces_in_the_order_that_the_wave_meets_them(bounces):
-    ways, ready = found(bounces, offset_m=0.3)
-    owners = ready.world.still.flats.stuffs
-    for (there, back), via in zip(legs_of(ways), ways.via, strict=True):
+    paths, context = found(bounces, offset_m=0.3)
+    owners = context.world.still.planar.object_ids
+    for (there, back), via in zip(legs_of(paths), paths.via, strict=True):
         assert [o for o in via if o >= 0] == [owners[f] for f in (*there, *back[::-1])]
 
 
 def test_legs_of_one_number_are_alike_and_alike_legs_of_paths_as_long_have_one_number():
     for offset in (0.0, 0.3):
-        ways, _ = found(3, offset_m=offset)
+        paths, _ = found(3, offset_m=offset)
         leg_of, number_of = {}, {}
-        for legs, numbers in zip(legs_of(ways), ways.legs, strict=True):
+        for legs, numbers in zip(legs_of(paths), paths.legs, strict=True):
             for side, (leg, number) in enumerate(zip(legs, numbers, strict=True)):
                 one = (side if offset else 0, leg)
                 assert leg_of.setdefault(number, one) == one

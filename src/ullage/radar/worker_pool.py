@@ -27,7 +27,7 @@ def cores() -> int:
     return min(usable, int(bound)) if bound.isdecimal() and int(bound) else usable
 
 
-class Crew(Generic[T]):
+class WorkerPool(Generic[T]):
     """Computes in as many threads as there are cores; once `fork` is called, in copies of this process.
 
     A thread that has a copy only waits for it. A copy that is ended from outside is done without.

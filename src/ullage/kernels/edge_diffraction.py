@@ -12,7 +12,7 @@ import math
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, same, toward
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
-from ullage.kernels.rims import lay_pulses
+from ullage.kernels.outlines import accumulate_pulses
 
 C0 = 299_792_458.0
 
@@ -45,7 +45,7 @@ def excess(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def fringe(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
+def edge_diffraction(open_angle, phi, mu, out):  # type: ignore[no-untyped-def]
     """As `excess`, also where exact and optical current grow without bound together."""
     if phi < math.pi and abs(math.cos(phi) + mu) < 0.03:
         step = 0.05
@@ -88,7 +88,7 @@ def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no
         return 0.0
     sine = math.sqrt(sine2)
     mu = math.cos(phi) - 2 * cosine * cosine / sine2
-    fringe(open_angle, phi, mu, out)
+    edge_diffraction(open_angle, phi, mu, out)
     lit = 1.0 if phi < math.pi else 0.0
     hz = (uy * ez - uz * ey) * tx + (uz * ex - ux * ez) * ty + (ux * ey - uy * ex) * tz
     along = ((ex * tx + ey * ty + ez * tz) * out[0] + cosine * hz * (lit - 1 / open_angle + mu * out[1])) / sine2
@@ -99,7 +99,9 @@ def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def strength(places, k, end, w, angles, inward, normals, sheets, wave, origins, frames, fields, table, flat, rows):  # type: ignore[no-untyped-def]
+def strength(  # type: ignore[no-untyped-def]
+    places, k, end, w, angles, inward, normals, transmissive, wave, origins, frames, fields, table, flat, rows
+):
     """Antenna gains over ranges times the strength of edge w at places[k, end]; path length and its bend."""
     g, path, bend = 1.0, 0.0, 0.0
     ix, iy, iz = inward[w, 0, 0], inward[w, 0, 1], inward[w, 0, 2]
@@ -133,12 +135,12 @@ def strength(places, k, end, w, angles, inward, normals, sheets, wave, origins, 
         for j in range(3):
             rows[1 + s, j] /= math.sqrt(max(square, 1e-12))
     # the rim of a thin body: only its wide face, from the side it looks to, front and back
-    if sheets[w] and ux * nx + uy * ny + uz * nz >= 0:
+    if transmissive[w] and ux * nx + uy * ny + uz * nz >= 0:
         return 0.0, path, bend
     total = 0.0
     for i in range(2):
-        side, sign = (0, 1.0 - 2.0 * i) if sheets[w] else (i, 1.0)
-        total += face(2.0 if sheets[w] else angles[w], inward, normals, w, side, sign, rows, rows[3])
+        side, sign = (0, 1.0 - 2.0 * i) if transmissive[w] else (i, 1.0)
+        total += face(2.0 if transmissive[w] else angles[w], inward, normals, w, side, sign, rows, rows[3])
     return g * total, path, bend
 
 
@@ -169,7 +171,7 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
         lit: (w) which to ask about; the others cannot.
         factors: (w) strength over that of an edge by itself.
         across: whether only the electric field across the edge counts.
-        origins: (1, 2, 3), as in `facets.deposit`, and so the next ones.
+        origins: (1, 2, 3), as in `facets.accumulate`, and so the next ones.
         wave: wave number [1/m].
         gate: (2) least and greatest range [m].
         least: path gain amplitude.
@@ -212,31 +214,54 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, sheets, origins, frames, fields, table,  # type: ignore[no-untyped-def]
-                flat, factor, omega, t0, dt, fold, grids, echo, delay, rows):  # fmt: skip
+def accumulate_edge_diffraction(  # type: ignore[no-untyped-def]
+    pieces,
+    tips,
+    owner,
+    transmission,
+    extra,
+    angles,
+    inward,
+    normals,
+    transmissive,
+    origins,
+    frames,
+    fields,
+    table,
+    flat,
+    factor,
+    omega,
+    t0,
+    dt,
+    fold,
+    grids,
+    echo,
+    delay,
+    rows,
+):
     """Lays the echoes of pieces of edge and of ends of edges on the delay grids.
 
     Args:
         pieces: (m, 2, 3) ends of each piece [m].
         tips: (n, 2, 3) ends of edges: place [m]; real and imaginary value, as `lines.part` gives it.
         owner: (m + n) edge of each piece, then of each end.
-        shade: (m + n) complex two-way factor of what lies between.
+        transmission: (m + n) complex two-way factor of what lies between.
         extra: (m + n) delay added by it [s].
         angles: (w) of the free space about each edge, over pi.
         inward: (w, 2, 3) unit vectors in its two faces, away from it.
         normals: (w, 2, 3) their unit normals, into the free space.
-        sheets: (w) whether it is the rim of a thin body, whose first face is the wide one.
-        origins: (1, 2, 3), as in `facets.deposit`, and so the rest.
+        transmissive: (w) whether it is the rim of a thin body, whose first face is the wide one.
+        origins: (1, 2, 3), as in `facets.accumulate`, and so the rest.
         rows: (4, 3), scratch.
     """
     many, wave = len(pieces), omega / C0
     known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
     for k in range(len(owner)):
         echo[k], delay[k] = 0j, 0.0
-        if shade[k] == 0:
+        if transmission[k] == 0:
             continue
         w, size, early = owner[k], 1.0, 0.0
-        scale = factor[0] / (4 * math.pi * wave) * shade[k]
+        scale = factor[0] / (4 * math.pi * wave) * transmission[k]
         w1, path1, bend1 = w0, path0, bend0
         if k < many:
             square = 0.0
@@ -246,15 +271,45 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
                 follows = follows and pieces[known, 0, j] == pieces[k, 1, j]
             size, known = math.sqrt(square), k
             if not follows:  # pieces of an edge come one after the other, from its end
-                w1, path1, bend1 = strength(pieces, k, TO, w, angles, inward, normals, sheets, wave, origins, frames,
-                                            fields, table, flat, rows)  # fmt: skip
-            w0, path0, bend0 = strength(pieces, k, FROM, w, angles, inward, normals, sheets, wave, origins, frames,
-                                        fields, table, flat, rows)  # fmt: skip
+                w1, path1, bend1 = strength(
+                    pieces,
+                    k,
+                    TO,
+                    w,
+                    angles,
+                    inward,
+                    normals,
+                    transmissive,
+                    wave,
+                    origins,
+                    frames,
+                    fields,
+                    table,
+                    flat,
+                    rows,
+                )
+            w0, path0, bend0 = strength(
+                pieces,
+                k,
+                FROM,
+                w,
+                angles,
+                inward,
+                normals,
+                transmissive,
+                wave,
+                origins,
+                frames,
+                fields,
+                table,
+                flat,
+                rows,
+            )
             # as for wires: what the chord lies beyond the path
             early = min(0.5 * (bend0 + bend1) * size / 12, 0.5) * size
             scale *= size
         else:
-            w0, path0, bend0 = strength(tips, k - many, FROM, w, angles, inward, normals, sheets, wave, origins,
+            w0, path0, bend0 = strength(tips, k - many, FROM, w, angles, inward, normals, transmissive, wave, origins,
                                         frames, fields, table, flat, rows)  # fmt: skip
             w1, path1 = w0, path0
             scale *= complex(tips[k - many, 1, 0], tips[k - many, 1, 1])
@@ -263,5 +318,5 @@ def lay_fringes(pieces, tips, owner, shade, extra, angles, inward, normals, shee
         late = extra[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
         delay[k] = mean
-        echo[k] = lay_pulses(grids, k < many, VERTEX, scale * w0, scale * w1, path0 / C0, path1 / C0,
+        echo[k] = accumulate_pulses(grids, k < many, VERTEX, scale * w0, scale * w1, path0 / C0, path1 / C0,
                              1.5 * omega * early / C0, late, mean, omega, t0, dt, fold)  # fmt: skip

@@ -1,0 +1,219 @@
+"""Echoes of the edges of conductors, beyond physical optics: each edge by itself, and waves from edge to edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.geometry import C0
+from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
+from ullage.kernels import wires as string
+from ullage.radar import diffraction
+from ullage.radar import double_diffraction as double
+from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, common, grown, transmission_to
+from ullage.radar.echo_set import EchoSet, echo_set
+from ullage.radar.facets import Surfaces
+
+FAINT = 10 ** (-150 / 20)
+"""Edges that cannot return more are left out, as path gain amplitude."""
+
+_COARSE = 2.0  # pieces of edges may be longer than facets: their bow is in the closed form
+_NUDGE_M = 5e-3  # an edge is looked at this far out in its open side
+
+
+def accumulate_edges(
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
+) -> list[EchoSet]:
+    """Adds the echoes of conducting edges at one pose to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
+    edges, pairs = diffraction.placed(context.outlines.edges, poses), double.placed(context.outlines.pairs, poses)
+    centre = (antennas.origins[0] + antennas.origins[1]) / 2
+    lit = diffraction.facing(edges, context.outlines.transmissive, centre)
+    alone = _parted(
+        context, antennas, edges.starts, edges.ends, _heard(context, antennas, edges.starts, edges.ends, lit)
+    )
+    above = np.einsum("ni,ni->n", pairs.normals, centre - pairs.starts)
+    lit = (above > 0) | context.outlines.bare
+    starts, ends = pairs.starts + pairs.gaps / 2, pairs.ends + pairs.gaps / 2
+    heard = _heard(context, antennas, starts, ends, lit, context.outlines.strong)
+    over, of = _cut(context, antennas, starts[heard], ends[heard], KAPPA)
+    of = heard[of].astype(np.int32)
+    side = np.where(above[of] < 0, -_NUDGE_M, _NUDGE_M)[:, None]
+    outward = diffraction.outward(edges, np.concatenate([alone.owner, alone.holders])) * _NUDGE_M
+    free = alone.ties < 0
+    cut = len(alone.owner)
+    seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), alone.ties)])
+    transmission, extra = transmission_to(context, parts, antennas, np.concatenate([
+        _middles(alone.pieces) + outward[:cut], alone.tips[free, 0] + outward[cut:][free],
+        _middles(over) + side * pairs.normals[of]]))  # fmt: skip
+    count = len(transmission) - len(of)
+    across = transmission[count:], extra[count:]
+    over -= pairs.gaps[of, None] / 2
+    return [_accumulate_edge_diffraction(context, antennas, edges, alone, (transmission[seats], extra[seats]), grids),
+            _accumulate_doubles(context, antennas, pairs, over, of, across, grids)]  # fmt: skip
+
+
+def _middles(pieces: Floats) -> Floats:
+    return 0.5 * (pieces[:, 0] + pieces[:, 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parted:
+    """Lines as `lines.part` parts them: pieces near where the path is shortest, and the ends of what is left."""
+
+    pieces: Floats  # (m, 2, 3) [m]
+    owner: Ints  # (m) line of each piece
+    tips: Floats  # (n, 2, 3) as `lines.part` gives them
+    holders: Ints  # (n) line of each end
+    ties: Longs  # (n) piece that goes on from each end, -1 for none
+
+
+def _heard(
+    context: RadarContext,
+    antennas: AntennaPair,
+    starts: Floats,
+    ends: Floats,
+    lit: Bools,
+    factors: Floats | None = None,
+) -> Longs:
+    """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
+    strong = np.ones(len(lit)) if factors is None else factors
+    heard = np.zeros(len(lit), np.bool_)
+    for side in (
+        (slice(None),) if (antennas.origins[0] == antennas.origins[1]).all() else (slice(None), slice(None, None, -1))
+    ):
+        out = np.empty(len(lit), np.bool_)
+        one, turn, field = (
+            np.ascontiguousarray(row[side])[None] for row in (antennas.origins, antennas.frames, antennas.fields)
+        )
+        edge_diffraction.audible(
+            starts,
+            ends,
+            lit,
+            strong,
+            factors is not None,
+            one,
+            turn,
+            field,
+            context.table,
+            context.spec.antenna.kind == "isotropic",
+            context.pulse.omega / C0,
+            np.array(context.gate),
+            FAINT,
+            np.empty(3),
+            out,
+        )
+        heard |= out
+    return np.flatnonzero(heard)
+
+
+def _cut(
+    context: RadarContext, antennas: AntennaPair, starts: Floats, ends: Floats, fine: float
+) -> tuple[Floats, Ints]:
+    """Pieces (m, 2, 3) of some lines within the gate, and the line of each."""
+    gate, fresnel = np.array(context.gate), fine * context.spec.wavelength_m
+    return grown(1024, (2, 3), lambda out, of: string.cut_wires(
+        starts, ends, antennas.origins[None], gate, fresnel, REACH, out, of))  # fmt: skip
+
+
+def _parted(context: RadarContext, antennas: AntennaPair, starts: Floats, ends: Floats, which: Longs) -> Parted:
+    """Some of the lines, as far as they lie within the gate, most of them by their ends."""
+    starts, ends = starts[which], ends[which]
+    if context.whole_outlines:
+        pieces, owner = _cut(context, antennas, starts, ends, _COARSE * KAPPA)
+        return Parted(
+            pieces, which[owner].astype(np.int32), np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64)
+        )
+    near, held = np.empty((len(starts), 2, 3)), np.empty(len(starts), np.bool_)
+    tips, holders = np.empty((4 * len(starts), 2, 3)), np.empty(4 * len(starts), np.int32)
+    sides = np.empty(4 * len(starts), np.int32)
+    count = lines.part(
+        starts,
+        ends,
+        antennas.origins,
+        np.array(context.gate),
+        context.pulse.omega / C0,
+        near,
+        held,
+        tips,
+        holders,
+        sides,
+    )
+    tips, holders, sides = tips[:count], holders[:count], sides[:count]
+    some = np.flatnonzero(held)
+    pieces, owner = _cut(context, antennas, np.ascontiguousarray(near[some, 0]), np.ascontiguousarray(near[some, 1]),
+                         _COARSE * KAPPA)  # fmt: skip
+    owner = some[owner].astype(np.int32)
+    # pieces of a line come from its end to its start
+    ties = np.where(sides == 0, np.searchsorted(owner, holders, "right") - 1, np.searchsorted(owner, holders))
+    cut = sides < 0
+    cut |= owner[np.clip(ties, 0, len(owner) - 1)] == holders if len(owner) else False
+    return Parted(pieces, which[owner].astype(np.int32), tips[cut], which[holders[cut]].astype(np.int32),
+                  np.where(sides < 0, -1, ties)[cut])  # fmt: skip
+
+
+def _accumulate_edge_diffraction(
+    context: RadarContext,
+    antennas: AntennaPair,
+    edges: diffraction.Edges,
+    alone: Parted,
+    seen: tuple[Complexes, Floats],
+    grids: Complexes,
+) -> EchoSet:
+    told, (transmission, extra) = common(context, antennas, grids), seen
+    owner = np.concatenate([alone.owner, alone.holders])
+
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        edge_diffraction.accumulate_edge_diffraction(
+            alone.pieces,
+            alone.tips,
+            owner,
+            transmission,
+            extra,
+            edges.angles,
+            edges.inward,
+            edges.normals,
+            context.outlines.transmissive,
+            *told[:6],
+            *told[8:-1],
+            grids,
+            *out,
+            np.empty((4, 3)),
+        )
+
+    points = np.concatenate([_middles(alone.pieces), alone.tips[:, 0]])
+    return echo_set(put, transmission, grids, edges.object_ids[owner], points)
+
+
+def _accumulate_doubles(
+    context: RadarContext,
+    antennas: AntennaPair,
+    pairs: double.Pairs,
+    pieces: Floats,
+    owner: Ints,
+    across: tuple[Complexes, Floats],
+    grids: Complexes,
+) -> EchoSet:
+    told, (transmission, extra) = common(context, antennas, grids), across
+
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        double_edge_diffraction.accumulate_doubles(
+            pieces,
+            owner,
+            transmission,
+            extra,
+            pairs.gaps,
+            pairs.angles,
+            pairs.inward,
+            pairs.normals,
+            context.outlines.both,
+            *told[:6],
+            *told[8:-1],
+            grids,
+            *out,
+            np.empty((3, 3)),
+        )
+
+    return echo_set(put, transmission, grids, pairs.object_ids[owner], _middles(pieces) + pairs.gaps[owner] / 2)

@@ -1,0 +1,225 @@
+"""Echoes of large flat faces: their mirror images, less what runs along their rims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.kernels import edges as kernel
+from ullage.kernels import outlines as draw
+from ullage.radar.context import AntennaPair, RadarContext, common, transmission_to
+from ullage.radar.echo_set import EchoSet, echo_set
+from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.folding import limits_of
+from ullage.radar.penetration import TAPS
+
+_NUDGE_M = 5e-3
+_RINGS = np.arange(6) * np.pi / 3
+_ZONE = np.concatenate(
+    [[[0.0, 0.0]], *(q * np.stack([np.cos(_RINGS + q), np.sin(_RINGS + q)], 1) for q in (0.4, 0.75))]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """The rims of faces as `edges.cut` parts them: pieces, and the ends of what is not cut."""
+
+    pieces: Floats  # (m, 12)
+    owner: Ints  # (m) face of each piece
+    tips: Floats  # (n, 9)
+    holders: Ints  # (n) face of each end
+    ties: Ints  # (n) piece that goes on from each end, -1 for none
+    windings: Floats  # (k) turns of each face's rim around the axis
+
+    @staticmethod
+    def none(faces: int) -> Outline:
+        """No rims, of so many faces that hold their mirror points."""
+        none = np.zeros(0, np.int32)
+        return Outline(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(faces))
+
+
+def parted(count: int, edges: int, fill: Callable[..., tuple[int, int]]) -> Outline:
+    """Runs the kernel that parts the rims of `count` faces of `edges` edges, again where there was too little room."""
+    rooms = [2048 + 4 * edges, 1024 + 2 * edges]
+    windings = np.empty(count)
+    scratch = np.empty((4, 3)), np.empty((69, 8)), np.empty((69, 2)), np.empty(3, np.int64)
+    while True:
+        pieces, owner = np.empty((rooms[0], 12)), np.empty(rooms[0], np.int32)
+        tips, holders, ties = np.empty((rooms[1], 9)), np.empty(rooms[1], np.int32), np.empty(rooms[1], np.int32)
+        made, ends = fill(pieces, owner, tips, holders, ties, windings, *scratch)
+        if made <= rooms[0] and ends <= rooms[1]:
+            return Outline(pieces[:made], owner[:made], tips[:ends], holders[:ends], ties[:ends], windings)
+        rooms = [max(rooms[0], int(1.2 * made)), max(rooms[1], int(1.2 * ends))]
+
+
+def outlines(
+    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, which: Longs, limits: Floats
+) -> Outline:
+    """The rims of some faces, each as far as its limit (p) [m]."""
+    return parted(
+        len(which),
+        len(planar.starts),
+        lambda *room: kernel.cut(
+            which,
+            planar.spheres,
+            planar.normals,
+            planar.offsets,
+            planar.first,
+            planar.starts,
+            planar.ends,
+            antennas.origins[None],
+            antennas.aside,
+            limits,
+            1e9,
+            context.pulse.omega,
+            context.whole_outlines,
+            *room,
+        ),
+    )
+
+
+def accumulate_planar(
+    context: RadarContext,
+    parts: list[Surfaces],
+    part: Surfaces,
+    antennas: AntennaPair,
+    grids: Complexes,
+    done: Bools | None = None,
+) -> list[EchoSet]:
+    """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it.
+
+    Those that are `done` (p) otherwise are left out.
+    """
+    planar = part.planar
+    opaque = ~context.transmissive.thin[planar.object_ids]
+    hidden = part.flat_backs.hidden(antennas.origins, opaque)
+    which = np.flatnonzero(~(hidden if done is None else hidden | done))
+    if not len(which):
+        return []
+    limits = limits_of(planar, antennas, context.gate[1], context.fold_s)
+    outline = outlines(context, planar, antennas, which, limits)
+    told = planar.normals, planar.object_ids, *common(context, antennas, grids)
+    return [
+        accumulate_parted(
+            context, planar, which, outline, limits, lambda at, _: transmission_to(context, parts, antennas, at), told
+        )[0]
+    ]
+
+
+Shading = Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
+"""Factor (m) and delay (m) [s] of what stands before points (m, 3), told the face (m) of each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlined:
+    """Of flat faces what their echoes are done by."""
+
+    normals: Floats  # (p, 3)
+    offsets: Floats  # (p) [m]
+    spheres: Floats  # (p, 4) [m]
+    across: Floats  # (p, 2, 3)
+    first: Ints  # (p + 1)
+    starts: Floats  # (e, 3) [m]
+    ends: Floats  # (e, 3) [m]
+
+
+def accumulate_parted(
+    context: RadarContext,
+    planar: PlanarPatches | Outlined,
+    which: Longs,
+    outline: Outline,
+    limits: Floats,
+    shading_of: Shading,
+    told: tuple[Any, ...],
+) -> tuple[EchoSet, Longs]:
+    """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends.
+
+    `told` begins with normals, object ids and origins. Gives the face of each echo too.
+    """
+    points = np.empty((len(which), 9))
+    count = draw.crossings(which, outline.windings, planar.normals, planar.offsets, told[2], limits, points)
+    points, which = points[:count], which[:count]
+    looks, owner, seats, open_ = _looks(context, planar, outline, points, which)
+    transmission, extra = shading_of(looks, owner)
+    if len(points):
+        factor, late = _mean(transmission[len(transmission) - open_.size :], extra[len(extra) - open_.size :], open_)
+        transmission, extra = np.concatenate([transmission[seats], factor]), np.concatenate([extra[seats], late])
+    else:
+        transmission, extra = transmission[seats], extra[seats]
+    echoes = accumulate_outline(outline, points, which, transmission, extra, told)
+    return echoes, np.concatenate([outline.owner, outline.holders, which])
+
+
+def accumulate_outline(
+    outline: Outline, points: Floats, which: Longs, transmission: Complexes, extra: Floats, told: tuple[Any, ...], /,
+    object_ids: Ints | None = None, via: Longs | None = None, before: Longs | None = None,
+) -> EchoSet:  # fmt: skip
+    """Lays rims and mirror points (k, 9) with factor and delay [s] of what stands before pieces, ends and points.
+
+    The object ids (m) of what is laid are those of faces that `told` gives, if none are named.
+    """
+    owner = np.concatenate([outline.owner, outline.holders, which.astype(np.int32)])
+    ends = np.concatenate([outline.tips, points])
+
+    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+        draw.accumulate_outlines(
+            outline.pieces,
+            ends,
+            len(outline.tips),
+            owner,
+            transmission,
+            extra,
+            *told[:-1],
+            grids,
+            *out,
+            np.empty(TAPS, complex),
+            np.empty(TAPS),
+        )
+
+    def places() -> Floats:
+        return np.concatenate([0.5 * (outline.pieces[:, :3] + outline.pieces[:, 3:6]), ends[:, :3]])
+
+    rays = np.zeros(len(owner), np.bool_)
+    rays[len(owner) - len(points) :] = True
+    object_ids = told[1][owner] if object_ids is None else object_ids
+    return echo_set(put, transmission, told[-1], object_ids, places, via=via, before=before, rays=rays)
+
+
+def _looks(
+    context: RadarContext, planar: PlanarPatches | Outlined, outline: Outline, points: Floats, which: Longs
+) -> tuple[Floats, Longs, Longs, Bools]:
+    """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
+
+    Also on which face each look lies, which of the looks each piece and end is seen by, and which points of the zones
+    lie on their faces (k, _ZONE).
+    """
+    most, about = len(outline.pieces) + len(outline.tips), len(points) * len(_ZONE)
+    spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
+    seats, within = np.empty(most, np.int64), np.empty((len(points), len(_ZONE)), np.bool_)
+    count = draw.look_at(
+        outline.pieces,
+        outline.owner,
+        outline.tips,
+        outline.holders,
+        outline.ties,
+        planar.normals,
+        _NUDGE_M,
+        spots,
+        faces,
+        seats,
+    )
+    draw.look_about(points, which, planar.across, _ZONE, context.spec.wavelength_m, planar.normals, planar.first,
+                    planar.starts, planar.ends, spots[count:], faces[count:], within)  # fmt: skip
+    return spots[: count + about], faces[: count + about], seats, within
+
+
+def _mean(transmission: Complexes, extra: Floats, held: Bools) -> tuple[Complexes, Floats]:
+    """Mean factor and delay over the part of each zone that lies on its face."""
+    share = held.sum(1)
+    transmission, extra = transmission.reshape(held.shape), extra.reshape(held.shape)
+    return np.einsum("kz,kz->k", transmission, held) / share, np.einsum("kz,kz->k", extra, held) / share
