@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.experiments.reproduce.flights import believed
 from ullage.geometry import rpy_quat
 from ullage.processing import coherent
 from ullage.processing.mapper import UllageMapper
 from ullage.processing.mapper_looks import lit_ways
 from ullage.processing.truth import surface_of
+from ullage.thesis.flights import believed
 from ullage.world.raycast import Raycaster
 
 ROOMS = (

@@ -14,8 +14,8 @@ import numpy as np
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.experiments.reproduce.flights import believed, drift, heard, judged_room, level_round
 from ullage.processing.drift import correct_drift
+from ullage.thesis.flights import believed, drift, heard, judged_room, level_round
 
 DRIFT_M, TURN_DEG = 0.2, 2.0
 SMOOTH_S, ROUGH_S = 5.0, 1.5

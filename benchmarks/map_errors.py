@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 import ullage as ul
 from ullage.data import Frames
-from ullage.experiments.reproduce import flights
 from ullage.processing.metrics import MATCH_M, cell_centres
 from ullage.processing.truth import surface_of
+from ullage.thesis import flights
 from ullage.world.scene import Scene
 from ullage.world.section import section
 

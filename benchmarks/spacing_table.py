@@ -11,8 +11,8 @@ import numpy as np
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.experiments.reproduce import flights
 from ullage.grids import Grid
+from ullage.thesis import flights
 from ullage.world.scene import Scene
 
 STEP_M = 0.02  # of the judged flights: 0.5 m/s at 25 frames a second

@@ -18,8 +18,8 @@ from pathlib import Path
 from volume_missions import MISSIONS, OTHERS, TANKS, frames_of, world
 
 import ullage as ul
-from ullage.experiments.reproduce import flights
-from ullage.experiments.reproduce.volumes import COLUMNS
+from ullage.thesis import flights
+from ullage.thesis.volumes import COLUMNS
 
 SAID = ("f1", "precision", "recall", "surface_declared_free", "known_behind")
 

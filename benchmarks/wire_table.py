@@ -11,7 +11,7 @@ import numpy as np
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.experiments.reproduce.flights import SIZE, heard, level_round
+from ullage.thesis.flights import SIZE, heard, level_round
 from ullage.world.scene import Scene
 
 OBJECTS = {"3 mm wire": 0.0015, "1 cm pole": 0.005, "5 cm pole": 0.025}

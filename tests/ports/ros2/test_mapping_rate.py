@@ -7,9 +7,9 @@ import pytest
 
 import ullage as ul
 from ullage.data import sensors_of
-from ullage.experiments.reproduce.node import batches
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.ports.publisher import Publisher
+from ullage.thesis.node import batches
 
 from .network import Network, told
 

@@ -1,0 +1,122 @@
+"""What an experiment works with: its folder, how much of it is wanted, and a way to fly scenarios."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ullage.data import Frames, Metric, Trajectory, joined
+from ullage.experiments.catalog import find_scenario
+from ullage.experiments.draft import begin_run
+from ullage.experiments.runner import execute, of_scenario
+from ullage.experiments.simulated import Simulated, prepare
+from ullage.grids import Image, OccupancyMap
+from ullage.thesis.findings import Findings
+from ullage.world.scene import Scene
+
+Say = Callable[[str], None]
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C while a scenario ran; what it had received is written."""
+
+
+@dataclass(slots=True)
+class Kept:
+    """A sink that keeps every frame."""
+
+    parts: dict[str, list[Frames]] = field(default_factory=dict)
+
+    def write(self, item: Any) -> None:
+        """Keeps frames, passes over the rest."""
+        if isinstance(item, Mapping):
+            for name, part in item.items():
+                self.parts.setdefault(name, []).append(part)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def frames(self) -> dict[str, Frames]:
+        """All frames by sensor."""
+        return {name: joined(parts) for name, parts in self.parts.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A scenario that was run: world, flight, frames, and what was made of them."""
+
+    name: str
+    simulated: Simulated
+    frames: dict[str, Frames]
+    image: Image | None
+    omap: OccupancyMap | None
+    metrics: dict[str, Metric]
+
+    @property
+    def scene(self) -> Scene:
+        """The world."""
+        return self.simulated.scene
+
+    @property
+    def track(self) -> Trajectory:
+        """The body's true path."""
+        return self.simulated.flown
+
+    @property
+    def height_m(self) -> float:
+        """Mean height of the flight [m]."""
+        return float(self.track.position[:, 2].mean())
+
+    @property
+    def only(self) -> Frames:
+        """Frames of the one radar, or of the first."""
+        return next(iter(self.frames.values()))
+
+    def number(self, name: str) -> float:
+        """A metric's value."""
+        return self.metrics[name].value
+
+
+@dataclass(slots=True)
+class Bench:
+    """One experiment at work."""
+
+    folder: Path
+    quick: bool
+    say: Say
+    recordings: Path
+    findings: Findings = field(default_factory=Findings)
+
+    def fly(self, name: str, options: Sequence[str] = ()) -> Flown:
+        """Runs a scenario into a run folder of its own and keeps its frames.
+
+        Args:
+            name: of a shipped scenario.
+            options: `a.b=value` over it.
+
+        Raises:
+            Interrupted: Ctrl-C.
+        """
+        scenario = find_scenario(name, options=options)
+        if options:  # the bounds are those of the scenario as it is shipped
+            scenario = scenario.but(expect={})
+        self.say(f"{name}: flying")
+        simulated = prepare(scenario)
+        draft = begin_run(scenario.name, scenario.digest, root=self.folder / "runs", force=True)
+        kept, started = Kept(), time.monotonic()
+        total = max(simulated.flown.duration_s, 1e-9)
+
+        def tell(done: float) -> None:
+            self.say(f"{name}: {100 * min(done / total, 1):.0f} %, {time.monotonic() - started:.0f} s")
+
+        report = execute(of_scenario(draft, simulated), sinks=[kept], progress=tell, say=lambda _: None, draw=False)
+        if report.outcome.interrupted:
+            raise Interrupted
+        self.findings.scenarios.append(str(report.folder.relative_to(self.folder)))
+        results = report.outcome.results
+        image = next((item for item in results if isinstance(item, Image)), None)
+        omap = next((item for item in results if isinstance(item, OccupancyMap)), None)
+        return Flown(name, simulated, kept.frames(), image, omap, report.metrics)

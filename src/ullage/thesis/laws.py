@@ -1,0 +1,148 @@
+"""The ray model of 2018 and the physical model side by side on the thesis' four targets [Billdal2018].
+
+A drone strafes past a facing steel plate, the plate turned by 45 degrees, a square pole and a wire, with one radar that
+looks ahead. The ray law is nearly blind to tilt and to thickness and ends at the last wall; physics is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ullage.arrays import Floats
+from ullage.data import Frames, Trajectory
+from ullage.radar.simulate import simulate
+from ullage.specs import RadarSpec
+from ullage.world.library import WORLDS
+from ullage.world.scene import Scene, Wires
+
+TARGETS = {
+    "ntnu-plate": ("steel_plate::plate", "facing plate"),
+    "ntnu-plate45": ("steel_plate::plate", "plate at 45 deg"),
+    "ntnu-pole": ("steel_pole::pole", "square pole"),
+    "ntnu-wire": ("steel_wire::wire", "wire"),
+}
+"""World: the name of the steel in it, and what to call it."""
+TAIL_M = 8.4
+"""No straight path in the room is longer than this; what comes later has been reflected on the way [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """What both laws say of one target."""
+
+    world: str
+    title: str
+    across_m: Floats  # (n) the track [m]
+    thesis: Frames  # with its noise
+    physical: Frames  # with its noise and up to `max_bounces` reflections
+    steel: dict[str, Floats]  # strongest amplitude (n) of the steel alone, without noise, by law
+    summed: Floats  # amplitude (n) of the steel alone summed over range, ray law
+    tail: dict[str, float]  # rms amplitude beyond TAIL_M without noise, by law
+
+
+def strafe(world: str, *, step_m: float = 0.05) -> Trajectory:
+    """The world's strafing track, one frame each `step_m`."""
+    (x0, y0, z0, yaw), (x1, y1, z1, _) = WORLDS[world].path_xyzyaw
+    return Trajectory.line((x0, y0, z0), (x1, y1, z1), 0.5, 0.5 / step_m, yaw_deg=yaw)
+
+
+def alone(scene: Scene, name: str) -> Scene:
+    """One object of a scene and nothing else."""
+    index = scene.object(name)
+    wires, mine = scene.wires, scene.wires.object_id == index
+    kept = Wires(wires.start[mine], wires.end[mine], wires.radius_m[mine], np.zeros(int(mine.sum()), np.int32))
+    faces = scene.faces[scene.face_object == index]
+    return Scene(scene.vertices, faces, np.zeros(len(faces), np.int32), (scene.objects[index],), kept, name)
+
+
+def without(scene: Scene, name: str) -> Scene:
+    """A scene less one object that has faces."""
+    kept = scene.face_object != scene.object(name)
+    return Scene(scene.vertices, scene.faces[kept], scene.face_object[kept], scene.objects, scene.wires, scene.name)
+
+
+def radars() -> tuple[RadarSpec, RadarSpec]:
+    """The same front radar with and without noise (the ray law's own noise too)."""
+    loud = RadarSpec.preset("x4m05")
+    return loud, loud.but(noise=None, thesis=loud.thesis.but(noise_sigma=0.0))
+
+
+def compare(world: str, *, step_m: float = 0.05, max_bounces: int = 3, seed: int = 7) -> Row:
+    """Both laws along the track past one target.
+
+    Args:
+        world: one of TARGETS.
+        step_m: distance between frames [m].
+        max_bounces: reflections the physical law follows.
+        seed: of the noise.
+    """
+    name, title = TARGETS[world]
+    scene, path = WORLDS[world].scene(), strafe(world, step_m=step_m)
+    steel, tail = alone(scene, name), {}
+    loud, quiet = radars()
+    rays = abs(simulate(steel, path, quiet, fidelity="thesis").samples).astype(float)
+    waves = abs(simulate(steel, path, quiet, fidelity="physical").samples).astype(float)
+    few = path[:: max(1, len(path) // 8)]
+    for law, bounces in (("thesis", 1), ("physical", max_bounces)):
+        still = simulate(scene, few, quiet, fidelity=law, max_bounces=bounces)
+        tail[law] = float(np.sqrt(np.mean(abs(still.samples[:, still.range_m > TAIL_M]) ** 2)))
+    return Row(world, title, path.position[:, 1].copy(),
+               simulate(scene, path, loud, fidelity="thesis", seed=seed),
+               simulate(scene, path, loud, fidelity="physical", max_bounces=max_bounces, seed=seed),
+               {"thesis": rays.max(1), "physical": waves.max(1)}, rays.sum(1), tail)  # fmt: skip
+
+
+def decibel(value: Any) -> Any:
+    """20 log10, nothing below -300 dB."""
+    return 20 * np.log10(np.maximum(abs(np.asarray(value)), 1e-15))
+
+
+def under_plate_db(rows: list[Row]) -> dict[tuple[str, str], Floats]:
+    """Amplitude of each target's steel over the facing plate's strongest (n) [dB], by world and law."""
+    plate = rows[0].steel
+    return {(row.world, law): decibel(row.steel[law] / plate[law].max()) for row in rows for law in plate}
+
+
+def numbers(rows: list[Row]) -> dict[str, float]:
+    """The statements of the figure as numbers.
+
+    Returns:
+        For each world and law "<world> <law> opposite": the level with the target straight ahead, and
+        "... best": the strongest along the track, both over the facing plate's strongest [dB];
+        "... thesis summed opposite": the same of the ray law's amplitude summed over range; "... missed": the
+        share of frames without any echo of the steel; and "tail <law>": rms
+        beyond the last wall over the facing plate's strongest echo [dB], world of the first row.
+    """
+    out = {}
+    for (world, law), level in under_plate_db(rows).items():
+        row = next(row for row in rows if row.world == world)
+        out[f"{world} {law} opposite"] = float(level[np.argmin(abs(row.across_m))])
+        out[f"{world} {law} best"] = float(level.max())
+    for row in rows:
+        summed = decibel(row.summed / rows[0].summed.max())
+        out[f"{row.world} thesis summed opposite"] = float(summed[np.argmin(abs(row.across_m))])
+        for law in row.steel:
+            out[f"{row.world} {law} missed"] = float(np.mean(row.steel[law] == 0))
+    for law, value in rows[0].tail.items():
+        out[f"tail {law}"] = float(decibel(value / rows[0].steel[law].max()))
+    return out
+
+
+def laws_figure(out: Path, *, step_m: float = 0.05, max_bounces: int = 3) -> dict[str, float]:
+    """Draws the four targets under both laws; gives the numbers written in the figure.
+
+    Args:
+        out: .png, .svg or .pdf.
+        step_m: distance between frames [m].
+        max_bounces: reflections the physical law follows.
+    """
+    from ullage.thesis.laws_figure import draw_laws
+
+    rows = [compare(world, step_m=step_m, max_bounces=max_bounces) for world in TARGETS]
+    found = numbers(rows)
+    draw_laws(out, rows, found)
+    return found

@@ -1,0 +1,96 @@
+"""Runs the thesis' experiments, each once: what is done is kept and not done again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ullage.errors import UllageError
+from ullage.experiments.cluster import Report, carry_out
+from ullage.experiments.folder import write_json
+from ullage.thesis.plan import Experiment
+from ullage.thesis.task import Chapter, Task, code_now
+
+RECORDINGS = Path("../shared/data")
+"""Where the real recordings lie beside a checkout."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reproduction:
+    """All that was done, and whether it was cut short."""
+
+    folder: Path
+    chapters: tuple[Chapter, ...]
+    interrupted: bool
+    report: Path
+
+    @property
+    def broken(self) -> list[str]:
+        """Statements that do not hold and scenarios out of their bounds, in words."""
+        out = []
+        for chapter in self.chapters:
+            out += [
+                f"{s.text}: {s.value:.4g} {s.unit}, wanted {s.wanted}"
+                for s in chapter.findings.statements
+                if not s.holds
+            ]
+            out += [f"{name}: {v.text}" for name, v in chapter.verdicts if not v.inside]
+        return out
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Statements and bounds that hold, and all of them."""
+        flags = [s.holds for c in self.chapters for s in c.findings.statements]
+        flags += [v.inside for c in self.chapters for _, v in c.verdicts]
+        return sum(flags), len(flags)
+
+
+def reproduce(
+    out: Path,
+    wanted: Sequence[Experiment],
+    *,
+    recordings: Path = RECORDINGS,
+    quick: bool = False,
+    fresh: bool = False,
+    jobs: int | None = 1,
+    tell: Report = lambda *_: None,
+) -> Reproduction:
+    """Run every experiment that is not yet done, then write the report.
+
+    Args:
+        out: folder of the results; one folder for each experiment, report.html above them.
+        wanted: which.
+        recordings: folder of the real recordings; what needs those that are not there is left out.
+        quick: small, in two minutes.
+        fresh: do again what is done.
+        jobs: worker processes on this machine; 1: this process; None: one for each core. More than one needs Dask.
+        tell: called with the number of experiments done and what goes on.
+
+    Raises:
+        UllageError: an experiment failed; the others are done, and are kept.
+    """
+    root = out / ("quick" if quick else "whole")
+    code = code_now()
+    tasks = [Task(experiment, root, recordings, quick, code) for experiment in wanted]
+    if fresh:
+        for task in tasks:
+            task.forget()
+    outcome = carry_out(tasks, where=jobs, tell=tell)
+    for task in tasks:
+        if why := outcome.failed.get(task.name):
+            raise UllageError(f"{task.title}: {why}")
+    return _finished(root, [task.chapter() for task in tasks if task.done], outcome.interrupted, quick, len(wanted))
+
+
+def _finished(root: Path, chapters: list[Chapter], interrupted: bool, quick: bool, wanted: int) -> Reproduction:
+    from ullage.thesis.page import write_page
+
+    done = Reproduction(root, tuple(chapters), interrupted, root / "report.html")
+    root.mkdir(parents=True, exist_ok=True)
+    write_page(done, quick=quick, wanted=wanted)
+    write_json(root / "verdict.json", {
+        "holding": done.counts[0], "statements": done.counts[1], "broken": done.broken, "interrupted": interrupted,
+        "experiments": {c.experiment.name: {"took_s": c.took_s, "cpu_s": c.cpu_s} for c in chapters},
+    })  # fmt: skip
+    return done

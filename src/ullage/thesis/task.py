@@ -1,0 +1,116 @@
+"""One experiment to do: where its results go, whether they are there already, and the doing of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import ullage
+from ullage.errors import InputError
+from ullage.experiments.folder import provenance, read_json
+from ullage.experiments.judge import Verdict, verdicts
+from ullage.thesis.bench import Bench
+from ullage.thesis.findings import Findings, read_findings
+from ullage.thesis.plan import Experiment
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """One experiment that is done."""
+
+    experiment: Experiment
+    folder: Path
+    findings: Findings
+    verdicts: tuple[tuple[str, Verdict], ...]  # scenario, bound
+    took_s: float
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """An experiment, and where and how it is done."""
+
+    experiment: Experiment
+    root: Path
+    recordings: Path
+    quick: bool
+    code: str  # that does it; known to the processes that do, so that code which changes meanwhile does not count
+
+    @property
+    def name(self) -> str:
+        """The experiment's."""
+        return self.experiment.name
+
+    @property
+    def title(self) -> str:
+        """The experiment's."""
+        return self.experiment.title
+
+    @property
+    def cost(self) -> float:
+        """How long it takes, beside the others."""
+        return self.experiment.small if self.quick else self.experiment.weight
+
+    @property
+    def folder(self) -> Path:
+        """Where its results go."""
+        return self.root / self.name
+
+    @property
+    def mark(self) -> Path:
+        """The file that is there when it is done."""
+        return self.folder / "findings.json"
+
+    @property
+    def done(self) -> bool:
+        """Whether its results are there, from this code, these scenarios and these recordings."""
+        return self.mark.is_file() and read_json(self.mark).get("inputs") == self.inputs
+
+    @property
+    def inputs(self) -> str:
+        """Stands for all that its result hangs on."""
+        text = hashlib.sha256(json.dumps([self.experiment.name, self.quick, ullage.__version__, self.code]).encode())
+        for path in self.experiment.reads(self.recordings):
+            text.update(f"{path.name}:{path.stat().st_size if path.exists() else None}\n".encode())
+        return text.hexdigest()[:16]
+
+    def forget(self) -> None:
+        """Removes its results."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def do(self, say: Callable[[str], None]) -> None:
+        """Do it anew.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        self.forget()
+        try:
+            self.folder.mkdir(parents=True)
+        except OSError as error:
+            raise InputError(f"cannot write: {error.strerror}", where=self.folder, allowed="--out DIR") from None
+        bench = Bench(self.folder, self.quick, say, self.recordings)
+        wall, cpu = time.monotonic(), time.process_time()
+        self.experiment.run(bench)
+        spent = {"took_s": time.monotonic() - wall, "cpu_s": time.process_time() - cpu}
+        bench.findings.write(self.mark, inputs=self.inputs, quick=self.quick, machine=provenance()["machine"], **spent)
+
+    def chapter(self) -> Chapter:
+        """What it found."""
+        findings, tree = read_findings(self.mark), read_json(self.mark)
+        judged = [(Path(run).name, verdict) for run in findings.scenarios for verdict in verdicts(self.folder / run)]
+        return Chapter(self.experiment, self.folder, findings, tuple(judged), tree["took_s"], tree["cpu_s"])
+
+
+def code_now() -> str:
+    """Stands for this code, its scenarios and worlds."""
+    text, here = hashlib.sha256(), Path(ullage.__file__).parent
+    for path in sorted(p for kind in ("*.py", "*.yaml", "*.sdf", "*.obj") for p in here.rglob(kind)):
+        text.update(f"{path.relative_to(here)}\n".encode())
+        text.update(path.read_bytes())
+    return text.hexdigest()
