@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ullage.thesis.laws import TARGETS, compare, numbers
-from ullage.thesis.laws_figure import draw_laws
+from ullage.thesis.laws import TARGETS, compare, draw_laws, numbers
 
 
 @pytest.fixture(scope="module")

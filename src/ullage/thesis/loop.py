@@ -3,47 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from ullage.errors import UllageError
 from ullage.experiments.cluster import Report, carry_out
 from ullage.experiments.folder import write_json
+from ullage.thesis.page import write_page
 from ullage.thesis.plan import Experiment
-from ullage.thesis.task import Chapter, Task, code_now
+from ullage.thesis.task import Chapter, Reproduction, Task, code_now
 
 RECORDINGS = Path("../shared/data")
 """Where the real recordings lie beside a checkout."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reproduction:
-    """All that was done, and whether it was cut short."""
-
-    folder: Path
-    chapters: tuple[Chapter, ...]
-    interrupted: bool
-    report: Path
-
-    @property
-    def broken(self) -> list[str]:
-        """Statements that do not hold and scenarios out of their bounds, in words."""
-        out = []
-        for chapter in self.chapters:
-            out += [
-                f"{s.text}: {s.value:.4g} {s.unit}, wanted {s.wanted}"
-                for s in chapter.findings.statements
-                if not s.holds
-            ]
-            out += [f"{name}: {v.text}" for name, v in chapter.verdicts if not v.inside]
-        return out
-
-    @property
-    def counts(self) -> tuple[int, int]:
-        """Statements and bounds that hold, and all of them."""
-        flags = [s.holds for c in self.chapters for s in c.findings.statements]
-        flags += [v.inside for c in self.chapters for _, v in c.verdicts]
-        return sum(flags), len(flags)
 
 
 def reproduce(
@@ -84,8 +54,6 @@ def reproduce(
 
 
 def _finished(root: Path, chapters: list[Chapter], interrupted: bool, quick: bool, wanted: int) -> Reproduction:
-    from ullage.thesis.page import write_page
-
     done = Reproduction(root, tuple(chapters), interrupted, root / "report.html")
     root.mkdir(parents=True, exist_ok=True)
     write_page(done, quick=quick, wanted=wanted)

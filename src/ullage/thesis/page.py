@@ -6,16 +6,13 @@ import base64
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
 from ullage.experiments.folder import provenance, write_text
-
-if TYPE_CHECKING:
-    from ullage.thesis.findings import Findings
-    from ullage.thesis.loop import Reproduction
-    from ullage.thesis.task import Chapter
+from ullage.thesis.findings import Findings
+from ullage.thesis.task import Chapter, Reproduction
 
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>The thesis reproduced - ullage</title>

@@ -32,6 +32,36 @@ class Chapter:
 
 
 @dataclass(frozen=True, slots=True)
+class Reproduction:
+    """All that was done, and whether it was cut short."""
+
+    folder: Path
+    chapters: tuple[Chapter, ...]
+    interrupted: bool
+    report: Path
+
+    @property
+    def broken(self) -> list[str]:
+        """Statements that do not hold and scenarios out of their bounds, in words."""
+        out = []
+        for chapter in self.chapters:
+            out += [
+                f"{s.text}: {s.value:.4g} {s.unit}, wanted {s.wanted}"
+                for s in chapter.findings.statements
+                if not s.holds
+            ]
+            out += [f"{name}: {v.text}" for name, v in chapter.verdicts if not v.inside]
+        return out
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Statements and bounds that hold, and all of them."""
+        flags = [s.holds for c in self.chapters for s in c.findings.statements]
+        flags += [v.inside for c in self.chapters for _, v in c.verdicts]
+        return sum(flags), len(flags)
+
+
+@dataclass(frozen=True, slots=True)
 class Task:
     """An experiment, and where and how it is done."""
 
