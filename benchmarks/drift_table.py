@@ -15,7 +15,7 @@ import numpy as np
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.processing.drift import correct_drift
-from ullage.thesis.flights import believed, drift, heard, judged_room, level_round
+from ullage.thesis.flights import believed, drift, judged_room, level_round, received
 
 DRIFT_M, TURN_DEG = 0.2, 2.0
 SMOOTH_S, ROUGH_S = 5.0, 1.5
@@ -71,7 +71,7 @@ def print_drifts(flights: int, count: int) -> None:
     print("|---|---|---|---|---|---|---|")
     for seed in range(flights):
         path = level_round(seed)
-        frames = heard(scene, path, seed)
+        frames = received(scene, path, seed)
         for k in range(count):
             offset = drift(len(path), DRIFT_M, np.random.default_rng([seed, 300 + k]))
             done = correct_drift(believed(frames, offset), drift_m=DRIFT_M)

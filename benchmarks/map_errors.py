@@ -93,7 +93,7 @@ def main() -> None:
     grid = flights.plane_of(scene)
     total: Counter = Counter()
     for seed in range(options.seeds):
-        frames = flights.heard(scene, flights.level_round(seed), seed)
+        frames = flights.received(scene, flights.level_round(seed), seed)
         total += of_flight(scene, grid, frames)
     print("| | share |\n|---|---|")
     for name in CELLS + SURFACE:

@@ -22,7 +22,7 @@ COLUMNS = ("f1", "precision", "recall", "surface_declared_free", "free_found")
 
 def judged(scene: Scene, path: Trajectory, grid: Grid, strides: tuple[int, ...], seed: int) -> np.ndarray:
     """Scores by stride and column of one flight; each map is judged by the frames that it had."""
-    frames = flights.heard(scene, path, seed)
+    frames = flights.received(scene, path, seed)
     rows = []
     for stride in strides:
         sparse: dict[str, Frames] = {name: part[::stride] for name, part in frames.items()}

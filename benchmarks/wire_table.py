@@ -11,7 +11,7 @@ import numpy as np
 
 import ullage as ul
 from ullage.data import Frames, Trajectory
-from ullage.thesis.flights import SIZE, heard, level_round
+from ullage.thesis.flights import SIZE, level_round, received
 from ullage.world.scene import Scene
 
 OBJECTS = {"3 mm wire": 0.0015, "1 cm pole": 0.005, "5 cm pole": 0.025}
@@ -130,7 +130,7 @@ def room(runs: int) -> None:
     tally = {name: np.zeros((len(NEAR), len(OFF), 2), int) for name in places}
     false = []
     for seed in range(runs):
-        frames = heard(scene, level_round(seed), seed)
+        frames = received(scene, level_round(seed), seed)
         score = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, frames)
         false.append(int(score["false_occupied"].value))
         for part in frames.values():

@@ -512,8 +512,8 @@ def reproduce(
 ) -> None:
     """Run every experiment of the thesis, both ways; exit 1 when a bound is broken. Run again to go on after Ctrl-C."""
     from ullage.experiments.warmup import compile_kernels, compiled
-    from ullage.thesis.loop import reproduce as run_all
     from ullage.thesis.plan import wanted
+    from ullage.thesis.reproduce import reproduce as run_all
     from ullage.view.progress import console, progress_bar, say, say_report
 
     chosen = wanted(quick, only or [])

@@ -22,7 +22,7 @@ def flown() -> tuple[ul.Scene, dict[str, ul.Frames]]:
     scene = ul.scenes.room(SIZE)
     path = flights.level_round(3)
     inner = ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw)
-    return scene, flights.heard(scene, inner, 3)
+    return scene, flights.received(scene, inner, 3)
 
 
 @pytest.mark.parametrize("stride", [1, 3, 5, 7, 10])  # 1.4 to 14 cm
@@ -38,7 +38,7 @@ def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
 def test_a_volume_is_mapped_from_frames_10_cm_apart(flown):
     scene, _ = flown
     path = flights.rising_round(3)
-    frames = flights.heard(scene, ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw), 3)
+    frames = flights.received(scene, ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw), 3)
     sparse = {name: part[::7] for name, part in frames.items()}
     found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.volume_of(scene)), scene, sparse)
     assert found["f1"].value > 0.85  # 0.75 where looks count alike however far apart

@@ -8,7 +8,7 @@ from spoilt import Change, Fleet, Mutant, Section, again, emptied, longer, loude
 
 from ullage.experiments.catalog import find_scenario, scenario_names
 from ullage.thesis import hold
-from ullage.thesis.bench import Bench, Flown
+from ullage.thesis.workspace import Flown, Workspace
 
 SAME_BUT_NOISE = "cluttered-room-physical-again"
 """A second run of a long flight, with the bounds of the first."""
@@ -23,12 +23,14 @@ def flights_of(*names: str) -> Callable[[Fleet], Flights]:
     return lambda fleet: {name: fleet(name, *PART.get(name, ())) for name in names}
 
 
-def state(bench: Bench, flights: Flights) -> None:
+def state(work: Workspace, flights: Flights) -> None:
     for name, flown in flights.items():
         for metric, bound in find_scenario(name).expect.items():
             if metric == "f1" and name in PART:
                 continue
-            bench.findings.hold(f"{name}: {metric}", "expect", flown.number(metric), low=bound.min, high=bound.max)
+            work.results.add_statement(
+                f"{name}: {metric}", "expect", flown.number(metric), low=bound.min, high=bound.max
+            )
 
 
 def all_again(change: Change) -> Callable[[Flights], Flights]:

@@ -35,18 +35,18 @@ from ullage.processing.occupancy import Mapper
 from ullage.radar.simulate import simulate
 from ullage.thesis import (
     baseline,
-    causes_cpu,
-    causes_images,
-    causes_maps,
+    cpu_causes,
     detection,
     detection_laws,
     hall,
     hold,
+    image_causes,
+    map_causes,
     room,
 )
-from ullage.thesis.bench import Bench, Flown
-from ullage.thesis.changes import less
-from ullage.thesis.laws import TARGETS, radars, strafe
+from ullage.thesis.targets import TARGETS, radars, strafe
+from ullage.thesis.variants import without_models
+from ullage.thesis.workspace import Flown, Workspace
 from ullage.world.library import WORLDS, World
 from ullage.world.materials import material
 from ullage.world.scene import Scene
@@ -79,7 +79,7 @@ def steel_floor(scene: Scene) -> Scene:
 
 # --- baseline: every term of the ray model, of Elfes' grid and of the apex
 
-BASELINE = Section("baseline", "baseline", lambda bench, _: baseline.run(bench), (
+BASELINE = Section("baseline", "baseline", lambda work, _: baseline.run(work), (
     Mutant("eq. 4.2 without its cosine", ("turned by 45 deg",), term(cosine=0.0)),
     Mutant("eq. 4.2 without its range", ("the ray's area grows",), term(spread=0.0)),
     Mutant("eq. 4.2 with the range once", ("the ray's area grows",), term(spread=1.0)),
@@ -111,10 +111,10 @@ def four_targets(fleet: Fleet) -> Looks:
     return {world: {law: fleet(world + tail) for law, tail in laws.items()} for world in TARGETS}
 
 
-def state_targets(bench: Bench, looks: Looks) -> None:
-    detection.ranges(bench, looks)
-    detection.places(bench, looks)
-    detection.levels(bench, looks)
+def state_targets(work: Workspace, looks: Looks) -> None:
+    detection.ranges(work, looks)
+    detection.places(work, looks)
+    detection.levels(work, looks)
 
 
 def all_longer(looks: Looks) -> Looks:
@@ -130,8 +130,8 @@ def wire_pass(_: Fleet) -> Scene:
     return WORLDS["ntnu-wire"].scene()
 
 
-def state_clutter(bench: Bench, scene: Scene) -> None:
-    detection_laws.clutter(bench, scene, strafe("ntnu-wire"), np.array([0.0, 0.0, 1.1]))
+def state_clutter(work: Workspace, scene: Scene) -> None:
+    detection_laws.clutter(work, scene, strafe("ntnu-wire"), np.array([0.0, 0.0, 1.1]))
 
 
 def floor_stays(patch: Patch) -> None:
@@ -154,8 +154,8 @@ def one_reflection(patch: Patch) -> None:
     )
 
 
-def state_tail(bench: Bench, scene: Scene) -> None:
-    detection_laws.tail(bench, scene, strafe("ntnu-plate"))
+def state_tail(work: Workspace, scene: Scene) -> None:
+    detection_laws.tail(work, scene, strafe("ntnu-plate"))
 
 
 DETECTION = (
@@ -169,7 +169,7 @@ DETECTION = (
         Mutant("the plate at 45 deg is not turned", ("the facing plate over the turned one in",),
                change=lambda looks: looks | {"ntnu-plate45": looks["ntnu-plate"]}),
     ), four_targets),
-    Section("targets alone", "detection", lambda bench, _: detection_laws.brightness(bench), (
+    Section("targets alone", "detection", lambda work, _: detection_laws.brightness(work), (
         Mutant("the plate at 45 deg is not turned", (
             "the brightest target, thesis law", "the brightest target, physical law", "physical law: the turned plate",
             "turning the plate costs less",
@@ -203,10 +203,10 @@ def four_grids(fleet: Fleet) -> Room:
     return {step: fleet(name) for step, name in STEPS.items()}, fleet("ntnu-mapping-physical")
 
 
-def state_room(bench: Bench, material: Room) -> None:
+def state_room(work: Workspace, material: Room) -> None:
     rays, waves = material
     assert waves.omap is not None
-    room.state(bench, rays, (waves.omap, waves.metrics))
+    room.state(work, rays, (waves.omap, waves.metrics))
 
 
 def rays_again(change: Callable[[Any], Any] = lambda part: part) -> Callable[[Room], Room]:
@@ -246,15 +246,17 @@ def two_runs(fleet: Fleet) -> Hall:
     return [fleet("cluttered-room"), fleet("cluttered-room-again")], [fleet("cluttered-room-physical")]
 
 
-def state_hall(bench: Bench, both: Hall) -> None:
-    hall.things(bench, both[0][0], both[1][0])
-    hall.smears(bench, *both)
+def state_hall(work: Workspace, both: Hall) -> None:
+    hall.things(work, both[0][0], both[1][0])
+    hall.smears(work, *both)
 
 
 def nothing_there(flown: Flown) -> Flown:
     """The same flight round an empty hall, judged by the one with the seven things."""
     plan = flown.simulated
-    bare = simulate(less(flown.scene, *hall.THINGS), flown.track, plan.rig, fidelity="thesis", seed=plan.scenario.seed)
+    bare = simulate(
+        without_models(flown.scene, *hall.THINGS), flown.track, plan.rig, fidelity="thesis", seed=plan.scenario.seed
+    )
     return again(replace(flown, frames=dict(bare)))
 
 
@@ -300,7 +302,7 @@ def hold_part(fleet: Fleet) -> tuple[Flown, Flown]:
     return fleet("cargo-hold", hold.LEG), fleet("cargo-hold-physical", hold.LEG)
 
 
-HOLD = Section("the cargo hold", "hold", lambda bench, both: hold.state(bench, *both), (
+HOLD = Section("the cargo hold", "hold", lambda work, both: hold.state(work, *both), (
     Mutant("ranges 0.5 m too long", ("cells held known", "ullage's F1 over"),
            change=lambda both: (both[0], again(both[1], longer(0.5)))),
     Mutant("nothing is received", ("surface declared free",), change=lambda both: (both[0], again(both[1], emptied))),
@@ -322,7 +324,7 @@ def elfes_costs(patch: Patch) -> None:
     patch.setattr(hold, "Mapper", lambda grid, **_: Mapper(grid, method="elfes"))
 
 
-FAR = Section("cost of a profile", "hold", lambda bench, fleet: hold.far(bench, fleet("cargo-hold", hold.LEG).track), (
+FAR = Section("cost of a profile", "hold", lambda work, fleet: hold.far(work, fleet("cargo-hold", hold.LEG).track), (
     Mutant("every reading looks at the whole lobe", ("cells that a reading traverses",), whole_lobe),
     Mutant("Elfes' grid in place of ullage's mapper", ("a profile costs no more",), elfes_costs),
 ), lambda fleet: fleet)  # fmt: skip
@@ -332,23 +334,23 @@ FAR = Section("cost of a profile", "hold", lambda bench, fleet: hold.far(bench, 
 
 
 def nothing_removed(patch: Patch) -> None:
-    for module in (causes_images, causes_maps):
-        patch.setattr(module, "less", lambda scene, *_: scene)
+    for module in (image_causes, map_causes):
+        patch.setattr(module, "without_models", lambda scene, *_: scene)
 
 
 def threshold_ignored(patch: Patch) -> None:
-    patch.setattr(causes_maps, "ElfesMapper", lambda grid, threshold=None, **options: ElfesMapper(grid, **options))
+    patch.setattr(map_causes, "ElfesMapper", lambda grid, threshold=None, **options: ElfesMapper(grid, **options))
 
 
 def steady_hand(patch: Patch) -> None:
-    kept = causes_images.find_scenario
-    patch.setattr(causes_images, "find_scenario", lambda name, options=(): kept(
+    kept = image_causes.find_scenario
+    patch.setattr(image_causes, "find_scenario", lambda name, options=(): kept(
         name, options=[*options, "flight.vehicle=ideal", "flight.wander_m=0", "flight.wander_deg=0"]))  # fmt: skip
 
 
-def state_causes(bench: Bench, _: Material) -> None:
-    for part in (causes_images.brightness, causes_images.wire, causes_maps.east_wall, causes_maps.cluttered):
-        part(bench)
+def state_causes(work: Workspace, _: Material) -> None:
+    for part in (image_causes.brightness, image_causes.wire, map_causes.east_wall, map_causes.cluttered):
+        part(work)
 
 
 CAUSES = (
@@ -360,7 +362,7 @@ CAUSES = (
         Mutant("the threshold is not changed", ("with twice the threshold", "a quarter of the threshold"),
                threshold_ignored),
     )),
-    Section("flown by hand", "causes", lambda bench, _: causes_images.by_hand(bench), (
+    Section("flown by hand", "causes", lambda work, _: image_causes.by_hand(work), (
         Mutant("an ideal vehicle that does not wander", ("the wire's place in the image darkens",), steady_hand),
     )),
 )  # fmt: skip
@@ -372,7 +374,7 @@ READING_COSTS = {"compiled": {"NTNU room": (17e-6, 834.0), "cargo hold": (40e-6,
                            "cargo hold, no echoes": (6.63e-3, 8337.0)}}  # fmt: skip
 """CPU of a reading [s] and its cells, as on the page."""
 
-CPU = Section("CPU of a reading", "causes", lambda bench, costs: causes_cpu.state(bench, **costs), (
+CPU = Section("CPU of a reading", "causes", lambda work, costs: cpu_causes.state(work, **costs), (
     Mutant("both compiled", ("Elfes in plain Python",), change=lambda costs: costs | {"plain": costs["compiled"]}),
 ), lambda _: READING_COSTS)  # fmt: skip
 

@@ -32,9 +32,9 @@ from ullage.thesis import (
     tables,
     volumes,
 )
-from ullage.thesis.bench import Bench
 from ullage.thesis.flights import Recordings, Scores
 from ullage.thesis.node import NodeCost
+from ullage.thesis.workspace import Workspace
 
 # --- speed, CPU and memory: what was measured, made worse
 
@@ -55,9 +55,9 @@ def slower(times: float) -> Callable[[Spents], Spents]:
                          for table, one in all_.items()}  # fmt: skip
 
 
-def state_tables(bench: Bench, all_: Spents) -> None:
+def state_tables(work: Workspace, all_: Spents) -> None:
     for table, one in all_.items():
-        tables.state(bench, table, one)
+        tables.state(work, table, one)
 
 
 TABLES = Section("tables 6.1 to 6.4", "tables", state_tables, (
@@ -82,7 +82,7 @@ def every(**times: float) -> Callable[[Costs], Costs]:
                           for name, cost in costs.items()}  # fmt: skip
 
 
-BUDGET = Section("the node on board", "budget", lambda bench, costs: budget.state(bench, costs, 1.0), (
+BUDGET = Section("the node on board", "budget", lambda work, costs: budget.state(work, costs, 1.0), (
     Mutant("ullage's mapper at a tenth of its cost", ("needs more than one BeagleBone core",), change=every(cpu_s=0.1)),
     Mutant("three times the CPU", ("fits one BeagleBone core", "fits one core of the reference machine"),
            change=every(cpu_s=3)),
@@ -127,7 +127,7 @@ def flown_longer(patch: Patch) -> None:
     patch.setattr(speeds, "fly_at", lambda *a, **k: {n: longer(0.25)(f) for n, f in kept(*a, **k).items()})
 
 
-SPEEDS = Section("speed", "speeds", lambda bench, series: speeds.state(bench, SPEC, **series), (
+SPEEDS = Section("speed", "speeds", lambda work, series: speeds.state(work, SPEC, **series), (
     Mutant("frames of one instant", ("loss within a frame less the law", "at the blind speed"),
            change=lambda series: series | measured(("loss", "found"), at_an_instant)),
     Mutant("ranges 0.25 m too long", ("frames that detect it at 0.05 m/s",),
@@ -151,7 +151,7 @@ def each(change: Callable[[Frames], Frames]) -> Spoil:
 
 def scores_of(rows: tuple[str, ...] = ROWS, spoil: Spoil = lambda frames: frames, *, share: float = 0.5) -> Scores:
     """Part of a flight, mapped by some rows of the table from spoilt frames."""
-    scene, kept = flights.judged_room(), (flights.heard, flights.level_round)
+    scene, kept = flights.judged_room(), (flights.received, flights.level_round)
     grid, scores = flights.plane_of(scene), {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "heard", lambda *a, **k: spoil(kept[0](*a, **k)))
@@ -175,13 +175,13 @@ def hover_of(method: str = "ullage") -> list[dict[str, float]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "HOVER_S", 4.0)
         patch.setattr(methods, "Mapper", lambda grid: Mapper(grid, method=method))
-        frames = flights.heard(scene, flights.level_round(SEED)[-150:], SEED)
+        frames = flights.received(scene, flights.level_round(SEED)[-150:], SEED)
         return [methods.hovered(scene, grid, frames, SEED)]
 
 
-def state_methods(bench: Bench, mapped: Mapped) -> None:
-    methods.state(bench, mapped[0])
-    methods.state_targets(bench, *mapped)
+def state_methods(work: Workspace, mapped: Mapped) -> None:
+    methods.state(work, mapped[0])
+    methods.state_targets(work, *mapped)
 
 
 def wrong_sign(part: Frames) -> Frames:
@@ -212,11 +212,11 @@ def one_volume(spoil: Spoil = lambda frames: frames) -> Scores:
     scene = flights.judged_room()
     grid = flights.volume_of(scene)
     scores: Scores = {}
-    frames = spoil(flights.heard(scene, flights.rising_round(SEED)[:220], SEED))
+    frames = spoil(flights.received(scene, flights.rising_round(SEED)[:220], SEED))
     for name, recording in volumes.cases(SEED, frames):
         found = map_quality(map_occupancy(recording, grid), scene, frames)
         scores[name] = [flights.values_of(found, tuple(volumes.COLUMNS))]
-    frames = spoil(flights.heard(scene, flights.level_round(SEED)[:220], SEED))
+    frames = spoil(flights.received(scene, flights.level_round(SEED)[:220], SEED))
     omap = map_occupancy(frames, grid)
     row = flights.values_of(map_quality(omap, scene, frames), tuple(volumes.COLUMNS))
     scores[volumes.LEVEL] = [row | volumes.flagged(omap, scene, frames)]
@@ -258,7 +258,7 @@ def only_summed(patch: Patch) -> None:
     patch.setattr(images, "focus", lambda frames, grid, **_: kept(frames, grid, method="summation"))
 
 
-IMAGES = Section("images of poles", "images", lambda bench, _: images.state(bench, one_image()), (
+IMAGES = Section("images of poles", "images", lambda work, _: images.state(work, one_image()), (
     Mutant("ranges 0.1 m too long", (
         "nearest pole: back-projection, exact", "nearest pole: back-projection, 3 mm",
         "nearest pole: the same, autofocus", "nearest pole: the same, smoothed over",
@@ -309,7 +309,7 @@ def middle_fifth(part: Frames) -> Frames:
     return replace(part, samples=np.where(there, part.samples, 0).astype(part.samples.dtype))
 
 
-RAIL = Section("a real rail", "rail", lambda bench, material: rail.compare(bench, *material), (
+RAIL = Section("a real rail", "rail", lambda work, material: rail.compare(work, *material), (
     Mutant("the reflector is sought 1 m to the side", ("waveform of the reflector's echo", "frame by frame"),
            change=lambda m: (m[0], m[1], m[2] + [0.7, 0.7, 0.0])),
     Mutant("ranges 0.2 m too long", ("the recorded echo lies beyond",),
@@ -336,8 +336,8 @@ def at_rest(_: Fleet) -> Still:
     return still.samples.astype(np.complex128), ours, spec
 
 
-def state_rest(bench: Bench, still: Still) -> None:
-    rest.state(bench, [rest.measure(rows, still[2]) for rows in still[:2]])
+def state_rest(work: Workspace, still: Still) -> None:
+    rest.state(work, [rest.measure(rows, still[2]) for rows in still[:2]])
 
 
 def simulated_as(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Still], Still]:

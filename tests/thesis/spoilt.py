@@ -24,8 +24,8 @@ from ullage.fan import ray_fan, reaching_max_range
 from ullage.processing.detect import detect
 from ullage.processing.metrics import map_quality
 from ullage.processing.occupancy import map_occupancy
-from ullage.thesis.bench import Bench, Flown
 from ullage.thesis.maps import looks_of
+from ullage.thesis.workspace import Flown, Workspace
 
 Patch = pytest.MonkeyPatch
 Change = Callable[[Frames], Frames]
@@ -35,9 +35,9 @@ Material = Any
 RECORDINGS = Path("../shared/data")
 
 
-def quiet_bench(folder: Path, *, quick: bool = True) -> Bench:
-    """An experiment's bench that prints nothing."""
-    return Bench(folder, quick, lambda _: None, RECORDINGS)
+def quiet_workspace(folder: Path, *, quick: bool = True) -> Workspace:
+    """An experiment's work that prints nothing."""
+    return Workspace(folder, quick, lambda _: None, RECORDINGS)
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Fleet:
     def __call__(self, name: str, *options: str) -> Flown:
         key = (name, *options)
         if key not in self.flown:
-            self.flown[key] = quiet_bench(self.folder).fly(name, ["do=[detect, map]", *options])
+            self.flown[key] = quiet_workspace(self.folder).fly(name, ["do=[detect, map]", *options])
         return self.flown[key]
 
 
@@ -70,7 +70,7 @@ class Section:
 
     name: str
     experiment: str
-    state: Callable[[Bench, Material], None]
+    state: Callable[[Workspace, Material], None]
     mutants: tuple[Mutant, ...]
     material: Callable[[Fleet], Material] = lambda _: None
     quick: bool = True  # the small form of the experiment is stated

@@ -36,7 +36,7 @@ def test_rounds_are_drawn_by_their_seed_and_rise_by_what_they_should():
 
 def test_believed_poses_are_off_and_the_truth_is_kept():
     path = flights.level_round(0)[:10]
-    frames = flights.heard(flights.judged_room(), path, 0, fidelity="thesis")
+    frames = flights.received(flights.judged_room(), path, 0, fidelity="thesis")
     off = flights.believed(frames, np.full((10, 3), 0.2))["left"]
     assert np.allclose(off.believed.position, frames["left"].believed.position + 0.2)
     assert off.truth is not None
@@ -45,8 +45,8 @@ def test_believed_poses_are_off_and_the_truth_is_kept():
 
 def test_told_the_walls_makes_no_error_and_a_map_of_nothing_finds_nothing():
     scene, path = flights.judged_room(), flights.level_round(0)[:200:10]
-    frames = flights.heard(scene, path, 0, fidelity="thesis")
-    told = flights.told_walls(scene, frames, flights.plane_of(scene))
+    frames = flights.received(scene, path, 0, fidelity="thesis")
+    told = flights.errorless_map(scene, frames, flights.plane_of(scene))
     assert map_quality(told, scene, frames)["precision"].value == 1.0
     assert told.occupied.any()
 

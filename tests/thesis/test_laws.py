@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ullage.thesis.laws import TARGETS, compare, draw_laws, numbers
+from ullage.thesis.laws import compare, draw_laws, numbers
+from ullage.thesis.targets import TARGETS
 
 
 @pytest.fixture(scope="module")

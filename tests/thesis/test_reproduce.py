@@ -19,11 +19,11 @@ from ullage.experiments.catalog import find_scenario, scenario_names
 from ullage.experiments.simulated import Simulated
 from ullage.radar.receiver import receive
 from ullage.thesis import maps, rail, rest
-from ullage.thesis.bench import Bench, Flown
-from ullage.thesis.findings import Findings, Statement, read_findings
-from ullage.thesis.loop import reproduce
-from ullage.thesis.page import opening
 from ullage.thesis.plan import EXPERIMENTS, Experiment, wanted
+from ullage.thesis.report import opening
+from ullage.thesis.reproduce import reproduce
+from ullage.thesis.results import Results, Statement, read_results
+from ullage.thesis.workspace import Flown, Workspace
 
 PATH = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 10)
 
@@ -36,11 +36,11 @@ class Told(Experiment):
     calls: list[str] = field(default_factory=list)
     stops: bool = False
 
-    def run(self, bench: Bench) -> None:
+    def run(self, work: Workspace) -> None:
         self.calls.append(self.name)
         if self.stops and len(self.calls) == 1:
             raise KeyboardInterrupt
-        bench.findings.hold("the number is small", "6.1", self.number, "m", low=0, high=2)
+        work.results.add_statement("the number is small", "6.1", self.number, "m", low=0, high=2)
 
     def reads(self, recordings: Path) -> list[Path]:
         return []
@@ -54,18 +54,18 @@ def test_a_statement_holds_within_its_bounds_and_never_unknown(value, low, high,
     assert Statement("it", "6", value, "", low, high).holds is holds
 
 
-def test_findings_come_back_as_they_were_written(tmp_path):
-    found = Findings()
-    found.hold("known", "6.1", 0.25, "m", high=1)
-    found.hold("unknown", "6.1", math.nan)
-    found.show(tmp_path / "a.png", "figure 6.3", "a plate")
-    found.tabulate("t", ("a", "b"), [("1", "2")], note="n")
+def test_results_come_back_as_they_were_written(tmp_path):
+    found = Results()
+    found.add_statement("known", "6.1", 0.25, "m", high=1)
+    found.add_statement("unknown", "6.1", math.nan)
+    found.add_figure(tmp_path / "a.png", "figure 6.3", "a plate")
+    found.add_table("t", ("a", "b"), [("1", "2")], note="n")
     found.numbers["x"] = 2.0
-    found.write(tmp_path / "findings.json", inputs="abc")
-    back = read_findings(tmp_path / "findings.json")
+    found.write(tmp_path / "results.json", inputs="abc")
+    back = read_results(tmp_path / "results.json")
     assert back.statements[0] == found.statements[0]
     assert math.isnan(back.statements[1].value)
-    assert (back.exhibits, back.tables, back.numbers) == (found.exhibits, found.tables, found.numbers)
+    assert (back.figures, back.tables, back.numbers) == (found.figures, found.tables, found.numbers)
 
 
 def test_what_is_done_is_not_done_again_and_what_was_interrupted_is(tmp_path):
@@ -96,12 +96,12 @@ class Apart(Experiment):
 
     how: str = "says"
 
-    def run(self, bench: Bench) -> None:
+    def run(self, work: Workspace) -> None:
         if self.how == "fails":
             raise UllageError("the radar is on fire")
         if self.how == "waits":
             time.sleep(600)
-        bench.findings.hold("it is done", "6.1", 1.0)
+        work.results.add_statement("it is done", "6.1", 1.0)
 
     def reads(self, recordings: Path) -> list[Path]:
         return []
@@ -145,14 +145,14 @@ def test_every_scenario_says_where_in_the_thesis_it_belongs():
 
 
 def test_the_page_opens_with_what_holds_what_differs_and_every_figure(tmp_path):
-    found = Findings()
-    found.hold("it grows", "7.1", 1.0, low=0)
-    found.hold("ours", "beyond", 1.0, low=0)
-    found.differ("figure 6.14", "it says so", "it does not", "unknown")
+    found = Results()
+    found.add_statement("it grows", "7.1", 1.0, low=0)
+    found.add_statement("ours", "beyond", 1.0, low=0)
+    found.add_difference("figure 6.14", "it says so", "it does not", "unknown")
     found.not_compared.append("no recording")
-    found.show(tmp_path / "hold.png", "figures 6.15 to 6.17", "the hold")
-    found.write(tmp_path / "findings.json")
-    found = opening([("The hold", read_findings(tmp_path / "findings.json"))])
+    found.add_figure(tmp_path / "hold.png", "figures 6.15 to 6.17", "the hold")
+    found.write(tmp_path / "results.json")
+    found = opening([("The hold", read_results(tmp_path / "results.json"))])
     assert found["holds"] == ["The hold: 1 of 1 statements about the thesis hold."]
     assert found["differs"][0].cause == "unknown"
     assert found["lacking"] == ["no recording"]

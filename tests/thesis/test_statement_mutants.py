@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from spoilt import RECORDINGS, Fleet, Section, quiet_bench
+from spoilt import RECORDINGS, Fleet, Section, quiet_workspace
 from statement_matrix import BASELINE, DOCS, SECTIONS, bounds, breaking, page, statements, states
 
 Patch = pytest.MonkeyPatch
@@ -14,9 +14,9 @@ Patch = pytest.MonkeyPatch
 
 def stated(section: Section, material: Any, folder: Path) -> dict[str, bool]:
     """Whether each statement holds, by its text and where in the thesis it belongs."""
-    bench = quiet_bench(folder, quick=section.quick)
-    section.state(bench, material)
-    return {f"{s.text} ({s.where})": s.holds for s in bench.findings.statements}
+    work = quiet_workspace(folder, quick=section.quick)
+    section.state(work, material)
+    return {f"{s.text} ({s.where})": s.holds for s in work.results.statements}
 
 
 def survivors(section: Section, fleet: Fleet, folder: Path) -> list[str]:

@@ -16,8 +16,8 @@ from ullage.processing.sar import focus
 from ullage.processing.summation import apex
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec, Rig
-from ullage.thesis.bench import Bench
-from ullage.thesis.laws import decibel, radars
+from ullage.thesis.targets import decibel, radars
+from ullage.thesis.workspace import Workspace
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -28,17 +28,17 @@ SPREAD_M = 0.15
 """Half thickness of the arc on which a reading is occupied [m]; the thesis prints none."""
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Every term once."""
-    bench.say("eq. 4.2, term by term")
-    intensity(bench)
-    axis(bench)
-    bench.say("four sensors around the drone")
-    opening(bench)
-    bench.say("readings of Elfes' grid")
-    readings(bench)
-    bench.say("apex")
-    vertex(bench)
+    work.log("eq. 4.2, term by term")
+    intensity(work)
+    axis(work)
+    work.log("four sensors around the drone")
+    opening(work)
+    work.log("readings of Elfes' grid")
+    readings(work)
+    work.log("apex")
+    vertex(work)
 
 
 def _received(scene: Scene, spec: RadarSpec, path: Trajectory = HERE) -> Frames:
@@ -56,9 +56,9 @@ def _strength(distance_m: float, yaw_deg: float = 0.0, material: str = "pec") ->
     return float(_received(scenes.plate(0.6, 0.6, distance_m, yaw_deg, material), _fine()).samples.sum())
 
 
-def intensity(bench: Bench) -> None:
+def intensity(work: Workspace) -> None:
     """Range, cosine and coefficient of eq. 4.2; ranges of echoes; the moving average; the noise."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("a plate's amplitude summed over range is the same at 2 and 4 m: the ray's area grows as eq. 4.2 has it",
          "eq. 4.2", decibel(_strength(4.0) / _strength(2.0)), "dB", low=-0.5, high=0.5)  # fmt: skip
     hold("turned by 45 deg it loses 6 dB: 3 by the area across the rays, 3 by the cosine", "eq. 4.1 and 4.2",
@@ -95,16 +95,16 @@ def _maxima(frames: Frames) -> int:
     return int(np.sum((inside > row[:-2]) & (inside >= row[2:])))
 
 
-def axis(bench: Bench) -> None:
+def axis(work: Workspace) -> None:
     """R_max: what stands just inside is received, what stands just outside is not."""
     _, quiet = radars()
     near, far = (float(_received(scenes.plate(2, 2, at), quiet).samples.max()) for at in (9.7, 10.3))
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("a plate of 2 m at 9.7 m, within R_max, is received", "4.3.1", near, low=quiet.thesis.threshold)
     hold("the same at 10.3 m, beyond R_max, is not", "4.3.1", far, high=0.0)
 
 
-def opening(bench: Bench) -> None:
+def opening(work: Workspace) -> None:
     """What four openings of 65 deg cover between them, by the rays and on the map."""
     _, quiet = radars()
     rig = Rig.preset("thesis-4", radar=quiet)
@@ -112,7 +112,7 @@ def opening(bench: Bench) -> None:
     post = scenes.plate(0.05, 4.0, 4.0)
     frames = simulate(post, turn, rig, fidelity="thesis")
     seen = np.any([part.samples.max(1) > 0 for part in frames.values()], axis=0)
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     # 0.05 m at 4 m is thinner than the rays' spacing, so some headings within an opening miss it: the outermost count
     spans = [np.ptp(np.flatnonzero(np.roll(part.samples.max(1) > 0, 180 - _middle(part)))) + 1
              for part in frames.values()]  # fmt: skip
@@ -135,7 +135,7 @@ def _middle(frames: Frames) -> int:
     return round(float(np.degrees(np.angle(np.exp(1j * np.radians(at)).sum())))) % 360
 
 
-def readings(bench: Bench) -> None:
+def readings(work: Workspace) -> None:
     """Three readings, one over the other, against f_e, f_o and the four steps written out cell by cell."""
     grid = Grid((-1.0, -3.0, 0.0), 0.25, (24, 24))
     path = Trajectory(np.arange(3) * 10**8, np.array([[0, 0, 0], [0, 0.1, 0], [0, 0, 0]]),
@@ -148,10 +148,19 @@ def readings(bench: Bench) -> None:
     frames = Frames(rows, spec.range_m, path.t_ns, spec, path, unit="thesis")
     got = map_occupancy(frames, grid, method="elfes").percent.astype(float)
     want = expected_percent(grid, path, spec.range_m[bins], spec.thesis.min_range_m)
-    bench.findings.hold("Elfes: three readings against f_e, f_o and the four steps, cell by cell (percent)", "5.2.2",
-                        float(abs(got - want).max()), high=1.0)  # fmt: skip
-    bench.findings.hold("Elfes: cells that the three readings make more likely occupied than empty", "5.2.2",
-                        float(np.sum(got > 50)), "cells", low=10)  # fmt: skip
+    work.results.add_statement(
+        "Elfes: three readings against f_e, f_o and the four steps, cell by cell (percent)",
+        "5.2.2",
+        float(abs(got - want).max()),
+        high=1.0,
+    )
+    work.results.add_statement(
+        "Elfes: cells that the three readings make more likely occupied than empty",
+        "5.2.2",
+        float(np.sum(got > 50)),
+        "cells",
+        low=10,
+    )
 
 
 def expected_percent(grid: Grid, path: Trajectory, reach_m: Floats, near_m: float) -> Floats:
@@ -176,12 +185,17 @@ def expected_percent(grid: Grid, path: Trajectory, reach_m: Floats, near_m: floa
     return np.where((occupied == 0) & (empty == 0), -1.0, percent)
 
 
-def vertex(bench: Bench) -> None:
+def vertex(work: Workspace) -> None:
     """The apex of a thin target's hyperbola, without noise: near the track it is no parabola."""
     _, quiet = radars()
     path = Trajectory.line((0, -2, 0), (0, 2, 0), 0.5, 25)
     frames = simulate(scenes.wire(0.005, 3.0, 1.0), path, quiet.but(antenna="isotropic"))
     image = focus(frames, Grid.covering([[0.3, -2, 0], [4.0, 2, 0]], 0.05, z_m=0.0), method="summation")
     found = apex(image, look_deg=0.0)
-    bench.findings.hold("a wire passed at 1 m: the apex of the fitted hyperbola lies at it", "2.3.1",
-                        float(np.hypot(found[0] - 1.0, found[1])), "m", high=0.03)  # fmt: skip
+    work.results.add_statement(
+        "a wire passed at 1 m: the apex of the fitted hyperbola lies at it",
+        "2.3.1",
+        float(np.hypot(found[0] - 1.0, found[1])),
+        "m",
+        high=0.03,
+    )

@@ -15,9 +15,9 @@ from ullage.experiments.folder import provenance
 from ullage.experiments.simulated import prepare
 from ullage.kernels.elfes import insert_reading
 from ullage.ports import sink
-from ullage.thesis.bench import Bench
 from ullage.thesis.node import NodeCost, measure_node
 from ullage.thesis.tables import stream_part
+from ullage.thesis.workspace import Workspace
 from ullage.view.figures import drawing
 
 STEP_M, REACH_M = 0.1, 25.0
@@ -92,24 +92,24 @@ def loads(cost: NodeCost, board: Board, scale: float) -> tuple[float, float]:
     return cost.percent * scale * board.integer, cost.percent * scale * board.double
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Measure the node on four recordings and set it against the boards."""
     costs, files = {}, {}
     for row, (scenario, options) in RUNS.items():
         if scenario not in files:
-            bench.say(f"{scenario}: recording")
-            files[scenario] = record_part(bench.folder / f"{scenario}.mcap", scenario, PART_S[bench.quick])
-        bench.say(f"{row}: mapping in a process of its own")
+            work.log(f"{scenario}: recording")
+            files[scenario] = record_part(work.folder / f"{scenario}.mcap", scenario, PART_S[work.quick])
+        work.log(f"{row}: mapping in a process of its own")
         runs = [measure_node(files[scenario], step_m=STEP_M, reach_m=REACH_M, **options) for _ in range(REPEATS)]
         costs[row] = min(runs, key=lambda cost: cost.cpu_s)
     for file in files.values():
         file.unlink()
     scale = REFERENCE_S / yardstick()
-    tabulate(bench, costs, scale)
-    state(bench, costs, scale)
-    path = bench.folder / "budget.png"
+    tabulate(work, costs, scale)
+    state(work, costs, scale)
+    path = work.folder / "budget.png"
     draw(path, costs, scale)
-    bench.findings.show(path, "table 5.1", "The mapping node beside one core and the memory of a BeagleBone Black.")
+    work.results.add_figure(path, "table 5.1", "The mapping node beside one core and the memory of a BeagleBone Black.")
 
 
 def record_part(path: Path, scenario: str, part_s: float) -> Path:
@@ -124,7 +124,7 @@ def record_part(path: Path, scenario: str, part_s: float) -> Path:
     return path
 
 
-def tabulate(bench: Bench, costs: dict[str, NodeCost], scale: float) -> None:
+def tabulate(work: Workspace, costs: dict[str, NodeCost], scale: float) -> None:
     """CPU and memory of each run, here and on the boards."""
     rows = []
     for name, cost in costs.items():
@@ -132,7 +132,7 @@ def tabulate(bench: Bench, costs: dict[str, NodeCost], scale: float) -> None:
         rows.append((name, f"{cost.percent:.1f}", *spans, f"{cost.import_mb:.0f}", f"{cost.peak_mb:.0f}",
                      f"{cost.grid_kb:.0f}", f"{cost.start_cpu_s:.1f}"))  # fmt: skip
     machine = provenance()["machine"]["processor"]
-    bench.findings.tabulate(
+    work.results.add_table(
         "The mapping node on board",
         ("run", "CPU here [%]", "BeagleBone Black [%]", "Raspberry Pi 4 [%]", "memory after imports [MB]",
          "peak memory [MB]", "map [kB]", "CPU to start [s]"),
@@ -149,13 +149,13 @@ def _span(pair: Sequence[float]) -> str:
     return f"{min(pair):.0f} to {max(pair):.0f}"
 
 
-def state(bench: Bench, costs: dict[str, NodeCost], scale: float) -> None:
+def state(work: Workspace, costs: dict[str, NodeCost], scale: float) -> None:
     """What fits on the thesis' board."""
     ours = [cost for name, cost in costs.items() if "ullage" in name]
     elfes = [cost for name, cost in costs.items() if "Elfes" in name]
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     fits = max(loads(cost, BEAGLEBONE, scale)[1] for cost in elfes)
-    if not bench.quick:  # a small run maps too little to time: other work on the machine may double it
+    if not work.quick:  # a small run maps too little to time: other work on the machine may double it
         hold("Elfes at real time fits one BeagleBone core, by Whetstone", "5.3", fits, "%", high=100)
         hold("ullage's mapper at real time fits one core of the reference machine", "beyond",
              max(cost.percent * scale for cost in ours), "%", high=100)  # fmt: skip
@@ -164,8 +164,8 @@ def state(bench: Bench, costs: dict[str, NodeCost], scale: float) -> None:
     hold("the node's peak memory over the board's 512 MB", "table 5.1",
          max(cost.peak_mb for cost in costs.values()) / BEAGLEBONE.memory_mb, "", high=1)  # fmt: skip
     for name, cost in costs.items():
-        bench.findings.numbers[f"cpu {name}"] = cost.percent
-        bench.findings.numbers[f"memory {name}"] = cost.peak_mb
+        work.results.numbers[f"cpu {name}"] = cost.percent
+        work.results.numbers[f"memory {name}"] = cost.peak_mb
 
 
 def draw(path: Path, costs: dict[str, NodeCost], scale: float) -> None:

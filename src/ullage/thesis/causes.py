@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ullage.thesis import causes_cpu, causes_images, causes_maps
-from ullage.thesis.bench import Bench
+from ullage.thesis import cpu_causes, image_causes, map_causes
+from ullage.thesis.workspace import Workspace
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Image brightness, wire, flight by hand, east wall, cluttered room, CPU of a reading."""
-    causes_images.run(bench)
-    causes_maps.run(bench)
-    causes_cpu.run(bench)
+    image_causes.run(work)
+    map_causes.run(work)
+    cpu_causes.run(work)

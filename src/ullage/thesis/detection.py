@@ -10,11 +10,11 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.grids import Image
 from ullage.processing.summation import apex
-from ullage.thesis.bench import Bench, Flown
 from ullage.thesis.detection_figures import Pass, draw_images, draw_target
 from ullage.thesis.detection_laws import brightness, clutter, tail
-from ullage.thesis.laws import TARGETS, alone
-from ullage.thesis.strafes import IMAGE_BOX, level_db, strafe_image, target_place
+from ullage.thesis.targets import IMAGE_BOX, TARGETS, level_db, strafe_image, target_place
+from ullage.thesis.variants import alone
+from ullage.thesis.workspace import Flown, Workspace
 from ullage.world.section import section, wire_section
 
 FIGURES = {"ntnu-plate": "6.3", "ntnu-plate45": "6.4", "ntnu-pole": "6.5", "ntnu-wire": "6.6"}
@@ -30,23 +30,23 @@ NEAR_M = 0.6
 """Echoes this near to the target are its own [m]."""
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Every target, four ways; figures 6.3 to 6.8 and what the thesis says of them."""
-    looks = {world: target(bench, world) for world in TARGETS}
-    bench.say("drawing")
+    looks = {world: target(work, world) for world in TARGETS}
+    work.log("drawing")
     for world, ways in looks.items():
-        show_profiles(bench, world, ways)
-        show_images(bench, world, ways)
-    ranges(bench, looks)
-    bench.say("one target at a time, without noise")
+        show_profiles(work, world, ways)
+        show_images(work, world, ways)
+    ranges(work, looks)
+    work.log("one target at a time, without noise")
     plate, wire = looks["ntnu-plate"]["thesis law"], looks["ntnu-wire"]["thesis law"]
-    brightness(bench)
-    clutter(bench, wire.scene, wire.only.believed, place(wire))
-    tail(bench, plate.scene, plate.only.believed)
-    places(bench, looks)
-    levels(bench, looks)
-    shapes(bench, looks)
-    bench.findings.not_compared += [
+    brightness(work)
+    clutter(work, wire.scene, wire.only.believed, place(wire))
+    tail(work, plate.scene, plate.only.believed)
+    places(work, looks)
+    levels(work, looks)
+    shapes(work, looks)
+    work.results.not_compared += [
         "Figures 6.3 to 6.8 a and b, the real radar: the recordings behind them are not at hand, so "
         "amplitudes, local maxima and images of the real targets cannot be set beside ours.",
         "The speed of the real flights: the thesis says it was higher than the simulator's 0.5 m/s, and gives no "
@@ -54,36 +54,36 @@ def run(bench: Bench) -> None:
     ]
 
 
-def target(bench: Bench, world: str) -> dict[str, Flown]:
+def target(work: Workspace, world: str) -> dict[str, Flown]:
     """One target, every way; in small only the plate is flown by hand."""
-    ways = {way: tail for way, tail in WAYS.items() if world == "ntnu-plate" or not bench.quick or "hand" not in way}
-    return {way: bench.fly(world + tail) for way, tail in ways.items()}
+    ways = {way: tail for way, tail in WAYS.items() if world == "ntnu-plate" or not work.quick or "hand" not in way}
+    return {way: work.fly(world + tail) for way, tail in ways.items()}
 
 
-def show_profiles(bench: Bench, world: str, ways: dict[str, Flown]) -> None:
+def show_profiles(work: Workspace, world: str, ways: dict[str, Flown]) -> None:
     """Figures 6.3 to 6.6: a row for each way."""
-    path = bench.folder / f"{world}.png"
+    path = work.folder / f"{world}.png"
     passes = [Pass(way, flown.only, middle(flown), true_range(flown)) for way, flown in ways.items()]
     title = TARGETS[world][1]
     draw_target(path, passes, title=title)
-    bench.findings.show(
+    work.results.add_figure(
         path, f"figure {FIGURES[world]}",
         f"{title}: one profile as the drone passes, all profiles summed over the strafe, and range over time. The "
         "thesis shows snapshot and sum of the real radar and the snapshot of its simulator.",
     )  # fmt: skip
 
 
-def show_images(bench: Bench, world: str, ways: dict[str, Flown]) -> None:
+def show_images(work: Workspace, world: str, ways: dict[str, Flown]) -> None:
     """Figures 6.7 and 6.8: an image for each way and method."""
-    path = bench.folder / f"{world}_sar.png"
+    path = work.folder / f"{world}_sar.png"
     images = {f"summation, {way}": image_of(flown, "summation") for way, flown in ways.items()}
     waves = {way: flown for way, flown in ways.items() if "physical" in way}
     images |= {f"back-projection, {way}": image_of(flown, "backprojection") for way, flown in waves.items()}
     first = ways["thesis law"]
     draw_images(path, images, target_m=place(first)[:2], walls=first.scene, title=TARGETS[world][1])
-    bench.findings.show(
+    work.results.add_figure(
         path, f"figure {SAR[world]}",
-        f"{TARGETS[world][1]}: images of the same strafes. The thesis sums amplitudes ahead of the sensor; "
+        f"{TARGETS[world][1]}: images of the same targets. The thesis sums amplitudes ahead of the sensor; "
         "back-projection sums the same physical frames in phase over the true distances.",
     )  # fmt: skip
 
@@ -121,7 +121,7 @@ def peak_range(frames: Frames, number: int, near_m: float) -> float:
     return float(frames.range_m[k] + (0.5 * (a - c) / bend if bend < 0 else 0.0) * frames.spec.bin_m)
 
 
-def ranges(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
+def ranges(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     """Amplitude maxima at the true ranges."""
     for world in ("ntnu-plate", "ntnu-pole", "ntnu-wire"):
         for way in ("thesis law", "physical law"):
@@ -129,7 +129,7 @@ def ranges(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
                 continue  # its rays pass the pole and the wire by
             flown = looks[world][way]
             wanted = float(true_range(flown)[middle(flown)])
-            bench.findings.hold(
+            work.results.add_statement(
                 f"{TARGETS[world][1]}, {way}: the maximum lies at the true range", "7.1",
                 peak_range(flown.only, middle(flown), wanted) - wanted, "m", low=-0.1, high=0.1,
             )  # fmt: skip
@@ -137,12 +137,12 @@ def ranges(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
     first = len(flown.only) // 12  # where the plate does not hide the wall
     wall = float(flown.scene.bounds[1, 0]) - float(flown.only.believed.position[first, 0])
     found = peak_range(flown.only, first, wall)
-    bench.findings.hold(
+    work.results.add_statement(
         "the wall behind the plate stands at its true range", "7.1", found - wall, "m", low=-0.15, high=0.15
     )
 
 
-def places(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
+def places(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     """Position from the hyperbola's apex, and from the focused image's peak, against the truth."""
     rows = []
     for world, ways in looks.items():
@@ -155,18 +155,18 @@ def places(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
             rows.append((TARGETS[world][1], way, *(f"{miss:.2f}" for miss in misses), *[""] * (2 - len(misses))))
             if way == "physical law":
                 title = f"{TARGETS[world][1]}: back-projection finds it"
-                bench.findings.hold(title, "6.1", misses[1], "m", high=0.15)
+                work.results.add_statement(title, "6.1", misses[1], "m", high=0.15)
             if way == "thesis law" and world == "ntnu-plate":
-                bench.findings.hold(
+                work.results.add_statement(
                     "facing plate, ray law: the apex of the hyperbola finds it", "6.1", misses[0], "m", high=0.15
                 )
-    bench.findings.tabulate(
+    work.results.add_table(
         "Position estimated", ("target", "flight", "apex of the hyperbola, error [m]", "back-projection, error [m]"),
         rows, note="Looked for within 0.8 m of the target by both; the error is the distance to the nearest steel.",
     )  # fmt: skip
 
 
-def levels(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
+def levels(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     """How bright each target is in its summation image, over the brightest cell, and what the thesis says of it."""
     found = {
         (world, way): level_db(image_of(flown, "summation"), place(flown))
@@ -176,16 +176,21 @@ def levels(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
     rows = [(TARGETS[world][1], way, f"{value:.1f}") for (world, way), value in found.items()]
     head = ("target", "flight", "over the brightest cell [dB]")
     note = "Brightest cell within 0.3 m of the target, over the brightest of the image."
-    bench.findings.tabulate("Brightness of each target in its summation image", head, rows, note=note)
+    work.results.add_table("Brightness of each target in its summation image", head, rows, note=note)
     law = "thesis law"
-    bench.findings.hold("ray law: the facing plate over the turned one in their images", "figure 6.7",
-                        found["ntnu-plate", law] - found["ntnu-plate45", law], "dB", low=3)  # fmt: skip
+    work.results.add_statement(
+        "ray law: the facing plate over the turned one in their images",
+        "figure 6.7",
+        found["ntnu-plate", law] - found["ntnu-plate45", law],
+        "dB",
+        low=3,
+    )
 
 
-def shapes(bench: Bench, looks: dict[str, dict[str, Flown]]) -> None:
+def shapes(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     """Local maxima of the snapshots, which the thesis counts by eye."""
     counts = {way: np.mean([_tops(ways[way]) for ways in looks.values()]) for way in ("thesis law", "physical law")}
-    bench.findings.differ(
+    work.results.add_difference(
         "7.1", "the real amplitudes have more local maxima than the simulated ones",
         f"{counts['thesis law']:.0f} by rays, {counts['physical law']:.0f} by waves, mean of the four snapshots, over "
         "5 % of the greatest",

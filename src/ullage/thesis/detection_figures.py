@@ -41,7 +41,7 @@ def draw_target(path: Path, passes: Sequence[Pass], *, title: str) -> None:
 
     Args:
         path: picture file.
-        passes: the strafes.
+        passes: the targets.
         title: above all.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -9,28 +9,29 @@ from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory
 from ullage.processing.clean import suppress_floor
 from ullage.radar.simulate import simulate
-from ullage.thesis.bench import Bench
-from ullage.thesis.laws import TAIL_M, TARGETS, alone, decibel, radars, strafe, without
+from ullage.thesis.targets import TAIL_M, TARGETS, decibel, radars, strafe
+from ullage.thesis.variants import alone, without_object
+from ullage.thesis.workspace import Workspace
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 
 LAWS: tuple[Fidelity, ...] = ("thesis", "physical")
 
 
-def brightness(bench: Bench) -> None:
+def brightness(work: Workspace) -> None:
     """The plate brightest, the turned plate weak under the physical law only, the wire faint."""
     best: dict[tuple[str, str], float] = {}
     opposite: dict[tuple[str, str], float] = {}
     summed: dict[tuple[str, str], float] = {}
     _, quiet = radars()
     for world, (name, _) in TARGETS.items():
-        steel, path = alone(WORLDS[world].scene(), name), strafe(world, step_m=0.1 if bench.quick else 0.05)
+        steel, path = alone(WORLDS[world].scene(), name), strafe(world, step_m=0.1 if work.quick else 0.05)
         ahead = int(np.argmin(abs(path.position[:, 1])))
         for law in LAWS:
             rows = simulate(steel, path, quiet, fidelity=law).amplitude
             best[world, law] = float(rows.max())
             opposite[world, law], summed[world, law] = float(rows[ahead].max()), float(rows[ahead].sum())
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     for law in LAWS:
         rest = max(value for (world, kind), value in best.items() if kind == law and world != "ntnu-plate")
         over = float(decibel(best["ntnu-plate", law] / rest))
@@ -48,11 +49,11 @@ def brightness(bench: Bench) -> None:
     hold("physical law: the wire is faint, over the facing plate", "7.1", faint, "dB", high=-20)
 
 
-def clutter(bench: Bench, scene: Scene, path: Trajectory, wire_m: Floats) -> None:
+def clutter(work: Workspace, scene: Scene, path: Trajectory, wire_m: Floats) -> None:
     """The floor beside the wire, and how it goes when the height is known."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     _, quiet = radars()
-    path = path[:: 4 if bench.quick else 2]
+    path = path[:: 4 if work.quick else 2]
     floor, steel = (alone(scene, name) for name in ("floor", TARGETS["ntnu-wire"][0]))
     apart = np.linalg.norm(path.position - wire_m, axis=1)[:, None]
     rays = [simulate(thing, path, quiet, fidelity="thesis") for thing in (floor, steel)]
@@ -69,7 +70,7 @@ def clutter(bench: Bench, scene: Scene, path: Trajectory, wire_m: Floats) -> Non
     hold("physical law: what is left of the floor's echo when the height is known", "7.1",
          _left(under, suppress_floor(under), below), "dB", high=-15)  # fmt: skip
     whole = simulate(scene, path, quiet, fidelity="thesis")
-    bare = simulate(without(scene, "floor"), path, quiet, fidelity="thesis")
+    bare = simulate(without_object(scene, "floor"), path, quiet, fidelity="thesis")
     at_wire = abs(whole.range_m - apart) < 0.3
     hold("ray law: what is left of the floor alone at the wire's range, with height and antenna known", "7.1",
          _left(rays[0], suppress_floor(rays[0]), at_wire), "dB", high=-15)  # fmt: skip
@@ -87,13 +88,13 @@ def _left(before: Frames, after: Frames, where: Bools, *, less: Frames | None = 
     return float(decibel(rms[1] / rms[0])) if rms[0] else float("nan")
 
 
-def tail(bench: Bench, scene: Scene, path: Trajectory) -> None:
+def tail(work: Workspace, scene: Scene, path: Trajectory) -> None:
     """What comes from beyond the last wall: nothing under the ray law."""
     _, quiet = radars()
-    few = path[:: max(1, len(path) // (2 if bench.quick else 6))]
+    few = path[:: max(1, len(path) // (2 if work.quick else 6))]
     rows = simulate(scene, few, quiet, fidelity="thesis"), simulate(scene, few, quiet, max_bounces=3)
     over = [float(np.sqrt(np.mean(f.amplitude[:, f.range_m > TAIL_M] ** 2)) / f.amplitude.max()) for f in rows]
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("ray law: nothing comes from beyond the last wall (rms over the peak)", "7.1", over[0], high=0)
     hold("physical law: echoes drag on behind the wall (rms over the peak)", "7.1",
          float(decibel(over[1])), "dB", low=-70, high=-20)  # fmt: skip

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ullage.experiments.folder import read_json, write_text
-from ullage.thesis.findings import Findings, Table, read_findings
-from ullage.thesis.page import opening
 from ullage.thesis.plan import EXPERIMENTS
+from ullage.thesis.report import opening
+from ullage.thesis.results import Results, Table, read_results
 
 HEAD = """# The thesis, reproduced
 
@@ -55,23 +55,23 @@ PICTURES = {
 
 def write_docs(root: Path, docs: Path) -> Path:
     """The page and its pictures, from a folder of results."""
-    done = [experiment for experiment in EXPERIMENTS if (root / experiment.name / "findings.json").is_file()]
-    lines = [HEAD, *_opening([(e.title, read_findings(root / e.name / "findings.json")) for e in done])]
+    done = [experiment for experiment in EXPERIMENTS if (root / experiment.name / "results.json").is_file()]
+    lines = [HEAD, *_opening([(e.title, read_results(root / e.name / "results.json")) for e in done])]
     for experiment in done:
-        tree = read_json(root / experiment.name / "findings.json")
+        tree = read_json(root / experiment.name / "results.json")
         size = "Small run (`--quick`)" if tree["quick"] else "Whole run"
         cpu = f", {tree['cpu_s']:.0f} s of CPU" if tree.get("cpu_s") else ""
         told = f"{size} on {tree['machine']['processor']}{cpu}.\n"
         section = f" ({experiment.section})" if experiment.section[0].isdigit() else ""
         lines.append(f"\n## {experiment.title}{section}\n")
         lines.append(told)
-        lines += _chapter(read_findings(root / experiment.name / "findings.json"), experiment.name, root, docs)
+        lines += _chapter(read_results(root / experiment.name / "results.json"), experiment.name, root, docs)
     page = docs / "reproduce.md"
     write_text(page, "\n".join(lines).rstrip("\n") + "\n")
     return page
 
 
-def _opening(chapters: Sequence[tuple[str, Findings]]) -> Iterator[str]:
+def _opening(chapters: Sequence[tuple[str, Results]]) -> Iterator[str]:
     found = opening(chapters)
     yield "\n## What holds\n"
     yield "\n".join(f"- {line}" for line in found["holds"]) + "\n"
@@ -85,7 +85,7 @@ def _opening(chapters: Sequence[tuple[str, Findings]]) -> Iterator[str]:
     yield "\n".join(f"| {f['number']} | {f['shows']} | {f['here']} |" for f in found["figures"]) + "\n"
 
 
-def _chapter(found: Findings, name: str, root: Path, docs: Path) -> Iterator[str]:
+def _chapter(found: Results, name: str, root: Path, docs: Path) -> Iterator[str]:
     for note in found.notes:
         yield f"{note}\n"
     if found.skipped:
@@ -100,12 +100,12 @@ def _chapter(found: Findings, name: str, root: Path, docs: Path) -> Iterator[str
         yield from _table(table)
     folder = docs / "pictures" / "reproduce"
     folder.mkdir(parents=True, exist_ok=True)
-    for exhibit in found.exhibits:
-        if exhibit.file in PICTURES.get(name, ()):
-            target = folder / f"{name}_{exhibit.file}"
-            shutil.copyfile(root / name / exhibit.file, target)
-            words = f"**Thesis {exhibit.figure}.** {exhibit.caption}" if exhibit.figure else exhibit.caption
-            yield f"![{exhibit.figure or name}](pictures/reproduce/{target.name})\n\n{words}\n"
+    for item in found.figures:
+        if item.file in PICTURES.get(name, ()):
+            target = folder / f"{name}_{item.file}"
+            shutil.copyfile(root / name / item.file, target)
+            words = f"**Thesis {item.figure}.** {item.caption}" if item.figure else item.caption
+            yield f"![{item.figure or name}](pictures/reproduce/{target.name})\n\n{words}\n"
 
 
 def _table(table: Table) -> Iterator[str]:

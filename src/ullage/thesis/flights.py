@@ -89,7 +89,7 @@ def hovering(path: Trajectory, rng: np.random.Generator, *, rate_hz: float = 25.
     return Trajectory(t_ns, path.position[-1] + wander, np.tile(path.quat_xyzw[-1], (n, 1)))
 
 
-def heard(scene: Scene, path: Trajectory, seed: int, *, fidelity: Fidelity = "physical") -> Recordings:
+def received(scene: Scene, path: Trajectory, seed: int, *, fidelity: Fidelity = "physical") -> Recordings:
     """Frames of the thesis' four radars along a path."""
     return dict(simulate(scene, path, Rig.preset("thesis-4"), fidelity=fidelity, seed=seed))
 
@@ -114,7 +114,7 @@ def drift(n: int, size_m: float, rng: np.random.Generator) -> Floats:
     return np.asarray(out - out[0])
 
 
-def told_walls(scene: Scene, frames: Recordings, grid: Grid, *, zones: int = 1) -> OccupancyMap:
+def errorless_map(scene: Scene, frames: Recordings, grid: Grid, *, zones: int = 1) -> OccupancyMap:
     """What a map without any error holds: the surface within some Fresnel zones of a foot of the perpendicular."""
     grid = grid.at_height(float(np.mean([f.believed.position[:, 2].mean() for f in frames.values()])))
     surface = surface_of(scene, grid, frames)
@@ -130,7 +130,7 @@ def told_walls(scene: Scene, frames: Recordings, grid: Grid, *, zones: int = 1) 
     percent = np.full(grid.shape, -1, np.int8)
     cell, _ = grid.index(points[keep] + 1e-3 * normals[keep])
     percent[tuple(np.clip(cell, 0, np.array(grid.shape) - 1).T)] = 99
-    return OccupancyMap(grid, Tiles.of(percent, shape=grid.shape, corner=(0,) * grid.dims), "told")
+    return OccupancyMap(grid, Tiles.of(percent, shape=grid.shape, corner=(0,) * grid.dims), "errorless")
 
 
 def values_of(scores: Mapping[str, Metric], keys: Sequence[str]) -> dict[str, float]:

@@ -12,9 +12,9 @@ from ullage.grids import OccupancyMap
 from ullage.processing.metrics import cell_centres
 from ullage.processing.occupancy import Mapper, map_occupancy
 from ullage.radar.simulate import simulate
-from ullage.thesis.bench import Bench, Flown
 from ullage.thesis.map_figures import Panel, draw_panels
 from ullage.thesis.maps import HEAD, false_cells, middle_of, row_of, show_world, walls_of
+from ullage.thesis.workspace import Flown, Workspace
 from ullage.world.scene import Scene
 from ullage.world.section import section
 
@@ -28,15 +28,15 @@ FOUND_M = 0.15
 """An outline counts as mapped where an occupied cell's centre is this near [m]."""
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Two runs with each method, then a while of hovering; figures 6.11, 6.12b and 6.14."""
     show_world(
-        bench, "cluttered-room", bench.folder / "world.png", "figures 6.11 and 6.12b",
+        work, "cluttered-room", work.folder / "world.png", "figures 6.11 and 6.12b",
         "The cluttered room without near walls and roof, and the path flown.",
     )  # fmt: skip
-    seconds = ("", "-again")[: 1 if bench.quick else 2]
-    rays = [bench.fly(f"cluttered-room{tail}") for tail in seconds]
-    waves = [] if bench.quick else [bench.fly(f"cluttered-room-physical{tail}") for tail in seconds]
+    seconds = ("", "-again")[: 1 if work.quick else 2]
+    rays = [work.fly(f"cluttered-room{tail}") for tail in seconds]
+    waves = [] if work.quick else [work.fly(f"cluttered-room-physical{tail}") for tail in seconds]
     marks = np.array([middle_of(rays[0].scene, name) for name in SMALL_THINGS])
     panels, rows = [], []
     for method, runs in (("Elfes", rays), ("ullage", waves)):
@@ -46,31 +46,31 @@ def run(bench: Bench) -> None:
                 line.append(Panel(f"{method}, run {number}", flown.omap, flown.track, marks))
                 rows.append(row_of(f"{method}, run {number}", flown.omap, flown.metrics))
         panels += [line] if line else []
-    path = bench.folder / "maps.png"
+    path = work.folder / "maps.png"
     draw_panels(path, panels, walls=walls_of(rays[0]), title="The cluttered room mapped, two runs", width_in=5.0)
-    bench.findings.show(
+    work.results.add_figure(
         path, "figure 6.14", "The cluttered room mapped twice, 0.1 m. Above, Elfes' grid on ray frames; below, "
         "ullage's mapper on physical frames. Circled: postbox and stop sign.",
     )  # fmt: skip
-    bench.findings.tabulate("Scores", HEAD, rows)
-    things(bench, rays[0], waves[0] if waves else None)
-    smears(bench, rays, waves)
-    hovering(bench, rays[0], waves[0] if waves else None)
+    work.results.add_table("Scores", HEAD, rows)
+    things(work, rays[0], waves[0] if waves else None)
+    smears(work, rays, waves)
+    hovering(work, rays[0], waves[0] if waves else None)
 
 
-def smears(bench: Bench, rays: list[Flown], waves: list[Flown]) -> None:
+def smears(work: Workspace, rays: list[Flown], waves: list[Flown]) -> None:
     """False cells round two things, two runs with other noise, and both methods' scores."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     elfes, ours = ({name: _false_near(runs, name) for name in SMALL_THINGS} for runs in (rays, waves))
     own = {name: float(np.mean([_own_smear(flown, name) for flown in rays])) for name in SMALL_THINGS}
-    bench.findings.tabulate(
+    work.results.add_table(
         "False cells within 1.2 m", ("thing", "Elfes", "of these not without the thing", "ullage"),
         [(name.replace("_", " "), *(f"{counts[name]:.0f}" for counts in (elfes, own, ours))) for name in SMALL_THINGS],
         note="Mean over the runs.",
     )  # fmt: skip
     hold("Elfes smears the stop sign: false cells within 1.2 m of it, less those of the same flight without it", "7.2",
          own["stop_sign"], "cells", low=5)  # fmt: skip
-    bench.findings.differ(
+    work.results.add_difference(
         "7.2", "the map has several possible locations of the postbox",
         f"{elfes['postbox']:.0f} false cells within 1.2 m of it, but {own['postbox']:.0f} of them vanish with "
         f"the postbox; of the stop sign's {elfes['stop_sign']:.0f} cells {own['stop_sign']:.0f} do",
@@ -111,7 +111,7 @@ def _unlike(first: OccupancyMap, second: OccupancyMap) -> float:
     return float(np.sum(first.occupied ^ second.occupied) / max(either.sum(), 1))
 
 
-def things(bench: Bench, rays: Flown, waves: Flown | None) -> None:
+def things(work: Workspace, rays: Flown, waves: Flown | None) -> None:
     """How much of each thing's outline at the flight's height is on the map."""
     rows, found = [], {}
     for name in THINGS:
@@ -119,8 +119,8 @@ def things(bench: Bench, rays: Flown, waves: Flown | None) -> None:
         found[name] = line[0]
         rows.append((name.replace("_", " "), *(f"{100 * value:.0f} %" for value in line)))
     head = ("thing", "Elfes, ray model", "ullage, physical")[: 2 if waves is None else 3]
-    bench.findings.tabulate("Outline of each thing that is mapped", head, rows)
-    hold = bench.findings.hold
+    work.results.add_table("Outline of each thing that is mapped", head, rows)
+    hold = work.results.add_statement
     for name in ("stop_sign", "robot", "control_panel"):
         hold(f"Elfes: the {name.replace('_', ' ')} is on the map (share of its outline)", "7.2", found[name], low=0.7)
     for name in ("postbox", "dumpster"):
@@ -172,9 +172,9 @@ class Hover:
 BY_FORMULAS, CAPPED, OURS = "Elfes", f"Elfes, limited to {LIMITED:g}", "ullage"
 
 
-def hovering(bench: Bench, rays: Flown, waves: Flown | None) -> None:
+def hovering(work: Workspace, rays: Flown, waves: Flown | None) -> None:
     """The drone waits where the flight ends: what that does to the map already made."""
-    bench.say("hovering")
+    work.log("hovering")
     found = {BY_FORMULAS: hovered(rays, "elfes"), CAPPED: hovered(rays, "elfes", certain=LIMITED)}
     if waves is not None:
         found[OURS] = hovered(waves, "ullage")
@@ -183,30 +183,30 @@ def hovering(bench: Bench, rays: Flown, waves: Flown | None) -> None:
         [Panel(f"{name}, on arrival", each.before, track), Panel(f"{name}, after hovering", each.after, track)]
         for name, each in found.items()
     ]
-    path = bench.folder / "hover.png"
+    path = work.folder / "hover.png"
     draw_panels(path, panels, walls=walls_of(rays), title="Waiting at the end of the flight", width_in=5.0)
-    bench.findings.show(
+    work.results.add_figure(
         path, "figure 6.14", "The same maps before and after the drone waits at the end of its path: the thesis "
         "reports cells along the lobe that become occupied.",
     )  # fmt: skip
-    bench.findings.tabulate(
+    work.results.add_table(
         "Hovering", ("method", "frames of each radar", "false cells on arrival", "after hovering",
                      "cells within 1.2 m of the person on arrival", "after hovering"),
         [(name, str(HOVER_FRAMES), *map(str, (*each.false, *each.at_person))) for name, each in found.items()],
         note=f"All wait {HOVER_FRAMES / HOVER_HZ:.0f} s at {HOVER_HZ:g} frames a second.",
     )  # fmt: skip
-    state_hovers(bench, found)
+    state_hovers(work, found)
 
 
-def state_hovers(bench: Bench, found: dict[str, Hover]) -> None:
+def state_hovers(work: Workspace, found: dict[str, Hover]) -> None:
     """Ghosts that waiting makes, by the row of the table."""
-    hold, plain, limited = bench.findings.hold, found[BY_FORMULAS], found[CAPPED]
+    hold, plain, limited = work.results.add_statement, found[BY_FORMULAS], found[CAPPED]
     hold("Elfes: hovering makes false cells", "7.2", plain.new_false, "cells", low=5)
     hold(f"Elfes limited to {LIMITED:g}: hovering beside the person makes cells along the lobe", "figure 6.14",
          limited.new_at_person, "cells", low=10)  # fmt: skip
     if OURS in found:
         hold("ullage: hovering makes no false cell", "beyond", found[OURS].new_false, "cells", high=0)
-    bench.findings.differ(
+    work.results.add_difference(
         "figure 6.14", "hovering marks cells along the lobe at the person",
         f"{plain.new_at_person} new cells within 1.2 m of the person by the formulas, {limited.new_at_person} with "
         f"both values limited to {LIMITED:g}",

@@ -15,10 +15,10 @@ from ullage.processing.occupancy import Mapper
 from ullage.radar.receiving import Fidelity
 from ullage.radar.simulate import simulate
 from ullage.specs import Rig
-from ullage.thesis.bench import Bench, Flown
-from ullage.thesis.laws import radars
 from ullage.thesis.map_figures import Panel, draw_panels
 from ullage.thesis.maps import HEAD, row_of, show_world, walls_of
+from ullage.thesis.targets import radars
+from ullage.thesis.workspace import Flown, Workspace
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -28,49 +28,49 @@ HIGH_M = 6.0
 """A height at which floor and ceiling of the hold lie beyond R_max within the lobe [m]."""
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The flight both ways, figures 6.15 to 6.18, and the cost far from everything."""
     show_world(
-        bench, "cargo-hold", bench.folder / "world.png",
+        work, "cargo-hold", work.folder / "world.png",
         "figures 6.15 to 6.17", "The hold, cut open, and the path flown.",
     )  # fmt: skip
-    less = [LEG] if bench.quick else []
-    rays = bench.fly("cargo-hold", less)
-    waves = bench.fly("cargo-hold-physical", less)
+    less = [LEG] if work.quick else []
+    rays = work.fly("cargo-hold", less)
+    waves = work.fly("cargo-hold-physical", less)
     panels, rows = [], []
     for name, flown in (("Elfes, thesis law", rays), ("ullage, physical law", waves)):
         if flown.omap is not None:
             panels.append(Panel(name, flown.omap, flown.track))
             rows.append(row_of(name, flown.omap, flown.metrics))
-    path = bench.folder / "maps.png"
+    path = work.folder / "maps.png"
     draw_panels(path, [panels], walls=walls_of(rays), title="The cargo hold mapped", width_in=6.4)
-    bench.findings.show(
+    work.results.add_figure(
         path, "figure 6.18", "The hold mapped in flying along its walls, 0.1 m: the thesis' method on ray frames, "
         "ullage's mapper on physical frames of the same flight, ten a second. A straight line in the middle, where "
         "nothing stands, is a far wall: the X4 receives an echo from beyond 9.87 m at its range less 9.87 m. Most of "
         "these cells stay ambiguous.",
     )  # fmt: skip
-    bench.findings.tabulate("Scores", HEAD, rows)
-    state(bench, rays, waves)
-    _detected(bench, rays)
-    far(bench, rays.track)
+    work.results.add_table("Scores", HEAD, rows)
+    state(work, rays, waves)
+    _detected(work, rays)
+    far(work, rays.track)
 
 
-def state(bench: Bench, rays: Flown, waves: Flown) -> None:
+def state(work: Workspace, rays: Flown, waves: Flown) -> None:
     """What ullage's map holds, beside Elfes' of the same flight."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("ullage: surface declared free (share)", "beyond", waves.number("surface_declared_free"), high=0.01)
     hold("ullage: cells held known over 0.3 m behind a surface (share)", "beyond", waves.number("known_behind"),
          high=0.005)  # fmt: skip
     hold("ullage's F1 over Elfes'", "beyond", waves.number("f1") - rays.number("f1"), low=0.1)
 
 
-def far(bench: Bench, path: Trajectory) -> None:
+def far(work: Workspace, path: Trajectory) -> None:
     """The same track in a room of 8 x 6 m and in empty space: CPU of each mapper for a profile."""
-    bench.say("cost of a profile near and far")
+    work.log("cost of a profile near and far")
     loud, _ = radars()
     rig = Rig.preset("thesis-4", radar=loud)
-    track = path[: 60 if bench.quick else 200]
+    track = path[: 60 if work.quick else 200]
     around = scenes.room(size_m=(8, 6, 3))
     middle = track.position.mean(0)
     shifted = Scene(around.vertices + middle, around.faces, around.face_object, around.objects)
@@ -85,13 +85,13 @@ def far(bench: Bench, path: Trajectory) -> None:
         ]
         costs = np.min(taken, axis=0)  # by turns, the least of five: other work on the machine only adds
         rows.append((name, f"{costs[0]:.3f}", f"{costs[1]:.3f}", f"{costs[1] / costs[0]:.2f}"))
-        ratios[name] = bench.findings.numbers[f"{method} far over near"] = float(costs[1] / costs[0])
-    bench.findings.tabulate(
+        ratios[name] = work.results.numbers[f"{method} far over near"] = float(costs[1] / costs[0])
+    work.results.add_table(
         "CPU for a profile [ms]", ("mapper", "walls 3 to 4 m away", "nothing in range", "far over near"), rows,
         note="The thesis' mapping node took 21 times as much in the hold as in the NTNU room (Causes).",
     )  # fmt: skip
     cells = [_cells(grid, shifted, track), _cells(grid, Scene.empty(), track)]
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("Elfes: cells that a reading traverses where nothing is in range, over walls 3 to 4 m away", "7.3",
          cells[1] / cells[0], low=6)  # fmt: skip  # the square of 10 m over 4 m
     hold("ullage: a profile costs no more where nothing is in range", "7.3", ratios["ullage"], high=1.3)
@@ -109,7 +109,7 @@ def _cells(grid: Grid, scene: Scene, track: Trajectory) -> float:
     return float(np.mean(counts))
 
 
-def _detected(bench: Bench, flown: Flown) -> None:
+def _detected(work: Workspace, flown: Flown) -> None:
     """How many profiles hold an echo over the threshold, which the thesis says hardly any do."""
     rise = np.array([0.0, 0.0, HIGH_M - flown.height_m])
     track = replace(flown.track, position=flown.track.position + rise)[::4]
@@ -117,7 +117,7 @@ def _detected(bench: Bench, flown: Flown) -> None:
     share, share_high = (
         float(np.mean([first_echo(part)[1].mean() for part in frames.values()])) for frames in (flown.frames, high)
     )
-    bench.findings.differ(
+    work.results.add_difference(
         "7.3", "\"almost nothing is detected by the sensors\" in the hold",
         f"{100 * share:.0f} % of the profiles exceed 0.038",
         "height and world: at 4 m the floor is in the lobe from 7.4 m on, and its area passes the threshold. At "

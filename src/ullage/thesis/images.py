@@ -16,9 +16,9 @@ from ullage.processing.sar import focus
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec
 from ullage.thesis import flights
-from ullage.thesis.bench import Bench
 from ullage.thesis.flights import Scores, mean_of
 from ullage.thesis.map_figures import Panel, draw_panels
+from ullage.thesis.workspace import Workspace
 from ullage.world.scene import Scene
 
 POLES = ((2.0, 0.1), (2.6, -0.5), (3.1, 0.6))
@@ -91,26 +91,26 @@ def scored(frames: Frames, image: Image, sharp: Image) -> dict[str, float]:
     }
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The table of images and those of the first flight."""
     scores: Scores = {}
     panels: list[Panel] = []
-    seeds = 1 if bench.quick else flights.SEEDS
+    seeds = 1 if work.quick else flights.SEEDS
     for seed in range(seeds):
         sharp: Image | None = None
         for name, frames, image in cases(seed):
-            bench.say(f"flight {seed + 1} of {seeds}, {name}")
+            work.log(f"flight {seed + 1} of {seeds}, {name}")
             sharp = image if sharp is None else sharp
             scores.setdefault(name, []).append(scored(frames, image, sharp))
             if seed == 0:
                 panels.append(Panel(name, image, marks=np.array(POLES)))
     table = flights.rows_of(scores, COLUMNS)
-    bench.findings.tabulate("Methods of imaging", ("method", *COLUMNS.values()), table, note=NOTE)
-    path, view = bench.folder / "poles.png", np.array(GRID.extent_m).reshape(2, 2).T
+    work.results.add_table("Methods of imaging", ("method", *COLUMNS.values()), table, note=NOTE)
+    path, view = work.folder / "poles.png", np.array(GRID.extent_m).reshape(2, 2).T
     draw_panels(path, [panels[:3], panels[3:]], walls=np.zeros((0, 2, 2)), title="Three poles of 1 cm, one flight",
                 width_in=4.0, view=view)  # fmt: skip
-    bench.findings.show(path, "", "Images of three poles of 1 cm from one flight; circled: where they stand.")
-    state(bench, scores)
+    work.results.add_figure(path, "", "Images of three poles of 1 cm from one flight; circled: where they stand.")
+    state(work, scores)
 
 
 NOTE = (
@@ -120,13 +120,13 @@ NOTE = (
 )
 
 
-def state(bench: Bench, scores: Scores) -> None:
+def state(work: Workspace, scores: Scores) -> None:
     """Place, width and entropy of the images."""
 
     def gain(key: str, over: str, name: str) -> float:
         return mean_of(scores, over, key) - mean_of(scores, name, key)
 
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     for name in scores:
         if name != SUMMED:
             hold(f"place of the nearest pole: {name}", "beyond", mean_of(scores, name, "error"), "cm", high=3)

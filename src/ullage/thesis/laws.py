@@ -13,22 +13,13 @@ from typing import Any
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.data import Frames, Trajectory
+from ullage.data import Frames
 from ullage.radar.simulate import simulate
-from ullage.specs import RadarSpec
+from ullage.thesis.targets import TAIL_M, TARGETS, decibel, radars, strafe
+from ullage.thesis.variants import alone
 from ullage.view.figures import drawing
 from ullage.world.library import WORLDS
-from ullage.world.scene import Scene, Wires
 
-TARGETS = {
-    "ntnu-plate": ("steel_plate::plate", "facing plate"),
-    "ntnu-plate45": ("steel_plate::plate", "plate at 45 deg"),
-    "ntnu-pole": ("steel_pole::pole", "square pole"),
-    "ntnu-wire": ("steel_wire::wire", "wire"),
-}
-"""World: the name of the steel in it, and what to call it."""
-TAIL_M = 8.4
-"""No straight path in the room is longer than this; what comes later has been reflected on the way [m]."""
 COLORS = {"thesis": "#d1495b", "physical": "#22577a"}
 NAMES = {"thesis": "ray model of 2018", "physical": "physical"}
 WALL_M = 6.2  # from the track to the wall behind the targets
@@ -46,33 +37,6 @@ class Row:
     steel: dict[str, Floats]  # strongest amplitude (n) of the steel alone, without noise, by law
     summed: Floats  # amplitude (n) of the steel alone summed over range, ray law
     tail: dict[str, float]  # rms amplitude beyond TAIL_M without noise, by law
-
-
-def strafe(world: str, *, step_m: float = 0.05) -> Trajectory:
-    """The world's strafing track, one frame each `step_m`."""
-    (x0, y0, z0, yaw), (x1, y1, z1, _) = WORLDS[world].path_xyzyaw
-    return Trajectory.line((x0, y0, z0), (x1, y1, z1), 0.5, 0.5 / step_m, yaw_deg=yaw)
-
-
-def alone(scene: Scene, name: str) -> Scene:
-    """One object of a scene and nothing else."""
-    index = scene.object(name)
-    wires, mine = scene.wires, scene.wires.object_id == index
-    kept = Wires(wires.start[mine], wires.end[mine], wires.radius_m[mine], np.zeros(int(mine.sum()), np.int32))
-    faces = scene.faces[scene.face_object == index]
-    return Scene(scene.vertices, faces, np.zeros(len(faces), np.int32), (scene.objects[index],), kept, name)
-
-
-def without(scene: Scene, name: str) -> Scene:
-    """A scene less one object that has faces."""
-    kept = scene.face_object != scene.object(name)
-    return Scene(scene.vertices, scene.faces[kept], scene.face_object[kept], scene.objects, scene.wires, scene.name)
-
-
-def radars() -> tuple[RadarSpec, RadarSpec]:
-    """The same front radar with and without noise (the ray law's own noise too)."""
-    loud = RadarSpec.preset("x4m05")
-    return loud, loud.but(noise=None, thesis=loud.thesis.but(noise_sigma=0.0))
 
 
 def compare(world: str, *, step_m: float = 0.05, max_bounces: int = 3, seed: int = 7) -> Row:
@@ -98,11 +62,6 @@ def compare(world: str, *, step_m: float = 0.05, max_bounces: int = 3, seed: int
                simulate(scene, path, loud, fidelity="thesis", seed=seed),
                simulate(scene, path, loud, fidelity="physical", max_bounces=max_bounces, seed=seed),
                {"thesis": rays.max(1), "physical": waves.max(1)}, rays.sum(1), tail)  # fmt: skip
-
-
-def decibel(value: Any) -> Any:
-    """20 log10, nothing below -300 dB."""
-    return 20 * np.log10(np.maximum(abs(np.asarray(value)), 1e-15))
 
 
 def under_plate_db(rows: list[Row]) -> dict[tuple[str, str], Floats]:

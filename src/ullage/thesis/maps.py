@@ -14,7 +14,7 @@ from ullage.grids import Grid, OccupancyMap
 from ullage.processing.metrics import MATCH_M, cell_centres, map_quality
 from ullage.processing.occupancy import map_occupancy
 from ullage.processing.truth import surface_of
-from ullage.thesis.bench import Bench, Flown
+from ullage.thesis.workspace import Flown, Workspace
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 from ullage.world.section import section
@@ -89,12 +89,12 @@ def walls_of(flown: Flown) -> Floats:
     return section(flown.scene, flown.height_m)
 
 
-def show_world(bench: Bench, world: str, path: Path, figure: str, caption: str) -> None:
+def show_world(work: Workspace, world: str, path: Path, figure: str, caption: str) -> None:
     """The world as a cutaway, and a plan with the flight in it."""
-    if bench.quick:
+    if work.quick:
         return  # the docs have it
     from ullage.view.world_picture import VIEWS, world_picture
 
     way = np.array(WORLDS[world].path_xyzyaw)
     world_picture(WORLDS[world].scene(), path, waypoints=way, title=WORLDS[world].title, **VIEWS[world])
-    bench.findings.show(path, figure, caption)
+    work.results.add_figure(path, figure, caption)

@@ -11,9 +11,9 @@ from ullage.grids import Grid, OccupancyMap
 from ullage.processing.metrics import hover_change, map_quality
 from ullage.processing.occupancy import Mapper, map_occupancy
 from ullage.thesis import flights
-from ullage.thesis.bench import Bench
 from ullage.thesis.flights import Recordings, Scores, interval, mean_of
 from ullage.thesis.map_figures import Panel, draw_panels
+from ullage.thesis.workspace import Workspace
 from ullage.world.scene import Scene
 from ullage.world.section import section
 
@@ -33,11 +33,11 @@ IN_SMALL = (RAYS, EXACT)
 
 
 def cases(seed: int, scene: Scene, grid: Grid) -> Iterator[tuple[str, Recordings, dict[str, Any] | None]]:
-    """Rows of the table: name, what is mapped, and how; None for the map that is told."""
+    """Rows of the table: name, what is mapped, and how; None for the map without any error."""
     path = flights.level_round(seed)
-    frames = flights.heard(scene, path, seed)
+    frames = flights.received(scene, path, seed)
     yield ELFES, frames, {"method": "elfes"}
-    yield RAYS, flights.heard(scene, path, seed, fidelity="thesis"), {"method": "elfes"}
+    yield RAYS, flights.received(scene, path, seed, fidelity="thesis"), {"method": "elfes"}
     yield BARE, flights.without_phase(frames), {}
     yield EXACT, frames, {}
     yield FINE, frames, {"grid": Grid.covering(scene.bounds, 0.05, margin_m=1.0)}
@@ -55,14 +55,14 @@ def cases(seed: int, scene: Scene, grid: Grid) -> Iterator[tuple[str, Recordings
 def mapped(scene: Scene, grid: Grid, frames: Recordings, how: dict[str, Any] | None) -> OccupancyMap:
     """The map of one row."""
     if how is None:
-        return flights.told_walls(scene, frames, grid)
+        return flights.errorless_map(scene, frames, grid)
     return map_occupancy(frames, **{"grid": grid, **how})
 
 
 def hovered(scene: Scene, grid: Grid, frames: Recordings, seed: int) -> dict[str, float]:
     """What a minute's hover at the end of a flight changes of its map."""
     path = flights.hovering(flights.level_round(seed), np.random.default_rng(seed + 200))
-    still = flights.heard(scene, path, seed + 200)
+    still = flights.received(scene, path, seed + 200)
     alone, longer = Mapper(grid), Mapper(grid)
     for mapper in (alone, longer):
         mapper.update(frames)
@@ -73,34 +73,34 @@ def hovered(scene: Scene, grid: Grid, frames: Recordings, seed: int) -> dict[str
     return {name: metric.value for name, metric in found.items()}
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The table of methods, the targets, and the maps of the first flight."""
     scene = flights.judged_room()
     grid = flights.plane_of(scene)
     scores: Scores = {}
     hover: list[dict[str, float]] = []
     panels: list[Panel] = []
-    seeds = 1 if bench.quick else flights.SEEDS
+    seeds = 1 if work.quick else flights.SEEDS
     for seed in range(seeds):
         for name, frames, how in cases(seed, scene, grid):
-            if bench.quick and name not in IN_SMALL:
+            if work.quick and name not in IN_SMALL:
                 continue
-            bench.say(f"flight {seed + 1} of {seeds}, {name}")
+            work.log(f"flight {seed + 1} of {seeds}, {name}")
             omap = mapped(scene, grid, frames, how)
             scores.setdefault(name, []).append(flights.values_of(map_quality(omap, scene, frames), tuple(COLUMNS)))
             if seed == 0:
                 panels.append(Panel(name, omap, flights.level_round(seed)))
-            if name == EXACT and not bench.quick:
-                bench.say(f"flight {seed + 1} of {seeds}, hovering")
+            if name == EXACT and not work.quick:
+                work.log(f"flight {seed + 1} of {seeds}, hovering")
                 hover.append(hovered(scene, grid, frames, seed))
-    bench.findings.tabulate(
+    work.results.add_table(
         "Methods on the plane", ("method", *COLUMNS.values()), flights.rows_of(scores, COLUMNS), note=NOTE
     )
-    _show(bench, scene, panels)
-    state(bench, scores)
-    if not bench.quick:
-        state_targets(bench, scores, hover)
-        bench.findings.tabulate("Beside the best seen", ("", "best seen", "target", "ours"), _targets(scores, hover))
+    _show(work, scene, panels)
+    state(work, scores)
+    if not work.quick:
+        state_targets(work, scores, hover)
+        work.results.add_table("Beside the best seen", ("", "best seen", "target", "ours"), _targets(scores, hover))
 
 
 NOTE = (
@@ -110,24 +110,26 @@ NOTE = (
 )
 
 
-def _show(bench: Bench, scene: Scene, panels: list[Panel]) -> None:
-    path = bench.folder / "maps.png"
+def _show(work: Workspace, scene: Scene, panels: list[Panel]) -> None:
+    path = work.folder / "maps.png"
     rows = [panels[k : k + 4] for k in range(0, len(panels), 4)]
     draw_panels(path, rows, walls=section(scene, 0.0), title="One flight, mapped by every method", width_in=3.8)
-    bench.findings.show(path, "", "The first flight, mapped by every method; red: what truly stands there.")
+    work.results.add_figure(path, "", "The first flight, mapped by every method; red: what truly stands there.")
 
 
-def state(bench: Bench, scores: Scores) -> None:
+def state(work: Workspace, scores: Scores) -> None:
     """Ullage's map of exact poses, beside Elfes'."""
     better = mean_of(scores, EXACT, "f1") - mean_of(scores, RAYS, "f1")
-    bench.findings.hold("ullage's F1 over Elfes', both on their own frames", "beyond", better, low=0.1)
+    work.results.add_statement("ullage's F1 over Elfes', both on their own frames", "beyond", better, low=0.1)
     for key, most in (("surface_declared_free", 0.01), ("known_behind", 0.005)):
-        bench.findings.hold(f"exact poses: {COLUMNS[key]} (share)", "beyond", mean_of(scores, EXACT, key), high=most)
+        work.results.add_statement(
+            f"exact poses: {COLUMNS[key]} (share)", "beyond", mean_of(scores, EXACT, key), high=most
+        )
 
 
-def state_targets(bench: Bench, scores: Scores, hover: list[dict[str, float]]) -> None:
+def state_targets(work: Workspace, scores: Scores, hover: list[dict[str, float]]) -> None:
     """Every row against its target, and what hovering changes."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     bounds = {EXACT: 0.92, BARE: 0.78, WHITE[0.003]: 0.88, WHITE[0.01]: 0.72, DRIFT_KNOWN: 0.85}
     for name, least in bounds.items():
         hold(f"F1: {name}", "beyond", mean_of(scores, name, "f1"), low=least)

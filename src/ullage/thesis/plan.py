@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from ullage.errors import InputError
 
 if TYPE_CHECKING:
-    from ullage.thesis.bench import Bench
+    from ullage.thesis.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One experiment: its module in this package has a `run(bench)`."""
+    """One experiment: its module in this package has a `run(work)`."""
 
     name: str
     title: str
@@ -25,9 +25,9 @@ class Experiment:
     weight: float = 1.0  # how long it takes, beside the others
     small: float = 1.0  # and in small
 
-    def run(self, bench: Bench) -> None:
-        """Do it; findings and figures go to the bench."""
-        importlib.import_module(f"ullage.thesis.{self.name}").run(bench)
+    def run(self, work: Workspace) -> None:
+        """Run the experiment; its results and figures go to the workspace."""
+        importlib.import_module(f"ullage.thesis.{self.name}").run(work)
 
     def reads(self, recordings: Path) -> list[Path]:
         """Recordings it looks at, there or not."""

@@ -18,8 +18,8 @@ from ullage.processing.calibrate import calibrate
 from ullage.processing.metrics_image import image_quality
 from ullage.processing.sar import focus
 from ullage.radar.simulate import simulate
-from ullage.thesis.bench import Bench
 from ullage.thesis.rail_figure import Look, draw_rail
+from ullage.thesis.workspace import Workspace
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -41,13 +41,13 @@ class Echoes:
     lag_m: Floats  # (n) by how much the real echo lies beyond the simulated one [m]
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The recording calibrated, the same rail simulated, both compared."""
-    folder = bench.recordings / "pulson440" / "rail_a"
+    folder = work.recordings / "pulson440" / "rail_a"
     if not folder.is_dir():
-        bench.findings.skipped = f"the recordings are not part of the package, and {folder} is not here"
+        work.results.skipped = f"the recordings are not part of the package, and {folder} is not here"
         return
-    bench.say("calibrating the recording")
+    work.log("calibrating the recording")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UllageWarning)
         source = open_source(folder)
@@ -56,10 +56,10 @@ def run(bench: Bench) -> None:
     if not isinstance(source, RailSource):
         return
     place = source.reflectors()[0]
-    real = real[:: 2 if bench.quick else 1]
-    bench.say("simulating the rail")
+    real = real[:: 2 if work.quick else 1]
+    work.log("simulating the rail")
     twin = simulated(real, place)
-    compare(bench, real, twin, place)
+    compare(work, real, twin, place)
 
 
 def simulated(real: Frames, place: Floats) -> Frames:
@@ -98,9 +98,9 @@ def echoes(real: Frames, twin: Frames, place: Floats) -> Echoes:
     return Echoes(np.array(waves), np.array(score), np.array(lags))
 
 
-def compare(bench: Bench, real: Frames, twin: Frames, place: Floats) -> None:
+def compare(work: Workspace, real: Frames, twin: Frames, place: Floats) -> None:
     """Numbers and the figure."""
-    bench.say("comparing")
+    work.log("comparing")
     found = echoes(real, twin, place)
     bias = float(np.median(found.lag_m))
     reach = np.linalg.norm(real.believed.position - place, axis=1)
@@ -113,8 +113,8 @@ def compare(bench: Bench, real: Frames, twin: Frames, place: Floats) -> None:
     images = [_image(frames, place) for frames in (real, twin)]
     widths = [image_quality(image, target_m=place, search_m=0.4) for image in images]
     clutter = [_clutter(frames, peak) for frames, peak in ((real, peaks[0]), (twin, peaks[1]))]
-    _state(bench, found, bias, alike, peaks, gain, widths, clutter)
-    path = bench.folder / "rail.png"
+    _state(work, found, bias, alike, peaks, gain, widths, clutter)
+    path = work.folder / "rail.png"
     looks = [
         Look("recorded", real, images[0], mean, peaks[0], 1.0),
         Look("simulated", twin, images[1], ours / gain, peaks[1], gain),
@@ -123,14 +123,14 @@ def compare(bench: Bench, real: Frames, twin: Frames, place: Floats) -> None:
     words = (
         "Rail with a PulsON 440 (3.1 to 4.8 GHz) and a corner reflector: the recording, and the same rail, radar and "
     )
-    bench.findings.show(path, "", words + "reflector simulated over a bare concrete floor. One gain factor.")
+    work.results.add_figure(path, "", words + "reflector simulated over a bare concrete floor. One gain factor.")
 
 
 def _state(
-    bench: Bench, found: Echoes, bias: float, alike: float, peaks: list[Floats], gain: float,
+    work: Workspace, found: Echoes, bias: float, alike: float, peaks: list[Floats], gain: float,
     widths: list[dict[str, Metric]], clutter: list[float],
 ) -> None:  # fmt: skip
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold(
         "waveform of the reflector's echo, mean over the track: correlation of recorded and simulated",
         "beyond",
@@ -151,10 +151,10 @@ def _state(
             low=0.5,
             high=2,
         )
-        bench.findings.numbers |= {f"recorded width {axis}": values[0], f"simulated width {axis}": values[1]}
+        work.results.numbers |= {f"recorded width {axis}": values[0], f"simulated width {axis}": values[1]}
     hold("recorded clutter behind the reflector, rms under its peak", "beyond", clutter[0], "dB", low=-40, high=0)
     hold("simulated clutter there", "beyond", clutter[1], "dB", high=-20)
-    bench.findings.notes.append(
+    work.results.notes.append(
         f"The recorded echo lies {100 * bias:.0f} cm beyond the simulated one: the survey is of markers on the "
         "reflector's front edge and on the radar's case, not of the two phase centres, and the range offset itself is "
         "known to 3 cm. "

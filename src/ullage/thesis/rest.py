@@ -12,7 +12,7 @@ from ullage.errors import UllageWarning
 from ullage.ports import open as open_source
 from ullage.radar.receiver import receive, unit
 from ullage.specs import RadarSpec
-from ullage.thesis.bench import Bench
+from ullage.thesis.workspace import Workspace
 from ullage.view.receiver_figure import draw_receiver
 
 READS = ("x4/xethru_datafloat_20190614_141837.dat",)
@@ -29,24 +29,26 @@ WORDS = {
 }  # fmt: skip
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The recording at rest and a simulated radar of the same settings, measured by the same code."""
-    file = bench.recordings / READS[0]
+    file = work.recordings / READS[0]
     if not file.is_file():
-        bench.findings.skipped = f"the recordings are not part of the package, and {file} is not here"
+        work.results.skipped = f"the recordings are not part of the package, and {file} is not here"
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UllageWarning)  # neither times nor ranges matter here
         found = open_source(file).frames()
     frames = found if isinstance(found, Frames) else next(iter(found.values()))
-    still = frames[STILL][:: 4 if bench.quick else 1]
+    still = frames[STILL][:: 4 if work.quick else 1]
     spec = RadarSpec.preset("x4m05", iterations=COUNTS[0], pulses_per_step=COUNTS[1], bins=still.samples.shape[1])
     silent = np.zeros(still.samples.shape, np.complex64)
     both = [still.samples.astype(np.complex128), receive(silent, spec, seed=1).astype(np.complex128) * unit(spec)]
-    state(bench, [measure(rows, spec) for rows in both])
-    path = bench.folder / "rest.png"
+    state(work, [measure(rows, spec) for rows in both])
+    path = work.folder / "rest.png"
     draw_receiver(still, path, counts=COUNTS, quiet_from=QUIET)
-    bench.findings.show(path, "", "An X4 at rest: recording and simulation at the same settings (docs: The receiver).")
+    work.results.add_figure(
+        path, "", "An X4 at rest: recording and simulation at the same settings (docs: The receiver)."
+    )
 
 
 def measure(rows: Complexes, spec: RadarSpec) -> dict[str, float]:
@@ -69,7 +71,7 @@ def measure(rows: Complexes, spec: RadarSpec) -> dict[str, float]:
     }  # fmt: skip
 
 
-def state(bench: Bench, both: list[dict[str, float]]) -> None:
+def state(work: Workspace, both: list[dict[str, float]]) -> None:
     """Each number of the recording beside the simulation's, with the bound on their difference."""
     real, ours = both
     less = {key: ours[key] - real[key] for key in real}
@@ -83,10 +85,10 @@ def state(bench: Bench, both: list[dict[str, float]]) -> None:
         ("phase common to a frame: simulated over recorded", ours["phase"] / real["phase"], "", 0.8, 1.25),
     )
     for what, value, dimension, low, high in bounds:
-        bench.findings.hold(what, "beyond", value, dimension, low=low, high=high)
+        work.results.add_statement(what, "beyond", value, dimension, low=low, high=high)
     rows = [(title, form.format(real[key]), form.format(ours[key])) for key, (title, form) in WORDS.items()]
-    bench.findings.tabulate("X4 at rest, N = 4", ("", "recorded", "simulated"), rows)
-    bench.findings.notes.append(
+    work.results.add_table("X4 at rest, N = 4", ("", "recorded", "simulated"), rows)
+    work.results.notes.append(
         "They differ in the spectrum, which falls lower at the band's edges in the recording (the real on-chip filter "
         "is not published), and in strong bins: referred to the direct path the recorded ones keep 2 to 4.5 dB over "
         "the additive noise, jitter that is not common to the frame and is not modelled. The room round the recorded "

@@ -10,9 +10,9 @@ from ullage.processing.clean import remove_direct_path
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.metrics import map_quality, map_size
 from ullage.processing.sar import focus
-from ullage.thesis.bench import Bench, Flown
 from ullage.thesis.map_figures import Panel, draw_panels
 from ullage.thesis.maps import HEAD, map_at, middle_of, row_of, show_world, walls_of
+from ullage.thesis.workspace import Flown, Workspace
 
 STEPS = {0.5: "ntnu-mapping-50cm", 0.2: "ntnu-mapping-20cm", 0.1: "ntnu-mapping", 0.05: "ntnu-mapping-5cm"}
 PRINTED_KB = {0.5: 80, 0.2: 500, 0.1: 2000, 0.05: 8000}
@@ -20,16 +20,16 @@ PRINTED_KB = {0.5: 80, 0.2: 500, 0.1: 2000, 0.05: 8000}
 SMALL = (0.2, 0.1)
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Maps at every resolution; figures 6.9, 6.10, 6.12a and 6.13."""
     show_world(
-        bench, "ntnu-mapping", bench.folder / "world.png", "figures 6.10 and 6.12a",
+        work, "ntnu-mapping", work.folder / "world.png", "figures 6.10 and 6.12a",
         "The testing room with the plate, and the path flown.",
     )  # fmt: skip
-    steps = [step for step in STEPS if not bench.quick or step in SMALL]
-    rays = {step: bench.fly(STEPS[step]) for step in steps}
-    waves = bench.fly("ntnu-mapping-physical", ["sensing.rate_hz=10"] if bench.quick else [])
-    bench.say("mapping on every grid")
+    steps = [step for step in STEPS if not work.quick or step in SMALL]
+    rays = {step: work.fly(STEPS[step]) for step in steps}
+    waves = work.fly("ntnu-mapping-physical", ["sensing.rate_hz=10"] if work.quick else [])
+    work.log("mapping on every grid")
     rows, memory, top, bottom = [], [], [], []
     mapped = {step: map_at(waves, step, "ullage") for step in rays}
     for step, flown in rays.items():
@@ -40,26 +40,26 @@ def run(bench: Bench) -> None:
         top.append(Panel(f"Elfes, {step:g} m (thesis law)", flown.omap, flown.track))
         bottom.append(Panel(f"ullage, {step:g} m (physical law)", ours, waves.track))
         memory.append(_memory(step, ours))
-    path = bench.folder / "maps.png"
+    path = work.folder / "maps.png"
     draw_panels(path, [top, bottom], walls=walls_of(waves), title="The NTNU room mapped")
-    bench.findings.show(
+    work.results.add_figure(
         path, "figure 6.13", "Above, the thesis' method on its own ray frames; below, ullage's mapper on physical "
         "frames of the same flight. Red: what truly stands at the height of the flight.",
     )  # fmt: skip
-    bench.findings.tabulate(
+    work.results.add_table(
         "Scores", HEAD, rows, note="Scored against the world by one evaluator (docs: Occupancy maps)."
     )
-    bench.findings.tabulate(
+    work.results.add_table(
         "Memory of a map",
         ("cells", "thesis, 50 x 50 m, 64 bit [kB]", "the same, 10 x 8 m [kB]", "Elfes' mapper, 10 x 8 m, 32 bit [kB]",
          "8 bit [kB]", "ullage's finished map, 10 x 8 m [kB]", "its file [kB]"), memory,
         note="10 x 8 m is the room with a metre around it. Elfes' mapper holds two values a cell in 32 bits, one in 8 "
         "bits. The thesis' figures hold for its 10^6 cells; its equation 5.2 prints 50000 in their place.",
     )  # fmt: skip
-    _images(bench, rays[0.1], waves)
-    state(bench, rays, mapped[0.1])
+    _images(work, rays[0.1], waves)
+    state(work, rays, mapped[0.1])
     if 0.05 in rays:
-        _finest_differs(bench, rays[0.05])
+        _finest_differs(work, rays[0.05])
 
 
 def _memory(step: float, omap: OccupancyMap) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ def _memory(step: float, omap: OccupancyMap) -> tuple[str, ...]:
             f"{size['ram'].value / 1e3:.1f}", f"{size['file'].value / 1e3:.1f}")  # fmt: skip
 
 
-def _images(bench: Bench, rays: Flown, waves: Flown) -> None:
+def _images(work: Workspace, rays: Flown, waves: Flown) -> None:
     """Figure 6.9: the room as a SAR image."""
     if rays.image is None:
         return
@@ -80,20 +80,20 @@ def _images(bench: Bench, rays: Flown, waves: Flown) -> None:
         Panel("summation, physical law", focus(clean, grid, method="summation")),
         Panel("back-projection, physical law", focus(clean, grid)),
     ]
-    path = bench.folder / "sar.png"
+    path = work.folder / "sar.png"
     draw_panels(path, [panels], walls=walls_of(waves), title="Images of the room while traversing it", width_in=4.2)
-    bench.findings.show(path, "figure 6.9", "The room as a SAR image while it is traversed with four radars.")
+    work.results.add_figure(path, "figure 6.9", "The room as a SAR image while it is traversed with four radars.")
 
 
-def state(bench: Bench, rays: dict[float, Flown], ours: tuple[OccupancyMap, dict[str, Metric]]) -> None:
+def state(work: Workspace, rays: dict[float, Flown], ours: tuple[OccupancyMap, dict[str, Metric]]) -> None:
     """What the thesis says of its maps, and what ullage's mapper adds.
 
     Args:
-        bench: takes the statements.
+        work: takes the statements.
         rays: flights under the ray law by the size of a cell [m]; 0.1 m is among them.
         ours: ullage's map in cells of 0.1 m, and its scores.
     """
-    hold, fine = bench.findings.hold, rays[0.1]
+    hold, fine = work.results.add_statement, rays[0.1]
     if 0.5 in rays:
         hold("Elfes: 0.5 m is unclear; occupied cells lie farther off than at 0.1 m, mean", "7.2",
              rays[0.5].number("accuracy_mean") - fine.number("accuracy_mean"), "m", low=0.1, high=0.5)  # fmt: skip
@@ -116,29 +116,29 @@ def state(bench: Bench, rays: dict[float, Flown], ours: tuple[OccupancyMap, dict
     hold("ullage: cells held known over 0.3 m behind a surface (share)", "beyond", scores["known_behind"].value,
          high=0.005)  # fmt: skip
     hold("ullage: surface declared free (share)", "beyond", scores["surface_declared_free"].value, high=0.01)
-    _memory_of_nodes(bench)
+    _memory_of_nodes(work)
 
 
 def _cell_m(flown: Flown) -> float:
     return float("nan") if flown.omap is None else flown.omap.grid.step_m
 
 
-def _memory_of_nodes(bench: Bench) -> None:
+def _memory_of_nodes(work: Workspace) -> None:
     """Equation 5.2 and section 5.3.1: what the mapper itself holds for 50 x 50 m."""
     grid = Grid.covering([[0, 0, 0], [50, 50, 0]], 0.05, z_m=0.0)
     small, large = (ElfesMapper(grid, bits=bits).nbytes / 1e6 for bits in (8, 32))
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("what Elfes' mapper holds for 50 x 50 m at 0.05 m, two values of 32 bits a cell; the thesis: 8 MB", "5.2",
          large, "MB", low=7.9, high=8.2)  # fmt: skip
     hold("the same with one byte a cell; the thesis: 1 MB", "5.3.1", small, "MB", low=0.95, high=1.03)
 
 
-def _finest_differs(bench: Bench, flown: Flown) -> None:
+def _finest_differs(work: Workspace, flown: Flown) -> None:
     """Figure 6.13: the finest grid."""
     mapper = ElfesMapper(Grid.covering(flown.scene.bounds, 0.05, margin_m=1.0), spread_m=0.05)
     mapper.update(flown.frames)
     thin = map_quality(mapper.map(), flown.scene, flown.frames)
-    bench.findings.differ(
+    work.results.add_difference(
         "figure 6.13 d", "0.05 m is as good as 0.1 m",
         f"few false cells (precision {flown.number('precision'):.2f}), but recall {flown.number('recall'):.2f}, and "
         f"{100 * flown.number('surface_declared_free'):.0f} % of the surface declared free",

@@ -18,8 +18,8 @@ from ullage.processing.sar import focus
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec, Rig
 from ullage.thesis import flights
-from ullage.thesis.bench import Bench
 from ullage.thesis.motion import blind_speed_m_s, fly_at, integration_s, loss_db
+from ullage.thesis.workspace import Workspace
 from ullage.view.figures import drawing
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -43,20 +43,20 @@ class Measured:
     value: Floats
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Measure all four, hold them against their laws, draw them."""
     spec = RadarSpec.preset("x4m05")
-    bench.say("flying towards a plate and a wire")
+    work.log("flying towards a plate and a wire")
     loss, found = towards_plate(spec), towards_wire(spec)
-    bench.say("flying past a wire")
-    image, width = past_wire(spec, SIDEWAYS[bench.quick])
-    bench.say("flying round a room")
-    scores = round_room(spec, ROUNDS[bench.quick], seed=1)
-    state(bench, spec, loss, found, image, scores)
-    tabulate(bench, spec, found, (image, width), scores)
-    path = bench.folder / "speeds.png"
+    work.log("flying past a wire")
+    image, width = past_wire(spec, SIDEWAYS[work.quick])
+    work.log("flying round a room")
+    scores = round_room(spec, ROUNDS[work.quick], seed=1)
+    state(work, spec, loss, found, image, scores)
+    tabulate(work, spec, found, (image, width), scores)
+    path = work.folder / "speeds.png"
     draw(path, spec, loss, found, image, scores)
-    bench.findings.show(
+    work.results.add_figure(
         path, "", "What speed does at the X4M05's 17 frames/s: loss within a frame, ambiguous energy of a SAR image, "
         "detection of a wire, score of a map. Lines: theory.",
     )  # fmt: skip
@@ -148,10 +148,10 @@ def widest(spec: RadarSpec) -> float:
 
 
 def state(
-    bench: Bench, spec: RadarSpec, loss: Measured, found: Measured, image: Measured, scores: dict[str, Measured]
+    work: Workspace, spec: RadarSpec, loss: Measured, found: Measured, image: Measured, scores: dict[str, Measured]
 ) -> None:
     """Each measurement against its law."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     law = loss_db(loss.speed_m_s, spec)
     clear = law > -20
     hold("a plate ahead: loss within a frame less the law, largest", "7.1",
@@ -176,7 +176,7 @@ def state(
 
 
 def tabulate(
-    bench: Bench, spec: RadarSpec, found: Measured, images: tuple[Measured, Measured], scores: dict[str, Measured]
+    work: Workspace, spec: RadarSpec, found: Measured, images: tuple[Measured, Measured], scores: dict[str, Measured]
 ) -> None:
     """Numbers for the page."""
     image, width = images
@@ -184,7 +184,7 @@ def tabulate(
         (f"{v:g}", f"{spacing(spec, v):.2f}", f"{e:.1f}", f"{100 * w:.1f}")
         for v, e, w in zip(image.speed_m_s, image.value, width.value, strict=True)
     ]
-    bench.findings.tabulate(
+    work.results.add_table(
         "SAR image of a wire, flown past",
         ("speed [m/s]", "frame spacing / wavelength", "ambiguous energy [dB]", "-3 dB width across [cm]"), past,
         note=f"17 frames/s. A spacing of 1/4 is unambiguous in every direction, {widest(spec):.2f} within the beam.",
@@ -192,7 +192,7 @@ def tabulate(
     ahead = [
         (f"{v:g}", f"{loss_db(v, spec):.1f}", f"{s:.2f}") for v, s in zip(found.speed_m_s, found.value, strict=True)
     ]
-    bench.findings.tabulate(
+    work.results.add_table(
         "A wire ahead, 6 to 3 m away", ("speed [m/s]", "loss by the law [dB]", "frames that detect it"), ahead,
         note=f"One frame integrates {1e3 * integration_s(spec):.1f} ms; blind at {blind_speed_m_s(spec):.3f} m/s.",
     )  # fmt: skip
@@ -201,7 +201,7 @@ def tabulate(
         for k, v in enumerate(next(iter(scores.values())).speed_m_s)
     ]
     head = ("speed [m/s]", "frame spacing / wavelength", *(f"F1, {method}" for method in scores))
-    bench.findings.tabulate("Maps of a room, four radars, physical frames", head, rounds)
+    work.results.add_table("Maps of a room, four radars, physical frames", head, rounds)
 
 
 def draw(

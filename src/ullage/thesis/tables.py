@@ -20,7 +20,7 @@ from ullage.experiments.watch import RangeTime
 from ullage.grids import Grid
 from ullage.pipeline import ImageStage, MapStage, Stage
 from ullage.radar.simulate import simulate_stream
-from ullage.thesis.bench import Bench
+from ullage.thesis.workspace import Workspace
 
 PRINTED = {
     "6.1": ("NTNU room, amplitudes and SAR", 1.0, {"simulation": 75, "amplitudes": 25, "image": 35}),
@@ -54,19 +54,19 @@ class Spent:
         return 100 * self.cpu_s.get(name, 0.0) / self.flight_s
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Tables 6.1 to 6.4, each under both laws."""
     machine = provenance()["machine"]
-    bench.say("loading what is measured")  # or the first table would pay for it
+    work.log("loading what is measured")  # or the first table would pay for it
     for options in ([], ["sensing.fidelity=physical", "map.method=ullage", "image.method=backprojection"]):
         measure(SCENARIOS["6.2"], options, 0.3)
     for table, scenario in SCENARIOS.items():
         title, speed, printed = PRINTED[table]
-        bench.say(f"table {table}")
-        thesis = measure(scenario, [], PART_S if bench.quick else None)
+        work.log(f"table {table}")
+        thesis = measure(scenario, [], PART_S if work.quick else None)
         method = "image.method=backprojection"
         physical = measure(
-            scenario, ["sensing.fidelity=physical", "map.method=ullage", method], 1.5 if bench.quick else PART_S
+            scenario, ["sensing.fidelity=physical", "map.method=ullage", method], 1.5 if work.quick else PART_S
         )
         rows: list[tuple[str, ...]] = [("speed, times real time", f"{speed:g}", _speed(thesis), _speed(physical))]
         for stage in ("simulation", "amplitudes", "image", "map"):
@@ -78,7 +78,7 @@ def run(bench: Bench) -> None:
                      f"{thesis.held['node'] / 1e6:.0f} MB", ""))  # fmt: skip
         rows.append(("memory of the finished map", "",
                      *(f"{spent.held.get('map', 0) / 1e3:.0f} kB" for spent in (thesis, physical))))  # fmt: skip
-        bench.findings.tabulate(
+        work.results.add_table(
             f"Table {table}: {title}",
             ("", "thesis (i7-4790, 3.6 GHz, 8 threads)", "ullage, thesis' methods", "ullage, physical law and methods"),
             rows,
@@ -88,23 +88,28 @@ def run(bench: Bench) -> None:
             "runs, and no messages between processes. So the ratio says nothing of the methods alone.",
         )  # fmt: skip
         if table != "6.1":
-            bench.findings.not_compared.append(
+            work.results.not_compared.append(
                 f"Table {table}: the node's memory is 0.43 % of a machine whose memory is not printed; ours takes "
                 f"{thesis.held['node'] / 1e6:.0f} MB with its Python."
             )
-        bench.findings.numbers[f"speed {table}"] = _factor(thesis)
-        bench.findings.numbers[f"physical speed {table}"] = _factor(physical)
-        state(bench, table, thesis)
+        work.results.numbers[f"speed {table}"] = _factor(thesis)
+        work.results.numbers[f"physical speed {table}"] = _factor(physical)
+        state(work, table, thesis)
 
 
-def state(bench: Bench, table: str, spent: Spent) -> None:
+def state(work: Workspace, table: str, spent: Spent) -> None:
     """Set speed and CPU of the thesis' methods against what a table of the thesis prints."""
     _, speed, printed = PRINTED[table]
     faster = f"the thesis' methods run faster than the thesis' {speed:g} times real time"
-    bench.findings.hold(faster, f"table {table}", _factor(spent), "times", low=speed)
+    work.results.add_statement(faster, f"table {table}", _factor(spent), "times", low=speed)
     if "map" in printed:
-        bench.findings.hold("Elfes' map takes less CPU at real time than the thesis' node", f"table {table}",
-                            spent.percent("map"), "%", high=printed["map"] / speed)  # fmt: skip
+        work.results.add_statement(
+            "Elfes' map takes less CPU at real time than the thesis' node",
+            f"table {table}",
+            spent.percent("map"),
+            "%",
+            high=printed["map"] / speed,
+        )
 
 
 def _factor(spent: Spent) -> float:

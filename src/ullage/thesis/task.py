@@ -14,9 +14,9 @@ import ullage
 from ullage.errors import InputError
 from ullage.experiments.folder import provenance, read_json
 from ullage.experiments.judge import Verdict, verdicts
-from ullage.thesis.bench import Bench
-from ullage.thesis.findings import Findings, read_findings
 from ullage.thesis.plan import Experiment
+from ullage.thesis.results import Results, read_results
+from ullage.thesis.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Chapter:
 
     experiment: Experiment
     folder: Path
-    findings: Findings
+    results: Results
     verdicts: tuple[tuple[str, Verdict], ...]  # scenario, bound
     took_s: float
     cpu_s: float
@@ -47,7 +47,7 @@ class Reproduction:
         for chapter in self.chapters:
             out += [
                 f"{s.text}: {s.value:.4g} {s.unit}, wanted {s.wanted}"
-                for s in chapter.findings.statements
+                for s in chapter.results.statements
                 if not s.holds
             ]
             out += [f"{name}: {v.text}" for name, v in chapter.verdicts if not v.inside]
@@ -56,13 +56,13 @@ class Reproduction:
     @property
     def counts(self) -> tuple[int, int]:
         """Statements and bounds that hold, and all of them."""
-        flags = [s.holds for c in self.chapters for s in c.findings.statements]
+        flags = [s.holds for c in self.chapters for s in c.results.statements]
         flags += [v.inside for c in self.chapters for _, v in c.verdicts]
         return sum(flags), len(flags)
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class ExperimentTask:
     """An experiment, and where and how it is done."""
 
     experiment: Experiment
@@ -94,7 +94,7 @@ class Task:
     @property
     def mark(self) -> Path:
         """The file that is there when it is done."""
-        return self.folder / "findings.json"
+        return self.folder / "results.json"
 
     @property
     def done(self) -> bool:
@@ -124,17 +124,17 @@ class Task:
             self.folder.mkdir(parents=True)
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=self.folder, allowed="--out DIR") from None
-        bench = Bench(self.folder, self.quick, say, self.recordings)
+        work = Workspace(self.folder, self.quick, log=say, recordings=self.recordings)
         wall, cpu = time.monotonic(), time.process_time()
-        self.experiment.run(bench)
+        self.experiment.run(work)
         spent = {"took_s": time.monotonic() - wall, "cpu_s": time.process_time() - cpu}
-        bench.findings.write(self.mark, inputs=self.inputs, quick=self.quick, machine=provenance()["machine"], **spent)
+        work.results.write(self.mark, inputs=self.inputs, quick=self.quick, machine=provenance()["machine"], **spent)
 
     def chapter(self) -> Chapter:
         """What it found."""
-        findings, tree = read_findings(self.mark), read_json(self.mark)
-        judged = [(Path(run).name, verdict) for run in findings.scenarios for verdict in verdicts(self.folder / run)]
-        return Chapter(self.experiment, self.folder, findings, tuple(judged), tree["took_s"], tree["cpu_s"])
+        results, tree = read_results(self.mark), read_json(self.mark)
+        judged = [(Path(run).name, verdict) for run in results.scenarios for verdict in verdicts(self.folder / run)]
+        return Chapter(self.experiment, self.folder, results, tuple(judged), tree["took_s"], tree["cpu_s"])
 
 
 def code_now() -> str:

@@ -15,8 +15,8 @@ from ullage.processing.metrics import map_quality
 from ullage.processing.occupancy import map_occupancy
 from ullage.processing.truth import spaced_looks, surface_of
 from ullage.thesis import flights
-from ullage.thesis.bench import Bench
 from ullage.thesis.flights import Recordings, Scores, interval, mean_of
+from ullage.thesis.workspace import Workspace
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
@@ -87,29 +87,27 @@ def flagged(omap: OccupancyMap, scene: Scene, frames: Recordings) -> dict[str, f
     return {**{key: float(flags[mine].mean()) for key, flags in said.items()}, "flagged_cells": float(len(mine[0]))}
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The tables of flights that rise and sink and of level ones."""
     scene = flights.judged_room()
     grid = flights.volume_of(scene)
     scores: Scores = {}
     for seed in range(flights.SEEDS):
-        frames = flights.heard(scene, flights.rising_round(seed), seed)
+        frames = flights.received(scene, flights.rising_round(seed), seed)
         for name, recording in cases(seed, frames):
-            bench.say(f"flight {seed + 1} of {flights.SEEDS}, {name}")
+            work.log(f"flight {seed + 1} of {flights.SEEDS}, {name}")
             found = map_quality(map_occupancy(recording, grid), scene, frames)
             scores.setdefault(name, []).append(flights.values_of(found, tuple(COLUMNS)))
-        bench.say(f"flight {seed + 1} of {flights.SEEDS}, {LEVEL}")
-        frames = flights.heard(scene, flights.level_round(seed), seed)
+        work.log(f"flight {seed + 1} of {flights.SEEDS}, {LEVEL}")
+        frames = flights.received(scene, flights.level_round(seed), seed)
         omap = map_occupancy(frames, grid)
         row = flights.values_of(map_quality(omap, scene, frames), tuple(COLUMNS))
         scores.setdefault(LEVEL, []).append(row | flagged(omap, scene, frames))
     rows = flights.rows_of(scores, COLUMNS)
-    bench.findings.tabulate("Methods in a volume", ("method", *COLUMNS.values()), rows, note=NOTE)
+    work.results.add_table("Methods in a volume", ("method", *COLUMNS.values()), rows, note=NOTE)
     level = [tuple(interval([row[key] for row in scores[LEVEL]]) for key in FLAGGED)]
-    bench.findings.tabulate(
-        "Flown level: what only a second height resolves", tuple(FLAGGED.values()), level, note=OPEN
-    )
-    state(bench, scores)
+    work.results.add_table("Flown level: what only a second height resolves", tuple(FLAGGED.values()), level, note=OPEN)
+    state(work, scores)
 
 
 NOTE = (
@@ -122,9 +120,9 @@ OPEN = (
 )
 
 
-def state(bench: Bench, scores: Scores) -> None:
+def state(work: Workspace, scores: Scores) -> None:
     """Scores of the maps, and what a level flight leaves open."""
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold(f"F1: {EXACT}", "beyond", mean_of(scores, EXACT, "f1"), low=0.8)
     hold("share of the cells that only a second height resolves which a level flight marks as ambiguous", "beyond",
          mean_of(scores, LEVEL, "flagged"), low=0.95)  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the experiments on single targets share: where a target is, its image, and how bright it is there."""
+"""The thesis' four targets: the track past each, the radars, the image of a track and the target's level in it."""
 
 from __future__ import annotations
 
@@ -7,18 +7,45 @@ from typing import Any
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.data import Frames
+from ullage.data import Frames, Trajectory
 from ullage.grids import Grid, Image
 from ullage.processing.sar import focus
-from ullage.thesis.laws import TARGETS, alone, decibel
+from ullage.specs import RadarSpec
+from ullage.thesis.variants import alone
 from ullage.world.library import WORLDS
 
+TARGETS = {
+    "ntnu-plate": ("steel_plate::plate", "facing plate"),
+    "ntnu-plate45": ("steel_plate::plate", "plate at 45 deg"),
+    "ntnu-pole": ("steel_pole::pole", "square pole"),
+    "ntnu-wire": ("steel_wire::wire", "wire"),
+}
+"""World: the name of the steel in it, and what to call it."""
+TAIL_M = 8.4
+"""No straight path in the room is longer than this; what comes later has been reflected on the way [m]."""
 IMAGE_BOX = np.array([[-1.5, -2.0, 1.1], [4.3, 2.0, 1.1]])
 """Where images are made: from beyond the direct path to the wall behind the targets [m]."""
 CELL_M = 0.05
 """Cells of the images [m]."""
 OWN_M = 0.3
 """Cells this near to a target are its own [m]."""
+
+
+def strafe(world: str, *, step_m: float = 0.05) -> Trajectory:
+    """The world's strafing track, one frame each `step_m`."""
+    (x0, y0, z0, yaw), (x1, y1, z1, _) = WORLDS[world].path_xyzyaw
+    return Trajectory.line((x0, y0, z0), (x1, y1, z1), 0.5, 0.5 / step_m, yaw_deg=yaw)
+
+
+def radars() -> tuple[RadarSpec, RadarSpec]:
+    """The same front radar with and without noise (the ray law's own noise too)."""
+    loud = RadarSpec.preset("x4m05")
+    return loud, loud.but(noise=None, thesis=loud.thesis.but(noise_sigma=0.0))
+
+
+def decibel(value: Any) -> Any:
+    """20 log10, nothing below -300 dB."""
+    return 20 * np.log10(np.maximum(abs(np.asarray(value)), 1e-15))
 
 
 def target_place(world: str) -> Floats:

@@ -40,7 +40,7 @@ class Statement:
 
 
 @dataclass(frozen=True, slots=True)
-class Exhibit:
+class ShownFigure:
     """A figure: its file in the experiment's folder, the figure of the thesis it answers, and what it shows."""
 
     file: str
@@ -69,11 +69,11 @@ class Difference:
 
 
 @dataclass(slots=True)
-class Findings:
+class Results:
     """Everything one experiment found."""
 
     statements: list[Statement] = field(default_factory=list)
-    exhibits: list[Exhibit] = field(default_factory=list)
+    figures: list[ShownFigure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     numbers: dict[str, float] = field(default_factory=dict)  # for the experiments that follow
     scenarios: list[str] = field(default_factory=list)  # folders of the runs, under the experiment's own
@@ -82,7 +82,7 @@ class Findings:
     not_compared: list[str] = field(default_factory=list)  # what of the thesis has nothing to be compared with, and why
     skipped: str = ""  # why there is nothing
 
-    def hold(
+    def add_statement(
         self,
         text: str,
         where: str,
@@ -95,15 +95,15 @@ class Findings:
         """Adds a statement."""
         self.statements.append(Statement(text, where, float(value), unit, low, high))
 
-    def differ(self, where: str, thesis: str, here: str, cause: str) -> None:
+    def add_difference(self, where: str, thesis: str, here: str, cause: str) -> None:
         """Add a result that differs from the thesis'."""
         self.differences.append(Difference(where, thesis, here, cause))
 
-    def show(self, path: Path, figure: str, caption: str) -> None:
+    def add_figure(self, path: Path, figure: str, caption: str) -> None:
         """Adds a figure that lies in the experiment's folder."""
-        self.exhibits.append(Exhibit(path.name, figure, caption))
+        self.figures.append(ShownFigure(path.name, figure, caption))
 
-    def tabulate(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, note: str = "") -> None:
+    def add_table(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, note: str = "") -> None:
         """Adds a table."""
         self.tables.append(Table(title, tuple(head), tuple(tuple(row) for row in rows), note))
 
@@ -112,19 +112,19 @@ class Findings:
         write_json(path, _plain({**asdict(self), **also}))
 
 
-def read_findings(path: Path) -> Findings:
-    """Findings as they were written.
+def read_results(path: Path) -> Results:
+    """Results as they were written.
 
     Raises:
         InputError: the file is missing or broken.
     """
     tree = read_json(path)
-    return Findings(
+    return Results(
         [
             Statement(**{**row, "value": math.nan if row["value"] is None else row["value"]})
             for row in tree["statements"]
         ],
-        [Exhibit(**row) for row in tree["exhibits"]],
+        [ShownFigure(**row) for row in tree["figures"]],
         [
             Table(row["title"], tuple(row["head"]), tuple(map(tuple, row["rows"])), row["note"])
             for row in tree["tables"]

@@ -16,11 +16,10 @@ from ullage.grids import Grid
 from ullage.processing.sar import focus
 from ullage.radar.simulate import simulate
 from ullage.specs import RadarSpec, Rig
-from ullage.thesis.bench import Bench
-from ullage.thesis.changes import OPENINGS, WALLS, less, rays_of
-from ullage.thesis.laws import TARGETS, radars
 from ullage.thesis.maps import middle_of
-from ullage.thesis.strafes import CELL_M, level_db, strafe_image, target_place
+from ullage.thesis.targets import CELL_M, TARGETS, level_db, radars, strafe_image, target_place
+from ullage.thesis.variants import OPENINGS, WALLS, with_ray_settings, without_models
+from ullage.thesis.workspace import Workspace
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 
@@ -35,16 +34,16 @@ class Strafe:
     law: Fidelity = "thesis"
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Brightness of targets, of the plate in the room, of the wire; flights by hand."""
-    bench.say("brightness of the targets in their images")
-    brightness(bench)
-    if not bench.quick:
-        room_image(bench)
-    bench.say("the wire")
-    wire(bench)
-    bench.say("flown by hand")
-    by_hand(bench)
+    work.log("brightness of the targets in their images")
+    brightness(work)
+    if not work.quick:
+        room_image(work)
+    work.log("the wire")
+    wire(work)
+    work.log("flown by hand")
+    by_hand(work)
 
 
 def strafe_of(world: str, law: Fidelity = "thesis") -> Strafe:
@@ -68,8 +67,8 @@ def thesis_changes(flight: Strafe) -> Iterator[tuple[str, Strafe]]:
     """One change each of world, radar and path."""
     model, scene, spec = flight.spec.thesis, flight.scene, flight.spec
     yield AS_FLOWN, flight
-    yield NO_WALL, replace(flight, scene=less(scene, "wall_east"))
-    yield "without floor and ceiling", replace(flight, scene=less(scene, "floor", "ceiling"))
+    yield NO_WALL, replace(flight, scene=without_models(scene, "wall_east"))
+    yield "without floor and ceiling", replace(flight, scene=without_models(scene, "floor", "ceiling"))
     yield "58 x 58 rays", replace(flight, spec=spec.but(thesis=model.but(rays_per_side=58)))
     yield (
         "120 x 120 rays, a quarter of the frames",
@@ -89,32 +88,33 @@ def moved(path: Trajectory, shift_m: Floats) -> Trajectory:
     return Trajectory(path.t_ns, path.position + shift_m, path.quat_xyzw)
 
 
-def brightness(bench: Bench) -> None:
+def brightness(work: Workspace) -> None:
     """Figures 6.7 and 6.8: why targets are darker than the brightest cell of their images."""
     worlds = ("ntnu-plate", "ntnu-plate45", "ntnu-pole")
     found: dict[str, dict[str, float]] = {}
     for world in worlds:
         for name, flight in thesis_changes(strafe_of(world)):
-            if not bench.quick or name in (AS_FLOWN, NO_WALL):
-                few = replace(flight, path=flight.path[:: 4 if bench.quick else 1])
+            if not work.quick or name in (AS_FLOWN, NO_WALL):
+                few = replace(flight, path=flight.path[:: 4 if work.quick else 1])
                 found.setdefault(name, {})[world] = target_level_db(few, world)
     rows = [(name, *(f"{levels[world]:.1f}" for world in worlds)) for name, levels in found.items()]
-    bench.findings.tabulate(
+    work.results.add_table(
         "Brightness in the summation image, ray law: one change at a time",
         ("change", *(f"{TARGETS[world][1]} [dB]" for world in worlds)), rows,
         note="Brightest cell within 0.3 m of the target over the brightest cell of the image; without noise.",
     )  # fmt: skip
     gain = min(found[NO_WALL][world] - found[AS_FLOWN][world] for world in worlds)
-    bench.findings.hold("the wall behind the targets outshines them: without it each gains at least", "figure 6.7",
-                        gain, "dB", low=6)  # fmt: skip
-    if not bench.quick:
-        _brightness_differs(bench, found)
+    work.results.add_statement(
+        "the wall behind the targets outshines them: without it each gains at least", "figure 6.7", gain, "dB", low=6
+    )
+    if not work.quick:
+        _brightness_differs(work, found)
 
 
-def _brightness_differs(bench: Bench, found: dict[str, dict[str, float]]) -> None:
+def _brightness_differs(work: Workspace, found: dict[str, dict[str, float]]) -> None:
     flown, bare = found[AS_FLOWN], found[NO_WALL]
     rest = [levels[w] - flown[w] for levels in found.values() if levels is not bare for w in levels]
-    bench.findings.differ(
+    work.results.add_difference(
         "figures 6.7 and 6.8", "the turned plate is shown \"with high precision\"",
         f"{flown['ntnu-plate45']:.1f} dB under the image's brightest cell, the pole {flown['ntnu-pole']:.1f} dB, the "
         f"facing plate {flown['ntnu-plate']:.1f} dB",
@@ -125,7 +125,7 @@ def _brightness_differs(bench: Bench, found: dict[str, dict[str, float]]) -> Non
     )  # fmt: skip
 
 
-def room_image(bench: Bench) -> None:
+def room_image(work: Workspace) -> None:
     """Figure 6.9: why the plate is darker than the brightest cell of the room's image."""
     flight = prepare(find_scenario("ntnu-mapping"))
     plate = middle_of(flight.scene, "steel_plate")
@@ -138,14 +138,17 @@ def room_image(bench: Bench) -> None:
 
     found = {
         "as flown": level(),
-        "without walls": level(less(flight.scene, *WALLS, *OPENINGS)),
-        "without floor and ceiling": level(less(flight.scene, "floor", "ceiling")),
+        "without walls": level(without_models(flight.scene, *WALLS, *OPENINGS)),
+        "without floor and ceiling": level(without_models(flight.scene, "floor", "ceiling")),
         "a fifth of the frames": level(every=5),
-        "58 x 58 rays": level(rig=rays_of(flight.rig, rays_per_side=58)),
+        "58 x 58 rays": level(rig=with_ray_settings(flight.rig, rays_per_side=58)),
     }
-    bench.findings.tabulate("The plate in the image of the NTNU room, ray law: one change at a time",
-                            ("change", "plate [dB]"), [(k, f"{v:.1f}") for k, v in found.items()])  # fmt: skip
-    bench.findings.differ(
+    work.results.add_table(
+        "The plate in the image of the NTNU room, ray law: one change at a time",
+        ("change", "plate [dB]"),
+        [(k, f"{v:.1f}") for k, v in found.items()],
+    )
+    work.results.add_difference(
         "figure 6.9", "\"the location of the plate and some parts of the wall is given with very high certainty\"",
         f"the plate lies {found['as flown']:.1f} dB under the image's brightest cell",
         f"world: the walls. Without them it lies at {found['without walls']:.1f} dB, without floor and ceiling at "
@@ -155,31 +158,34 @@ def room_image(bench: Bench) -> None:
     )  # fmt: skip
 
 
-def wire(bench: Bench) -> None:
+def wire(work: Workspace) -> None:
     """Figure 6.8: what stands at the wire's place, under both laws."""
     laws: tuple[Fidelity, ...] = ("thesis", "physical")
     found: dict[str, list[float]] = {}
     for law in laws:
         flight = strafe_of("ntnu-wire", law)
         for name, scene in wire_changes(flight.scene):
-            if not bench.quick or name in (AS_FLOWN, NO_WIRE, NO_PIPE):
-                one = replace(flight, scene=scene, path=flight.path[:: 4 if bench.quick else 1])
+            if not work.quick or name in (AS_FLOWN, NO_WIRE, NO_PIPE):
+                one = replace(flight, scene=scene, path=flight.path[:: 4 if work.quick else 1])
                 found.setdefault(name, []).append(target_level_db(one, "ntnu-wire"))
     rows = [(name, *(f"{value:.1f}" for value in levels)) for name, levels in found.items()]
-    bench.findings.tabulate("The place of the wire in the summation image: one change at a time",
-                            ("change", "ray law [dB]", "physical law [dB]"), rows)  # fmt: skip
+    work.results.add_table(
+        "The place of the wire in the summation image: one change at a time",
+        ("change", "ray law [dB]", "physical law [dB]"),
+        rows,
+    )
     rays, waves = ({name: levels[k] for name, levels in found.items()} for k in (0, 1))
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("ray law: the wire adds to the image at its own place less than", "figure 6.8",
          rays[AS_FLOWN] - rays[NO_WIRE], "dB", high=1)  # fmt: skip
     hold("physical law: the half-pipe at the wire is worth", "figure 6.8", waves[AS_FLOWN] - waves[NO_PIPE], "dB",
          low=3)  # fmt: skip
-    if not bench.quick:
-        _wire_differs(bench, rays, waves)
+    if not work.quick:
+        _wire_differs(work, rays, waves)
 
 
-def _wire_differs(bench: Bench, rays: dict[str, float], waves: dict[str, float]) -> None:
-    bench.findings.differ(
+def _wire_differs(work: Workspace, rays: dict[str, float], waves: dict[str, float]) -> None:
+    work.results.add_difference(
         "figure 6.8", "the simulator shows the wire at some points, the real radar gives no clear picture of it",
         f"at the wire's place {rays[AS_FLOWN]:.1f} dB by rays, {waves[AS_FLOWN]:.1f} dB by waves: the other order",
         f"world, and method. By rays the wire of 4 mm adds {rays[AS_FLOWN] - rays[NO_WIRE]:.1f} dB at its place: that "
@@ -197,11 +203,11 @@ def wire_changes(scene: Scene) -> Iterator[tuple[str, Scene]]:
     """One change each of the wire's world."""
     half_pipe, steel = "steel_wire::half_pipe", "steel_wire::wire"
     yield AS_FLOWN, scene
-    yield NO_WIRE, less(scene, steel)
-    yield NO_PIPE, less(scene, half_pipe)
-    yield NEITHER, less(scene, steel, half_pipe)
-    yield "without floor and ceiling", less(scene, "floor", "ceiling")
-    yield "without the east wall", less(scene, "wall_east")
+    yield NO_WIRE, without_models(scene, steel)
+    yield NO_PIPE, without_models(scene, half_pipe)
+    yield NEITHER, without_models(scene, steel, half_pipe)
+    yield "without floor and ceiling", without_models(scene, "floor", "ceiling")
+    yield "without the east wall", without_models(scene, "wall_east")
     mine = scene.wires.object_id == scene.object(steel)
     for radius in (0.01, 0.05):
         yield (
@@ -241,32 +247,37 @@ def flights_by_hand(seed: int) -> dict[str, Trajectory]:
     }
 
 
-def by_hand(bench: Bench) -> None:
+def by_hand(work: Workspace) -> None:
     """What in a flight by hand darkens the target: the place of the frames, or the direction of the boresight."""
-    columns = COLUMNS[3:] if bench.quick else COLUMNS
+    columns = COLUMNS[3:] if work.quick else COLUMNS
     levels: dict[str, list[list[float]]] = {}
-    for seed in SEEDS[: 1 if bench.quick else None]:
+    for seed in SEEDS[: 1 if work.quick else None]:
         for name, path in flights_by_hand(seed).items():
-            if not bench.quick or name in (STRAIGHT, HAND):
+            if not work.quick or name in (STRAIGHT, HAND):
                 cases = [(replace(strafe_of(world), path=path, law=law), world) for world, law in columns]
                 levels.setdefault(name, []).append([target_level_db(case, world) for case, world in cases])
     found = {name: np.mean(each, axis=0) for name, each in levels.items()}
     spread = {name: np.std(each, axis=0) for name, each in levels.items()}
     rows = [(name, *(f"{m:.1f} ({s:.1f})" for m, s in zip(found[name], spread[name], strict=True))) for name in found]
     head = [f"{world.removeprefix('ntnu-')}, {'ray' if law == 'thesis' else law} law [dB]" for world, law in columns]
-    bench.findings.tabulate(
+    work.results.add_table(
         "Flown by hand: place and direction apart", ("flight", *head), rows,
         note=f"Mean and standard deviation over {len(levels[HAND])} flights by other seeds.",
     )  # fmt: skip
     at_wire = {name: float(row[-1]) for name, row in found.items()}
-    bench.findings.hold("physical law: flown by hand, the wire's place in the image darkens by", "7.1",
-                        at_wire[STRAIGHT] - at_wire[HAND], "dB", low=3)  # fmt: skip
-    if not bench.quick:
-        _by_hand_differs(bench, at_wire)
+    work.results.add_statement(
+        "physical law: flown by hand, the wire's place in the image darkens by",
+        "7.1",
+        at_wire[STRAIGHT] - at_wire[HAND],
+        "dB",
+        low=3,
+    )
+    if not work.quick:
+        _by_hand_differs(work, at_wire)
 
 
-def _by_hand_differs(bench: Bench, at_wire: dict[str, float]) -> None:
-    bench.findings.differ(
+def _by_hand_differs(work: Workspace, at_wire: dict[str, float]) -> None:
+    work.results.add_difference(
         "figures 6.7 and 6.8", "images from the real flight are weaker and less clear than simulated ones",
         f"flown by hand, the wire's place falls from {at_wire[STRAIGHT]:.1f} to {at_wire[HAND]:.1f} dB by waves",
         f"method: profiles are summed along the boresight. By hand are only positions: {at_wire[PLACE]:.1f} dB, as the "

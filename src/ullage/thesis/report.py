@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from ullage.experiments.folder import provenance, write_text
-from ullage.thesis.findings import Findings
+from ullage.thesis.results import Results
 from ullage.thesis.task import Chapter, Reproduction
 
 PAGE = """<!doctype html>
@@ -78,7 +78,7 @@ def write_page(done: Reproduction, *, quick: bool, wanted: int) -> Path:
     holding, total = done.counts
     write_text(done.report, page.render(
         origin=provenance(), quick=quick, wanted=wanted, interrupted=done.interrupted, broken=done.broken,
-        **opening([(c.experiment.title, c.findings) for c in done.chapters]),
+        **opening([(c.experiment.title, c.results) for c in done.chapters]),
         holding=holding, total=total, took=sum(c.cpu_s for c in done.chapters),
         chapters=[_chapter(c) for c in done.chapters],
     ))  # fmt: skip
@@ -103,13 +103,13 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def opening(chapters: Sequence[tuple[str, Findings]]) -> dict[str, Any]:
+def opening(chapters: Sequence[tuple[str, Results]]) -> dict[str, Any]:
     """How the page opens: what holds, what differs, what could not be compared, and every figure by its number."""
     shown: dict[str, list[str]] = {}
     for title, found in chapters:
-        for exhibit in found.exhibits:
-            for number in _numbers(exhibit.figure):
-                shown.setdefault(number, []).append(f"{title}: {exhibit.file}")
+        for item in found.figures:
+            for number in _numbers(item.figure):
+                shown.setdefault(number, []).append(f"{title}: {item.file}")
     own = [(title, [s for s in found.statements if s.where not in ("beyond", "real")]) for title, found in chapters]
     return {
         "holds": [f"{title}: {sum(s.holds for s in mine)} of {len(mine)} statements about the thesis hold."
@@ -136,7 +136,7 @@ def _encoded(path: Path) -> str:
 
 
 def _chapter(chapter: Chapter) -> dict[str, Any]:
-    found, experiment = chapter.findings, chapter.experiment
+    found, experiment = chapter.results, chapter.experiment
     return {
         "name": experiment.name, "title": experiment.title, "section": experiment.section, "notes": found.notes,
         "skipped": found.skipped, "tables": found.tables,
@@ -146,7 +146,7 @@ def _chapter(chapter: Chapter) -> dict[str, Any]:
         ],
         "figures": [
             {"figure": e.figure, "caption": e.caption, "data": _encoded(chapter.folder / e.file)}
-            for e in found.exhibits
+            for e in found.figures
         ],
         "verdicts": [{"name": name, "text": v.text, "inside": v.inside} for name, v in chapter.verdicts],
         "inside": sum(v.inside for _, v in chapter.verdicts),

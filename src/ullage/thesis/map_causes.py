@@ -14,19 +14,19 @@ from ullage.grids import Grid
 from ullage.processing.elfes import ElfesMapper
 from ullage.radar.simulate import simulate
 from ullage.specs import Rig
-from ullage.thesis.bench import Bench, Flown
-from ullage.thesis.changes import OPENINGS, less, rays_of
 from ullage.thesis.hall import THINGS, on_map
+from ullage.thesis.variants import OPENINGS, with_ray_settings, without_models
+from ullage.thesis.workspace import Flown, Workspace
 from ullage.world.library import WORLDS
 from ullage.world.scene import Scene
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """The east wall of the NTNU room, and the things in the cluttered room."""
-    bench.say("the east wall")
-    east_wall(bench)
-    bench.say("the cluttered room")
-    cluttered(bench)
+    work.log("the east wall")
+    east_wall(work)
+    work.log("the cluttered room")
+    cluttered(work)
 
 
 def east_share(simulated: Simulated, *, step_m: float = 0.1, threshold: float | None = None) -> float:
@@ -52,10 +52,10 @@ def east_changes() -> Iterator[tuple[str, Callable[[], float]]]:
     flight = prepare(find_scenario("ntnu-mapping"))
 
     def world(*names: str) -> Callable[[], float]:
-        return lambda: east_share(replace(flight, scene=less(flight.scene, *names)))
+        return lambda: east_share(replace(flight, scene=without_models(flight.scene, *names)))
 
     def rays(**changes: float) -> Callable[[], float]:
-        return lambda: east_share(replace(flight, rig=rays_of(flight.rig, **changes)))
+        return lambda: east_share(replace(flight, rig=with_ray_settings(flight.rig, **changes)))
 
     yield "as flown", lambda: east_share(flight)
     yield "without floor and ceiling", world("floor", "ceiling")
@@ -78,18 +78,21 @@ def east_changes() -> Iterator[tuple[str, Callable[[], float]]]:
 IN_SMALL = ("as flown", "without floor and ceiling", "threshold doubled, 0.076")
 
 
-def east_wall(bench: Bench) -> None:
+def east_wall(work: Workspace) -> None:
     """Figure 6.13 c: why the east wall is not on the map."""
-    found = {name: share() for name, share in east_changes() if not bench.quick or name in IN_SMALL}
-    bench.findings.tabulate("East wall occupied on Elfes' map, 0.1 m: one change at a time", ("change", "share"),
-                            [(name, f"{100 * share:.0f} %") for name, share in found.items()])  # fmt: skip
+    found = {name: share() for name, share in east_changes() if not work.quick or name in IN_SMALL}
+    work.results.add_table(
+        "East wall occupied on Elfes' map, 0.1 m: one change at a time",
+        ("change", "share"),
+        [(name, f"{100 * share:.0f} %") for name, share in found.items()],
+    )
     free, twice = found["without floor and ceiling"], found["threshold doubled, 0.076"]
-    hold = bench.findings.hold
+    hold = work.results.add_statement
     hold("Elfes: without floor and ceiling the east wall is on the map (share)", "figure 6.13", free, low=0.9)
     hold("Elfes: with twice the threshold it is, too (share)", "figure 6.13", twice, low=0.9)
     also = ("turning at x = 1 m in place of 0.2 m", "turning at x = 2 m", "without the plate", "without the side walls")
     rest = "".join(f"{name[0].upper()}{name[1:]}: {100 * found[name]:.0f} %. " for name in also if name in found)
-    bench.findings.differ(
+    work.results.add_difference(
         "figure 6.13 c", "\"the placement of the walls are correctly portrayed\"",
         f"{100 * found['as flown']:.0f} % of the east wall is occupied at 0.1 m",
         f"world and threshold: floor and ceiling echo before the wall, and pass 0.038. Without them "
@@ -100,7 +103,7 @@ def east_wall(bench: Bench) -> None:
     )  # fmt: skip
 
 
-def cluttered(bench: Bench) -> None:
+def cluttered(work: Workspace) -> None:
     """Figure 6.14: why car and person are hardly on the map."""
     flight = prepare(find_scenario("cluttered-room"))
     box = np.stack([np.minimum(flight.scene.bounds[0], flight.flown.position.min(0)),
@@ -115,24 +118,28 @@ def cluttered(bench: Bench) -> None:
         return {name: on_map(done, name) for name in THINGS}
 
     found = {"as flown": mapped(), "a quarter of the threshold, 0.0095": mapped(threshold=0.0095)}
-    if not bench.quick:
+    if not work.quick:
         found |= {
             "half the threshold, 0.019": mapped(threshold=0.019), "twice the threshold, 0.076": mapped(threshold=0.076),
             "both values limited to 0.99": mapped(certain=0.99), "a lobe of 40 deg in the map": mapped(lobe_deg=40.0),
-            "without floor and ceiling": mapped(less(flight.scene, "floor", "ceiling")),
-            "58 x 58 rays": mapped(rig=rays_of(flight.rig, rays_per_side=58)),
-            "average over 9 bins": mapped(rig=rays_of(flight.rig, smoothing_bins=9)),
-            "no noise": mapped(rig=rays_of(flight.rig, noise_sigma=0.0)),
+            "without floor and ceiling": mapped(without_models(flight.scene, "floor", "ceiling")),
+            "58 x 58 rays": mapped(rig=with_ray_settings(flight.rig, rays_per_side=58)),
+            "average over 9 bins": mapped(rig=with_ray_settings(flight.rig, smoothing_bins=9)),
+            "no noise": mapped(rig=with_ray_settings(flight.rig, noise_sigma=0.0)),
         }  # fmt: skip
-    bench.findings.tabulate(
+    work.results.add_table(
         "Outlines on Elfes' map of the cluttered room: one change at a time",
         ("change", *(name.replace("_", " ") for name in THINGS)),
         [(name, *(f"{100 * share:.0f} %" for share in shares.values())) for name, shares in found.items()],
     )  # fmt: skip
     flown, low = found["as flown"], found["a quarter of the threshold, 0.0095"]
-    bench.findings.hold("Elfes: a quarter of the threshold brings the person on the map (share of its outline gained)",
-                        "figure 6.14", low["person"] - flown["person"], low=0.5)  # fmt: skip
-    bench.findings.differ(
+    work.results.add_statement(
+        "Elfes: a quarter of the threshold brings the person on the map (share of its outline gained)",
+        "figure 6.14",
+        low["person"] - flown["person"],
+        low=0.5,
+    )
+    work.results.add_difference(
         "figure 6.14", "\"most of the features in the room was still mapped accurately\"",
         f"stop sign, robot and panel are; of the car {100 * flown['car']:.0f} %, of the person "
         f"{100 * flown['person']:.0f} % of the outline at the height of the flight",

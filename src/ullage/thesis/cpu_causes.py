@@ -16,7 +16,7 @@ from ullage.grids import Grid
 from ullage.kernels.elfes import insert_reading
 from ullage.processing.elfes import ElfesMapper
 from ullage.radar.simulate import simulate
-from ullage.thesis.bench import Bench
+from ullage.thesis.workspace import Workspace
 from ullage.world.scene import Scene
 
 Costs = dict[str, tuple[float, float]]
@@ -59,13 +59,13 @@ def reading_cost(frames: dict[str, Frames], grid: Grid, kernel: Any = insert_rea
     return min(costs), float(np.mean(cells))
 
 
-def run(bench: Bench) -> None:
+def run(work: Workspace) -> None:
     """Table 6.4: what one reading costs in the NTNU room, in the hold, and where nothing is in range."""
-    bench.say("CPU of a reading")
+    work.log("CPU of a reading")
     cases: dict[str, tuple[dict[str, Frames], Grid]] = {}
     for name, scenario in ((ROOM, "ntnu-mapping"), (HOLD, "cargo-hold")):
         flight = prepare(find_scenario(scenario))
-        track = flight.flown[:: 40 if bench.quick else 20]
+        track = flight.flown[:: 40 if work.quick else 20]
         box = np.stack([np.minimum(flight.scene.bounds[0], track.position.min(0)),
                         np.maximum(flight.scene.bounds[1], track.position.max(0))])  # fmt: skip
         for scene, suffix in ((flight.scene, ""), (Scene.empty(), ", no echoes")):
@@ -74,8 +74,8 @@ def run(bench: Bench) -> None:
                 cases[name + suffix] = frames, Grid.covering(box, 0.1, margin_m=1.0)
     compiled = {name: reading_cost(*case) for name, case in cases.items()}
     plain = {name: reading_cost(*case, kernel=interpreted(insert_reading)) for name, case in cases.items()}
-    tabulate(bench, compiled, plain)
-    state(bench, compiled, plain)
+    tabulate(work, compiled, plain)
+    state(work, compiled, plain)
 
 
 def over_room(costs: Costs) -> dict[str, float]:
@@ -83,14 +83,14 @@ def over_room(costs: Costs) -> dict[str, float]:
     return {name: cost / costs[ROOM][0] for name, (cost, _) in costs.items()}
 
 
-def tabulate(bench: Bench, compiled: Costs, plain: Costs) -> None:
+def tabulate(work: Workspace, compiled: Costs, plain: Costs) -> None:
     """Cells and CPU of a reading, and both over those in the room."""
     over = over_room(compiled), over_room(plain)
     cells = {name: compiled[name][1] / compiled[ROOM][1] for name in compiled}
     rows = [(name, f"{compiled[name][1]:.0f}", f"{cells[name]:.1f}",
              f"{1e6 * compiled[name][0]:.0f}", f"{over[0][name]:.1f}",
              f"{1e3 * plain[name][0]:.2f}", f"{over[1][name]:.1f}") for name in compiled]  # fmt: skip
-    bench.findings.tabulate(
+    work.results.add_table(
         "A reading of Elfes' mapper", ("frames", "cells traversed", "over the room", "compiled [us]", "over the room",
                                        "plain Python [ms]", "over the room"), rows,
         note="The same update, compiled and run by the Python interpreter. \"No echoes\": the hold's flight and grid, "
@@ -98,13 +98,17 @@ def tabulate(bench: Bench, compiled: Costs, plain: Costs) -> None:
     )  # fmt: skip
 
 
-def state(bench: Bench, compiled: Costs, plain: Costs) -> None:
+def state(work: Workspace, compiled: Costs, plain: Costs) -> None:
     """What the interpreter and the lack of echoes explain of the thesis' ratio."""
     cells = {name: compiled[name][1] / compiled[ROOM][1] for name in compiled}
     fast, slow = over_room(compiled), over_room(plain)
-    bench.findings.hold("Elfes in plain Python: CPU grows so many times as much without echoes as compiled", "7.3",
-                        slow[EMPTY] / fast[EMPTY], low=1.2)  # fmt: skip
-    bench.findings.differ(
+    work.results.add_statement(
+        "Elfes in plain Python: CPU grows so many times as much without echoes as compiled",
+        "7.3",
+        slow[EMPTY] / fast[EMPTY],
+        low=1.2,
+    )
+    work.results.add_difference(
         "table 6.4", f"the mapping node takes {THESIS_RATIO:.0f} times as much as in the NTNU room",
         f"{fast[HOLD]:.1f} times a reading, {fast[EMPTY]:.1f} times where nothing is in range",
         f"two parts. Detection: in our hold readings end at walls, {cells[HOLD]:.1f} times the room's cells; without "

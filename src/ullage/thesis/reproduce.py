@@ -8,9 +8,9 @@ from pathlib import Path
 from ullage.errors import UllageError
 from ullage.experiments.cluster import Report, carry_out
 from ullage.experiments.folder import write_json
-from ullage.thesis.page import write_page
 from ullage.thesis.plan import Experiment
-from ullage.thesis.task import Chapter, Reproduction, Task, code_now
+from ullage.thesis.report import write_page
+from ullage.thesis.task import Chapter, ExperimentTask, Reproduction, code_now
 
 RECORDINGS = Path("../shared/data")
 """Where the real recordings lie beside a checkout."""
@@ -42,7 +42,7 @@ def reproduce(
     """
     root = out / ("quick" if quick else "whole")
     code = code_now()
-    tasks = [Task(experiment, root, recordings, quick, code) for experiment in wanted]
+    tasks = [ExperimentTask(experiment, root, recordings, quick, code) for experiment in wanted]
     if fresh:
         for task in tasks:
             task.forget()

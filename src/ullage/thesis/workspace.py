@@ -1,4 +1,4 @@
-"""What an experiment works with: its folder, how much of it is wanted, and a way to fly scenarios."""
+"""What an experiment works with: its folder, its settings, its results, and a method that flies scenarios."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ullage.experiments.draft import begin_run
 from ullage.experiments.runner import execute, of_scenario
 from ullage.experiments.simulated import Simulated, prepare
 from ullage.grids import Image, OccupancyMap
-from ullage.thesis.findings import Findings
+from ullage.thesis.results import Results
 from ullage.world.scene import Scene
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
 
 class Interrupted(KeyboardInterrupt):
@@ -25,13 +25,13 @@ class Interrupted(KeyboardInterrupt):
 
 
 @dataclass(slots=True)
-class Kept:
-    """A sink that keeps every frame."""
+class FrameCollector:
+    """Collect every frame: a sink in memory."""
 
     parts: dict[str, list[Frames]] = field(default_factory=dict)
 
     def write(self, item: Any) -> None:
-        """Keeps frames, passes over the rest."""
+        """Keep frames; ignore everything else."""
         if isinstance(item, Mapping):
             for name, part in item.items():
                 self.parts.setdefault(name, []).append(part)
@@ -81,17 +81,17 @@ class Flown:
 
 
 @dataclass(slots=True)
-class Bench:
-    """One experiment at work."""
+class Workspace:
+    """Folder, settings and results of one experiment while it runs."""
 
     folder: Path
     quick: bool
-    say: Say
+    log: Log
     recordings: Path
-    findings: Findings = field(default_factory=Findings)
+    results: Results = field(default_factory=Results)
 
     def fly(self, name: str, options: Sequence[str] = ()) -> Flown:
-        """Runs a scenario into a run folder of its own and keeps its frames.
+        """Run a scenario into a run folder of its own and keep its frames.
 
         Args:
             name: of a shipped scenario.
@@ -103,20 +103,22 @@ class Bench:
         scenario = find_scenario(name, options=options)
         if options:  # the bounds are those of the scenario as it is shipped
             scenario = scenario.but(expect={})
-        self.say(f"{name}: flying")
+        self.log(f"{name}: flying")
         simulated = prepare(scenario)
         draft = begin_run(scenario.name, scenario.digest, root=self.folder / "runs", force=True)
-        kept, started = Kept(), time.monotonic()
+        collector, started = FrameCollector(), time.monotonic()
         total = max(simulated.flown.duration_s, 1e-9)
 
-        def tell(done: float) -> None:
-            self.say(f"{name}: {100 * min(done / total, 1):.0f} %, {time.monotonic() - started:.0f} s")
+        def report_progress(done: float) -> None:
+            self.log(f"{name}: {100 * min(done / total, 1):.0f} %, {time.monotonic() - started:.0f} s")
 
-        report = execute(of_scenario(draft, simulated), sinks=[kept], progress=tell, say=lambda _: None, draw=False)
+        report = execute(
+            of_scenario(draft, simulated), sinks=[collector], progress=report_progress, say=lambda _: None, draw=False
+        )
         if report.outcome.interrupted:
             raise Interrupted
-        self.findings.scenarios.append(str(report.folder.relative_to(self.folder)))
+        self.results.scenarios.append(str(report.folder.relative_to(self.folder)))
         results = report.outcome.results
         image = next((item for item in results if isinstance(item, Image)), None)
         omap = next((item for item in results if isinstance(item, OccupancyMap)), None)
-        return Flown(name, simulated, kept.frames(), image, omap, report.metrics)
+        return Flown(name, simulated, collector.frames(), image, omap, report.metrics)
