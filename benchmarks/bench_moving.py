@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import ullage as ul
-from ullage.ports.following import FollowOptions, FollowSource
-from ullage.ports.sightings import Others, Sighting
+from ullage.ports.cosimulation import FollowOptions, FollowSource
+from ullage.ports.pose_events import Others, Sighting
 
 CRATES, SECONDS, POSES_HZ = 9, 12.0, 50
 AHEAD = (0.0, 0.0, 0.0, 1.0)

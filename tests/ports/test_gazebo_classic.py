@@ -17,8 +17,8 @@ from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
 from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions, source_of
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
 from ullage.ports.intake import Counters
+from ullage.ports.pose_events import Others, Sighting
 from ullage.ports.scanning import ScanSource
-from ullage.ports.sightings import Others, Sighting
 from ullage.specs import Rig
 
 

@@ -14,8 +14,8 @@ from ullage.ports.gazebo.peer import Came, Gone, Heard
 from ullage.ports.gazebo.source import GazeboOptions, PoseFeed
 from ullage.ports.gazebo.wire import gz
 from ullage.ports.intake import Counters
+from ullage.ports.pose_events import Note, Sighting
 from ullage.ports.scanning import Scan
-from ullage.ports.sightings import Note, Sighting
 
 POSES, SCAN = "/world/w/dynamic_pose/info", "/model/x3/link/base/sensor/sonar/scan"
 

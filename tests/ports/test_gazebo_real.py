@@ -20,7 +20,7 @@ from ullage.world.shipped import BUILDERS
 
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.following import PATIENCE_S
+from ullage.ports.cosimulation import PATIENCE_S
 from ullage.ports.gazebo_classic.source import ClassicFeed, source_of
 from ullage.ports.scanning import Scan
 

@@ -12,8 +12,8 @@ from conftest import some_frames
 
 import ullage as ul
 from ullage.ports import messages as ros
-from ullage.ports.pace import LATE_S
 from ullage.ports.protocol import Passed
+from ullage.ports.rate_limiter import LATE_S
 from ullage.ports.ros2.options import SinkOptions
 from ullage.ports.ros2.sink import AHEAD_S, Ros2Sink
 

@@ -19,7 +19,7 @@ from ullage.data import Frames
 from ullage.errors import InputError, UllageError, need
 from ullage.grids import Grid
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Sink, Source, Stage, run
-from ullage.ports.following import options_of
+from ullage.ports.cosimulation import options_of
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions, SimulateOptions, SinkOptions, SourceOptions
 from ullage.processing.own_echo import OwnEchoFilter
@@ -101,7 +101,7 @@ def map_frames(source: Any, peer: Peer, options: Spec) -> None:
 
 def open_radars(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
     """Radars on whatever moves."""
-    from ullage.ports.ros2.follow import Ros2Radars
+    from ullage.ports.ros2.cosimulation import Ros2Radars
 
     return Ros2Radars("", options, say=say, peer=peer)
 

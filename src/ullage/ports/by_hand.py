@@ -22,7 +22,7 @@ from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
 from ullage.ports import encode
 from ullage.ports.conversions import BODY
-from ullage.ports.following import Endless, Say
+from ullage.ports.cosimulation import Endless, Say
 from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters
 from ullage.ports.protocol import Passed, Passing

@@ -21,8 +21,8 @@ from ullage.ports import conversions, encode
 from ullage.ports import messages as ros
 from ullage.ports.conversions import BODY, WORLD
 from ullage.ports.messages import topic_name
-from ullage.ports.pace import LEAP_S, STEP_BACK_S
 from ullage.ports.protocol import Item, Passed
+from ullage.ports.rate_limiter import LEAP_S, STEP_BACK_S
 from ullage.processing.obstacles import ObstacleSectors
 from ullage.world.scene import Scene
 

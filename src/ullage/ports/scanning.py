@@ -13,9 +13,9 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
-from ullage.ports.following import Endless, FollowOptions, Say, radar_of
+from ullage.ports.cosimulation import Endless, FollowOptions, Say, radar_of
 from ullage.ports.intake import Counters, Stamped, Stream, checked_pose
-from ullage.ports.sightings import Note, Pose, stamp_ns
+from ullage.ports.pose_events import Note, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.receiving import sensor_seed
 from ullage.radar.scan import echoes_of_scans

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.following import PacedSink, PaceOptions, options_of
+from ullage.ports.cosimulation import PacedSink, PaceOptions, options_of
 from ullage.ports.gazebo.peer import Peer
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz

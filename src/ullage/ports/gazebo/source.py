@@ -14,13 +14,13 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
-from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
+from ullage.ports.cosimulation import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
 from ullage.ports.gazebo.peer import Came, Event, Gone, Heard, Peer
 from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
+from ullage.ports.pose_events import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
-from ullage.ports.sightings import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
 from ullage.world.scene import Scene
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")

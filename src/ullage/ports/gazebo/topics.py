@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ullage.data import Frames
-from ullage.ports.following import nearest
+from ullage.ports.cosimulation import nearest
 from ullage.ports.gazebo.peer import Peer
 from ullage.ports.gazebo.wire import gz
 

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.following import PacedSink, PaceOptions, options_of
+from ullage.ports.cosimulation import PacedSink, PaceOptions, options_of
 from ullage.ports.gazebo_classic.peer import ClassicPeer
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import master_of

@@ -11,12 +11,12 @@ from typing import Any
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.following import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
+from ullage.ports.cosimulation import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Event, Heard, Lost, Met, type_of
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
+from ullage.ports.pose_events import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
-from ullage.ports.sightings import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
 
 ASK_S = 0.5
 """How often the server is asked for the model while no pose of it comes: it tells of what moves only."""

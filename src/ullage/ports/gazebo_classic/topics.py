@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ullage.data import Frames
-from ullage.ports.following import nearest
+from ullage.ports.cosimulation import nearest
 from ullage.ports.gazebo_classic.peer import ClassicPeer, type_of
 from ullage.ports.gazebo_classic.wire import gz
 

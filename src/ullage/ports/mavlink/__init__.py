@@ -26,7 +26,7 @@ def open_sink(address: str, options: dict[str, Any]) -> Sink:
         InputError: an option cannot be used, or the place cannot be opened.
         MissingExtra: pymavlink or pyserial is not installed.
     """
-    from ullage.ports.following import options_of
+    from ullage.ports.cosimulation import options_of
     from ullage.ports.mavlink.options import SinkOptions
     from ullage.ports.mavlink.sink import MavlinkSink
 

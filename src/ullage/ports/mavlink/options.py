@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from ullage.errors import InputError, shown
-from ullage.ports.following import RadarOptions
+from ullage.ports.cosimulation import RadarOptions
 from ullage.specs import Spec
 
 PLACE = re.compile(r"(udp|udpin)://([^/:\s]+):(\d+)/?|serial://(/?[^\s?]+)")

@@ -12,7 +12,7 @@ from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
 from ullage.ports.intake import Counters, checked_pose
 from ullage.ports.ned import enu_position, enu_quat
-from ullage.ports.sightings import Sighting
+from ullage.ports.pose_events import Sighting
 from ullage.world.moving import between
 
 FRAMES = {1: "MAV_FRAME_LOCAL_NED", 20: "MAV_FRAME_LOCAL_FRD"}

@@ -10,13 +10,13 @@ from typing import Self
 
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.ports.following import Say, tell
+from ullage.ports.cosimulation import Say, tell
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
 from ullage.ports.mavlink.link import leave, open_link
 from ullage.ports.mavlink.options import SinkOptions
-from ullage.ports.pace import STEP_BACK_S, Pace
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import is_present
+from ullage.ports.rate_limiter import STEP_BACK_S, Pace
 from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
 
 AHEAD_S = 2.0

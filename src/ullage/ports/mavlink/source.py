@@ -8,11 +8,11 @@ from typing import Any
 
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.ports.following import FollowSource, Say, options_of, rig_of, tell, world_of
+from ullage.ports.cosimulation import FollowSource, Say, options_of, rig_of, tell, world_of
 from ullage.ports.mavlink.link import POSES, Heard, Link, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.mavlink.poses import PoseBuilder, origin_of
-from ullage.ports.sightings import EventFeed, Note, Sighting
+from ullage.ports.pose_events import EventFeed, Note, Sighting
 
 PATIENCE_S = 5.0
 """Between two reports that no poses come [s]."""

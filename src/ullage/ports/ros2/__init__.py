@@ -22,7 +22,7 @@ def open_source(address: str, options: dict[str, Any]) -> Source:
         InputError: an option is unknown or of no use.
         MissingExtra: there is no rclpy.
     """
-    from ullage.ports.following import options_of
+    from ullage.ports.cosimulation import options_of
     from ullage.ports.ros2.options import SimulateOptions, SourceOptions
 
     where = f"ros2:{address}"
@@ -31,7 +31,7 @@ def open_source(address: str, options: dict[str, Any]) -> Source:
 
         return open_flight(address, options_of(TopicFlyOptions, options, where))
     if "simulate" in options or "world" in options:
-        from ullage.ports.ros2.follow import Ros2Radars
+        from ullage.ports.ros2.cosimulation import Ros2Radars
 
         return Ros2Radars(address, options_of(SimulateOptions, options, where))
     from ullage.ports.ros2.source import Ros2Source
@@ -46,7 +46,7 @@ def open_controls(address: str, options: dict[str, Any]) -> Controls:
         InputError: an option is unknown or of no use.
         MissingExtra: there is no rclpy.
     """
-    from ullage.ports.following import options_of
+    from ullage.ports.cosimulation import options_of
     from ullage.ports.ros2.hand import ControlOptions, TopicControls
     from ullage.ports.ros2.middleware import Peer
 
@@ -61,7 +61,7 @@ def open_sink(address: str, options: dict[str, Any]) -> Sink:
         InputError: an option is unknown or of no use.
         MissingExtra: there is no rclpy.
     """
-    from ullage.ports.following import options_of
+    from ullage.ports.cosimulation import options_of
     from ullage.ports.ros2.options import SinkOptions
     from ullage.ports.ros2.sink import Ros2Sink
 

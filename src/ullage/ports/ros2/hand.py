@@ -12,7 +12,7 @@ from ullage.flight.pilot import HOVER, Pilot, Velocity
 from ullage.geometry import quat_rpy
 from ullage.ports import messages as ros
 from ullage.ports.by_hand import FlyOptions, HandFlownSource
-from ullage.ports.following import Say, rig_of, tell, world_of
+from ullage.ports.cosimulation import Say, rig_of, tell, world_of
 from ullage.ports.intake import Counters, Inbox, checked_pose
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from ullage.ports.following import FollowOptions
+from ullage.ports.cosimulation import FollowOptions
 from ullage.specs import Spec
 
 

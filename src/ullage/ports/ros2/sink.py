@@ -13,9 +13,9 @@ from ullage.data import Frames, sensors_of
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import encode
 from ullage.ports import messages as ros
-from ullage.ports.pace import LATE_S, Pace, StampOrder
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present
+from ullage.ports.rate_limiter import LATE_S, Pace, StampOrder
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
 

@@ -9,7 +9,7 @@ from scripted import Script
 
 import ullage as ul
 from ullage.ports import messages as ros
-from ullage.ports.following import (
+from ullage.ports.cosimulation import (
     FollowOptions,
     FollowSource,
     PacedSink,
@@ -20,8 +20,8 @@ from ullage.ports.following import (
     world_of,
 )
 from ullage.ports.intake import Counters
+from ullage.ports.pose_events import Note, Sighting
 from ullage.ports.radar_status import RadarStatus
-from ullage.ports.sightings import Note, Sighting
 
 RIG = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", fps=10), "left": ul.RadarSpec.preset("x4m05", fps=20)})
 WALL = ul.scenes.plate(width_m=2, height_m=2, distance_m=3.0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ullage.arrays import Floats
 from ullage.geometry import matrix_quat
-from ullage.ports.sightings import Others, Pose
+from ullage.ports.pose_events import Others, Pose
 from ullage.world.moving import LiveMotion
 from ullage.world.scene import Scene
 

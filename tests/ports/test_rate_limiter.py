@@ -8,8 +8,8 @@ import pytest
 
 import ullage as ul
 from ullage.errors import UllageWarning
-from ullage.ports.following import PacedSink
-from ullage.ports.pace import Pace, StampOrder
+from ullage.ports.cosimulation import PacedSink
+from ullage.ports.rate_limiter import Pace, StampOrder
 
 S = 10**9
 

@@ -19,12 +19,12 @@ from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError, UllageWarning
+from ullage.ports.dynamic_scene import Surroundings
 from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, Stream, checked_pose
-from ullage.ports.pace import Pace
+from ullage.ports.pose_events import Feed, Note, Others, Sighting
 from ullage.ports.protocol import Item, Passing, one_or_all
 from ullage.ports.radar_status import RadarStatus
-from ullage.ports.sightings import Feed, Note, Others, Sighting
-from ullage.ports.surroundings import Surroundings
+from ullage.ports.rate_limiter import Pace
 from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene

@@ -10,16 +10,16 @@ from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
-from ullage.ports.following import PATIENCE_S, FollowSource, rig_of, world_of
+from ullage.ports.cosimulation import PATIENCE_S, FollowSource, rig_of, world_of
 from ullage.ports.intake import Counters, Inbox, checked_pose
+from ullage.ports.pose_events import Note as Said
+from ullage.ports.pose_events import Sighting
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
 from ullage.ports.ros2.incoming import stamp_ns
 from ullage.ports.ros2.middleware import Peer, Say, tell
 from ullage.ports.ros2.options import SimulateOptions
 from ullage.ports.ros2.transforms import Transforms
-from ullage.ports.sightings import Note as Said
-from ullage.ports.sightings import Sighting
 from ullage.world.scene import Scene
 
 POSE = "geometry_msgs/msg/PoseStamped"

@@ -9,9 +9,9 @@ import pytest
 from scripted import Script
 
 import ullage as ul
-from ullage.ports.following import FollowOptions, FollowSource
-from ullage.ports.sightings import Others, Sighting
-from ullage.ports.surroundings import TURNED_RAD, Surroundings
+from ullage.ports.cosimulation import FollowOptions, FollowSource
+from ullage.ports.dynamic_scene import TURNED_RAD, Surroundings
+from ullage.ports.pose_events import Others, Sighting
 
 AHEAD = (0.0, 0.0, 0.0, 1.0)
 RADAR = ul.RadarSpec.preset("x4m05", fps=10, antenna={"kind": "isotropic"}, noise=None)
