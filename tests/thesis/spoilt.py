@@ -129,7 +129,7 @@ def deposit_as(*, cosine: float = 1.0, spread: float = 2.0, coefficient: bool = 
 
 
 def term(**changes: Any) -> Callable[[Patch], None]:
-    return lambda patch: patch.setattr(ullage.radar.rays, "deposit", deposit_as(**changes))
+    return lambda patch: patch.setattr(ullage.radar.rays, "accumulate", deposit_as(**changes))
 
 
 def ranges_too_long(patch: Patch) -> None:
@@ -172,7 +172,7 @@ def short_axis(patch: Patch) -> None:
 
 def no_max_range(patch: Patch) -> None:
     kept = ullage.radar.rays.accumulate
-    patch.setattr(ullage.radar.rays, "deposit", lambda *a: kept(*a[:5], 11.0, *a[6:]))
+    patch.setattr(ullage.radar.rays, "accumulate", lambda *a: kept(*a[:5], 11.0, *a[6:]))
     patch.setattr(
         ullage.radar.models,
         "reaching_max_range",
