@@ -16,9 +16,9 @@ import yaml
 from pydantic import BaseModel
 
 import ullage as ul
+from reference_pages import references_page, scenario_page
 from ullage.config import Scenario
 from ullage.specs import RadarSpec
-from ullage.view.reference import references_page, scenario_page
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -58,7 +58,7 @@ def test_every_field_stands_on_the_page_of_scenarios(model: type[BaseModel]) -> 
 
 
 def test_written_pages_are_what_the_code_writes() -> None:
-    told = "run: python -m ullage.view.reference"
+    told = "run: python tools/reference_pages.py"
     assert (DOCS / "scenarios.md").read_text(encoding="utf-8") == scenario_page(), told
     bibtex = (DOCS / "references.bib").read_text(encoding="utf-8")
     assert (DOCS / "references.md").read_text(encoding="utf-8") == references_page(bibtex), told

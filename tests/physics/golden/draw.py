@@ -11,8 +11,7 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 from full_wave import db, dipole, golden, ours_plate, ours_slab, ours_wire
-
-from ullage.view.fullwave_figure import draw_fullwave
+from fullwave_figure import draw_fullwave
 
 
 def main():

@@ -19,12 +19,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_imc_codec import PACKETS, messages_of
 
 import ullage as ul
+from imc_page import page
 from ullage.errors import InputError, UllageWarning
 from ullage.ports import messages as ros
 from ullage.ports.imc.broker import definition, main, of_raw, package_files, register, to_imc, to_raw, to_ros
 from ullage.ports.imc.codec import Message, Packet, decode, encode, make
 from ullage.ports.imc.interpreter import PAIRS, REASONS, imc_of, interpreted, rows_of
-from ullage.ports.imc.ros_page import page
 from ullage.ports.imc.table import NUMBERS, Field, Kind, own
 from ullage.ports.messages import RAW
 from ullage.ports.plain import decoded, encoded
@@ -158,7 +158,7 @@ def test_each_message_has_a_ros_type_or_a_reason() -> None:
 
 def test_the_documentation_has_the_table_of_the_program() -> None:
     text = (ROOT / "docs/imc_messages.md").read_text()
-    assert text.endswith("\n\n" + page()), "run: python -m ullage.ports.imc.ros_page"
+    assert text.endswith("\n\n" + page()), "run: python tools/imc_page.py"
     assert all(f"`{name}`" in page() for name in own().by_name)
 
 

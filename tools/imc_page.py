@@ -1,4 +1,4 @@
-"""The table of IMC messages in ROS as Markdown, for the documentation: `python -m ullage.ports.imc.ros_page`."""
+"""The table of IMC messages in ROS as Markdown, for the documentation: `python tools/imc_page.py`."""
 
 from __future__ import annotations
 

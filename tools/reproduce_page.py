@@ -1,4 +1,4 @@
-"""Writes the docs page of the reproduction: python -m ullage.thesis.docs RESULTS DOCS."""
+"""Writes the docs page of the reproduction: python tools/reproduce_page.py RESULTS DOCS."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ After Ctrl-C the same command continues where it stopped. `--quick` runs a small
 `--jobs N` runs N at a time, with `pip install 'ullage[scale]'`.
 
 Every flight is also a scenario: `ullage run ntnu-plate-by-hand`, `ullage run cluttered-room-again`. `ullage list` names
-them all. `python -m ullage.thesis.docs` writes this page from the results. Each chapter is a whole run
+them all. `python tools/reproduce_page.py` writes this page from the results. Each chapter is a whole run
 of its experiment. *Statements and the errors that break them* lists an error for each statement. The thesis' pictures
 are not copied here: hold it beside this page.
 """

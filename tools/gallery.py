@@ -1,4 +1,4 @@
-"""Draws the docs' gallery: the thesis' own illustrations, made by this package: python -m ullage.view.gallery."""
+"""Draws the docs' gallery: the thesis' own illustrations, made by this package: python tools/gallery.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes the docs pages that follow from the code: python -m ullage.view.reference. Tests hold the pages to it."""
+"""Writes the docs pages that follow from the code: python tools/reference_pages.py. Tests hold the pages to it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SCENARIOS = """# Scenarios
 A scenario is one YAML file: world, flight, radars, what to make of the echoes, and what must come out. `ullage list`
 names those that come with ullage, `ullage config NAME` prints one in full, `ullage run NAME` or `ullage run FILE.yaml`
 runs it.
-Written by `python -m ullage.view.reference`.
+Written by `python tools/reference_pages.py`.
 
 | option | does | for |
 |---|---|---|
@@ -90,7 +90,7 @@ def scenario_page() -> str:
 
 def references_page(bibtex: str) -> str:
     """The page of references, as Markdown, from BibTeX text."""
-    lines = ["# References", "", "From `docs/references.bib`; written by `python -m ullage.view.reference`.", ""]
+    lines = ["# References", "", "From `docs/references.bib`; written by `python tools/reference_pages.py`.", ""]
     for key, body in sorted(re.findall(r"@\w+\{([^,\s]+),(.*?)\n\}", bibtex, re.S), key=lambda e: e[0].lower()):
         lines.append(f"- **[{key}]** {_told(body)}")
     return "\n".join(lines) + "\n"
