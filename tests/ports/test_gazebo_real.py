@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from shipped_worlds import BUILDERS
 from ullage.fan import ray_fan, ray_spacing_m
 from ullage.geometry import quat_matrix
 from ullage.radar.rays import echoes_thesis
 from ullage.world.raycast import Raycaster
-from ullage.world.shipped import BUILDERS
 
 pytest.importorskip("google.protobuf")
 

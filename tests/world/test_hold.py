@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import ullage as ul
-from ullage.world import bodies, furniture
+from shipped_worlds import bodies, furniture
 from ullage.world.hold import HoldPlan, corrugation, hold_parts
 from ullage.world.raycast import Raycaster
 from ullage.world.solids import Part, Rod

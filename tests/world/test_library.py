@@ -13,10 +13,11 @@ import trimesh
 from lxml import etree
 
 import ullage as ul
-from ullage.world.library import WORLDS, WORLDS_DIR, regenerated
+from ullage.world.library import WORLDS, WORLDS_DIR
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 from ullage.world.sdf_parse import NAMESPACE
+from write_worlds import regenerated
 
 NAMES = list(WORLDS)
 ROOMS = [name for name in NAMES if name.startswith("ntnu")]
@@ -217,11 +218,11 @@ def test_worlds_have_python_names():
 
 
 def test_two_worlds_cannot_fight_over_a_mesh(monkeypatch):
-    from ullage.world import shipped
+    import shipped_worlds
 
-    def other() -> list[shipped.Model]:
-        return [shipped.Model("floor", shipped.ntnu_room()[1].solids)]
+    def other() -> list[shipped_worlds.Model]:
+        return [shipped_worlds.Model("floor", shipped_worlds.ntnu_room()[1].solids)]
 
-    monkeypatch.setitem(shipped.BUILDERS, "ntnu-plate", other)
+    monkeypatch.setitem(shipped_worlds.BUILDERS, "ntnu-plate", other)
     with pytest.raises(ul.UllageError, match=r"ntnu-plate wants another meshes/ntnu/floor\.obj"):
         regenerated()

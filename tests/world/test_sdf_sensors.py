@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from shipped_worlds import BUILDERS
 from ullage.fan import fan_shape, ray_fan
 from ullage.geometry import transform
-from ullage.world.shipped import BUILDERS
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "integrations" / "gazebo" / "models"

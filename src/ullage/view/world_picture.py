@@ -103,7 +103,7 @@ def world_picture(
     if title:
         figure.suptitle(title)
     if path is not None:
-        _save(figure, Path(path))
+        save_palette_png(figure, Path(path))
     return figure
 
 
@@ -312,34 +312,7 @@ def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float
     axes.title.set_fontsize(9)
 
 
-def random_worlds_picture(file: Path, *, seed: int = 2) -> None:
-    """Draw one random world of each kind, cut at the height of its flight, and save a PNG.
-
-    Args:
-        file: PNG to write.
-        seed: of the worlds and flights.
-    """
-    from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
-
-    from ullage.worlds import KINDS, flight, random
-
-    figure = Figure(figsize=(9.5, 7.0), layout="constrained")
-    axes = figure.subplots(3, 4)
-    for kind, one in zip(KINDS, axes.flat, strict=False):
-        scene, path = random(kind, seed), flight(kind, seed)
-        level = float(path.position[:, 2].mean())
-        one.add_collection(LineCollection(list(section(scene, level)), colors="black", linewidths=0.9))
-        one.plot(*path.position[:, :2].T, color=PATH_COLOR, lw=1.4)
-        one.plot(*path.position[0, :2], "o", color=PATH_COLOR, ms=4)
-        one.set(title=f"{kind}, z = {level:.1f} m", aspect="equal")
-        one.autoscale_view()
-    for one in axes.flat[len(KINDS) :]:
-        one.axis("off")
-    _save(figure, file)
-
-
-def _save(figure: Figure, file: Path) -> None:
+def save_palette_png(figure: Figure, file: Path) -> None:
     """Write a PNG with a palette of 256 colours, a third of the size, under a temporary name until whole."""
     from PIL import Image
 
@@ -350,12 +323,3 @@ def _save(figure: Figure, file: Path) -> None:
         small = whole.convert("RGB").quantize(256, dither=Image.Dither.NONE)
     small.save(draft, format="PNG", optimize=True)
     draft.replace(file)
-
-
-if __name__ == "__main__":  # the documentation's pictures
-    from ullage.world.library import WORLDS
-
-    for world in WORLDS.values():
-        file = Path("docs/pictures/worlds") / f"{world.name}.png"
-        world_picture(world.scene(), file, waypoints=world.path_xyzyaw, **VIEWS[world.name])
-    random_worlds_picture(Path("docs/pictures/worlds/random.png"))

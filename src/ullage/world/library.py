@@ -1,6 +1,6 @@
 """The worlds that come with ullage: where their files are, where a drone starts, how far it may go, what it flies.
 
-`python -m ullage.world.library` writes the files anew, each byte as it was.
+`python tools/write_worlds.py` of the repository writes the files.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ullage.errors import UllageError
 from ullage.world.scene import Scene
 
 WORLDS_DIR = Path(__file__).parents[1] / "worlds"
@@ -83,26 +82,3 @@ WORLDS: dict[str, World] = {
         ),
     )
 }
-
-
-def regenerated() -> dict[str, str]:
-    """The text of every shipped file, by its path under `WORLDS_DIR`.
-
-    Raises:
-        UllageError: two worlds want different meshes under one name.
-    """
-    from ullage.world.sdf_write import world_files
-    from ullage.world.shipped import BUILDERS
-
-    files: dict[str, str] = {}
-    for name, build in BUILDERS.items():
-        for path, text in world_files(name, WORLDS[name].title, build()).items():
-            if files.setdefault(path, text) != text:
-                raise UllageError(f"{name} wants another {path} than a world before it")
-    return files
-
-
-if __name__ == "__main__":
-    from ullage.world.sdf_write import write_worlds
-
-    write_worlds(WORLDS_DIR, regenerated())

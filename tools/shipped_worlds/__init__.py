@@ -1,14 +1,14 @@
-"""What stands in each of the shipped worlds; `library` writes them out as SDF."""
+"""What stands in each of the shipped worlds; `write_worlds` writes them as SDF."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ullage.world.bodies import car, person, robot
-from ullage.world.furniture import control_panel, dumpster, postbox, stop_sign
+from shipped_worlds.bodies import car, person, robot
+from shipped_worlds.furniture import control_panel, dumpster, postbox, stop_sign
+from shipped_worlds.rooms import Opening, cameras, plate_parts, pole_parts, room_parts, wire_parts
 from ullage.world.hold import HoldPlan, hold_parts
-from ullage.world.rooms import Opening, cameras, plate_parts, pole_parts, room_parts, wire_parts
 from ullage.world.solids import Part, Solid
 
 

@@ -9,9 +9,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from shipped_worlds import Model
 from ullage.world.sdf_parse import NAMESPACE
 from ullage.world.shapes import Shape
-from ullage.world.shipped import Model
 from ullage.world.solids import Part, Rod, Solid
 
 RETRO = {
@@ -28,7 +28,7 @@ DIFFUSE = {
 
 _HEAD = """<?xml version="1.0"?>
 <!-- {title}
-     Written by `python -m ullage.world.library`; lengths in metres, x east, y north, z up.
+     Written by `python tools/write_worlds.py`; lengths in metres, x east, y north, z up.
      The radar reads the collision shapes, <ullage:material> and <laser_retro> (the thesis' reflection coefficient). -->
 <sdf version="1.7" xmlns:ullage="{namespace}">
   <world name="{name}">
