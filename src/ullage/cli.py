@@ -482,8 +482,8 @@ def validate(
     ] = None,
 ) -> None:
     """Hold the physical radar against theory, or against recordings; exit 1 when a bound is broken."""
-    from ullage.experiments.validate import against_recordings
-    from ullage.experiments.validate import validate as hold_against
+    from ullage.experiments.validation.validate import against_recordings
+    from ullage.experiments.validation.validate import validate as hold_against
     from ullage.view.progress import console, say
 
     if recordings is not None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments import oracles
-from ullage.experiments.validate import ball_heard
+from ullage.experiments.validation import oracles
+from ullage.experiments.validation.validate import ball_heard
 from ullage.radar import ball_bounces, physical
 from ullage.world.scene import Scene
 

@@ -7,8 +7,8 @@ import pytest
 
 import ullage as ul
 from ullage.antenna import gain
-from ullage.experiments.oracles import dense_tank
-from ullage.experiments.validation_rows import over
+from ullage.experiments.validation.oracles import dense_tank
+from ullage.experiments.validation.rows import over
 from ullage.radar import ball_echoes, curves, paths, physical
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import beams_of, looks

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation_rows import radar
+from ullage.experiments.validation.rows import radar
 from ullage.geometry import quat_matrix
 from ullage.radar import flat_pairs
 from ullage.radar.context import antenna_pair, radar_context

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation_rows import over, radar
+from ullage.experiments.validation.rows import over, radar
 from ullage.radar import round_pairs
 from ullage.radar.prepared import prepare
 from ullage.radar.round_pairs import Bodies, paths_over

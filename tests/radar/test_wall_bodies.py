@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validate import drum_heard, over_wall
-from ullage.experiments.validation_rows import radar
+from ullage.experiments.validation.rows import radar
+from ullage.experiments.validation.validate import drum_heard, over_wall
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import looks
 from ullage.radar.prepared import prepare

@@ -11,8 +11,8 @@ import numpy as np
 from ullage.arrays import Complexes, Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
-from ullage.experiments import oracles
-from ullage.experiments.validation_rows import HERE, Row, db, gain, over, radar
+from ullage.experiments.validation import oracles
+from ullage.experiments.validation.rows import HERE, Row, db, gain, over, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.ball_bounces import fan_weights
 from ullage.radar.context import antenna_pair, radar_context
@@ -262,7 +262,7 @@ def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []
     if pictures:
-        from ullage.experiments.validation_figures import draw
+        from ullage.experiments.validation.figures import draw
 
         drawn = draw(folder / "pictures" / "validation")
     page = folder / "validation.md"
@@ -273,12 +273,12 @@ def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
 
 
 def against_recordings(folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print) -> list[Row]:
-    """Compare real recordings with simulations of them; see `recorded_page.beside_recordings`.
+    """Compare real recordings with simulations of them; see `recordings_page.beside_recordings`.
 
     Raises:
         InputError: there is no recording in the folder.
     """
-    from ullage.experiments.recorded_page import beside_recordings
+    from ullage.experiments.validation.recordings_page import beside_recordings
 
     rows = beside_recordings(folder, out_dir, report=report)
     if not rows:

@@ -10,11 +10,11 @@ import pytest
 
 import ullage as ul
 from ullage.cli import main
-from ullage.experiments.recorded import count_behind
-from ullage.experiments.recorded_page import beside_recordings
-from ullage.experiments.validate import against_recordings
+from ullage.experiments.validation.recordings import count_behind
+from ullage.experiments.validation.recordings_page import beside_recordings
+from ullage.experiments.validation.validate import against_recordings
 
-X4 = Path(__file__).parents[3] / "shared" / "data" / "x4"
+X4 = Path(__file__).parents[4] / "shared" / "data" / "x4"
 SPEC = ul.RadarSpec.preset("pulson440", bins=330, range_start_m=0.7, noise=None)
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ullage.experiments.recorded import BANDS, GAP_M, Beside, compare, recordings, ring_down
-from ullage.experiments.validation_rows import Row
+from ullage.experiments.validation.recordings import BANDS, GAP_M, Beside, compare, recordings, ring_down
+from ullage.experiments.validation.recordings_figure import draw_recorded
+from ullage.experiments.validation.rows import Row
 from ullage.files import write_whole
-from ullage.view.recorded_figure import draw_recorded
 
 SHARES = {
     "instrument": "stays while the radar moves: direct path and ring-down, and what the place keeps the same",

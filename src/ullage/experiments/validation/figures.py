@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ullage.data import Trajectory
-from ullage.experiments import oracles
-from ullage.experiments.validation_rows import db, gain, over, radar
+from ullage.experiments.validation import oracles
+from ullage.experiments.validation.rows import db, gain, over, radar
 from ullage.geometry import C0
 from ullage.radar.explain import explain
 from ullage.radar.physical import echoes
