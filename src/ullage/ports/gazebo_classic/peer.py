@@ -79,15 +79,20 @@ class ClassicPeer:
     Args:
         master: host and port of the master.
         host: address that others reach us at; the loopback keeps everything on this machine.
+        ask_s: how often the master is asked something [s].
+        deaf_s: how long its first answer may take [s].
 
     Raises:
         MissingExtra: protobuf is not installed.
         InputError: there is no such interface.
     """
 
-    def __init__(self, master: tuple[str, int], host: str = "127.0.0.1") -> None:
+    def __init__(
+        self, master: tuple[str, int], host: str = "127.0.0.1", *, ask_s: float = ASK_S, deaf_s: float = DEAF_S
+    ) -> None:
         gz()
         self.master, self.host = master, host
+        self._ask_s, self._deaf_s = ask_s, deaf_s
         self.counters = Counters()
         self.events: Inbox[Event] = Inbox(self.counters)
         self._wanted: dict[str, str] = {}  # topic to type
@@ -99,7 +104,7 @@ class ClassicPeer:
         self._main: _Line | None = None
         self._retry_s = 0.0
         self._asked_s = self._heard_s = 0.0  # when the master was asked last, and when it last answered
-        self._patience_s = DEAF_S
+        self._patience_s = deaf_s
         self._closing = threading.Event()
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._woken = socket.socketpair()
@@ -257,7 +262,7 @@ class ClassicPeer:
     def _look_after_master(self) -> None:
         """Ask whether it still hears us, leave it if it does not, and try publishers again that could not be joined."""
         now = time.monotonic()
-        if self._main is None or now - self._asked_s < ASK_S:
+        if self._main is None or now - self._asked_s < self._ask_s:
             return
         if now - self._heard_s > self._patience_s:
             self._patience_s = min(2 * self._patience_s, MOST_PATIENT_S)
@@ -276,7 +281,7 @@ class ClassicPeer:
             return
         said = gz().Packet.FromString(data)
         if said.type == "get_topic_namespaces_response":
-            self._heard_s, self._patience_s = time.monotonic(), DEAF_S
+            self._heard_s, self._patience_s = time.monotonic(), self._deaf_s
         if said.type == "topic_namepaces_init":
             self.events.put(Met(tuple(gz().GzString_V.FromString(said.serialized_data).data)))
         elif said.type == "topic_namespace_add":

@@ -41,11 +41,17 @@ class ClassicFeed(EventFeed[Event]):
         peer: speaks to the server.
         options: which model, and how.
         others: names of the world's other models.
+        ask_every_s: how often the server is asked for the model while no pose of it comes [s].
+        patience_s: after how long a silence that is reported [s].
     """
 
-    def __init__(self, peer: ClassicPeer, options: ClassicOptions, others: frozenset[str] = frozenset()) -> None:
+    def __init__(
+        self, peer: ClassicPeer, options: ClassicOptions, others: frozenset[str] = frozenset(), *,
+        ask_every_s: float = ASK_S, patience_s: float = PATIENCE_S,
+    ) -> None:  # fmt: skip
         super().__init__(peer)
         self._peer, self._options, self.world = peer, options, options.gazebo_world
+        self._ask_every_s, self._patience_s = ask_every_s, patience_s
         self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
         self._look_around = False  # before anything moves, the server is asked where everything is
         self._looked_ns: int | None = None
@@ -152,11 +158,11 @@ class ClassicFeed(EventFeed[Event]):
 
     def _status(self, event: Heard) -> Note | None:
         stats = gz().WorldStatistics.FromString(event.data)
-        if time.monotonic() - self._ask_s > ASK_S:
+        if time.monotonic() - self._ask_s > self._ask_every_s:
             self._ask_s = time.monotonic()
             self._asked_ns = stamp_ns(stats.sim_time)
             self._ask("entity_info", self._options.model)
-        if self._look_around and time.monotonic() - self._look_s > ASK_S:  # until it answers: the first may be lost
+        if self._look_around and time.monotonic() - self._look_s > self._ask_every_s:  # until it answers: the first may be lost
             self._look_s, self._looked_ns = time.monotonic(), stamp_ns(stats.sim_time)
             self._ask("scene_info", "", number=self._number + 1)
         if stats.paused == self._paused:
@@ -204,7 +210,7 @@ class ClassicFeed(EventFeed[Event]):
 
     def _silence(self) -> Note | None:
         now = time.monotonic()
-        if now - max(self._last_s, self._told_s) < PATIENCE_S:
+        if now - max(self._last_s, self._told_s) < self._patience_s:
             return None
         self._told_s = now
         host, port = self._peer.master
