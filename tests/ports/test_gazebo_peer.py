@@ -94,7 +94,9 @@ def test_what_was_not_advertised_is_not_said(partition):
     with Peer() as peer:
         with pytest.raises(InputError, match="publish: /clock was not advertised"):
             peer.publish("/clock", gz().Clock())
-        assert peer._thread.is_alive()
+        peer.advertise("/clock", "gz.msgs.Clock")  # it lives on
+        with Peer() as listener:
+            assert until(listener, Came).process == peer.uuid
 
 
 def test_another_partition_is_not_heard(partition):
@@ -108,16 +110,31 @@ def test_another_partition_is_not_heard(partition):
         assert one.wait(0.2) is None  # nor is its going told
 
 
+def offered_by(process, partition, address):
+    pub = gz().Publisher(
+        topic=wire.full_topic("/clock", partition), address=address, process_uuid=process, node_uuid=process,
+        scope=wire.EVERYWHERE, msg_pub=gz().MessagePublisher(msg_type="gz.msgs.Clock"),
+    )  # fmt: skip
+    return wire.datagram(wire.ADVERTISE, process, pub=pub)
+
+
 def test_only_the_loopback_is_bound(partition):
-    with Peer() as peer:
-        assert peer._address.startswith("tcp://127.0.0.1:")
-        for sock, port in peer._group:
+    for port in (wire.MESSAGE_PORT, wire.SERVICE_PORT):
+        with wire.discovery_socket(port, "127.0.0.1") as sock:
             assert sock.getsockname() == (wire.GROUP, port)
             assert sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF) == struct.unpack("i", b"\x7f\0\0\1")[0]
-        pub = gz().Publisher(topic=wire.full_topic("/clock", peer.partition), address="tcp://192.0.2.7:4", scope=2)
-        said = gz().Discovery(version=10, process_uuid="them", type=wire.ADVERTISE, pub=pub)
-        peer._take_in(said, wire.MESSAGE_PORT)
-        assert peer.wait(0.0) is None  # an address that is not on the loopback
+    with wire.discovery_socket(wire.MESSAGE_PORT, "127.0.0.1") as network, Peer() as peer:
+        network.settimeout(60)
+        peer.advertise("/clock", "gz.msgs.Clock")
+        while (said := wire.read_datagram(network.recv(65536))) is None or said.process_uuid != peer.uuid or (
+            said.type != wire.ADVERTISE
+        ):  # fmt: skip
+            pass
+        assert said.pub.address.startswith("tcp://127.0.0.1:")
+        group = (wire.GROUP, wire.MESSAGE_PORT)
+        network.sendto(offered_by("far", peer.partition, "tcp://192.0.2.7:4"), group)  # not on the loopback
+        network.sendto(offered_by("near", peer.partition, "tcp://127.0.0.1:4"), group)
+        assert until(peer, Came).process == "near"
 
 
 def test_an_address_that_is_not_ours_is_refused():

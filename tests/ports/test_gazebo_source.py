@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import threading
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,13 @@ import ullage as ul
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
+from ullage.ports.following import FollowSource, opened
+from ullage.ports.gazebo import wire
 from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
-from ullage.ports.gazebo.scene import sdf_of
+from ullage.ports.gazebo.scene import ask_scene, sdf_of
 from ullage.ports.gazebo.sink import GazeboSink
-from ullage.ports.gazebo.source import source_of
+from ullage.ports.gazebo.source import GazeboOptions, PoseFeed, source_of
 from ullage.ports.gazebo.wire import gz
-from ullage.ports.intake import Inbox
 
 SERVER = Path(__file__).with_name("gazebo_server.cpp")
 
@@ -181,10 +181,16 @@ def test_the_clock_of_a_real_publisher_may_step_an_hour_either_way(server):
 
 
 @pytest.mark.slow
-def test_a_flood_of_a_real_publisher_loses_nothing_silently(server, monkeypatch):
-    monkeypatch.setattr("ullage.ports.gazebo.peer.Inbox", partial(Inbox, most=300))
+def test_a_flood_of_a_real_publisher_loses_nothing_silently(server):
     said = []
-    with source(said) as live:
+    with Peer() as peer:
+        world = ask_scene(peer, "", where="gazebo:")
+    options, scene, rig = opened(GazeboOptions(model="x3", fidelity="thesis", rig="single"), "gazebo:", world)
+
+    def join():
+        return PoseFeed(Peer(most_waiting=300), options, "", {}, frozenset(scene.models))
+
+    with FollowSource(join, scene, rig, options, say=said.append) as live:
         pieces = live.stream()
         begun = until(pieces, lambda f: True).t_ns[-1]
         server.say("flood")
@@ -221,15 +227,10 @@ def test_one_topic_for_several_ray_sensors_is_refused():
         source(rays="*", rig="thesis-4", world="ntnu-room", scan_topic="/odd")
 
 
-def test_no_gazebo_is_refused_when_the_world_is_asked_of_it(partition, monkeypatch):
-    from ullage.ports.gazebo import scene
-
-    asked = scene.ask_scene
-    monkeypatch.setattr(
-        "ullage.ports.gazebo.source.ask_scene", lambda *words, **more: asked(*words, **more, patience_s=0.3)
-    )
-    with pytest.raises(ul.InputError, match=r"gazebo:: no Gazebo heard in 0\.3 s \(allowed: world=FILE.sdf"):
-        source()
+def test_no_gazebo_is_refused_when_the_world_is_asked_of_it(partition):
+    words = r"gazebo:: no Gazebo heard in 0\.3 s \(allowed: world=FILE.sdf"
+    with Peer() as peer, pytest.raises(ul.InputError, match=words):
+        ask_scene(peer, "", where="gazebo:", patience_s=0.3)
 
 
 def test_frames_from_anywhere_are_published_with_their_clock(partition):
@@ -280,21 +281,22 @@ def test_a_scene_becomes_the_sdf_that_it_stands_for(tmp_path):
     np.testing.assert_allclose(scene.bounds, [[1, -0.5, -1], [2, 0.5, 1]], atol=0.01)
 
 
-def test_a_peer_that_falls_silent_is_held_for_gone(partition, monkeypatch):
-    monkeypatch.setattr("ullage.ports.gazebo.peer.SILENCE_S", 0.5)
-    with Peer() as listener:
-        speaker = Peer()
-        speaker.advertise("/clock", "gz.msgs.Clock")
+def test_a_peer_that_falls_silent_is_held_for_gone(partition):
+    process, node = wire.new_uuid(), wire.new_uuid()
+    with Peer(silence_s=0.5) as listener, wire.discovery_socket(wire.MESSAGE_PORT, "127.0.0.1") as speaker:
+        offer = gz().Publisher(
+            topic=wire.full_topic("/clock", listener.partition), address="tcp://127.0.0.1:9", process_uuid=process,
+            node_uuid=node, scope=wire.EVERYWHERE, msg_pub=gz().MessagePublisher(msg_type="gz.msgs.Clock"),
+        )  # fmt: skip
 
-        def told(kind):  # others may be about on the same network
+        def met(kind):  # others may be about on the same network
             end = time.monotonic() + 60
             while time.monotonic() < end:
                 event = listener.wait(0.1)
-                if isinstance(event, kind) and event.process == speaker.uuid:
+                if isinstance(event, kind) and event.process == process:
                     return True
             return False
 
-        assert told(Came)
-        monkeypatch.setattr(speaker, "_tell", lambda *words, **more: None)
-        assert told(Gone)
-        speaker.close()
+        speaker.sendto(wire.datagram(wire.ADVERTISE, process, pub=offer), (wire.GROUP, wire.MESSAGE_PORT))
+        assert met(Came)
+        assert met(Gone)

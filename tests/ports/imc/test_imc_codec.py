@@ -94,7 +94,7 @@ def test_a_million_random_bytes_neither_crash_nor_grow_nor_hide_what_follows() -
     most = 0
     for k in range(0, len(noise), 4096):
         assert list(parser.feed(noise[k : k + 4096])) == []
-        most = max(most, len(parser._held))
+        most = max(most, parser.waiting_bytes)
     assert most < 2 * 65557 + 4096
     found = list(parser.feed(STATE)) + list(parser.finish())
     assert [q.name for q in found] == ["EstimatedState"]
@@ -104,7 +104,7 @@ def test_syncs_without_end_cost_no_more_than_their_length() -> None:
     parser = Parser()
     for _ in range(16):
         assert list(parser.feed(b"\xfe\x54" * 8192)) == []
-    assert len(parser._held) < 2 * 65557
+    assert parser.waiting_bytes < 2 * 65557
 
 
 @settings(max_examples=80, deadline=None)

@@ -12,7 +12,7 @@ from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.encode import fixed_note, range_layout
 from ullage.ports.publisher import Publisher, body_path, shifted
-from ullage.ports.ros2.incoming import Incoming
+from ullage.ports.ros2.incoming import SETTINGS_S, Incoming
 from ullage.ports.ros2.options import SourceOptions
 
 S = 1_000_000_000
@@ -90,13 +90,14 @@ def test_frames_wait_for_the_transform_after_them_and_no_longer_than_asked(fligh
     assert not said
 
 
-def test_frames_without_settings_are_taken_for_an_x4m05_after_a_while(
-    flight: ul.Frames, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    into, said = incoming()
+def test_frames_without_settings_are_taken_for_an_x4m05_after_a_while(flight: ul.Frames) -> None:
+    said: list[str] = []
+    clock = [100.0]
+    into = Incoming(SourceOptions(), said.append, now=lambda: clock[0])
     hear(into, flight, settings=False)
+    clock[0] += SETTINGS_S
     assert into.ready() == {}
-    monkeypatch.setattr("ullage.ports.ros2.incoming.SETTINGS_S", 0.0)
+    clock[0] += 0.01
     assert len(into.ready()["left"]) == len(flight)
     assert "no settings were recorded" in said[0]
 

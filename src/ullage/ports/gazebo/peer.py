@@ -22,6 +22,8 @@ from ullage.ports.intake import Counters, Inbox
 
 HEARTBEAT_S, SILENCE_S = 1.0, 3.0
 """How often a peer says that it lives, and after how long a silence it is held for gone."""
+MOST_WAITING = 200_000
+"""Messages that may wait to be taken."""
 MOST_OFFERS = 10_000
 """Publishers that are remembered; further ones are passed over."""
 MOST_BYTES = 64 * 2**20
@@ -62,20 +64,25 @@ class Peer:
     Args:
         host: address of the interface to use; the loopback keeps everything on this machine.
         partition: those of another partition are not heard; None: this host's and user's, as Gazebo has it.
+        silence_s: after how long a silence another process counts as gone [s].
+        most_waiting: messages that may wait to be taken; further ones are lost and counted.
 
     Raises:
         MissingExtra: pyzmq or protobuf is not installed.
         InputError: there is no such interface.
     """
 
-    def __init__(self, host: str = "127.0.0.1", partition: str | None = None) -> None:
+    def __init__(
+        self, host: str = "127.0.0.1", partition: str | None = None, *, silence_s: float = SILENCE_S,
+        most_waiting: int = MOST_WAITING,
+    ) -> None:  # fmt: skip
         zmq: Any = need("zmq", extra="gazebo")
         wire.gz()
-        self.host = host
+        self.host, self._silence_s = host, silence_s
         self.partition = wire.usual_partition() if partition is None else partition
         self.uuid, self._node = wire.new_uuid(), wire.new_uuid()
         self.counters = Counters()
-        self.events: Inbox[Event] = Inbox(self.counters)
+        self.events: Inbox[Event] = Inbox(self.counters, most=most_waiting)
         self._zmq, self._context = zmq, zmq.Context()
         self._alive: dict[str, float] = {}  # process to when it was last heard
         self._offers: dict[tuple[str, str], Any] = {}  # (full topic, node) to publisher
@@ -209,7 +216,7 @@ class Peer:
             for full in self._requests.topics:
                 self._tell(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
         now = time.monotonic()
-        for process in [p for p, heard in self._alive.items() if now - heard > SILENCE_S]:
+        for process in [p for p, heard in self._alive.items() if now - heard > self._silence_s]:
             self._lose(process)
 
     def _tell(self, kind: int, *, port: int = wire.MESSAGE_PORT, **parts: Any) -> None:

@@ -330,6 +330,11 @@ class Parser:
     _lost: bool = False
     _wanted: int = 0  # bytes needed before another look makes sense
 
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that wait for the rest of their packet."""
+        return len(self._held)
+
     def feed(self, data: bytes) -> Iterator[Packet]:
         """The packets that these bytes complete."""
         self._held += data

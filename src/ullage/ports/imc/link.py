@@ -77,6 +77,11 @@ class Outbox:
                 self._size -= len(self._waiting.popleft())
                 self.dropped += 1
 
+    @property
+    def waiting_bytes(self) -> int:
+        """Size of all that waits."""
+        return self._size
+
     def take(self) -> bytes | None:
         """The oldest one; None where none waits."""
         with self._lock:
@@ -134,14 +139,15 @@ class Link:
         say: told of what others should know: that we wait, that a peer has gone.
         listens: whether anybody here will `receive`.
         counters: count what is damaged or finds no room.
+        most_waiting: messages that may wait to be received; beyond that the oldest are lost.
     """
 
     def __init__(
         self, wire: Wire, me: Identity, *, table: Table | None = None, say: Callable[[str], None] | None = None,
-        listens: bool = True, counters: Counters | None = None,
+        listens: bool = True, counters: Counters | None = None, most_waiting: int = INBOX,
     ):  # fmt: skip
         self.wire, self.me, self.table = wire, me, table or own()
-        self.listens = listens
+        self.listens, self._most_waiting = listens, most_waiting
         self._say = say or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
         self.out = Outbox()
         self.counters = counters or Counters(self._say)
@@ -273,7 +279,7 @@ class Link:
             for packet in packets:
                 self._in.append(packet)
                 self._in_bytes += held_bytes(packet)
-                while len(self._in) > INBOX or self._in_bytes > INBOX_BYTES:
+                while len(self._in) > self._most_waiting or self._in_bytes > INBOX_BYTES:
                     oldest, full = self._in.popleft(), True
                     self._in_bytes -= held_bytes(oldest)
                     self.counters.drop(oldest.name or f"message {oldest.id}", "lost", "messages come too fast")
