@@ -177,11 +177,11 @@ def draw(path: Path, costs: dict[str, NodeCost], scale: float) -> None:
             axes[0].barh(row, high - low, left=low, color="tab:orange")
         axes[0].axvline(100, color="k", ls="--", lw=1)
         axes[0].set(xscale="log", xlabel="CPU on a BeagleBone Black [% of its one core]", yticks=range(len(names)),
-                    yticklabels=names, title="from CoreMark to Whetstone")  # fmt: skip
+                    yticklabels=names, title="CPU, by CoreMark to Whetstone", xlim=(10, None))  # fmt: skip
         peaks = [costs[name].peak_mb for name in names]
         axes[1].barh(range(len(names)), peaks, color="tab:blue", label="with the map and its buffers")
         axes[1].barh(range(len(names)), [costs[name].import_mb for name in names], color="tab:gray",
                      label="Python and libraries")  # fmt: skip
         axes[1].axvline(BEAGLEBONE.memory_mb, color="k", ls="--", lw=1)
-        axes[1].set(xlabel="peak resident memory [MB]", yticks=[], title="of 512 MB")
+        axes[1].set(xlabel="peak resident memory [MB]", yticks=[], title="memory; dashed: the board's 512 MB")
         axes[1].legend(fontsize=8)
