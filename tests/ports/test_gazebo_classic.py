@@ -14,7 +14,7 @@ from ullage.errors import InputError
 pytest.importorskip("google.protobuf")
 
 from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
-from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions, source_of
+from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
 from ullage.ports.intake import Counters
 from ullage.ports.pose_events import Others, Sighting
@@ -101,7 +101,9 @@ class Server:
                     sock.sendall(packet("get_topic_namespaces_response", gz().GzString_V(data=["w"])))
                 if said.type == "subscribe":
                     want = gz().Subscribe.FromString(said.serialized_data)
-                    offer = gz().Publish(topic=want.topic, msg_type=want.msg_type, host="127.0.0.1", port=self.offers or self.port)
+                    offer = gz().Publish(
+                        topic=want.topic, msg_type=want.msg_type, host="127.0.0.1", port=self.offers or self.port
+                    )
                     sock.sendall(packet("publisher_subscribe", offer))
 
     def close(self):

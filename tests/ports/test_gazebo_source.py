@@ -15,6 +15,7 @@ pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
 from ullage.ports.following import FollowSource, opened
+
 from ullage.ports.gazebo import wire
 from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
 from ullage.ports.gazebo.scene import ask_scene, sdf_of

@@ -46,9 +46,8 @@ def run(work: Workspace) -> None:
     draw_panels(path, [panels], walls=walls_of(rays), title="The cargo hold mapped", width_in=6.4)
     work.results.add_figure(
         path, "figure 6.18", "The hold mapped in flying along its walls, 0.1 m: the thesis' method on ray frames, "
-        "ullage's mapper on physical frames of the same flight, ten a second. A straight line in the middle, where "
-        "nothing stands, is a far wall: the X4 receives an echo from beyond 9.87 m at its range less 9.87 m. Most of "
-        "these cells stay ambiguous.",
+        "ullage's mapper on physical frames of the same flight, ten a second. The striped patches near y = 0 at both "
+        "ends are the far side walls, 17 m away: the X4 receives an echo from beyond 9.87 m at its range less 9.87 m.",
     )  # fmt: skip
     work.results.add_table("Scores", HEAD, rows)
     state(work, rays, waves)

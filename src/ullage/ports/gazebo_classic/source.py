@@ -162,7 +162,9 @@ class ClassicFeed(EventFeed[Event]):
             self._ask_s = time.monotonic()
             self._asked_ns = stamp_ns(stats.sim_time)
             self._ask("entity_info", self._options.model)
-        if self._look_around and time.monotonic() - self._look_s > self._ask_every_s:  # until it answers: the first may be lost
+        if (
+            self._look_around and time.monotonic() - self._look_s > self._ask_every_s
+        ):  # until it answers: the first may be lost
             self._look_s, self._looked_ns = time.monotonic(), stamp_ns(stats.sim_time)
             self._ask("scene_info", "", number=self._number + 1)
         if stats.paused == self._paused:
