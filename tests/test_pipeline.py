@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
-from ullage.experiments.watch import Looks, RangeTime
 from ullage.pipeline import DetectStage, Due, Held, ImageStage, MapStage
 
 
@@ -120,16 +120,16 @@ def test_sinks_are_closed_when_the_source_fails() -> None:
 
 def test_what_is_watched_stays_bounded() -> None:
     frames = thesis_frames()
-    picture, looks = RangeTime(most=8), Looks(most=8)
+    picture, sampled = RangeTime(most=8), SampledFrames(most=8)
     for part in frames.chunks(5):
         picture.update({"front": part})
-        looks.update({"front": part})
+        sampled.update({"front": part})
     (name, t_s, range_m, amplitude) = picture.pictures()[0]
     assert name == "front"
     assert 4 <= len(t_s) <= 8
     assert amplitude.shape == (len(t_s), len(range_m))
     assert amplitude.max() == pytest.approx(float(frames.amplitude[: len(t_s) * 8].max()), rel=0.2)
-    assert 4 <= len(looks.frames()["front"]) <= 9
+    assert 4 <= len(sampled.frames()["front"]) <= 9
 
 
 def test_a_threshold_for_detections_does_not_break_the_map() -> None:

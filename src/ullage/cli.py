@@ -156,7 +156,7 @@ def run(
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.comparison import fly_again, rival_scenario
     from ullage.experiments.runner import execute
-    from ullage.experiments.targets import make_run, record, tasks_of
+    from ullage.experiments.source_resolution import make_run, record, tasks_of
     from ullage.pipeline import check_sink
     from ullage.view.progress import open_page, progress_bar, say
     from ullage.view.viewer_output import keep_serving
@@ -200,7 +200,7 @@ def fly(
     """Fly a multirotor by hand while its radars measure and the map grows; Ctrl-C ends the flight."""
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.runner import execute
-    from ullage.experiments.targets import flight_scenario, make_flight, record, tasks_of
+    from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of
     from ullage.experiments.warmup import compile_kernels, compiled, parts_of
     from ullage.view.progress import console, progress_bar, say
     from ullage.view.viewer_output import keep_serving
@@ -232,7 +232,7 @@ def repair(source: str) -> bool:
 def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = None) -> Compiling | None:
     """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
     from ullage.experiments.simulated import load_world
-    from ullage.experiments.targets import simulated_scenario
+    from ullage.experiments.source_resolution import simulated_scenario
     from ullage.experiments.warmup import ahead, begin, compiled, estimated_s, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
@@ -409,8 +409,8 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
 def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
     """Hold a run against its scenario's bounds; exit 1 when one is broken."""
     from ullage.errors import InputError
+    from ullage.experiments.bounds import verdicts
     from ullage.experiments.folder import FINISHED, describe, find_folder, state_of
-    from ullage.experiments.judge import verdicts
     from ullage.view.progress import say
 
     folder = find_folder(run)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ullage.data import Trajectory
+from ullage.experiments.bounds import verdicts
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.judge import verdicts
 from ullage.experiments.runner import execute, of_scenario
 from ullage.experiments.simulated import Simulated, prepare
 

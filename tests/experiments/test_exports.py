@@ -14,7 +14,7 @@ import pytest
 import ullage as ul
 from ullage.experiments.exports import foxglove_layout, topics_in, write_foxglove, write_rrd
 from ullage.experiments.runner import execute
-from ullage.experiments.targets import make_run, record
+from ullage.experiments.source_resolution import make_run, record
 from ullage.view.replay import cell_states, images_of, map_tree, maps_of, read_replay
 
 SMALL = ["image.step_m=0.2", "map.step_m=0.2", "flight.speed_m_s=2"]

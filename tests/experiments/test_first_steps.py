@@ -11,7 +11,7 @@ from ullage.errors import InputError
 from ullage.experiments.folder import find_folder
 from ullage.experiments.runner import execute, of_scenario
 from ullage.experiments.simulated import prepare
-from ullage.experiments.targets import make_run
+from ullage.experiments.source_resolution import make_run
 from ullage.ports import sink
 
 WALL = """<sdf version="1.9"><world name="w"><model name="wall"><static>true</static><pose>4 0 1 0 0 0</pose>

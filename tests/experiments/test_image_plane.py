@@ -10,7 +10,7 @@ import pytest
 import ullage as ul
 from ullage.config import ImageSpec, make_scenario
 from ullage.experiments.imaging import image_plane, plane_findings
-from ullage.experiments.watch import Looks
+from ullage.experiments.report_collectors import SampledFrames
 
 BOX = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.0]])
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
@@ -97,10 +97,10 @@ def test_kept_frames_know_their_number_in_the_recording() -> None:
     path = ul.Trajectory.stationary(n=1511)
     t_ns = path.t_ns
     frames = ul.Frames(np.zeros((1511, SPEC.bins), np.complex64), SPEC.range_m, t_ns, SPEC, poses=path, sensor="front")
-    looks = Looks()
+    sampled = SampledFrames()
     for part in frames.chunks(100):
-        looks.update({"front": part})
-    kept = looks.frames()["front"]
+        sampled.update({"front": part})
+    kept = sampled.frames()["front"]
     assert len(kept) < 400
     for index in (0, 57, len(kept) // 2, len(kept) - 1):
-        assert t_ns[looks.number("front", index)] == kept.t_ns[index]
+        assert t_ns[sampled.number("front", index)] == kept.t_ns[index]

@@ -24,7 +24,7 @@ from ullage.experiments.draft import begin_run
 from ullage.experiments.folder import find_folder, state_of
 from ullage.experiments.map_files import MapSaver
 from ullage.experiments.runner import Report, Run, execute
-from ullage.experiments.targets import make_run, record
+from ullage.experiments.source_resolution import make_run, record
 from ullage.ports import read_map, sink
 
 WALL = """<sdf version="1.9"><world name="w"><model name="wall"><static>true</static><pose>4 0 1 0 0 0</pose>

@@ -14,7 +14,7 @@ import pytest
 import ullage as ul
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.runner import execute
-from ullage.experiments.targets import make_run
+from ullage.experiments.source_resolution import make_run
 from ullage.experiments.warmup import (
     FOLDER,
     JOBS,

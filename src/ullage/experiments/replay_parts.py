@@ -26,7 +26,7 @@ def keep_replay(job: Run, outcome: Outcome) -> None:
     Raises:
         InputError: the disk is full.
     """
-    frames = {name: part for name, part in job.looks.frames().items() if part.poses is not None}
+    frames = {name: part for name, part in job.sampled.frames().items() if part.poses is not None}
     if not frames:
         return
     images = [item for item in outcome.results if isinstance(item, Image)]
@@ -43,7 +43,7 @@ def explained_frames(job: Run) -> list[Explained]:
     if job.scene is None or job.live or sensing.fidelity != "physical":
         return []
     out = []
-    for name, part in job.looks.frames().items():
+    for name, part in job.sampled.frames().items():
         for index in np.unique(np.linspace(0, len(part) - 1, EXPLAINED).round().astype(int)):
             found = explain(part, int(index), scene=job.scene, max_bounces=sensing.max_bounces, count=ECHOES,
                             seed=job.scenario.seed)  # fmt: skip

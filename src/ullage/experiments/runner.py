@@ -23,9 +23,9 @@ from ullage.experiments.inspection import ObjectOnMap, inspect, object_rows
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.replay_parts import keep_replay
+from ullage.experiments.report_collectors import QuietestFrames, RangeTime, SampledFrames
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
-from ullage.experiments.watch import Looks, RangeTime, Rest
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
 from ullage.processing.obstacles import ObstacleStage
@@ -71,8 +71,8 @@ class Run:
     tasks: tuple[Task, ...] = ("detect", "image", "map")
     detect: DetectStage = field(default_factory=DetectStage)
     range_time: RangeTime = field(default_factory=RangeTime)
-    looks: Looks = field(default_factory=Looks)
-    rest: Rest = field(default_factory=Rest)
+    sampled: SampledFrames = field(default_factory=SampledFrames)
+    quietest: QuietestFrames = field(default_factory=QuietestFrames)
     own_echo: OwnEchoFilter = field(default_factory=OwnEchoFilter)
     history: MapHistory = field(default_factory=MapHistory)
     plane: ImagePlane | None = None
@@ -178,7 +178,7 @@ def _receive(
         if under_way is not None:
             under_way.close()
     if job.live:
-        job.flown = _seen_path(job.looks) or job.flown
+        job.flown = _seen_path(job.sampled) or job.flown
     job.timing |= {"loop_wall_s": time.perf_counter() - wall, "loop_cpu_s": time.process_time() - cpu}
     return outcome
 
@@ -237,13 +237,13 @@ def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
 
 def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException) -> None:
     """Mark a run that was cut short as unfinished, with the reason; without any frames its folder goes."""
-    if not job.looks.received:  # nothing is lost
+    if not job.sampled.received:  # nothing is lost
         job.discard()
         return
     stopped = isinstance(error, KeyboardInterrupt)
     reason = str(error) if isinstance(error, UllageError) else "ended" if stopped else type(error).__name__
     with suppress(UllageError):  # a full disk: the folder keeps its mark of a run under way, and no process holds it
-        frames = {"frames": Metric("frames", job.looks.received)}
+        frames = {"frames": Metric("frames", job.sampled.received)}
         if not (job.folder / "metrics.json").exists():
             write_json(job.folder / "metrics.json", metric_tree(frames))
         write_json(job.folder / "provenance.json", {**origin, "state": "unfinished", "refused": reason})
@@ -279,7 +279,7 @@ def _patient(stages: list[Stage], under_way: Compiling, say: Say) -> list[Stage]
 def _stages(job: Run) -> list[Stage]:
     plan = job.scenario
     own = job.own_echo if plan.remove_own_echo else None
-    out: list[Stage] = [job.range_time, job.looks, job.rest]
+    out: list[Stage] = [job.range_time, job.sampled, job.quietest]
     if "detect" in job.tasks:
         job.detect = DetectStage(plan.detect.method, plan.detect.threshold, own_echo=own)
         out.append(job.detect)
@@ -305,9 +305,9 @@ def _stages(job: Run) -> list[Stage]:
     return out
 
 
-def _seen_path(looks: Looks) -> Trajectory | None:
+def _seen_path(sampled: SampledFrames) -> Trajectory | None:
     """The way of the first sensor that knew where it was."""
-    return next((frames.poses for frames in looks.frames().values() if frames.poses is not None), None)
+    return next((frames.poses for frames in sampled.frames().values() if frames.poses is not None), None)
 
 
 def _height(job: Run) -> float:
@@ -347,7 +347,7 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
             Metric("real_time_factor", outcome.duration_s / max(job.timing["loop_wall_s"], 1e-9)),
         )
     }
-    if len(job.looks.frames()) == 1:
+    if len(job.sampled.frames()) == 1:
         out |= {m.name: m for item in outcome.results if isinstance(item, Image) for m in _place(item)}
     maps = [item for item in outcome.results if isinstance(item, OccupancyMap)]
     if job.plane is not None and job.plane.grid.dims == 2:
@@ -365,14 +365,14 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality
 
-        out |= map_quality(maps[-1], job.scene, job.looks.frames())
-        job.objects = inspect(maps[-1], job.scene, job.looks.frames())
+        out |= map_quality(maps[-1], job.scene, job.sampled.frames())
+        job.objects = inspect(maps[-1], job.scene, job.sampled.frames())
     return out
 
 
 def _calibrated(job: Run) -> Frames | None:
     """Frames of the first sensor that was calibrated against a track."""
-    return next((part for part in job.looks.frames().values() if part.calibration is not None), None)
+    return next((part for part in job.sampled.frames().values() if part.calibration is not None), None)
 
 
 def _place(image: Image) -> list[Metric]:
@@ -389,7 +389,7 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
     from ullage.view.rest_figure import rest_figure
 
     folder, out = job.folder / "figures", []
-    frames = job.looks.frames()
+    frames = job.sampled.frames()
     walls = _walls(job.scene, _height(job))
     if pictures := job.range_time.pictures():
         out.append(
@@ -402,7 +402,7 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
         out.append(_snapshot(folder / "snapshot.png", list(frames.values()), index, job))
         if job.scene is not None and not job.live and job.scenario.sensing.fidelity == "physical":
             out.append(_explained(folder / "explain.png", *next(iter(frames.items())), index, job))
-    if job.scene is None and (still := job.rest.frames()):
+    if job.scene is None and (still := job.quietest.frames()):
         out.append(rest_figure(folder / "rest.png", still, title=job.title))
     found = {name: one.calibration for name, one in frames.items() if one.calibration is not None}
     if found:
@@ -462,7 +462,7 @@ def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> P
                     seed=job.scenario.seed)  # fmt: skip
     height = float(frames.poses.position[index, 2]) if frames.poses is not None else _height(job)
     return explain_figure(path, frames, index, found, walls=_walls(job.scene, height),
-                          title=f"{job.title}: frame {job.looks.number(name, index)} of {name}, explained")  # fmt: skip
+                          title=f"{job.title}: frame {job.sampled.number(name, index)} of {name}, explained")  # fmt: skip
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:

@@ -15,7 +15,7 @@ from ullage.experiments.catalog import find_scenario
 from ullage.experiments.cluster import Outcome, Report, Where, carry_out
 from ullage.experiments.folder import read_json, state_of, write_text
 from ullage.experiments.runner import execute
-from ullage.experiments.targets import make_run
+from ullage.experiments.source_resolution import make_run
 from ullage.untrusted import compose_yaml, load_yaml
 
 Settings = tuple[tuple[str, str], ...]  # key, value as text

@@ -15,8 +15,8 @@ import numpy as np
 from ullage.data import Frames
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.folder import provenance
+from ullage.experiments.report_collectors import RangeTime
 from ullage.experiments.simulated import Simulated, prepare
-from ullage.experiments.watch import RangeTime
 from ullage.grids import Grid
 from ullage.pipeline import ImageStage, MapStage, Stage
 from ullage.radar.simulate import simulate_stream

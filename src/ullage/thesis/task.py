@@ -12,8 +12,8 @@ from pathlib import Path
 
 import ullage
 from ullage.errors import InputError
+from ullage.experiments.bounds import Verdict, verdicts
 from ullage.experiments.folder import provenance, read_json
-from ullage.experiments.judge import Verdict, verdicts
 from ullage.thesis.plan import Experiment
 from ullage.thesis.results import Results, read_results
 from ullage.thesis.workspace import Workspace

@@ -1,4 +1,4 @@
-"""What `ullage run SOURCE` and `ullage fly` are given: a scenario or world by name or file, a recording, a port."""
+"""Resolve what `ullage run SOURCE` and `ullage fly` are given: a scenario, a world, a recording, or a live port."""
 
 from __future__ import annotations
 

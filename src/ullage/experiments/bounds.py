@@ -1,4 +1,4 @@
-"""Holds a run's metrics against the bounds its scenario sets."""
+"""Compare a run's metrics with the bounds that its scenario sets."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Verdict:
 
 
 def verdicts(folder: Path) -> list[Verdict]:
-    """Every bound of the run's scenario, judged.
+    """Compare every bound of the run's scenario with its metric.
 
     Raises:
         InputError: the run lacks its scenario or metrics.

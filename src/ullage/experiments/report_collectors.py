@@ -1,4 +1,4 @@
-"""Stages that keep what the report needs, in bounded memory however long the run."""
+"""Stages that collect what the report needs, in bounded memory however long the run."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RangeTime:
     _sensors: dict[str, _Pooled] = field(default_factory=dict)
 
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
-        """Pools this piece."""
+        """Pool this chunk."""
         for name, part in chunk.items():
             self.unit = part.unit
             self._sensors.setdefault(name, _Pooled(part.range_m)).add(part, self.most)
@@ -64,8 +64,8 @@ class RangeTime:
 
 
 @dataclass(slots=True)
-class Looks:
-    """Every so-manieth frame of every sensor, at most `most` each: enough to know what was seen from where."""
+class SampledFrames:
+    """Every n-th frame of every sensor, at most `most` of each: enough to know what was seen from where."""
 
     most: int = 400
     _stride: dict[str, int] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class Looks:
         return sum(self._seen.values())
 
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
-        """Keeps some of this piece."""
+        """Keep some frames of this chunk."""
         for name, part in chunk.items():
             stride, seen = self._stride.setdefault(name, 1), self._seen.get(name, 0)
             kept = self._kept.setdefault(name, [])
@@ -97,18 +97,18 @@ class Looks:
         return index * self._stride.get(name, 1)
 
     def frames(self) -> dict[str, Frames]:
-        """What was kept, by sensor."""
+        """Return the kept frames by sensor."""
         return {name: joined(parts) for name, parts in self._kept.items() if parts}
 
 
 @dataclass(slots=True)
-class Rest:
-    """Noise and standing echoes of every sensor, from its quietest stretch: what a radar at rest tells of itself."""
+class QuietestFrames:
+    """The chunk of each sensor that changes least: it shows the noise and the standing echoes of a radar at rest."""
 
     _best: dict[str, tuple[float, Frames]] = field(default_factory=dict)
 
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
-        """Keeps this piece if it changes less than the quietest so far."""
+        """Keep this chunk if it changes less than the quietest so far."""
         for name, part in chunk.items():
             if len(part) < 16 or part.unit == "thesis":
                 continue
@@ -122,5 +122,5 @@ class Rest:
         return ()
 
     def frames(self) -> dict[str, Frames]:
-        """The quietest piece of each sensor."""
+        """Return the quietest chunk of each sensor."""
         return {name: part for name, (_, part) in self._best.items()}
