@@ -461,8 +461,8 @@ def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> P
     found = explain(frames, index, scene=job.scene, max_bounces=job.scenario.sensing.max_bounces,
                     seed=job.scenario.seed)  # fmt: skip
     height = float(frames.poses.position[index, 2]) if frames.poses is not None else _height(job)
-    return explain_figure(path, frames, index, found, walls=_walls(job.scene, height),
-                          title=f"{job.title}: frame {job.sampled.number(name, index)} of {name}, explained")  # fmt: skip
+    title = f"{job.title}: frame {job.sampled.number(name, index)} of {name}, explained"
+    return explain_figure(path, frames, index, found, walls=_walls(job.scene, height), title=title)
 
 
 def _walls(scene: Scene | None, height_m: float) -> Any:
