@@ -12,7 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from ullage.config import Task
-    from ullage.experiments.runner import Report
+    from ullage.experiments.run import Report
     from ullage.experiments.sweep import Sweep
     from ullage.radar.warmup import Compiling
 

@@ -8,7 +8,8 @@ import pytest
 from ullage.data import Trajectory
 from ullage.experiments.bounds import verdicts
 from ullage.experiments.catalog import find_scenario
-from ullage.experiments.runner import execute, of_scenario
+from ullage.experiments.run import of_scenario
+from ullage.experiments.runner import execute
 from ullage.experiments.simulated import Simulated, prepare
 
 

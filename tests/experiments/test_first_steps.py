@@ -9,7 +9,8 @@ import pytest
 from ullage.config import make_scenario
 from ullage.errors import InputError
 from ullage.experiments.folder import find_folder
-from ullage.experiments.runner import execute, of_scenario
+from ullage.experiments.run import of_scenario
+from ullage.experiments.runner import execute
 from ullage.experiments.simulated import prepare
 from ullage.experiments.source_resolution import make_run
 from ullage.ports import sink

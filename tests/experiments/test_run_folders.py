@@ -23,7 +23,8 @@ from ullage.experiments.doctor import recording_rate
 from ullage.experiments.draft import begin_run
 from ullage.experiments.folder import find_folder, state_of
 from ullage.experiments.map_files import MapSaver
-from ullage.experiments.runner import Report, Run, execute
+from ullage.experiments.run import Report, Run
+from ullage.experiments.runner import execute
 from ullage.experiments.source_resolution import make_run, record
 from ullage.ports import read_map, sink
 

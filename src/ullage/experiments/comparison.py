@@ -9,7 +9,8 @@ from pathlib import Path
 from ullage.config import Scenario
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, variant_name
-from ullage.experiments.runner import Compared, execute, of_scenario
+from ullage.experiments.run import Compared, of_scenario
+from ullage.experiments.runner import execute
 from ullage.experiments.simulated import prepare
 
 NAMES = {"thesis": "the method of 2018", "physical": "ullage's method"}

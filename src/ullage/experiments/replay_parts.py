@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from ullage.experiments.run import Run
 from ullage.grids import Image
 from ullage.pipeline import Outcome
 from ullage.radar.explain import explain
 from ullage.view.replay import Explained, Parts, write_replay
-
-if TYPE_CHECKING:
-    from ullage.experiments.runner import Run
 
 EXPLAINED = 12
 """Instants of a run at which every radar's frame is explained, evenly over the flight."""

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.config import Scenario, Task, scenario_text
+from ullage.config import scenario_text
 from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
-from ullage.experiments.draft import Draft, running
+from ullage.experiments.draft import running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
-from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
-from ullage.experiments.inspection import ObjectOnMap, inspect, object_rows
+from ullage.experiments.imaging import image_plane, plane_findings
+from ullage.experiments.inspection import inspect, object_rows
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.obstacle_table import ObstacleTable
 from ullage.experiments.replay_parts import keep_replay
-from ullage.experiments.report_collectors import QuietestFrames, RangeTime, SampledFrames
+from ullage.experiments.report_collectors import SampledFrames
+from ullage.experiments.run import Compared, Report, Run
 from ullage.experiments.simulated import Simulated
 from ullage.experiments.verdict import verdict
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.pipeline import DetectStage, ImageStage, MapStage, Outcome, Sink, Source, Stage, run
 from ullage.processing.obstacles import ObstacleStage
-from ullage.processing.own_echo import OwnEchoFilter
 from ullage.radar.warmup import Compiling
-from ullage.view.replay import MapHistory
 from ullage.world.scene import Scene
 
 Say = Callable[[str], None]
@@ -39,88 +37,6 @@ LIVE_S = 0.2
 """Between two maps or images of a live run: five a second, as the nodes of the thesis [Billdal2018, appendix B]."""
 WATCHED_S = 1.0
 """Between two maps or images of any other run."""
-
-
-@dataclass(frozen=True, slots=True)
-class Compared:
-    """Scores of another law's echoes and map on the same flight."""
-
-    name: str  # in words
-    scenario: str
-    metrics: dict[str, Metric]
-
-    @property
-    def line(self) -> str:
-        """The comparison in one line."""
-        return f"{self.name} on the same flight: F1 {self.metrics['f1'].value:.3f}"
-
-
-@dataclass(slots=True)
-class Run:
-    """A run under way: what it reads, makes and knows."""
-
-    folder: Path  # a draft until the run is complete
-    scenario: Scenario
-    source: Source
-    scene: Scene | None = None
-    flown: Trajectory | None = None
-    marks: Floats | None = None  # surveyed places of reflectors (m, 3) [m], for the pictures only
-    settled: bool = False  # whether these settled clock and range
-    live: bool = False  # `flown` is then the first pose, and the rest is learned on the way
-    watched: bool = False  # a viewer or a live port takes what comes, so images are given as they grow
-    tasks: tuple[Task, ...] = ("detect", "image", "map")
-    detect: DetectStage = field(default_factory=DetectStage)
-    range_time: RangeTime = field(default_factory=RangeTime)
-    sampled: SampledFrames = field(default_factory=SampledFrames)
-    quietest: QuietestFrames = field(default_factory=QuietestFrames)
-    own_echo: OwnEchoFilter = field(default_factory=OwnEchoFilter)
-    history: MapHistory = field(default_factory=MapHistory)
-    plane: ImagePlane | None = None
-    map: MapStage | None = None
-    obstacles: ObstacleTable | None = None
-    findings: list[str] = field(default_factory=list)  # what the report says in words
-    timing: dict[str, float] = field(default_factory=dict)
-    draft: Draft | None = None  # that folder, if it is one to be swapped in
-    sinks: list[Sink] = field(default_factory=list)  # those that were asked for, open
-    rival: Callable[[], Compared] | None = None  # runs another method on the same flight
-    objects: list[ObjectOnMap] = field(default_factory=list)  # what the map shows of each, where the world is known
-
-    @property
-    def title(self) -> str:
-        """What stands above its figures."""
-        return self.scenario.title or self.scenario.name
-
-    def discard(self) -> None:
-        """Remove its folder, in which nothing is worth keeping."""
-        if self.draft is None:
-            shutil.rmtree(self.folder, ignore_errors=True)
-        else:
-            self.draft.discard()
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What a finished run gave."""
-
-    folder: Path
-    outcome: Outcome
-    metrics: dict[str, Metric]
-    figures: tuple[Path, ...]
-    objects: tuple[ObjectOnMap, ...] = ()
-    compared: Compared | None = None
-
-
-def of_scenario(folder: Path | Draft, simulated: Simulated) -> Run:
-    """A run of a simulated scenario, into a plain folder or a draft."""
-    scenario = simulated.scenario
-    run = Run(Path(), scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
-    return into(run, folder)
-
-
-def into(run: Run, folder: Path | Draft) -> Run:
-    """Let a run write to a plain folder, or to a draft that is swapped in when it is complete."""
-    run.folder, run.draft = (folder.path, folder) if isinstance(folder, Draft) else (folder, None)
-    return run
 
 
 def execute(

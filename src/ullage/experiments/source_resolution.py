@@ -18,7 +18,7 @@ from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
 from ullage.experiments.draft import begin_run, check_free, place_of
-from ullage.experiments.runner import Run, into, of_scenario
+from ullage.experiments.run import Run, into, of_scenario
 from ullage.experiments.simulated import prepare
 from ullage.pipeline import Sink, check_sink
 from ullage.pipeline import sink as open_sink

@@ -11,7 +11,8 @@ from typing import Any
 from ullage.data import Frames, Metric, Trajectory, joined
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.draft import begin_run
-from ullage.experiments.runner import execute, of_scenario
+from ullage.experiments.run import of_scenario
+from ullage.experiments.runner import execute
 from ullage.experiments.simulated import Simulated, prepare
 from ullage.grids import Image, OccupancyMap
 from ullage.thesis.results import Results
