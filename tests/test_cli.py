@@ -154,19 +154,17 @@ def test_a_recording_replays_to_the_same_map(place: Path) -> None:
     assert frames == json.loads((place / "runs/latest/metrics.json").read_text())["frames"]["value"]
 
 
-def test_brackets_in_names_are_names(tmp_path, capsys, monkeypatch):
+def test_brackets_in_names_are_names(tmp_path, capsys):
     from ullage.view import progress
 
-    monkeypatch.setattr(progress, "console", progress.Console(soft_wrap=True, width=200))
     progress.say(" pip install 'ullage[view]'", mark="none", style="yellow")
     progress.say_report(tmp_path / "odd[red]" / "report.html")
     assert capsys.readouterr().out == f"none pip install 'ullage[view]'\nreport: {tmp_path}/odd[red]/report.html\n"
 
 
-def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys, monkeypatch):
+def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys):
     from ullage.view import progress
 
-    monkeypatch.setattr(progress, "console", progress.Console(soft_wrap=True, force_terminal=False))
     with progress.progress_bar("reproducing", total=7.0) as bar:
         for k in range(500):
             bar.retitle(f"hold: {k / 5:.0f} %")

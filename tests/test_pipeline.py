@@ -155,14 +155,13 @@ def rig_frames(n: int = 120) -> dict[str, ul.Frames]:
 
 
 @pytest.mark.parametrize("held", [2048, 25])
-def test_an_image_grows_as_the_flight_goes_on_and_ends_as_the_whole_one(held: int, monkeypatch) -> None:
-    monkeypatch.setattr("ullage.pipeline.HELD_FRAMES", held)
+def test_an_image_grows_as_the_flight_goes_on_and_ends_as_the_whole_one(held: int) -> None:
     frames = rig_frames()
     grid = ul.Grid.covering([[-1, -1, 0], [3, 2, 0.1]], 0.05, z_m=0.0)
     finals = {}
     for every_s in (None, 0.2):
         kept = Kept()
-        ul.run(Held(frames, size=4), stages=[ImageStage(grid, every_s=every_s)], sinks=[kept])
+        ul.run(Held(frames, size=4), stages=[ImageStage(grid, every_s=every_s, held_frames=held)], sinks=[kept])
         images = [item for item in kept.items if isinstance(item, ul.Image)]
         finals[every_s] = images[-1]
         assert len(images) == (1 if every_s is None else pytest.approx(4.0 / 0.2, abs=2))

@@ -111,10 +111,9 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "toy", raising=False)
 
 
-def ullage(*words: str, monkeypatch: pytest.MonkeyPatch) -> object:
-    monkeypatch.setattr(sys, "argv", ["ullage", *words])
+def ullage(*words: str) -> object:
     with pytest.raises(SystemExit) as end:
-        main()
+        main(list(words))
     return end.value.code or 0
 
 
@@ -180,7 +179,7 @@ def test_a_sink_takes_what_flows(tmp_path: Path) -> None:
 def test_the_command_reads_and_writes_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.toy").write_text("5")
-    assert ullage("run", "flight.toy", "--do", "detect", "--to", "frames.count", monkeypatch=monkeypatch) == 0
+    assert ullage("run", "flight.toy", "--do", "detect", "--to", "frames.count") == 0
     assert (tmp_path / "frames.count").read_text() == "5"
 
 

@@ -69,17 +69,25 @@ def where_to_run(jobs: int | None, scheduler: str | None) -> int | str | None:
     return scheduler or local_workers(jobs)
 
 
-def main() -> None:
-    """Run the command; what ullage refuses is one line and exit 2, unless --debug asks for the traceback."""
+def main(words: list[str] | None = None) -> None:
+    """Run the command; what ullage refuses is one line and exit 2, unless --debug asks for the traceback.
+
+    Args:
+        words: the command line behind the command's name; None: that of this process.
+
+    Raises:
+        SystemExit: the command is over; its code is 0, or 2 for what was refused.
+    """
     from ullage.errors import DamageWarning, UllageError
     from ullage.experiments.stop_signals import stop_as_ctrl_c
 
-    debug = "--debug" in sys.argv
+    words = sys.argv[1:] if words is None else words
+    debug = "--debug" in words
     sys.argv = [word for word in sys.argv if word != "--debug"]
     warned = _quiet_warnings()
     try:
         with stop_as_ctrl_c():
-            app(standalone_mode=True)
+            app([word for word in words if word != "--debug"], standalone_mode=True)
     except SystemExit as done:
         if not done.code and any(issubclass(category, DamageWarning) for category in warned.values()):
             sys.exit(2)

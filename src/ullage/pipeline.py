@@ -363,7 +363,7 @@ class MapStage:
 class ImageStage:
     """A SAR image that grows with each piece; its memory is the grid's, however long the flight.
 
-    Frames wait until there are `HELD_FRAMES` of a sensor, so that its own echo is estimated from a long part of the
+    Frames wait until there are `held_frames` of a sensor, so that its own echo is estimated from a long part of the
     track. With `every_s` the image so far is given as well, once per so much of the recording. It has the frames that
     wait without the own echo as known by then, so a frame is summed at most twice, and the final image is the same.
     """
@@ -373,6 +373,7 @@ class ImageStage:
     sensor: str = ""  # one sensor; none: all
     own_echo: OwnEchoFilter | None = field(default_factory=_own_echo_filter)  # None: the radar's own echo stays
     every_s: float | None = None  # None: at the end only
+    held_frames: int = HELD_FRAMES  # of a sensor that wait, so that its own echo is estimated from a long part
     _held: dict[str, list[Frames]] = field(default_factory=dict)
     _sum: ImageSum | None = None
     _early: ImageSum | None = None  # with the frames that wait
@@ -392,7 +393,7 @@ class ImageStage:
                 continue
             held = self._held.setdefault(name, [])
             held.append(part)
-            if sum(map(len, held)) >= HELD_FRAMES:
+            if sum(map(len, held)) >= self.held_frames:
                 self._release(name)
         if self.every_s is None or not chunk:
             return ()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,9 +23,8 @@ def test_a_run_is_compared_with_another_law_on_the_same_flight(
 ) -> None:
     options = [word for option in SHORT for word in ("-o", option)]
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["ullage", "run", "ntnu-mapping", "--do", "map", "--compare", "thesis", *options])
     with pytest.raises(SystemExit) as end:
-        main()
+        main(["run", "ntnu-mapping", "--do", "map", "--compare", "thesis", *options])
     assert not end.value.code
     said = capsys.readouterr().out.splitlines()
     f1 = json.loads(Path("runs/latest/metrics.json").read_text())["f1"]["value"]

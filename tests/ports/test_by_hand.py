@@ -163,10 +163,9 @@ def test_keys_of_a_terminal_become_velocities_and_the_terminal_is_given_back() -
     ],
 )
 def test_a_flight_that_cannot_be_is_refused_in_one_line(words, said, monkeypatch, capsys, tmp_path) -> None:
-    monkeypatch.setattr(sys, "argv", ["ullage", *words, "--out", str(tmp_path)])
     monkeypatch.setattr(sys, "stdin", open(os.devnull))  # noqa: SIM115
     with pytest.raises(SystemExit) as end:
-        main()
+        main([*words, "--out", str(tmp_path)])
     assert end.value.code == 2
     error = capsys.readouterr().err
     assert said in error

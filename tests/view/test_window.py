@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -33,9 +31,8 @@ def test_the_newest_profile_of_each_radar_is_drawn() -> None:
 def test_without_a_display_it_is_refused_in_one_line(monkeypatch, capsys, tmp_path) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(sys, "argv", ["ullage", "run", "ntnu-wire", "--to", "window:", "--out", str(tmp_path)])
     with pytest.raises(SystemExit) as end:
-        main()
+        main(["run", "ntnu-wire", "--to", "window:", "--out", str(tmp_path)])
     assert end.value.code == 2
     error = capsys.readouterr().err
     assert "window:: no window can be opened (allowed: a display" in error

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import ullage as ul
-from ullage.world import xacro_process
+from ullage.world.sdf_resolve import Resolver
+from ullage.world.xacro_process import expand_xacro
 
 HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 BOX = "<collision><geometry><box size='1 1 {}'/></geometry></collision>"
@@ -63,8 +64,7 @@ def test_what_an_expansion_may_not_do(name: str, before: str, words: str, tmp_pa
     assert not list(tmp_path.rglob("ran"))
 
 
-def test_an_expansion_without_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(xacro_process, "LONGEST_S", 2)
+def test_an_expansion_without_end_is_stopped(tmp_path: Path) -> None:
     path = robot(tmp_path, "${[0 for a in range(10**6) for b in range(10**6)]}")
     with pytest.raises(ul.InputError, match=r"r\.xacro: xacro (does not end|fails)"):
-        ul.load_scene(path, trust_xacro=True)
+        expand_xacro(path, Resolver(path), longest_s=2)

@@ -22,25 +22,30 @@ MOST_MEMORY = 512 * 2**20
 CHILD = Path(__file__).with_name("xacro_child.py")
 
 
-def expand_xacro(path: Path, resolver: Resolver) -> bytes:
+def expand_xacro(path: Path, resolver: Resolver, *, longest_s: int = LONGEST_S) -> bytes:
     """The URDF that a xacro file makes; lines in messages are then those of the expanded text.
+
+    Args:
+        path: the file.
+        resolver: knows the folders that it may read.
+        longest_s: how long the expansion may take [s].
 
     Raises:
         InputError: xacro fails, takes too long or too much, or wants what is out of its reach.
     """
     roots = [str(folder) for folder in (*resolver.homes, *resolver.folders)]
     request = {
-        "file": str(path.absolute()), "roots": roots, "import_path": sys.path, "seconds": LONGEST_S,
+        "file": str(path.absolute()), "roots": roots, "import_path": sys.path, "seconds": longest_s,
         "memory": MOST_MEMORY, "most_bytes": MOST_BYTES,
     }  # fmt: skip
     with tempfile.TemporaryFile() as out:
         try:
             done = subprocess.run(
                 [sys.executable, "-I", str(CHILD)], input=json.dumps(request).encode(), stdout=out,
-                stderr=subprocess.PIPE, env={}, cwd=path.absolute().parent, timeout=LONGEST_S, check=False,
+                stderr=subprocess.PIPE, env={}, cwd=path.absolute().parent, timeout=longest_s, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise InputError("xacro does not end", where=path, allowed=f"{LONGEST_S} s") from None
+            raise InputError("xacro does not end", where=path, allowed=f"{longest_s} s") from None
         if done.returncode:
             said = one_line(done.stderr.decode(errors="replace"), most=300) or f"it ends with {done.returncode}"
             raise InputError(f"xacro fails: {said}", where=path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -43,14 +42,9 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
         against_recordings(tmp_path, tmp_path / "out")
 
 
-def test_the_command_refuses_it_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(
-        sys, "argv", ["ullage", "validate", "--recordings", str(tmp_path), "--out", str(tmp_path / "out")]
-    )
+def test_the_command_refuses_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
-        main()
+        main(["validate", "--recordings", str(tmp_path), "--out", str(tmp_path / "out")])
     assert end.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out").exists()
