@@ -71,3 +71,13 @@ def test_a_figure_draws_a_map_by_the_same_picture(tmp_path: Path) -> None:
     white = np.flatnonzero((middle > 0.99).all(axis=1) & (np.arange(len(middle)) > dark[0] - 60))
     assert len(dark) >= 2 * 0.8 * (pixels.shape[0] * 0.6 / 30)
     assert len(white) > len(dark)
+
+
+def test_a_figure_is_as_wide_as_the_part_of_the_map_that_it_draws(tmp_path: Path) -> None:
+    percent = np.full((120, 200), -1, np.int8)
+    percent[10:110, 90:120] = 0
+    omap = ul.OccupancyMap(ul.Grid((0, 0, 0), 0.1, percent.shape), percent)
+    ink = imread(figures.map_figure(tmp_path / "map.png", omap, title="tall"))[..., :3].min(axis=(0, 2)) < 0.9
+    first, last = np.flatnonzero(ink)[[0, -1]]
+    assert first < 0.1 * len(ink)
+    assert last > 0.9 * len(ink)

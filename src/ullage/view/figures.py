@@ -146,14 +146,21 @@ def map_figure(
     marks: Floats | None = None,
 ) -> Path:
     """The occupancy map with colour bar and legend, as a picture file."""
-    ny, nx = omap.grid.shape[-2:]
-    with drawing(path, size_in=(7.5, min(max(7.0 * ny / nx, 3.2), 9.0))) as (figure, axes):
+    with drawing(path) as (figure, axes):
         mesh = draw_map(axes, omap, walls=walls, path=flown, marks=marks)
+        figure.set_size_inches(_size_about(axes))
         figure.colorbar(mesh, ax=axes, label="chance of being occupied [%]", shrink=0.8)
         figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         figure.suptitle(title, fontsize=10)
         axes.set_title(f"{omap.method}, {omap.grid.step_m:g} m cells; grey unknown, striped ambiguous", fontsize=8)
     return Path(path)
+
+
+def _size_about(axes: Axes) -> tuple[float, float]:
+    """Width and height of a figure that axes of equal scale fill, beside a colour bar and above a legend [in]."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    width = min(5.4, 7.0 * (right - left) / (top - bottom))
+    return max(width + 2.0, 4.5), max(width * (top - bottom) / (right - left) + 1.5, 3.2)
 
 
 def draw_image(
