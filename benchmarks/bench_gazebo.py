@@ -69,7 +69,7 @@ class Server:
 
     def measure(self, side):
         """Scans, CPU seconds and times real time over a while; and memory [MB]."""
-        from ullage.ports.gazebo_classic.peer import ClassicPeer, Heard, type_of
+        from ullage.ports.gazebo_classic.peer import ClassicPeer, Received, type_of
         from ullage.ports.gazebo_classic.wire import gz
 
         root = "/gazebo/side_by_side"
@@ -79,7 +79,7 @@ class Server:
             scans, sim, begun = 0, [], None
             while begun is None or time.monotonic() - begun[0] < SECONDS:
                 event = peer.wait(0.5)
-                if not isinstance(event, Heard):
+                if not isinstance(event, Received):
                     continue
                 if event.topic.endswith("scan"):
                     scans += begun is not None

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import ullage as ul
-from ullage.ports.cosimulation import FollowOptions, FollowSource
-from ullage.ports.pose_events import Others, Sighting
+from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource
+from ullage.ports.pose_events import ModelPose, OtherModels
 
 CRATES, SECONDS, POSES_HZ = 9, 12.0, 50
 AHEAD = (0.0, 0.0, 0.0, 1.0)
@@ -38,17 +38,17 @@ class Script:
     """Poses of a drone that sways and of crates, the first `moving` of which go to and fro."""
 
     def __init__(self, moving):
-        self.events = self.told(moving)
+        self.events = self.message(moving)
 
-    def told(self, moving):
+    def message(self, moving):
         for k in range(round(SECONDS * POSES_HZ) + 1):
             t_ns, sway = k * 10**9 // POSES_HZ, 0.2 * np.sin(0.05 * k)
             where = {
                 name: ((x, y + (sway if i < moving else 0.0), z), AHEAD)
                 for i, (name, (x, y, z)) in enumerate(homes().items())
             }
-            yield Others(t_ns, where)
-            yield Sighting(t_ns, (0.0, sway, 1.0), AHEAD)
+            yield OtherModels(t_ns, where)
+            yield ModelPose(t_ns, (0.0, sway, 1.0), AHEAD)
 
     def next(self, timeout_s):
         event = next(self.events, None)
@@ -65,9 +65,9 @@ class Script:
 
 def measure(scene, fidelity, moving):
     """CPU-ms a frame."""
-    options = FollowOptions(fidelity=fidelity, model="x")
+    options = CosimulationOptions(fidelity=fidelity, model="x")
     rig = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", noise=None)})
-    source = FollowSource(lambda: Script(moving), scene, rig, options, say=lambda text: None)
+    source = CosimulationSource(lambda: Script(moving), scene, rig, options, log=lambda text: None)
     frames, cpu = 0, time.process_time()
     with contextlib.suppress(KeyboardInterrupt):
         for piece in source.stream(64):

@@ -2,7 +2,7 @@
 
 import time
 
-from ullage.ports.gazebo.peer import Gone, Heard, Peer
+from ullage.ports.gazebo.peer import Peer, ProcessLeft, Received
 from ullage.ports.gazebo.wire import gz
 
 TOPIC, LATE_S = "/flood", 0.02
@@ -25,8 +25,8 @@ with Late() as listener:
             while heard < 50 and time.monotonic() < end:
                 speaker.publish(TOPIC, gz().Float_V(data=[0.5] * 1000))
                 event = listener.wait(0.002)
-                heard += isinstance(event, Heard)
-        while not (isinstance(event := listener.wait(5.0), Gone) or event is None):
+                heard += isinstance(event, Received)
+        while not (isinstance(event := listener.wait(5.0), ProcessLeft) or event is None):
             pass
     time.sleep(4 * LATE_S)
     print("left", listener._take.closed, sorted(listener._joined))

@@ -10,17 +10,17 @@ from scripted import Script
 import ullage as ul
 from ullage.ports import messages as ros
 from ullage.ports.cosimulation import (
-    FollowOptions,
-    FollowSource,
+    CosimulationOptions,
+    CosimulationSource,
     PacedSink,
     nearest,
-    opened,
     options_of,
+    resolved,
     rig_of,
     world_of,
 )
 from ullage.ports.intake import Counters
-from ullage.ports.pose_events import Note, Sighting
+from ullage.ports.pose_events import ModelPose, Notice
 from ullage.ports.radar_status import RadarStatus
 
 RIG = ul.Rig(sensors={"front": ul.RadarSpec.preset("x4m05", fps=10), "left": ul.RadarSpec.preset("x4m05", fps=20)})
@@ -29,13 +29,13 @@ WALL = ul.scenes.plate(width_m=2, height_m=2, distance_m=3.0)
 
 def line(start_s=0.0, end_s=2.0, rate_hz=50.0, speed=0.5):
     times = np.arange(round(start_s * rate_hz), round(end_s * rate_hz) + 1) / rate_hz
-    return [Sighting(round(t * 1e9), (speed * t, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for t in times]
+    return [ModelPose(round(t * 1e9), (speed * t, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)) for t in times]
 
 
 def followed(events, *, said=None, chunk=64, newest_ns=0, **options):
     script = Script(events, newest_ns)
-    chosen = FollowOptions(fidelity="thesis", model="x", **options)
-    source = FollowSource(lambda: script, WALL, RIG, chosen, say=(said if said is not None else []).append)
+    chosen = CosimulationOptions(fidelity="thesis", model="x", **options)
+    source = CosimulationSource(lambda: script, WALL, RIG, chosen, log=(said if said is not None else []).append)
     pieces = []
     with contextlib.suppress(KeyboardInterrupt):
         pieces.extend(source.stream(chunk))
@@ -95,7 +95,7 @@ def test_a_pose_that_comes_late_or_twice_is_passed_by():
 
 
 def shifted(events, by_s):
-    return [Sighting(e.t_ns + round(by_s * 1e9), e.position, e.quat_xyzw) for e in events]
+    return [ModelPose(e.t_ns + round(by_s * 1e9), e.position, e.quat_xyzw) for e in events]
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
@@ -117,8 +117,8 @@ def test_a_step_of_an_hour_begins_a_track_and_computes_nothing_between(step_s):
 def test_one_pose_far_off_is_left_out():
     events = line(5000, 5002)
     clean = followed(events)[0]
-    events.insert(50, Sighting(6000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
-    events.insert(20, Sighting(1000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
+    events.insert(50, ModelPose(6000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
+    events.insert(20, ModelPose(1000 * 10**9, (0, 0, 0), (0, 0, 0, 1)))
     said = []
     pieces = followed(events, said=said)[0]
     assert said[-1].startswith("x: dropped 2 bad (a single stamp -4000.38 s away; a single stamp +999")
@@ -140,7 +140,7 @@ def test_poses_that_are_none_are_counted_and_left_out(position, quat, words):
     events, said = line(), []
     clean = followed(line())[0]
     for k in (0, 30, 60):
-        events.insert(k, Sighting(events[k].t_ns + 1, position, quat))
+        events.insert(k, ModelPose(events[k].t_ns + 1, position, quat))
     pieces = followed(events, said=said)[0]
     assert said[-1] == f"x: dropped 3 bad ({words})"
     for name in RIG.sensors:
@@ -163,7 +163,7 @@ def test_it_ends_after_the_asked_duration():
 
 def test_notes_are_said_but_not_over_and_over():
     said = []
-    followed([Note("gone"), Note("gone"), Note("back"), *line()], said=said)
+    followed([Notice("gone"), Notice("gone"), Notice("back"), *line()], said=said)
     assert said == ["gone", "back"]
 
 
@@ -193,7 +193,7 @@ WORLD = """<sdf version="1.6" xmlns:ullage="urn:ullage:sdf"><world name="w"><mod
 
 def test_the_model_that_declares_radars_is_found_and_left_out_of_the_world(tmp_path):
     (tmp_path / "w.sdf").write_text(WORLD.format("drone"))
-    options, scene, rig = opened(FollowOptions(world=str(tmp_path / "w.sdf")), "here")
+    options, scene, rig = resolved(CosimulationOptions(world=str(tmp_path / "w.sdf")), "here")
     assert options.model == "drone"
     assert not scene.objects
     assert list(rig.sensors) == ["down"]
@@ -224,7 +224,7 @@ def test_radars_come_from_the_world_a_preset_or_a_file(tmp_path):
 )
 def test_bad_options_are_refused_in_one_line(values, words):
     with pytest.raises(ul.InputError, match=words):
-        opened(options_of(FollowOptions, values, "here"), "here")
+        resolved(options_of(CosimulationOptions, values, "here"), "here")
 
 
 class Kept(PacedSink):
@@ -255,8 +255,10 @@ def status_of(message):
 
 
 def test_diagnostics_count_the_frames_that_were_simulated_and_the_poses_that_were_dropped():
-    script = Script([*line(), Sighting(2_100_000_000, (math.nan, 0, 0), (0, 0, 0, 1))], 0)
-    source = FollowSource(lambda: script, WALL, RIG, FollowOptions(fidelity="thesis", model="x"), say=[].append)
+    script = Script([*line(), ModelPose(2_100_000_000, (math.nan, 0, 0), (0, 0, 0, 1))], 0)
+    source = CosimulationSource(
+        lambda: script, WALL, RIG, CosimulationOptions(fidelity="thesis", model="x"), log=[].append
+    )
     found = []
     source.passing.to(found.append)
     with contextlib.suppress(KeyboardInterrupt):

@@ -53,7 +53,7 @@ class Point:
 
 
 def guided(point, takes="velocity", said=None, **limits):
-    return Guided(point, takes, Limits(**limits), say=(said if said is not None else []).append, now=lambda: point.t_s)
+    return Guided(point, takes, Limits(**limits), log=(said if said is not None else []).append, now=lambda: point.t_s)
 
 
 def fly(drone, point, seconds):

@@ -9,9 +9,9 @@ import pytest
 from scripted import Script
 
 import ullage as ul
-from ullage.ports.cosimulation import FollowOptions, FollowSource
-from ullage.ports.dynamic_scene import TURNED_RAD, Surroundings
-from ullage.ports.pose_events import Others, Sighting
+from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource
+from ullage.ports.dynamic_scene import TURNED_RAD, DynamicScene
+from ullage.ports.pose_events import ModelPose, OtherModels
 
 AHEAD = (0.0, 0.0, 0.0, 1.0)
 RADAR = ul.RadarSpec.preset("x4m05", fps=10, antenna={"kind": "isotropic"}, noise=None)
@@ -30,9 +30,9 @@ def world(tmp_path):
 
 
 def followed(world, events, *, said=None, chunk=64, fidelity="physical"):
-    options = FollowOptions(fidelity=fidelity, model="x")
-    say = (said if said is not None else []).append
-    source = FollowSource(lambda: Script(events), world, ul.Rig(sensors={"front": RADAR}), options, say=say)
+    options = CosimulationOptions(fidelity=fidelity, model="x")
+    log = (said if said is not None else []).append
+    source = CosimulationSource(lambda: Script(events), world, ul.Rig(sensors={"front": RADAR}), options, log=log)
     pieces = []
     with contextlib.suppress(KeyboardInterrupt):
         pieces.extend(piece["front"] for piece in source.stream(chunk))
@@ -49,9 +49,9 @@ def hovering(end_s, plate, rate_hz=50.0, **more):
     out = []
     for t in np.arange(round(end_s * rate_hz) + 1) / rate_hz:
         x = plate(t)
-        told = {"wall": ((7.0, 0.0, 0.0), AHEAD)} | ({} if x is None else {"plate": ((x, 0.0, 0.0), AHEAD)})
+        poses = {"wall": ((7.0, 0.0, 0.0), AHEAD)} | ({} if x is None else {"plate": ((x, 0.0, 0.0), AHEAD)})
         gone = frozenset({"plate"} if x is None else ())
-        out += [Others(round(t * 1e9), told, gone, **more), Sighting(round(t * 1e9), (0.0, 0.0, 0.0), AHEAD)]
+        out += [OtherModels(round(t * 1e9), poses, gone, **more), ModelPose(round(t * 1e9), (0.0, 0.0, 0.0), AHEAD)]
     return out
 
 
@@ -121,10 +121,10 @@ def test_a_model_that_the_world_did_not_have_is_said_once_and_not_seen(world):
 
 
 def test_what_trembles_at_its_place_stays_a_part_of_the_still_world(world):
-    around = Surroundings(world)
-    assert not around.changed_by(Others(0, {"plate": ((3.0005, 0, 0), AHEAD), "lamp": ((9, 9, 9), AHEAD)}))
+    around = DynamicScene(world)
+    assert not around.changed_by(OtherModels(0, {"plate": ((3.0005, 0, 0), AHEAD), "lamp": ((9, 9, 9), AHEAD)}))
     turned = (0, 0, float(np.sin(TURNED_RAD)), float(np.cos(TURNED_RAD)))
-    assert around.changed_by(Others(0, {"plate": ((3.0, 0, 0), turned)}))
+    assert around.changed_by(OtherModels(0, {"plate": ((3.0, 0, 0), turned)}))
     assert around.scene is world
 
 
@@ -143,12 +143,12 @@ class Speaking(threading.Thread):
             server.advertise("/world/w/pose/info", "gz.msgs.Pose_V")
             server.advertise("/world/w/scene/info", "gz.msgs.Scene")
             for step in itertools.count():
-                told = gz().Pose_V()
-                told.header.stamp.sec, told.header.stamp.nsec = divmod(step * 20_000_000, 10**9)
+                message = gz().Pose_V()
+                message.header.stamp.sec, message.header.stamp.nsec = divmod(step * 20_000_000, 10**9)
                 link = ("plate", 0.0)  # of the same name as its model, relative to it
                 for name, x in (("x", 0.0), ("plate", 6 - 0.01 * (step % 500)), ("wall", 7.0), link):
-                    told.pose.add(name=name).position.x = x
-                server.publish("/world/w/pose/info", told)
+                    message.pose.add(name=name).position.x = x
+                server.publish("/world/w/pose/info", message)
                 if step % 50 == 0:
                     news = gz().Scene()
                     news.model.add(name="ball")
@@ -164,7 +164,7 @@ def test_a_peer_of_gazebo_transport_tells_where_the_plate_is(partition, tmp_path
     said = []
     options = {"model": "x", "world": str(tmp_path / "w.sdf"), "rig": "single", "fidelity": "thesis", "duration_s": 1.5}
     server = Speaking()
-    with source_of("", options, say=said.append) as live:
+    with source_of("", options, log=said.append) as live:
         server.start()
         frames = live.frames()
     server.over.set()

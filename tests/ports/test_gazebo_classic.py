@@ -13,11 +13,11 @@ from ullage.errors import InputError
 
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Heard, Lost, Met
+from ullage.ports.gazebo_classic.peer import ClassicPeer, Connected, Disconnected, Received, Unresponsive
 from ullage.ports.gazebo_classic.source import ClassicFeed, ClassicOptions
 from ullage.ports.gazebo_classic.wire import Stream, framed, gz, master_of, packet
 from ullage.ports.intake import Counters
-from ullage.ports.pose_events import Others, Sighting
+from ullage.ports.pose_events import ModelPose, OtherModels
 from ullage.ports.scanning import ScanSource
 from ullage.specs import Rig
 
@@ -68,7 +68,7 @@ class Server:
         self.offers = offers  # port of the clock; none: the same
         self.door = socket.create_server(("127.0.0.1", port))
         self.port = self.door.getsockname()[1]
-        self.heard, self.lines = [], []
+        self.received, self.lines = [], []
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self):
@@ -95,12 +95,14 @@ class Server:
         stream = Stream()
         while raw := sock.recv(65536):
             for data in stream.take(raw):
-                said = gz().Packet.FromString(data)
-                self.heard.append(said)
-                if said.type == "request" and gz().Request.FromString(said.serialized_data).request.endswith("spaces"):
+                message = gz().Packet.FromString(data)
+                self.received.append(message)
+                if message.type == "request" and gz().Request.FromString(message.serialized_data).request.endswith(
+                    "spaces"
+                ):
                     sock.sendall(packet("get_topic_namespaces_response", gz().GzString_V(data=["w"])))
-                if said.type == "subscribe":
-                    want = gz().Subscribe.FromString(said.serialized_data)
+                if message.type == "subscribe":
+                    want = gz().Subscribe.FromString(message.serialized_data)
                     offer = gz().Publish(
                         topic=want.topic, msg_type=want.msg_type, host="127.0.0.1", port=self.offers or self.port
                     )
@@ -124,7 +126,7 @@ def until(peer, kind, limit_s=60.0):
 def test_a_peer_joins_publishers_and_serves_readers():
     server = Server()
     with ClassicPeer(("127.0.0.1", server.port)) as peer:
-        assert until(peer, Met).worlds == ("w", "/gazebo")
+        assert until(peer, Connected).worlds == ("w", "/gazebo")
         peer.advertise("/gazebo/w/x/range", "gazebo.msgs.GzString")
         with socket.create_connection(("127.0.0.1", peer.port)) as reader:
             want = gz().Subscribe(topic="/gazebo/w/x/range", host="127.0.0.1", port=1, msg_type="gazebo.msgs.GzString")
@@ -141,16 +143,16 @@ def test_a_peer_joins_publishers_and_serves_readers():
                     break
             assert gz().GzString.FromString(got[0]).data == "3.25"
     end = time.monotonic() + 60  # its thread may not have read yet
-    while "advertise" not in {packet.type for packet in list(server.heard)} and time.monotonic() < end:
+    while "advertise" not in {packet.type for packet in list(server.received)} and time.monotonic() < end:
         time.sleep(0.02)
-    assert "advertise" in {packet.type for packet in server.heard}
+    assert "advertise" in {packet.type for packet in server.received}
     server.close()
 
 
 def test_a_server_that_went_is_found_again_and_told_anew():
     server = Server()
     with ClassicPeer(("127.0.0.1", server.port)) as peer:
-        until(peer, Met)
+        until(peer, Connected)
         peer.subscribe("/gazebo/w/world_stats", "gazebo.msgs.WorldStatistics")
         peer.advertise("/gazebo/w/x", "gazebo.msgs.GzString")
         time.sleep(0.2)
@@ -158,34 +160,34 @@ def test_a_server_that_went_is_found_again_and_told_anew():
         for sock in server.lines:
             sock.shutdown(socket.SHUT_RDWR)
         server.close()
-        until(peer, Lost)
+        until(peer, Disconnected)
         for _ in range(20):
             try:
                 server = Server(port)
                 break
             except OSError:
                 time.sleep(0.2)
-        until(peer, Met)
+        until(peer, Connected)
         end = time.monotonic() + 60
-        while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.heard}:
+        while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.received}:
             time.sleep(0.05)
-        assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
+        assert {"subscribe", "advertise"} <= {p.type for p in server.received}
         server.close()
 
 
 @pytest.mark.parametrize("mute", [False, True])
 def test_a_master_that_accepts_and_never_reads_is_joined_anew(mute):
     server = Server(deaf=2, mute=mute)
-    with ClassicPeer(("127.0.0.1", server.port), ask_s=0.1, deaf_s=0.4) as peer:
+    with ClassicPeer(("127.0.0.1", server.port), ask_s=0.1, answer_s=0.4) as peer:
         peer.subscribe("/gazebo/w/world_stats", "gazebo.msgs.WorldStatistics")
         peer.advertise("/gazebo/w/x", "gazebo.msgs.GzString")
-        until(peer, Deaf)
-        until(peer, Deaf)
-        until(peer, Met)
+        until(peer, Unresponsive)
+        until(peer, Unresponsive)
+        until(peer, Connected)
         end = time.monotonic() + 60
-        while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.heard}:
+        while time.monotonic() < end and not {"subscribe", "advertise"} <= {p.type for p in server.received}:
             time.sleep(0.05)
-        assert {"subscribe", "advertise"} <= {p.type for p in server.heard}
+        assert {"subscribe", "advertise"} <= {p.type for p in server.received}
         time.sleep(1.0)
         assert len(server.lines) == 4  # two that were never read, one that is, and one to the publisher
     server.close()
@@ -214,7 +216,7 @@ def test_a_publisher_that_cannot_be_joined_at_once_is_tried_again():
 
 def asked_twice_since_offered(server):
     """Whether the peer has tried again: it does so each time it asks the master."""
-    kinds = [said.type for said in list(server.heard)]
+    kinds = [message.type for message in list(server.received)]
     return "subscribe" in kinds and kinds[kinds.index("subscribe") :].count("request") >= 2
 
 
@@ -223,7 +225,7 @@ def test_somebody_who_speaks_nonsense_is_let_go():
         line.sendall(b"GET / HTTP/1.1\r\n\r\n")
         line.settimeout(60)
         assert line.recv(10) == b""
-        assert not isinstance(peer.wait(0.0), Heard)
+        assert not isinstance(peer.wait(0.0), Received)
 
 
 def test_an_interface_that_is_not_ours_is_refused():
@@ -245,8 +247,8 @@ class Told:
     def __init__(self):
         self.events, self.asked, self.joined, self.counters = [], [], [], Counters()
 
-    def hear(self, topic, message):
-        self.events.append(Heard(f"/gazebo/w/{topic}", message.SerializeToString()))
+    def receive(self, topic, message):
+        self.events.append(Received(f"/gazebo/w/{topic}", message.SerializeToString()))
 
     def wait(self, timeout_s):
         return self.events.pop(0) if self.events else None
@@ -272,14 +274,14 @@ def posed(x, **more):
 def test_a_feed_tells_of_other_models_before_the_model_itself():
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box", "wall"}))
-    peer.events.append(Met(("w",)))
+    peer.events.append(Connected(("w",)))
     assert "runs the world 'w'" in feed.next(0.1).text
-    told = gz().PosesStamped(time=gz().Time(sec=3, nsec=5))
+    message = gz().PosesStamped(time=gz().Time(sec=3, nsec=5))
     for name, x in (("x", 1.0), ("x::link", 9.0), ("box", 2.0), ("lamp", 4.0)):
-        told.pose.append(posed(x, name=name))
-    peer.hear("pose/info", told)
-    assert feed.next(0.1) == Others(3_000_000_005, {"box": ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))})
-    assert feed.next(0.1) == Sighting(3_000_000_005, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        message.pose.append(posed(x, name=name))
+    peer.receive("pose/info", message)
+    assert feed.next(0.1) == OtherModels(3_000_000_005, {"box": ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))})
+    assert feed.next(0.1) == ModelPose(3_000_000_005, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 TOPICS = ("pose/info", "world_stats", "response", "model/info", "request", "x/l/front/scan")
@@ -289,7 +291,7 @@ TOPICS = ("pose/info", "world_stats", "response", "model/info", "request", "x/l/
 def test_bytes_that_cannot_be_read_are_counted_and_end_nothing(topic, data):
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box"}))
-    peer.events += [Heard(f"/gazebo/w/{topic}", data), Heard(f"/gazebo/w/{topic}", b"\xff\xff")]
+    peer.events += [Received(f"/gazebo/w/{topic}", data), Received(f"/gazebo/w/{topic}", b"\xff\xff")]
     while feed.next(0.0) is not None:
         pass
     assert not peer.events
@@ -300,7 +302,7 @@ def test_poses_of_other_models_that_are_none_are_counted():
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box", "wall"}))
     poses = [posed(np.nan, name="box"), posed(3.0, name="wall"), posed(1.0, name="x")]
-    peer.hear("pose/info", gz().PosesStamped(time=gz().Time(sec=1, nsec=0), pose=poses))
+    peer.receive("pose/info", gz().PosesStamped(time=gz().Time(sec=1, nsec=0), pose=poses))
     assert set(feed.next(0.0).poses) == {"wall"}
     assert feed.next(0.0).position == (1.0, 0.0, 0.0)
     assert peer.counters.lines() == ["/gazebo/w/pose/info: dropped 1 bad (box: position is not finite)"]
@@ -333,13 +335,13 @@ def feed_of_model(rays, *links):
     """A feed whose server has told what sensors the model has, and its peer."""
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x", rays=rays), ask_every_s=0.0)
-    peer.events.append(Met(("w",)))
+    peer.events.append(Connected(("w",)))
     feed.next(0.1)
     none = gz().Time(sec=0, nsec=0)
     stats = gz().WorldStatistics(sim_time=none, pause_time=none, real_time=none, iterations=1, paused=False)
-    peer.hear("world_stats", stats)
+    peer.receive("world_stats", stats)
     feed.next(0.0)
-    peer.hear("response", model_with(*links, asked=peer.asked[-1]))
+    peer.receive("response", model_with(*links, asked=peer.asked[-1]))
     peer.joined.clear()
     return feed, peer
 
@@ -372,7 +374,7 @@ def test_ray_sensors_of_one_name_are_told_apart_by_their_links():
     feed, peer = feed_of_model("*", ("base", [("ray", "ray")]), ("arm", [("ray", "ray")]))
     assert feed.next(0.0) is None
     for x, path in enumerate(("base", "arm")):
-        peer.hear(f"x/{path}/ray/scan", scanned(1, x=float(x), **SCAN))
+        peer.receive(f"x/{path}/ray/scan", scanned(1, x=float(x), **SCAN))
     found = [feed.next(0.0) for _ in range(2)]
     assert [(scan.sensor, scan.position[0]) for scan in found] == [("base/ray", 0.0), ("arm/ray", 1.0)]
 
@@ -383,7 +385,7 @@ def test_each_ray_sensor_is_a_radar_of_the_rig():
     for sec in range(1, 6):
         for x, name in enumerate(("front", "left")):
             ranges = {"ranges": [2.0 + 2 * x] * 4}
-            peer.hear(f"x/base/{name}/scan", scanned(sec, x=float(x), **(SCAN | ranges)))
+            peer.receive(f"x/base/{name}/scan", scanned(sec, x=float(x), **(SCAN | ranges)))
     options = ClassicOptions(model="x", rays="front,left", duration_s=3.5, publish=False)
     with ScanSource(lambda: feed, Rig.preset("thesis-4"), options) as live:
         whole = live.frames()
@@ -406,7 +408,7 @@ def test_scans_that_are_none_are_counted(change):
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x", rays="front"))
     for scan in (SCAN | change, SCAN):
-        peer.hear("x/l/front/scan", scanned(1, **scan))
+        peer.receive("x/l/front/scan", scanned(1, **scan))
     assert feed.next(0.0).range_m.shape == (2, 2)
     assert peer.counters.dropped("bad") == 1
 
@@ -414,13 +416,13 @@ def test_scans_that_are_none_are_counted(change):
 def test_a_feed_asks_where_everything_is_and_hears_what_comes_and_goes():
     peer = Told()
     feed = ClassicFeed(peer, ClassicOptions(model="x"), frozenset({"x", "box", "wall"}))
-    peer.events.append(Met(("w",)))
+    peer.events.append(Connected(("w",)))
     feed.next(0.1)
     none = gz().Time(sec=0, nsec=0)
     stats = gz().WorldStatistics(
         sim_time=gz().Time(sec=7, nsec=0), pause_time=none, real_time=none, iterations=1, paused=False
     )
-    peer.hear("world_stats", stats)
+    peer.receive("world_stats", stats)
     assert feed.next(0.0) is None
     asked = next(ask for ask in peer.asked if ask.request == "scene_info")
     scene = gz().Scene(name="w")
@@ -428,12 +430,12 @@ def test_a_feed_asks_where_everything_is_and_hears_what_comes_and_goes():
         scene.model.append(gz().Model(name=name, pose=posed(x)))
     answer = gz().Response(id=asked.id, request="scene_info", response="success", type="gazebo.msgs.Scene")
     answer.serialized_data = scene.SerializePartialToString()
-    peer.hear("response", answer)
+    peer.receive("response", answer)
     found = feed.next(0.1)
-    assert found == Others(
+    assert found == OtherModels(
         7 * 10**9, {"box": ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))}, frozenset({"wall"}), frozenset({"lamp"})
     )
-    peer.hear("request", gz().Request(id=1, request="entity_delete", data="box"))
+    peer.receive("request", gz().Request(id=1, request="entity_delete", data="box"))
     assert feed.next(0.1).gone == {"box"}
-    peer.hear("model/info", gz().Model(name="sphere"))
+    peer.receive("model/info", gz().Model(name="sphere"))
     assert feed.next(0.1).new == {"sphere"}

@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.gazebo.peer import Came, Gone, Heard
+from ullage.ports.gazebo.peer import ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.source import GazeboOptions, PoseFeed
 from ullage.ports.gazebo.wire import gz
 from ullage.ports.intake import Counters
-from ullage.ports.pose_events import Note, Sighting
+from ullage.ports.pose_events import ModelPose, Notice
 from ullage.ports.scanning import Scan
 
 POSES, SCAN = "/world/w/dynamic_pose/info", "/model/x3/link/base/sensor/sonar/scan"
@@ -37,7 +37,7 @@ class Notebook:
 
 
 def came(topic, process="server"):
-    return Came(topic, "gz.msgs.LaserScan" if topic.endswith("/scan") else "gz.msgs.Pose_V", process)
+    return TopicOffered(topic, "gz.msgs.LaserScan" if topic.endswith("/scan") else "gz.msgs.Pose_V", process)
 
 
 def stamped(message, t_ns):
@@ -45,24 +45,24 @@ def stamped(message, t_ns):
     return message
 
 
-def heard(topic, message):
-    return Heard(topic, f"gz.msgs.{type(message).__name__}", message.SerializeToString())
+def received(topic, message):
+    return Received(topic, f"gz.msgs.{type(message).__name__}", message.SerializeToString())
 
 
 def pose(t_ns, x):
     message = stamped(gz().Pose_V(), t_ns)
     one = message.pose.add(name="x3")
     one.position.x, one.orientation.w = x, 1.0
-    return heard(POSES, message)
+    return received(POSES, message)
 
 
 def scan(t_ns):
-    told = stamped(gz().LaserScan(), t_ns)
-    told.angle_min, told.angle_max, told.count, told.angle_step = -0.5, 0.5, 3, 0.5
-    told.range_min, told.range_max, told.vertical_count = 0.1, 10.0, 1
-    told.ranges.extend([2.0, 2.0, 2.0])
-    told.intensities.extend([0.0, 0.0, 0.0])
-    return heard(SCAN, told)
+    message = stamped(gz().LaserScan(), t_ns)
+    message.angle_min, message.angle_max, message.count, message.angle_step = -0.5, 0.5, 3, 0.5
+    message.range_min, message.range_max, message.vertical_count = 0.1, 10.0, 1
+    message.ranges.extend([2.0, 2.0, 2.0])
+    message.intensities.extend([0.0, 0.0, 0.0])
+    return received(SCAN, message)
 
 
 def taken(*events, mount=None, **options):
@@ -94,12 +94,12 @@ def test_poses_without_rays_are_sightings_and_with_rays_the_places_of_scans():
     """A scan is cast from where the model was last seen, and its sensor on it."""
     events = [came(POSES), came(SCAN), pose(10**9, 1.5), scan(11 * 10**8)]
     found, _ = taken(*events[:1], events[2])
-    (seen,) = (one for one in found if isinstance(one, Sighting))
+    (seen,) = (one for one in found if isinstance(one, ModelPose))
     assert (seen.t_ns, seen.position[0]) == (10**9, 1.5)
     mount = np.eye(4)
     mount[0, 3] = 0.25
     found, _ = taken(*events, rays="sonar", mount=mount)
-    assert not [one for one in found if isinstance(one, Sighting)]
+    assert not [one for one in found if isinstance(one, ModelPose)]
     (cast,) = (one for one in found if isinstance(one, Scan))
     assert cast.t_ns == 11 * 10**8
     assert cast.position == pytest.approx((1.75, 0, 0))
@@ -110,8 +110,8 @@ def test_each_of_several_ray_sensors_is_cast_from_its_own_place():
     mounts, peer = {name: np.eye(4) for name in ("sonar", "left")}, Notebook()
     mounts["left"][1, 3] = 0.5
     other = SCAN.replace("sonar", "left")
-    told = Heard(other, "gz.msgs.LaserScan", scan(11 * 10**8).data)
-    peer.events.extend([came(POSES), came(SCAN), came(other), pose(10**9, 1.0), scan(11 * 10**8), told])
+    message = Received(other, "gz.msgs.LaserScan", scan(11 * 10**8).data)
+    peer.events.extend([came(POSES), came(SCAN), came(other), pose(10**9, 1.0), scan(11 * 10**8), message])
     feed = PoseFeed(peer, GazeboOptions(model="x3", rays="sonar,left"), "", mounts)
     found = [feed.next(0.0) for _ in range(6)]
     cast = {one.sensor: one.position for one in found if isinstance(one, Scan)}
@@ -125,8 +125,10 @@ def test_a_scan_before_any_pose_is_counted_and_dropped():
 
 
 def test_a_server_that_comes_and_goes_is_reported_once():
-    found, _ = taken(came(POSES, "a"), came(POSES, "b"), Gone("a"), Gone("c"), Gone("b"), came(POSES, "d"))
-    texts = [one.text for one in found if isinstance(one, Note)]
+    found, _ = taken(
+        came(POSES, "a"), came(POSES, "b"), ProcessLeft("a"), ProcessLeft("c"), ProcessLeft("b"), came(POSES, "d")
+    )
+    texts = [one.text for one in found if isinstance(one, Notice)]
     assert [("gives" in text, "gone" in text) for text in texts] == [(True, False), (False, True), (True, False)]
 
 

@@ -16,7 +16,7 @@ pytest.importorskip("google.protobuf")
 
 from ullage.errors import InputError
 from ullage.ports.gazebo import wire
-from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
+from ullage.ports.gazebo.peer import Peer, ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.wire import gz
 
 POSE = "header {{ stamp {{ sec: {} nsec: 5 }} }} pose {{ name: 'x3' position {{ x: 1.5 }} orientation {{ w: 1 }} }}"
@@ -38,12 +38,12 @@ def test_the_real_tool_publishes_to_us(ign_topic):
             process = ign_topic("-t", "/world/w/pose/info", "-m", "ignition.msgs.Pose_V", "-p", POSE.format(second))
             process.wait(60)
             try:
-                heard = until(peer, Heard, 0.5)
+                received = until(peer, Received, 0.5)
             except TimeoutError:
                 continue
             break
-        assert heard.kind == "ignition.msgs.Pose_V"
-        poses = gz().Pose_V.FromString(heard.data)
+        assert received.kind == "ignition.msgs.Pose_V"
+        poses = gz().Pose_V.FromString(received.data)
         assert (poses.header.stamp.sec, poses.header.stamp.nsec) == (second, 5)
         assert poses.pose[0].name == "x3"
         assert poses.pose[0].position.x == 1.5
@@ -59,9 +59,9 @@ def test_the_real_tool_lists_and_echoes_what_we_publish(ign_topic):
             time.sleep(0.05)
         assert echo.communicate()[0].split().count("3.25") == 2
         assert "/model/x3/radar/front/range" in ign_topic("-l").communicate(timeout=60)[0].split()
-        told = ign_topic("-i", "-t", "/model/x3/radar/front/range").communicate(timeout=60)[0]
-        assert "ignition.msgs.Double" in told
-        assert "tcp://127.0.0.1:" in told
+        shown = ign_topic("-i", "-t", "/model/x3/radar/front/range").communicate(timeout=60)[0]
+        assert "ignition.msgs.Double" in shown
+        assert "tcp://127.0.0.1:" in shown
 
 
 def test_two_peers_find_each_other_whoever_comes_first(partition):
@@ -69,18 +69,18 @@ def test_two_peers_find_each_other_whoever_comes_first(partition):
         listener.subscribe("/clock")
         with Peer() as speaker:
             speaker.advertise("/clock", "gz.msgs.Clock")
-            came = until(listener, Came)
+            came = until(listener, TopicOffered)
             assert (came.topic, came.kind, came.process) == ("/clock", "gz.msgs.Clock", speaker.uuid)
             with Peer() as late:
                 late.subscribe("/clock")
-                until(late, Came)
+                until(late, TopicOffered)
                 end = time.monotonic() + 60
-                heard = []
-                while len(heard) < 2 and time.monotonic() < end:
+                received = []
+                while len(received) < 2 and time.monotonic() < end:
                     speaker.publish("/clock", gz().Clock(sim=gz().Time(sec=7)))
-                    heard += [e for e in (listener.wait(0.05), late.wait(0.05)) if isinstance(e, Heard)]
-                assert gz().Clock.FromString(heard[-1].data).sim.sec == 7
-        assert until(listener, Gone).process == speaker.uuid
+                    received += [e for e in (listener.wait(0.05), late.wait(0.05)) if isinstance(e, Received)]
+                assert gz().Clock.FromString(received[-1].data).sim.sec == 7
+        assert until(listener, ProcessLeft).process == speaker.uuid
 
 
 def test_a_speaker_may_leave_while_its_words_wait(partition):
@@ -96,7 +96,7 @@ def test_what_was_not_advertised_is_not_said(partition):
             peer.publish("/clock", gz().Clock())
         peer.advertise("/clock", "gz.msgs.Clock")  # it lives on
         with Peer() as listener:
-            assert until(listener, Came).process == peer.uuid
+            assert until(listener, TopicOffered).process == peer.uuid
 
 
 def test_another_partition_is_not_heard(partition):
@@ -126,15 +126,15 @@ def test_only_the_loopback_is_bound(partition):
     with wire.discovery_socket(wire.MESSAGE_PORT, "127.0.0.1") as network, Peer() as peer:
         network.settimeout(60)
         peer.advertise("/clock", "gz.msgs.Clock")
-        while (said := wire.read_datagram(network.recv(65536))) is None or said.process_uuid != peer.uuid or (
-            said.type != wire.ADVERTISE
+        while (datagram := wire.read_datagram(network.recv(65536))) is None or datagram.process_uuid != peer.uuid or (
+            datagram.type != wire.ADVERTISE
         ):  # fmt: skip
             pass
-        assert said.pub.address.startswith("tcp://127.0.0.1:")
+        assert datagram.pub.address.startswith("tcp://127.0.0.1:")
         group = (wire.GROUP, wire.MESSAGE_PORT)
         network.sendto(offered_by("far", peer.partition, "tcp://192.0.2.7:4"), group)  # not on the loopback
         network.sendto(offered_by("near", peer.partition, "tcp://127.0.0.1:4"), group)
-        assert until(peer, Came).process == "near"
+        assert until(peer, TopicOffered).process == "near"
 
 
 def test_an_address_that_is_not_ours_is_refused():
@@ -144,8 +144,8 @@ def test_an_address_that_is_not_ours_is_refused():
 
 @given(st.binary(max_size=200))
 def test_datagrams_that_lie_are_passed_by(raw):
-    for said in (raw, struct.pack("<H", len(raw)) + raw):
-        found = wire.read_datagram(said)
+    for datagram in (raw, struct.pack("<H", len(raw)) + raw):
+        found = wire.read_datagram(datagram)
         assert found is None or found.version % 100 == wire.WIRE_VERSION
 
 

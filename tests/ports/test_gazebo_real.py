@@ -79,9 +79,9 @@ class Gazebo:
     def stop(self):
         if self.process is not None:
             self.process.kill()
-            said = self.process.communicate()[1]
+            output = self.process.communicate()[1]
             self.process = None
-            return said or ""
+            return output or ""
         return ""
 
 
@@ -92,9 +92,9 @@ def gazebo():
     server.stop()
 
 
-def source(gazebo, said=None, **options):
+def source(gazebo, lines=None, **options):
     chosen = {"world": str(WORLD), "fidelity": "thesis", **options}
-    return source_of(f"127.0.0.1:{gazebo.port}", chosen, say=(said if said is not None else []).append)
+    return source_of(f"127.0.0.1:{gazebo.port}", chosen, log=(lines if lines is not None else []).append)
 
 
 def until(pieces, good, limit=400):
@@ -106,10 +106,10 @@ def until(pieces, good, limit=400):
 
 def test_gazebos_own_rays_meet_what_ours_meet(gazebo, monkeypatch):
     gazebo.start(WORLD)
-    scans, hear = [], ClassicFeed.next
+    scans, receive = [], ClassicFeed.next
 
     def hearing(self, timeout_s):
-        found = hear(self, timeout_s)
+        found = receive(self, timeout_s)
         scans.extend([found] if isinstance(found, Scan) else [])
         return found
 
@@ -164,8 +164,8 @@ def test_a_model_that_stands_still_is_seen(gazebo):
 
 def test_other_models_are_seen_where_they_fall_and_are_put(gazebo):
     gazebo.start(WORLD.with_name("falling.world"))
-    said = []
-    with source(gazebo, said, world=str(WORLD.with_name("falling.world"))) as live:
+    lines = []
+    with source(gazebo, lines, world=str(WORLD.with_name("falling.world"))) as live:
         pieces = live.stream()
 
         def sees(range_m):
@@ -176,51 +176,51 @@ def test_other_models_are_seen_where_they_fall_and_are_put(gazebo):
             return good
 
         until(pieces, sees(2.6))  # the box has fallen, before we came or since
-        assert sum("'box'" in text for text in said) == 1
+        assert sum("'box'" in text for text in lines) == 1
         gazebo.tool("model", "-m", "box", "-x", "2", "-y", "0", "-z", "4")
         until(pieces, sees(1.6))  # it falls again, nearer
         gazebo.tool("model", "-m", "wall", "-x", "1.5", "-y", "0", "-z", "0.4")  # static, and moved all the same
         until(pieces, sees(1.45))
-        assert "'wall' moves: it is followed" in said
+        assert "'wall' moves: it is followed" in lines
         gazebo.tool("model", "-m", "sphere", "-f", "/ullage/world/sphere.sdf")
-        until(pieces, lambda piece: any(text.startswith("'sphere' is new") for text in said))
+        until(pieces, lambda piece: any(text.startswith("'sphere' is new") for text in lines))
         gazebo.tool("model", "-m", "box", "-d")  # gzserver now and then comes to a stop with it, so no frame is awaited
-        feed_until(live, lambda: "'box' has gone from the world" in said)
+        feed_until(live, lambda: "'box' has gone from the world" in lines)
 
 
 def test_a_pause_and_a_reset_are_said_and_survived(gazebo):
     gazebo.start(WORLD)
-    said = []
-    with source(gazebo, said, rig="single") as live:
+    lines = []
+    with source(gazebo, lines, rig="single") as live:
         pieces = live.stream()
         until(pieces, lambda piece: True)
         gazebo.tool("world", "-p", "1")
         gazebo.tool("world", "-p", "0")
-        until(pieces, lambda piece: "gzserver goes on" in said)
-        assert "gzserver is paused" in said
+        until(pieces, lambda piece: "gzserver goes on" in lines)
+        assert "gzserver is paused" in lines
         gazebo.tool("world", "-r")
-        until(pieces, lambda piece: any(text.startswith("time jumped back") for text in said))
+        until(pieces, lambda piece: any(text.startswith("time jumped back") for text in lines))
         assert len(until(pieces, lambda piece: True)["front"]) >= 1
 
 
 def test_a_deleted_model_and_a_killed_server_are_said_and_survived(gazebo):
-    said = []
+    lines = []
     gazebo.start(WORLD)
-    with source(gazebo, said, rig="single") as live:
+    with source(gazebo, lines, rig="single") as live:
         pieces = live.stream()
         until(pieces, lambda piece: True)
-        delete(gazebo, live, pieces, said)
+        delete(gazebo, live, pieces, lines)
         gazebo.stop()
-        feed_until(live, lambda: any(text.startswith("gzserver has gone") for text in said))
-        met = said.count("gzserver runs the world 'side_by_side'")
+        feed_until(live, lambda: any(text.startswith("gzserver has gone") for text in lines))
+        met = lines.count("gzserver runs the world 'side_by_side'")
         time.sleep(PATIENCE_S)  # the same is not said more often
         gazebo.start(WORLD)
         last = until(pieces, lambda piece: True)["front"]
-        assert said.count("gzserver runs the world 'side_by_side'") == met + 1
+        assert lines.count("gzserver runs the world 'side_by_side'") == met + 1
         assert len(last) >= 1
 
 
-def delete(gazebo, live, pieces, said):
+def delete(gazebo, live, pieces, lines):
     """Delete the model and wait until that is said; on another server where gzserver itself has come to a stop.
 
     It does so now and then when a model goes: once in 40 times with Gazebo's own tools alone, which it then does not
@@ -229,10 +229,10 @@ def delete(gazebo, live, pieces, said):
     for _ in range(3):
         gazebo.tool("model", "-m", "x3", "-d")
         with contextlib.suppress(TimeoutError):
-            feed_until(live, lambda: any("has gone from gzserver" in text for text in said))
+            feed_until(live, lambda: any("has gone from gzserver" in text for text in lines))
             return
         assert not gazebo.tool("model", "-m", "ball", "-p"), "the server lives, and nothing was said"
-        assert any("says nothing" in text for text in said)
+        assert any("says nothing" in text for text in lines)
         gazebo.stop()
         gazebo.start(WORLD)
         until(pieces, lambda piece: True)
@@ -255,7 +255,7 @@ def test_the_shipped_worlds_load_unchanged(name, gazebo):
     end = time.monotonic() + 60
     while f"/gazebo/{scene.name}/world_stats" not in gazebo.tool("topic", "-l"):
         assert time.monotonic() < end, "the world does not come up"
-    said = gazebo.stop()
+    output = gazebo.stop()
     elsewhere = ("Render", "OpenAL")  # no screen and no sound in the chroot
-    assert not [line for line in said.splitlines() if "[Err]" in line and not any(e in line for e in elsewhere)]
-    assert "Unable to" not in said.replace("Unable to create X window", "").replace("Unable to open audio", "")
+    assert not [line for line in output.splitlines() if "[Err]" in line and not any(e in line for e in elsewhere)]
+    assert "Unable to" not in output.replace("Unable to create X window", "").replace("Unable to open audio", "")

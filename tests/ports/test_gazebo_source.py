@@ -17,7 +17,7 @@ pytest.importorskip("google.protobuf")
 from ullage.ports.following import FollowSource, opened
 
 from ullage.ports.gazebo import wire
-from ullage.ports.gazebo.peer import Came, Gone, Heard, Peer
+from ullage.ports.gazebo.peer import Came, Gone, Peer, Received
 from ullage.ports.gazebo.scene import ask_scene, sdf_of
 from ullage.ports.gazebo.sink import GazeboSink
 from ullage.ports.gazebo.source import GazeboOptions, PoseFeed, source_of
@@ -49,7 +49,7 @@ class Server:
         pipe = subprocess.PIPE
         self.process = subprocess.Popen([self.program, "w", "x3"], stdin=pipe, stdout=pipe, text=True)
 
-    def say(self, word):
+    def order(self, word):
         self.process.stdin.write(word + "\n")
         self.process.stdin.flush()
 
@@ -65,9 +65,9 @@ def server(program, partition):
     running.stop()
 
 
-def source(said=None, **options):
+def source(lines=None, **options):
     chosen = {"model": "x3", "fidelity": "thesis", "rig": "single", **options}
-    return source_of("", chosen, say=(said if said is not None else []).append)
+    return source_of("", chosen, log=(lines if lines is not None else []).append)
 
 
 def until(pieces, good, limit_s=90):
@@ -92,9 +92,9 @@ def test_the_world_comes_from_the_scene_service_and_the_frames_go_back(server):
         np.testing.assert_allclose(frames.poses.position[:, 0], np.sin(0.5e-9 * frames.t_ns), atol=1e-3)
         peak = frames.range_m[np.argmax(frames.amplitude[-1])]
         assert peak == pytest.approx(3.9 - frames.poses.position[-1, 0], abs=0.3)
-    heard = [line.split() for line in server.stop().splitlines()]
-    assert len(heard) > 2  # of those since it knows the topic
-    assert all(2.5 < float(words[1]) < 5.2 for words in heard)
+    received = [line.split() for line in server.stop().splitlines()]
+    assert len(received) > 2  # of those since it knows the topic
+    assert all(2.5 < float(words[1]) < 5.2 for words in received)
 
 
 def wall_x(frames):
@@ -105,38 +105,38 @@ def wall_x(frames):
 
 @pytest.mark.slow
 def test_another_model_that_moves_is_seen_where_it_is(server):
-    said = []
-    with source(said) as live:
+    lines = []
+    with source(lines) as live:
         pieces = live.stream()
         assert wall_x(until(pieces, lambda f: True)) == pytest.approx(3.9, abs=0.1)
-        server.say("push")  # and it takes 4 s to come; when the server heard so is not known here
+        server.order("push")  # and it takes 4 s to come; when the server heard so is not known here
         came = until(pieces, lambda f: wall_x(f) < 2, limit_s=90).t_ns[-1]
         frames = until(pieces, lambda f: f.t_ns[-1] > came + 2e9)
         assert wall_x(frames) == pytest.approx(1.9, abs=0.1)
-        assert said.count("'wall' moves: it is followed") == 1
+        assert lines.count("'wall' moves: it is followed") == 1
 
 
 @pytest.mark.slow
 def test_what_happens_to_the_server_is_said_and_survived(server):
-    said = []
-    with source(said) as live:
+    lines = []
+    with source(lines) as live:
         pieces = live.stream()
         until(pieces, lambda f: True)
-        server.say("pause")
-        threading.Timer(3.0, server.say, ["go"]).start()
-        until(pieces, lambda f: "Gazebo goes on" in said)
-        assert "Gazebo is paused" in said
+        server.order("pause")
+        threading.Timer(3.0, server.order, ["go"]).start()
+        until(pieces, lambda f: "Gazebo goes on" in lines)
+        assert "Gazebo is paused" in lines
         begun = until(pieces, lambda f: True).t_ns[0]
         until(pieces, lambda f: f.t_ns[-1] > begun + 1e9)
-        server.say("reset")
-        until(pieces, lambda f: any(text.startswith("time jumped back") for text in said))
-        server.say("delete")  # the stream waits meanwhile
-        threading.Timer(3.0, server.say, ["back"]).start()
-        until(pieces, lambda f: "the model 'x3' has gone from Gazebo; waiting for it to come back" in said)
+        server.order("reset")
+        until(pieces, lambda f: any(text.startswith("time jumped back") for text in lines))
+        server.order("delete")  # the stream waits meanwhile
+        threading.Timer(3.0, server.order, ["back"]).start()
+        until(pieces, lambda f: "the model 'x3' has gone from Gazebo; waiting for it to come back" in lines)
         server.stop()
         threading.Timer(6.0, server.start).start()
-        until(pieces, lambda f: any(text.startswith("Gazebo has gone") for text in said))
-    assert said.count("Gazebo gives poses on /world/w/pose/info") == 2
+        until(pieces, lambda f: any(text.startswith("Gazebo has gone") for text in lines))
+    assert lines.count("Gazebo gives poses on /world/w/pose/info") == 2
 
 
 TOPIC = "/world/w/pose/info"
@@ -144,31 +144,31 @@ TOPIC = "/world/w/pose/info"
 
 @pytest.mark.slow
 def test_damaged_messages_of_a_real_publisher_are_counted_and_end_nothing(server):
-    said = []
-    with source(said) as live:
+    lines = []
+    with source(lines) as live:
         pieces = live.stream()
         until(pieces, lambda f: True)
-        server.say("damage")
+        server.order("damage")
         until(pieces, lambda f: live.counters.dropped("bad", topic="x3") >= 40)
         until(pieces, lambda f: live.counters.dropped("bad", topic=TOPIC) >= 20 + 40)  # and poses of the wall
         last = until(pieces, lambda f: True).t_ns[-1]
         frames = until(pieces, lambda f: f.t_ns[-1] > last + 1e9)
         np.testing.assert_allclose(frames.poses.position[:, 0], np.sin(0.5e-9 * frames.t_ns), atol=1e-3)
         pieces.close()
-    assert any(line.startswith(f"{TOPIC}: dropped ") and "cannot be read" in line for line in said)
-    assert sum(line.startswith("x3: dropped 40 bad (") for line in said) >= 1
+    assert any(line.startswith(f"{TOPIC}: dropped ") and "cannot be read" in line for line in lines)
+    assert sum(line.startswith("x3: dropped 40 bad (") for line in lines) >= 1
 
 
 @pytest.mark.slow
 def test_the_clock_of_a_real_publisher_may_step_an_hour_either_way(server):
-    said, count, times = [], 0, []
-    with source(said) as live:
+    lines, count, times = [], 0, []
+    with source(lines) as live:
         pieces = live.stream()
         for word, direction in (("ahead", "ahead"), ("behind", "back")):
             before = until(pieces, lambda f: True).t_ns[-1]
-            server.say(word)
+            server.order(word)
             began = time.monotonic()
-            while not any(f"time jumped {direction} 3.6e+03 s (x3)" in line for line in said):
+            while not any(f"time jumped {direction} 3.6e+03 s (x3)" in line for line in lines):
                 piece = next(pieces)["front"]
                 count, times = count + len(piece), [*times, *piece.t_ns]
             for _ in range(10):
@@ -183,7 +183,7 @@ def test_the_clock_of_a_real_publisher_may_step_an_hour_either_way(server):
 
 @pytest.mark.slow
 def test_a_flood_of_a_real_publisher_loses_nothing_silently(server):
-    said = []
+    reported = []
     with Peer() as peer:
         world = ask_scene(peer, "", where="gazebo:")
     options, scene, rig = opened(GazeboOptions(model="x3", fidelity="thesis", rig="single"), "gazebo:", world)
@@ -191,17 +191,17 @@ def test_a_flood_of_a_real_publisher_loses_nothing_silently(server):
     def join():
         return PoseFeed(Peer(most_waiting=300), options, "", {}, frozenset(scene.models))
 
-    with FollowSource(join, scene, rig, options, say=said.append) as live:
+    with FollowSource(join, scene, rig, options, log=reported.append) as live:
         pieces = live.stream()
         begun = until(pieces, lambda f: True).t_ns[-1]
-        server.say("flood")
+        server.order("flood")
         time.sleep(3.0)  # whoever takes the frames is busy
         until(pieces, lambda f: f.t_ns[-1] > begun + 31e9)
         lost, received = live.counters.dropped("lost", topic=TOPIC), live.counters.received(TOPIC)
         pieces.close()
     assert received > 1000  # the publisher's own queue has lost the others
     assert lost > 100
-    assert any(line.startswith(f"{TOPIC}: dropped ") and " lost (messages come faster" in line for line in said)
+    assert any(line.startswith(f"{TOPIC}: dropped ") and " lost (messages come faster" in line for line in reported)
 
 
 @pytest.mark.slow
@@ -244,29 +244,29 @@ def test_frames_from_anywhere_are_published_with_their_clock(partition):
         for topic in [*topics, "/clock"]:
             listener.subscribe(topic)
         sink.write(frames)
-        heard = {}
+        received = {}
         end = time.monotonic() + 60
-        while time.monotonic() < end and len(heard) < 5:
+        while time.monotonic() < end and len(received) < 5:
             event = listener.wait(0.1)
-            if isinstance(event, Heard):
-                heard[event.topic] = event
-    assert set(heard) == {*topics, "/clock"}
-    assert heard["/clock"].kind == "gz.msgs.Clock"
-    told = gz().Float_V.FromString(heard[topics[0]].data)
-    about = {entry.key: entry.value[0] for entry in told.header.data}
-    k = round((told.header.stamp.sec + told.header.stamp.nsec * 1e-9) * 20)
-    np.testing.assert_array_equal(np.array(told.data, np.float32), frames["front"].samples[k])
+            if isinstance(event, Received):
+                received[event.topic] = event
+    assert set(received) == {*topics, "/clock"}
+    assert received["/clock"].kind == "gz.msgs.Clock"
+    message = gz().Float_V.FromString(received[topics[0]].data)
+    about = {entry.key: entry.value[0] for entry in message.header.data}
+    k = round((message.header.stamp.sec + message.header.stamp.nsec * 1e-9) * 20)
+    np.testing.assert_array_equal(np.array(message.data, np.float32), frames["front"].samples[k])
     assert about["samples"] == "real"
     assert float(about["bin_m"]) == pytest.approx(frames["front"].spec.bin_m)
-    assert gz().Double.FromString(heard[topics[2]].data).data == pytest.approx(2.0, abs=0.15)
-    cloud = gz().PointCloudPacked.FromString(heard[topics[3]].data)
+    assert gz().Double.FromString(received[topics[2]].data).data == pytest.approx(2.0, abs=0.15)
+    cloud = gz().PointCloudPacked.FromString(received[topics[3]].data)
     points = np.frombuffer(cloud.data, "<f4").reshape(cloud.width, 4)
     np.testing.assert_allclose(points[:, 0], frames["front"].range_m, rtol=1e-6)
 
 
 def test_a_scene_becomes_the_sdf_that_it_stands_for(tmp_path):
-    told = gz().Scene(name="w")
-    model = told.model.add(name='a "b" & c')
+    message = gz().Scene(name="w")
+    model = message.model.add(name='a "b" & c')
     model.pose.position.x = 1.5
     link = model.link.add(name="l")
     shapes = {1: ("cylinder", {"radius": 0.5, "length": 2.0}), 2: ("sphere", {"radius": 0.25})}
@@ -276,7 +276,7 @@ def test_a_scene_becomes_the_sdf_that_it_stands_for(tmp_path):
         for key, value in values.items():
             setattr(getattr(visual.geometry, name), key, value)
     link.visual.add(name="axis").geometry.type = 13
-    (tmp_path / "s.sdf").write_text(sdf_of(told))
+    (tmp_path / "s.sdf").write_text(sdf_of(message))
     scene = ul.load_scene(tmp_path / "s.sdf")
     assert [thing.name for thing in scene.objects] == ['a "b" & c']
     np.testing.assert_allclose(scene.bounds, [[1, -0.5, -1], [2, 0.5, 1]], atol=0.01)

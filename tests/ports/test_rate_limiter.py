@@ -9,18 +9,18 @@ import pytest
 import ullage as ul
 from ullage.errors import UllageWarning
 from ullage.ports.cosimulation import PacedSink
-from ullage.ports.rate_limiter import Pace, StampOrder
+from ullage.ports.rate_limiter import RateLimiter, StampOrder
 
 S = 10**9
 
 
 def test_stamps_are_due_by_their_own_clock():
-    pace = Pace(2.0)
+    pace = RateLimiter(2.0)
     assert [pace.due_s(t * S, 100.0) for t in (5, 6, 9)] == [100.0, 100.5, 102.0]
 
 
 def test_a_jump_back_and_a_late_maker_begin_anew():
-    pace = Pace(1.0)
+    pace = RateLimiter(1.0)
     pace.due_s(50 * S, 0.0)
     assert pace.due_s(10 * S, 1.0) == 1.0
     assert pace.due_s(11 * S, 1.0) == 2.0
@@ -29,7 +29,7 @@ def test_a_jump_back_and_a_late_maker_begin_anew():
 
 
 def test_a_late_message_is_due_at_once_and_moves_nothing():
-    pace = Pace(1.0)
+    pace = RateLimiter(1.0)
     pace.due_s(10 * S, 0.0)
     assert pace.due_s(12 * S, 2.0) == 2.0
     assert pace.due_s(11_500_000_000, 2.0) == 1.5
@@ -71,7 +71,7 @@ def test_a_step_back_ends_the_stretch_before_it():
 
 
 def test_a_leap_ahead_is_said_and_not_waited_for():
-    pace = Pace(1.0)
+    pace = RateLimiter(1.0)
     pace.due_s(0, 0.0)
     assert pace.due_s(9 * S, 0.0) == 9.0
     with pytest.warns(UllageWarning, match=r"the stamps leap 3\.16e\+08 s ahead, which is not waited for"):
@@ -80,7 +80,7 @@ def test_a_leap_ahead_is_said_and_not_waited_for():
 
 
 def test_at_once_is_at_once():
-    assert Pace(0).due_s(10**18, 3.0) == 3.0
+    assert RateLimiter(0).due_s(10**18, 3.0) == 3.0
 
 
 class Kept(PacedSink):

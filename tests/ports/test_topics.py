@@ -117,7 +117,7 @@ def test_frames_are_reliable_only_where_that_is_asked_for(reliable):
     peer = Notebook()
     with Ros2Sink("", SinkOptions(pace=0, reliable=reliable), peer=peer) as sink:
         sink.write(old_frames(3))
-    assert {told for message, told in peer.sent if message.topic.endswith("/frame")} == {reliable or None}
+    assert {found for message, found in peer.sent if message.topic.endswith("/frame")} == {reliable or None}
 
 
 def test_the_first_message_waits_for_as_many_subscribers_as_asked_for():
@@ -183,9 +183,9 @@ def test_a_peer_behind_its_pace_says_so():
         for n in range(3):
             sink.write(old_frames(5, start_s=1000.0 + 5.0 * n, step_s=1.0))
     notes = [message.data for message, _ in peer.sent if message.topic == "/diagnostics"]
-    told = [ros.from_bytes("diagnostic_msgs/msg/DiagnosticArray", note).status[0] for note in notes]
-    assert any("behind its pace" in status.message for status in told)
-    for status in told:
+    found = [ros.from_bytes("diagnostic_msgs/msg/DiagnosticArray", note).status[0] for note in notes]
+    assert any("behind its pace" in status.message for status in found)
+    for status in found:
         values = {value.key: float(value.value) for value in status.values}
         assert values["messages a second"] <= 1 / 0.06
         assert values["waiting messages"] >= 0

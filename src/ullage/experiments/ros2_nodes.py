@@ -103,14 +103,14 @@ def open_radars(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
     """Radars on whatever moves."""
     from ullage.ports.ros2.cosimulation import Ros2Radars
 
-    return Ros2Radars("", options, say=say, peer=peer)
+    return Ros2Radars("", options, log=say, peer=peer)
 
 
 def open_topics(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
     """Frames from topics."""
     from ullage.ports.ros2.source import Ros2Source
 
-    return Ros2Source("", options, say=say, peer=peer)
+    return Ros2Source("", options, log=say, peer=peer)
 
 
 NODES: dict[str, tuple[type[NodeOptions], Callable[..., Any], Callable[..., None]]] = {
@@ -227,8 +227,8 @@ def read(node: Any, kind: type[NodeOptions]) -> Any:
     Raises:
         InputError: one is of no use.
     """
-    told = {name: node.get_parameter(name).value for name in kind.model_fields if name not in NOT_PARAMETERS}
-    given = {name: value for name, value in told.items() if value != "" and value is not None}
+    message = {name: node.get_parameter(name).value for name in kind.model_fields if name not in NOT_PARAMETERS}
+    given = {name: value for name, value in message.items() if value != "" and value is not None}
     return options_of(kind, given | {"node": node.get_name()}, node.get_name())
 
 

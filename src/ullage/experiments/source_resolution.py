@@ -373,7 +373,7 @@ def make_flight(
     )  # fmt: skip
     controls = _controls(by, scenario, say)
     try:
-        source = HandFlownSource(scene, rig, chosen, controls, start=start, say=say)
+        source = HandFlownSource(scene, rig, chosen, controls, start=start, log=say)
         job = _begun(source, f"fly {scenario.name}", scenario.do, lambda _: scenario)
         return _begin(job, to, out)
     except BaseException:

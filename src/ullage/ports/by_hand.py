@@ -22,9 +22,9 @@ from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
 from ullage.ports import encode
 from ullage.ports.conversions import BODY
-from ullage.ports.cosimulation import Endless, Say
+from ullage.ports.cosimulation import UnboundedSource
 from ullage.ports.imu import ImuNoise
-from ullage.ports.intake import Counters
+from ullage.ports.intake import Counters, Log
 from ullage.ports.protocol import Passed, Passing
 from ullage.ports.radar_status import RadarStatus
 from ullage.specs import Rig
@@ -141,7 +141,7 @@ class HandFlight:
         return State(t_ns, vehicle.position, vehicle.quat_xyzw, vehicle.spin, force)
 
 
-class HandFlownSource(Endless):
+class HandFlownSource(UnboundedSource):
     """Frames of radars on a vehicle that somebody flies, in this machine's time.
 
     A thread flies, so that no simulation of radars delays a command. Beside frames the source passes on the readings
@@ -153,7 +153,7 @@ class HandFlownSource(Endless):
         options: how.
         controls: where commands come from; closed with the source.
         start: x, y, z [m] and, if given, yaw [deg].
-        say: takes what a person should know; None: it becomes a warning.
+        log: takes what a person should know; None: it becomes a warning.
         frame_prefix: goes before the names of frames of reference.
 
     Raises:
@@ -162,15 +162,15 @@ class HandFlownSource(Endless):
 
     def __init__(
         self, scene: Scene, rig: Rig, options: FlyOptions, controls: Controls, *, start: tuple[float, ...],
-        say: Say | None = None, frame_prefix: str = "",
+        log: Log | None = None, frame_prefix: str = "",
     ) -> None:  # fmt: skip
         from ullage.radar.live import LiveRadars
 
-        super().__init__(options.duration_s, say, topic="flight")
+        super().__init__(options.duration_s, log, topic="flight")
         self.scene: Scene | None = scene
         self.passing = Passing()
         self._options, self._controls, self._body = options, controls, frame_prefix + BODY
-        self._hear(controls.counters, "flight")
+        self._count_with(controls.counters, "flight")
         check_clear(start, options.vehicle, scene)
         vehicle = Steered(options.vehicle, scene=scene, start=start)
         self.flight = HandFlight(vehicle, Pilot(options), controls, state_hz=options.state_hz)
@@ -286,9 +286,9 @@ class HandFlownSource(Endless):
         self.counters.report()
         if (touched := self.flight.vehicle.touched) > self._touched:
             self._touched = touched
-            self._tell("the vehicle touches something")
+            self._log_throttled("the vehicle touches something")
         if (behind_s := self._behind_s()) > BEHIND_S:
-            self._tell(
+            self._log_throttled(
                 f"the radars are {behind_s:.1f} s behind the flight; give fidelity=thesis or rate_hz= to keep up",
                 kind="behind",
             )

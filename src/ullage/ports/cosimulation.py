@@ -1,9 +1,8 @@
-"""Radars on a model of somebody else's simulator: poses are followed as they come, frames come out by its clock."""
+"""Radars on a model of an external simulator: its poses drive the radars, its clock stamps the frames."""
 
 from __future__ import annotations
 
 import time
-import warnings
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,26 +17,25 @@ from pydantic import Field
 from ullage.arrays import Floats
 from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory, gathered
-from ullage.errors import InputError, UllageWarning
-from ullage.ports.dynamic_scene import Surroundings
-from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Stamped, Stream, checked_pose
-from ullage.ports.pose_events import Feed, Note, Others, Sighting
+from ullage.errors import InputError
+from ullage.ports.dynamic_scene import DynamicScene
+from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Log, Stamped, Stream, checked_pose, warn
+from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
 from ullage.ports.protocol import Item, Passing, one_or_all
 from ullage.ports.radar_status import RadarStatus
-from ullage.ports.rate_limiter import Pace
+from ullage.ports.rate_limiter import RateLimiter
 from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
-Say = Callable[[str], None]
 PATIENCE_S = 5.0
-"""Wall time between two complaints of the same kind, and before the first one that nothing comes."""
+"""Wall time [s] between two reports of the same kind, and before the first report that no poses come."""
 BEHIND_S = 1.0
-"""How far the frames may lie behind the newest pose before that is said, by the simulator's clock."""
+"""Report frames that are later than the newest pose by more than this, on the simulator's clock [s]."""
 
 
 class RadarOptions(Spec):
-    """What can be set about radars that are simulated along poses from outside."""
+    """Options of radars that are simulated along poses from outside."""
 
     model: str = Field("", description="name of the model that carries the radars; none: the only one that has some")
     world: str = Field("", description="library world or file that the vehicle is in")
@@ -49,8 +47,8 @@ class RadarOptions(Spec):
     duration_s: float | None = Field(None, gt=0, description="ends after this much of the simulator's time")
 
 
-class FollowOptions(RadarOptions):
-    """What can be set about radars on a simulator's model."""
+class CosimulationOptions(RadarOptions):
+    """Options of radars on a model of a simulator."""
 
     world: str = Field("", description="library world or file that the simulator runs; none: asked of the simulator")
     rays: str = Field(
@@ -79,10 +77,10 @@ Options = TypeVar("Options", bound=Spec)
 
 
 def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Options:
-    """The options of a port, checked.
+    """Return the checked options of a port.
 
     Raises:
-        InputError: one is unknown, or has a value that cannot be.
+        InputError: an option is unknown, or its value is not valid.
     """
     known = kind.model_fields
     for name in values:
@@ -91,52 +89,47 @@ def options_of(kind: type[Options], values: dict[str, Any], where: str) -> Optio
     return kind(**values)
 
 
-def tell(text: str) -> None:
-    """How things are said unless somebody else listens."""
-    warnings.warn(text, UllageWarning, stacklevel=3)
-
-
-class Endless(ABC):
-    """A live source: it has no path or map of its own, and says what a person should know, but not too often.
+class UnboundedSource(ABC):
+    """A live source without an end: it has no path or map, and limits how often it logs the same line.
 
     Args:
-        duration_s: how long it is listened to, by the clock of its frames [s]; None: until it ends.
-        say: told it; None: it becomes a warning.
-        topic: what the counts of its messages are called.
+        duration_s: how long to receive, by the clock of the frames [s]; None: until the peer ends.
+        log: takes lines for the user; None: they become warnings.
+        topic: name under which its messages are counted.
     """
 
-    def __init__(self, duration_s: float | None, say: Say | None, *, topic: str) -> None:
-        self._say, self._told = say or tell, dict[str, float]()
+    def __init__(self, duration_s: float | None, log: Log | None, *, topic: str) -> None:
+        self._log, self._logged_s = log or warn, dict[str, float]()
         self._duration_s = duration_s
-        self._hear(Counters(), topic)
+        self._count_with(Counters(), topic)
 
-    def _hear(self, counters: Counters, topic: str) -> None:
-        """Count what arrives with these counters, and keep the time of a topic."""
-        self.counters, counters.reporter = counters, self._say
+    def _count_with(self, counters: Counters, topic: str) -> None:
+        """Count messages with these counters, and track the time of a topic."""
+        self.counters, counters.log = counters, self._log
         self._clock, self._streams = Clock(counters), list[Stream[Any]]()
         self._intake = self._new_stream(topic)
 
     def _new_stream(self, topic: str) -> Stream[Any]:
-        """Keep the time of one more topic, by the same clock."""
+        """Track the time of one more topic on the same clock."""
         self._streams.append(self._clock.stream(topic))
         return self._streams[-1]
 
     @abstractmethod
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames as they come, at most about `chunk` of each radar at a time."""
+        """Give frames as they come, at most about `chunk` of each radar at a time."""
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything until the peer ends or the asked duration is over.
+        """Return all frames until the peer ends or the duration is over.
 
         Raises:
-            InputError: no end was asked for, no frames came, or there is no such sensor.
+            InputError: no duration is set, no frames came, or there is no such sensor.
         """
         if self._duration_s is None:
             raise InputError("a live port has no end", where="frames", allowed="duration_s=SECONDS, or stream()")
-        whole = gathered(self.stream())
-        if not whole:
+        frames = gathered(self.stream())
+        if not frames:
             raise InputError("no frames came", where="frames")
-        return one_or_all(whole, sensor)
+        return one_or_all(frames, sensor)
 
     def trajectory(self) -> Trajectory | None:
         """None: the path is not over."""
@@ -148,7 +141,7 @@ class Endless(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of sockets and threads."""
+        """Close sockets and end threads."""
 
     def __enter__(self) -> Self:
         return self
@@ -161,59 +154,59 @@ class Endless(ABC):
         return self._duration_s is not None and elapsed_ns >= self._duration_s * 1e9
 
     def _report(self) -> None:
-        """Give one line for each topic that lost messages; for the end of a run."""
+        """Log one line for each topic that lost messages, at the end of a run."""
         for stream in self._streams:
             stream.finish()
         for line in self.counters.lines():
-            self._say(line)
+            self._log(line)
 
-    def _tell(self, text: str, *, kind: str = "") -> None:
-        """Say it, but the same no more often than every few seconds."""
+    def _log_throttled(self, text: str, *, kind: str = "") -> None:
+        """Log a line, but the same kind at most once every few seconds."""
         now = time.monotonic()
-        if now - self._told.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
-            self._told[kind or text] = now
-            self._say(text)
+        if now - self._logged_s.get(kind or text, -PATIENCE_S) >= PATIENCE_S:
+            self._logged_s[kind or text] = now
+            self._log(text)
 
 
-class FollowSource(Endless):
-    """Frames of radars on a simulator's model, simulated as its poses come.
+class CosimulationSource(UnboundedSource):
+    """Frames of radars on a model of a simulator, simulated as its poses come.
 
-    Frames depend on the poses and their times alone, those of the world's other models among them. Where the
-    simulator's clock steps, as on a reset, the radars begin a new track, and the frames' own clock goes on, so that
-    time rises in every recording (`intake`). Nothing is computed for the time between two tracks.
+    Frames depend only on the poses and times of the model and of the world's other models. If the simulator's clock
+    steps, for example on a reset, the radars begin a new track. The clock of the frames goes on, so that time rises in
+    every recording (`intake`). Nothing is computed for the time between two tracks.
 
     Args:
-        join: begins to listen and gives what tells where the model is; called when the radars are ready.
+        join: connects and returns the feed of poses; called when the radars are ready.
         scene: the world without the model.
         rig: the radars on the model.
-        options: how.
-        say: told what a person should know; None: it becomes a warning.
+        options: options of the radars.
+        log: takes lines for the user; None: they become warnings.
     """
 
     def __init__(
-        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: RadarOptions, *, say: Say | None = None
+        self, join: Callable[[], Feed], scene: Scene, rig: Rig, options: RadarOptions, *, log: Log | None = None
     ) -> None:
         self.scene: Scene | None = scene
         self.rig = rig
         self.passing = Passing()
         self._status = RadarStatus("radars", late_s=BEHIND_S)
-        super().__init__(options.duration_s, say, topic=options.model or "poses")
-        self._publish = isinstance(options, FollowOptions) and options.publish
+        super().__init__(options.duration_s, log, topic=options.model or "poses")
+        self._publish = isinstance(options, CosimulationOptions) and options.publish
         self._radars = LiveRadars(
             scene, rig, fidelity=options.fidelity, max_bounces=options.max_bounces, seed=options.seed,
             rate_hz=options.rate_hz,
         )  # fmt: skip
         self._fastest_hz = options.rate_hz or max(spec.fps for spec in rig.sensors.values())
-        self._around = Surroundings(scene)
-        self._waiting: deque[Stamped[Sighting] | Others] = deque()
-        self._early: deque[Others] = deque(maxlen=100)  # from beyond a step of the clock that no pose has confirmed yet
+        self._scene = DynamicScene(scene)
+        self._waiting: deque[Stamped[ModelPose] | OtherModels] = deque()
+        self._early: deque[OtherModels] = deque(maxlen=100)  # beyond a step of the clock that no pose confirms yet
         self._newest_ns: int | None = None  # of the simulator's clock
-        self._offset_ns = 0  # what is added to it
-        self._done_ns = -1  # until when frames have been made
-        self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits for us
+        self._offset_ns = 0  # added to the simulator's clock
+        self._done_ns = -1  # frames exist up to this time
+        self._radars.advance(0, scene.bounds.mean(0), (0, 0, 0, 1))  # loads and compiles while nobody waits
         self._radars.reset()
         self._feed = join()
-        self._hear(getattr(self._feed, "counters", None) or Counters(), options.model or "poses")
+        self._count_with(getattr(self._feed, "counters", None) or Counters(), options.model or "poses")
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -221,7 +214,7 @@ class FollowSource(Endless):
         return tuple(self.rig.sensors)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames as they fall due, at most about `chunk` of each radar at a time."""
+        """Give frames as they fall due, at most about `chunk` of each radar at a time."""
         try:
             while not self._over():
                 poses = self._bunch(chunk)
@@ -234,8 +227,8 @@ class FollowSource(Endless):
                     [pose.item.quat_xyzw for pose in poses],
                 )
                 self._done_ns = poses[-1].t_ns
-                self._around.forget(self._done_ns)
-                self._complain_if_behind()
+                self._scene.forget(self._done_ns)
+                self._log_if_behind()
                 self._report_status(found)
                 if found:
                     if self._publish:
@@ -246,84 +239,84 @@ class FollowSource(Endless):
             self.close()
 
     def close(self) -> None:
-        """Let go of sockets and threads."""
+        """Close sockets and end threads."""
         self._feed.close()
         self._radars.close()
 
-    def _bunch(self, chunk: int) -> list[Stamped[Sighting]]:
-        """Poses that wait, as many as give one chunk; empty: none came for a while."""
-        poses: list[Stamped[Sighting]] = []
+    def _bunch(self, chunk: int) -> list[Stamped[ModelPose]]:
+        """Return the waiting poses of at most one chunk; an empty list if none came for a while."""
+        poses: list[Stamped[ModelPose]] = []
         length_ns = int(max(chunk - 1, 1) / self._fastest_hz * 1e9)
         while not poses or poses[-1].t_ns - poses[0].t_ns < length_ns:
             found = self._next(0.0 if poses else 0.5)
             if found is None:
                 break
-            if isinstance(found, Others):
-                if poses and self._around.changed_by(found):  # what came before it is seen in the world as it was
+            if isinstance(found, OtherModels):
+                if poses and self._scene.changed_by(found):  # earlier poses belong to the scene before this change
                     self._waiting.appendleft(found)
                     break
-                self._take_in(found)
+                self._update_scene(found)
                 continue
-            if found.starts and poses:  # what came before the step first
+            if found.starts and poses:  # first the poses before the step
                 self._waiting.appendleft(found)
                 break
             if found.starts:
                 self._begin(found)
             self._newest_ns = found.stamp_ns
-            self._around.stand_until(found.t_ns)
+            self._scene.stand_until(found.t_ns)
             poses.append(found)
         return poses
 
-    def _next(self, timeout_s: float) -> Stamped[Sighting] | Others | None:
-        """The next pose that can be used, or what others do; None where nothing came for so long."""
+    def _next(self, timeout_s: float) -> Stamped[ModelPose] | OtherModels | None:
+        """Return the next valid pose or change of other models, or None if none came within the timeout."""
         while not self._waiting:
             found = self._feed.next(timeout_s)
             if found is None:
                 return None
-            if isinstance(found, Note):
-                self._tell(found.text)
-            elif isinstance(found, Others):
+            if isinstance(found, Notice):
+                self._log_throttled(found.text)
+            elif isinstance(found, OtherModels):
                 return found
-            elif found.t_ns != self._intake.last_ns:  # else it stands still, or the simulator is paused
+            elif found.t_ns != self._intake.last_ns:  # the same time means a paused simulator
                 self._waiting += self._stamped(found)
         return self._waiting.popleft()
 
-    def _stamped(self, found: Sighting) -> list[Stamped[Sighting]]:
+    def _stamped(self, found: ModelPose) -> list[Stamped[ModelPose]]:
         pose = checked_pose(found.position, found.quat_xyzw)
         if isinstance(pose, str):
             self.counters.drop(self._intake.topic, "bad", pose)
             return []
         return self._intake.take(found.t_ns, found)
 
-    def _take_in(self, told: Others) -> None:
-        """What other models do."""
-        if self._newest_ns is not None and not self._newest_ns - LATE_NS <= told.t_ns <= self._newest_ns + GAP_NS:
-            self._early.append(told)
+    def _update_scene(self, others: OtherModels) -> None:
+        """Apply the poses of other models."""
+        if self._newest_ns is not None and not self._newest_ns - LATE_NS <= others.t_ns <= self._newest_ns + GAP_NS:
+            self._early.append(others)
             return
-        if self._around.changed_by(told):
-            for text in self._around.change(told):
-                self._say(text)
-            self._radars.look_at(self._around.scene)
-        self._around.see(told, self._offset_ns)
+        if self._scene.changed_by(others):
+            for text in self._scene.change(others):
+                self._log(text)
+            self._radars.look_at(self._scene.scene)
+        self._scene.see(others, self._offset_ns)
 
-    def _begin(self, found: Stamped[Sighting]) -> None:
-        """Begin a track: the radars' first frame is due at its first pose."""
+    def _begin(self, found: Stamped[ModelPose]) -> None:
+        """Begin a track; the first frame of the radars is due at its first pose."""
         self._offset_ns = found.t_ns - found.stamp_ns
         if not found.track:
             return
         self._radars.reset()
         self._newest_ns = found.stamp_ns
         early, self._early = self._early, deque(maxlen=100)
-        for told in early:
-            self._take_in(told)
+        for others in early:
+            self._update_scene(others)
 
     def _behind_s(self) -> float:
-        """How far the frames lie behind the newest pose, by the simulator's clock [s]."""
+        """Return the delay of the frames behind the newest pose, on the simulator's clock [s]."""
         newest = getattr(self._feed, "newest_ns", 0)
         return max((newest + self._offset_ns - self._done_ns) * 1e-9, 0.0) if newest else 0.0
 
     def _report_status(self, found: dict[str, Frames]) -> None:
-        """Count the frames for `/diagnostics`; the feed publishes them where it can."""
+        """Count the frames for `/diagnostics`; the feed publishes the status if it can."""
         self._status.add(found, self._behind_s())
         if (status := self._status.message(self._done_ns, self.counters)) is not None:
             publish = getattr(self._feed, "pass_on", None)
@@ -332,9 +325,9 @@ class FollowSource(Endless):
             else:
                 publish(status)
 
-    def _complain_if_behind(self) -> None:
+    def _log_if_behind(self) -> None:
         if (behind_s := self._behind_s()) > BEHIND_S:
-            self._tell(
+            self._log_throttled(
                 f"cannot keep up: {behind_s:.1f} s behind the simulator, which goes on; every frame is still made "
                 "(fidelity=thesis, fewer radars or a lower rate_hz cost less)",
                 kind="behind",
@@ -342,10 +335,10 @@ class FollowSource(Endless):
 
 
 def world_of(name: str, *, where: str) -> Scene:
-    """The scene of a library world or a world file.
+    """Return the scene of a library world or of a world file.
 
     Raises:
-        InputError: there is neither.
+        InputError: there is no such world or file.
     """
     from ullage.world.library import WORLDS
     from ullage.world.load import load_scene
@@ -358,7 +351,7 @@ def world_of(name: str, *, where: str) -> Scene:
 
 
 def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
-    """The radars of a model: a preset, those that a file declares, those that the world declares, or thesis-4.
+    """Return the radars of a model: a preset, or as a file or the world declares them, or thesis-4.
 
     Raises:
         InputError: there is no such preset or file, or the file declares none.
@@ -375,23 +368,23 @@ def rig_of(name: str, scene: Scene, model: str, *, where: str) -> Rig:
 
 
 def radar_of(rig: Rig, name: str) -> RadarSpec:
-    """The radar of this name, or the first: whose range axis and noise a ray sensor is given."""
+    """Return the radar of this name, or the first one; a ray sensor takes its range axis and noise."""
     return rig.sensors.get(name) or next(iter(rig.sensors.values()))
 
 
-Following = TypeVar("Following", bound=FollowOptions)
+OptionsT = TypeVar("OptionsT", bound=CosimulationOptions)
 
 
-def opened(options: Following, where: str, world: Scene | None = None) -> tuple[Following, Scene, Rig]:
-    """The options with the model told, the world without it, and the radars on it.
+def resolved(options: OptionsT, where: str, world: Scene | None = None) -> tuple[OptionsT, Scene, Rig]:
+    """Return the options with the model set, the world without the model, and the radars on the model.
 
     Args:
-        options: as they were given.
+        options: as given.
         where: for messages.
-        world: as the simulator tells it; None: what the options name.
+        world: as the simulator reports it; None: the world that the options name.
 
     Raises:
-        InputError: no world or model is told, or one cannot be used.
+        InputError: the world or the model is missing or not valid.
     """
     if world is None:
         if not options.world:
@@ -403,8 +396,8 @@ def opened(options: Following, where: str, world: Scene | None = None) -> tuple[
     return options.but(model=model), world.without(model), rig_of(options.rig, world, model, where=where)
 
 
-class PaceOptions(Spec):
-    """What can be set about giving frames to a simulator."""
+class SimulatorSinkOptions(Spec):
+    """Options of a sink that gives frames to a simulator."""
 
     model: str = Field("ullage", min_length=1, description="the model that is said to carry the radars")
     pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as can be")
@@ -412,14 +405,14 @@ class PaceOptions(Spec):
 
 
 class PacedSink(ABC):
-    """Gives frames at the pace of their own clock, one moment after the other; everything else passes by.
+    """Give frames at the rate of their own clock, in order of time; ignore everything else.
 
     Args:
         pace: times real time; 0: as fast as can be.
     """
 
     def __init__(self, pace: float) -> None:
-        self._pace = Pace(pace)
+        self._limiter = RateLimiter(pace)
 
     def write(self, item: Item) -> None:
         """Take frames."""
@@ -431,11 +424,11 @@ class PacedSink(ABC):
 
     def _wait(self, t_ns: int) -> None:
         now = time.monotonic()
-        time.sleep(max(0.0, self._pace.due_s(t_ns, now) - now))
+        time.sleep(max(0.0, self._limiter.due_s(t_ns, now) - now))
         self.tick(t_ns)
 
     def tick(self, t_ns: int) -> None:  # noqa: B027 (not every simulator takes a clock)
-        """Told the frames' time before each is given."""
+        """Publish the time of the frames before each is given."""
 
     @abstractmethod
     def give(self, frames: Frames) -> None:
@@ -453,7 +446,7 @@ class PacedSink(ABC):
 
 
 def nearest(frames: Frames) -> Floats:
-    """Range of the first detection of each frame (n), infinite where there is none [m]."""
+    """Return the range of the first detection of each frame (n) [m]; infinite if there is none."""
     from ullage.processing.detect import detect
 
     out = np.full(len(frames), np.inf)

@@ -18,7 +18,7 @@ from ullage.arrays import Floats
 from ullage.flight.live import Wish
 from ullage.flight.pilot import HOVER, Velocity
 from ullage.geometry import quat_matrix, quat_rpy
-from ullage.ports.intake import Counters, checked_pose
+from ullage.ports.intake import Counters, Log, checked_pose
 from ullage.specs import Spec
 
 Takes = Literal["velocity", "pose"]
@@ -105,15 +105,15 @@ class Guided:
         drone: to command.
         takes: velocities or poses.
         limits: of the velocities.
-        say: takes what a person should know.
+        log: takes what a person should know.
         now: gives the time [s].
     """
 
     def __init__(
-        self, drone: Drone, takes: Takes, limits: Limits, *, say: Callable[[str], None],
+        self, drone: Drone, takes: Takes, limits: Limits, *, log: Log,
         now: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        self._drone, self._takes, self._limits, self._say, self._now = drone, takes, limits, say, now
+        self._drone, self._takes, self._limits, self._log, self._now = drone, takes, limits, log, now
         self.wish = Wish()
         self._asked = self._stale = False
         self._state: DroneState | None = None
@@ -132,7 +132,7 @@ class Guided:
         if wish.force_n is not None:
             if not self._force_said:
                 self._force_said = True
-                self._say("the drone takes no forces: DesiredControl is left out")
+                self._log("the drone takes no forces: DesiredControl is left out")
             return
         if not self._asked and self._state is not None:
             here, yaw = self._state.position, float(quat_rpy(self._state.quat_xyzw)[2])
@@ -155,7 +155,7 @@ class Guided:
         state = self._state
         stale = state is None or now - self._fresh_s > STALE_S
         if stale and not self._stale:
-            self._say(f"no state of the drone for {STALE_S:g} s: hovering")
+            self._log(f"no state of the drone for {STALE_S:g} s: hovering")
         self._stale = stale
         if state is None or stale:
             self._reference = None
@@ -209,7 +209,7 @@ class Guided:
             self._drone.steer(HOVER)
         self._drone.close()
         for line in self._drone.counters.lines():
-            self._say(line)
+            self._log(line)
 
 
 def _within(value: float, most: float) -> float:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -22,8 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
+from ullage.errors import UllageWarning
 
-Report = Callable[[str], None]
+Log = Callable[[str], None]
 """Takes one line for a person."""
 Reason = Literal["bad", "late", "lost", "duplicate", "no pose"]
 """Why a message is dropped.
@@ -55,6 +57,11 @@ REPORT_S = 5.0
 RARELY_S = 60.0
 
 
+def warn(text: str) -> None:
+    """Issue a warning: what a port logs to where the caller gives no log."""
+    warnings.warn(text, UllageWarning, stacklevel=3)
+
+
 class _Entry(NamedTuple):
     topic: str
     reason: Reason
@@ -72,15 +79,15 @@ class _Reported:
 class Counters:
     """Counts used and dropped messages by topic and reason; memory does not grow with the number of topics.
 
-    Safe to use from several threads; only `report` calls the reporter.
+    Safe to use from several threads; only `report` and `step` call the log.
 
     Args:
-        report: takes one line for a person; None: nothing is reported until `reporter` is set.
+        log: takes one line for a person; None: nothing is reported until `log` is set.
         now: gives the time that limits the rate of reports [s].
     """
 
-    def __init__(self, report: Report | None = None, *, now: Callable[[], float] = time.monotonic) -> None:
-        self.reporter, self._now = report or (lambda text: None), now
+    def __init__(self, log: Log | None = None, *, now: Callable[[], float] = time.monotonic) -> None:
+        self.log, self._now = log or (lambda text: None), now
         self._lock = threading.Lock()
         self._received: Counter[str] = Counter()
         self._dropped: Counter[_Entry] = Counter()
@@ -117,7 +124,7 @@ class Counters:
             self._steps += 1
             frequent = self._too_soon(_Entry("clock steps", "late"), self._steps) and self._steps > MOST_STEPS
         if not frequent:
-            self.reporter(text)
+            self.log(text)
 
     @property
     def steps(self) -> int:
@@ -143,7 +150,7 @@ class Counters:
             due = [entry for entry, count in self._dropped.items() if not self._too_soon(entry, count)]
             lines = [self._line(entry) for entry in due]
         for line in lines:
-            self.reporter(line)
+            self.log(line)
 
     def lines(self) -> list[str]:
         """One line for each topic that lost messages, for the end of a run; empty where none did."""

@@ -1,4 +1,4 @@
-"""What somebody else's simulator tells: where the model that carries the radars is, where others are, what happens."""
+"""Events of an external simulator: poses of the model that carries the radars, poses of other models, notices."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Pose = tuple[tuple[float, float, float], Quat]
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
-    """Where the model that carries the radars was seen."""
+class ModelPose:
+    """Pose of the model that carries the radars, at one time."""
 
     t_ns: int
     position: tuple[float, float, float]
@@ -27,79 +27,79 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True)
-class Others:
-    """Where other models were seen at a time; those that are not named stand where they stood."""
+class OtherModels:
+    """Poses of other models at one time; a model that is not named keeps its last pose."""
 
     t_ns: int
     poses: Mapping[str, Pose] = field(default_factory=dict)  # by name
     gone: frozenset[str] = frozenset()
-    new: frozenset[str] = frozenset()  # what the world did not have when it was told
+    new: frozenset[str] = frozenset()  # models that the world did not have at the start
 
 
 @dataclass(frozen=True, slots=True)
-class Note:
-    """Something that a person should know: the server has gone, the model is not there."""
+class Notice:
+    """A line for the user, for example that the server has gone or the model is missing."""
 
     text: str
 
 
 class Feed(Protocol):
-    """Tells where the model is; others are told of before it, at the same time."""
+    """Gives the poses of the model; poses of other models at the same time come first."""
 
-    def next(self, timeout_s: float) -> Sighting | Others | Note | None:
-        """The next thing that came, None if nothing did for so long."""
+    def next(self, timeout_s: float) -> ModelPose | OtherModels | Notice | None:
+        """Return the next event, or None if none came within the timeout."""
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Hand frames back; their time less the offset is the simulator's."""
+        """Publish frames; their time minus the offset is the simulator's time."""
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
 
 
 Event_co = TypeVar("Event_co", covariant=True)
 
 
-class Listening(Protocol[Event_co]):
-    """A peer among those around a simulator."""
+class EventPeer(Protocol[Event_co]):
+    """A peer on the simulator's network that gives events."""
 
     counters: Counters
 
     def wait(self, timeout_s: float) -> Event_co | None:
-        """The next thing that happened, None if nothing did for so long."""
+        """Return the next event, or None if none came within the timeout."""
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
 
 
 class EventFeed(ABC, Generic[Event_co]):
-    """A feed made of what a peer hears, each event of which may tell several things or none.
+    """A feed that reads the events of a peer; one event may give several results or none.
 
     Args:
-        peer: what happens.
+        peer: gives the events.
     """
 
-    def __init__(self, peer: Listening[Event_co]) -> None:
-        self._hearing, self.counters = peer, peer.counters
+    def __init__(self, peer: EventPeer[Event_co]) -> None:
+        self._source, self.counters = peer, peer.counters
         self._ready: deque[Any] = deque()
 
     def next(self, timeout_s: float) -> Any:
-        """The next pose or scan, or something to say; None if nothing came for so long."""
+        """Return the next pose, scan or notice, or None if none came within the timeout."""
         end = time.monotonic() + timeout_s
         while not self._ready:
-            event = self._hearing.wait(max(0.0, end - time.monotonic()))
+            event = self._source.wait(max(0.0, end - time.monotonic()))
             if event is None:
-                return self._silence() if timeout_s else None
-            last = self._understood(event)
+                return self._on_silence() if timeout_s else None
+            last = self._read_event(event)
             if last is not None:
                 self._ready.append(last)
         return self._ready.popleft()
 
     def close(self) -> None:
-        """Let go of the sockets."""
-        self._hearing.close()
+        """Close the sockets."""
+        self._source.close()
 
-    def _understood(self, event: Any) -> Any:
-        """What an event tells; a message that cannot be read is counted, whatever its bytes do to who reads them."""
+    def _read_event(self, event: Any) -> Any:
+        """Return the result of an event; count a message that cannot be read, whatever error its bytes cause."""
         try:
             return self._take(event)
         except Exception as error:
@@ -110,10 +110,10 @@ class EventFeed(ABC, Generic[Event_co]):
             self.counters.drop(topic, "bad", f"cannot be read: {cause}")
             return None
 
-    def _placed(self, topic: str, told: Mapping[str, Any]) -> dict[str, Pose]:
-        """The poses of other models by name, less those that are none."""
+    def _valid_poses(self, topic: str, poses: Mapping[str, Any]) -> dict[str, Pose]:
+        """Return the poses of other models by name, and count those that are not valid."""
         out = {}
-        for name, one in told.items():
+        for name, one in poses.items():
             pose = pose_of(one)
             wrong = checked_pose(*pose)
             if isinstance(wrong, str):
@@ -124,20 +124,20 @@ class EventFeed(ABC, Generic[Event_co]):
 
     @abstractmethod
     def _take(self, event: Any) -> Any:
-        """What an event tells last, None where nothing; what it tells before that goes to `_ready`."""
+        """Return the last result of an event, or None; append earlier results to `_ready`."""
 
     @abstractmethod
-    def _silence(self) -> Note | None:
-        """Nothing came for a while."""
+    def _on_silence(self) -> Notice | None:
+        """Return a notice, if one is due, after no event came for a while."""
 
 
-def pose_of(told: Any) -> Pose:
-    """The pose in a message of either Gazebo; an attitude that is not told is none."""
-    at, turn = told.position, told.orientation
+def pose_of(message: Any) -> Pose:
+    """Return the pose in a message of either Gazebo; a missing attitude is the identity."""
+    at, turn = message.position, message.orientation
     quat = (turn.x, turn.y, turn.z, turn.w)
     return (at.x, at.y, at.z), quat if any(quat) else (0.0, 0.0, 0.0, 1.0)
 
 
-def stamp_ns(told: Any) -> int:
-    """The time in a message of either Gazebo [ns]."""
-    return int(told.sec) * 10**9 + int(told.nsec)
+def stamp_ns(message: Any) -> int:
+    """Return the time in a message of either Gazebo [ns]."""
+    return int(message.sec) * 10**9 + int(message.nsec)

@@ -1,4 +1,4 @@
-"""Give messages in the order of their stamps, at the pace of their own clock."""
+"""Release messages in the order of their stamps, at the rate of their own clock."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any, Generic, Protocol, TypeVar
 from ullage.errors import UllageWarning
 
 LATE_S = 1.0
-"""A source that falls behind by more [s] is not made up for."""
+"""Beyond this delay [s] the limiter starts anew and does not catch up."""
 LEAP_S = 10.0
-"""A gap of more than this [s of stream] is not waited for."""
+"""The limiter does not wait for a gap longer than this [s of stream]."""
 STEP_BACK_S = 1.0
-"""A stamp that lies behind the newest by more [s] is a step of the clock; by less, the message is late."""
+"""A stamp older than the newest by more than this [s] is a step of the clock; otherwise the message is late."""
 
 
-class Pace:
-    """Tells when each stamp is due on this machine's clock.
+class RateLimiter:
+    """Compute when each stamp is due on this machine's clock.
 
     Args:
         rate: seconds of stream a second; 0: at once.
@@ -28,14 +28,14 @@ class Pace:
         self._anchor: tuple[int, float] | None = None  # a stamp, and when it was due
         self._newest_ns = 0
         self.late_s = 0.0
-        """How late the last stamp was asked for, against the pace as it was before it started anew [s]."""
+        """Delay of the last stamp against the schedule before the limiter started anew [s]."""
 
     def due_s(self, t_ns: int, now_s: float) -> float:
-        """When a stamp is due [s, monotonic].
+        """Return when a stamp is due [s, monotonic].
 
-        The pace starts anew after a step back, after it falls far behind, and where stamps leap far ahead, as where a
-        clock is set or recordings are strung together; a leap is reported. A late message is due at once and moves
-        nothing.
+        The limiter starts anew after a step back, after a long delay, and after stamps leap far ahead. Stamps leap when
+        a clock is set or when recordings are joined; a leap is reported. A late message is due at once and does not
+        change the schedule.
         """
         self.late_s = 0.0
         if not self._rate:
@@ -59,7 +59,7 @@ class Pace:
 
 
 class HasStamp(Protocol):
-    """Anything with a time."""
+    """Anything with a time stamp."""
 
     @property
     def t_ns(self) -> int:
@@ -70,14 +70,14 @@ Timed = TypeVar("Timed", bound=HasStamp)
 
 
 class StampOrder(Generic[Timed]):
-    """Holds messages until no older one can come, and gives them in the order of their stamps.
+    """Hold messages until no older one can come, and release them in the order of their stamps.
 
-    A source gives frames in pieces, and what is made of a piece, such as detections, comes after it. So when the next
-    piece begins, everything older than its first stamp is complete. Messages begin to flow once as much is complete
-    as the longest piece spans, so that a source which needs time for its pieces does not stall those who listen.
+    A source gives frames in pieces. Results of a piece, such as detections, come after it. So when the next piece
+    begins, everything older than its first stamp is complete. The first messages are released once the complete ones
+    span as much time as the longest piece. A source that needs time for its pieces then does not stall listeners.
 
     Args:
-        key: by which messages of one stamp are sorted too; it begins with the stamp.
+        key: sorts the messages; its first part is the stamp.
     """
 
     def __init__(self, key: Callable[[Timed], Any] = lambda message: message.t_ns) -> None:
@@ -94,7 +94,7 @@ class StampOrder(Generic[Timed]):
         return self._longest_ns * 1e-9
 
     def begin_piece(self, first_ns: int, last_ns: int) -> list[Timed]:
-        """Give what is complete now that a piece of frames comes.
+        """Return the messages that are complete when a piece of frames begins.
 
         Args:
             first_ns: the oldest stamp of the piece [ns].
@@ -111,11 +111,11 @@ class StampOrder(Generic[Timed]):
         return self._release()
 
     def hold(self, messages: list[Timed]) -> None:
-        """Take the messages of a piece, or of what was made of it."""
+        """Add the messages of a piece or of its results."""
         self._held += messages
 
     def finish(self) -> list[Timed]:
-        """Give the rest."""
+        """Return the remaining messages."""
         self._ready += sorted(self._held, key=self._key)
         self._held, self._flows = [], True
         return self._release()

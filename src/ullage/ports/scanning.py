@@ -1,4 +1,4 @@
-"""Radar frames from a simulator's own rays, by the thesis' processing."""
+"""Radar frames from the rays of a simulator, by the processing of the thesis."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.fan import FULL_DEG, reaching_max_range
-from ullage.ports.cosimulation import Endless, FollowOptions, Say, radar_of
-from ullage.ports.intake import Counters, Stamped, Stream, checked_pose
-from ullage.ports.pose_events import Note, Pose, stamp_ns
+from ullage.ports.cosimulation import CosimulationOptions, UnboundedSource, radar_of
+from ullage.ports.intake import Counters, Log, Stamped, Stream, checked_pose
+from ullage.ports.pose_events import Notice, Pose, stamp_ns
 from ullage.radar.receiver import receive_thesis
 from ullage.radar.receiving import sensor_seed
 from ullage.radar.scan import echoes_of_scans
@@ -25,40 +25,40 @@ from ullage.world.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """What a fan of rays met, and where it was cast."""
+    """Ranges and intensities of a fan of rays, and the pose of the sensor that cast it."""
 
     t_ns: int
-    range_m: Floats  # (up, across), infinite where it met nothing
+    range_m: Floats  # (up, across), infinite without a hit
     intensity: Floats  # (up, across)
     fov_deg: float
     min_range_m: float
     max_range_m: float
     position: tuple[float, float, float]  # of the sensor in the world
     quat_xyzw: tuple[float, float, float, float]
-    elevation_deg: float | None = None  # opening upright; None: fov_deg
-    sensor: str = ""  # that cast it
+    elevation_deg: float | None = None  # vertical opening; None: fov_deg
+    sensor: str = ""  # name of the ray sensor
 
 
-def scan_of(told: Any, time: Any, pose: Pose, *, sensor: str = "") -> Scan:
-    """The scan in a message of either Gazebo.
+def scan_of(message: Any, time: Any, pose: Pose, *, sensor: str = "") -> Scan:
+    """Return the scan in a message of either Gazebo.
 
     Args:
-        told: its `LaserScan`.
-        time: when.
+        message: its `LaserScan`.
+        time: its time stamp.
         pose: of the sensor in the world.
         sensor: its name.
 
     Raises:
-        InputError: its numbers make no scan.
+        InputError: its numbers are not a valid scan.
     """
-    shape = (max(int(told.vertical_count), 1), int(told.count))
-    counts = {"ranges": len(told.ranges), "intensities": len(told.intensities)}
+    shape = (max(int(message.vertical_count), 1), int(message.count))
+    counts = {"ranges": len(message.ranges), "intensities": len(message.intensities)}
     for name, count in counts.items():
         if count != shape[0] * shape[1]:
             raise InputError(f"{count} {name} in {shape[0]} by {shape[1]} rays", where="scan")
-    ranges, strength = np.array(told.ranges).reshape(shape), np.array(told.intensities).reshape(shape)
-    limits = (told.angle_max - told.angle_min, told.range_min, told.range_max)
-    up_deg = math.degrees(told.vertical_angle_max - told.vertical_angle_min)
+    ranges, strength = np.array(message.ranges).reshape(shape), np.array(message.intensities).reshape(shape)
+    limits = (message.angle_max - message.angle_min, message.range_min, message.range_max)
+    up_deg = math.degrees(message.vertical_angle_max - message.vertical_angle_min)
     if np.isnan(ranges).any() or not np.isfinite(strength).all() or not np.isfinite([*limits, up_deg]).all():
         raise InputError("not a number", where="scan")
     if isinstance(wrong := checked_pose(*pose), str):
@@ -70,23 +70,23 @@ def scan_of(told: Any, time: Any, pose: Pose, *, sensor: str = "") -> Scan:
 
 
 class ScanFeed(Protocol):
-    """Tells what the rays met."""
+    """Gives the scans of a simulator's ray sensors."""
 
-    def next(self, timeout_s: float) -> Scan | Note | None:
-        """The next thing that came, None if nothing did for so long."""
+    def next(self, timeout_s: float) -> Scan | Notice | None:
+        """Return the next scan or notice, or None if none came within the timeout."""
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Hand frames back; their time less the offset is the simulator's."""
+        """Publish frames; their time minus the offset is the simulator's time."""
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
 
 
 def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
-    """The radar with the scan's fan.
+    """Return the radar with the fan of a scan.
 
     Raises:
-        InputError: no radar model can be made of the fan.
+        InputError: the fan has too few rays for a radar model.
     """
     up, across = scan.range_m.shape
     if min(up, across) < 2:
@@ -100,47 +100,47 @@ def spec_of(scan: Scan, radar: RadarSpec) -> RadarSpec:
     return reaching_max_range(radar.but(thesis=fan))
 
 
-class ScanSource(Endless):
-    """Frames made of a simulator's own rays, one of each scan; each ray sensor is a radar.
+class ScanSource(UnboundedSource):
+    """Frames from the rays of a simulator, one for each scan; each ray sensor is a radar.
 
     Args:
-        join: begins to listen and gives what tells of scans.
-        rig: range axis and noise of the radars by name, else of its first; the fans are those of the scans.
-        options: how; `rays` names the sensors.
-        scene: the world, where it is known.
-        say: told what a person should know; None: it becomes a warning.
+        join: connects and returns the feed of scans.
+        rig: gives range axis and noise of the radars by name, else of its first radar; the scans give the fans.
+        options: options of the radars; `rays` names the sensors.
+        scene: the world, if it is known.
+        log: takes lines for the user; None: they become warnings.
     """
 
     def __init__(
         self,
         join: Callable[[], ScanFeed],
         rig: Rig,
-        options: FollowOptions,
+        options: CosimulationOptions,
         *,
         scene: Scene | None = None,
-        say: Say | None = None,
+        log: Log | None = None,
     ) -> None:
         self.scene = scene
-        super().__init__(options.duration_s, say, topic=options.rays)
+        super().__init__(options.duration_s, log, topic=options.rays)
         self._rig, self._options = rig, options
         self._cast: dict[str, Stream[Scan]] = {}  # by sensor
         self._count: dict[str, int] = {}
         self._feed = join()
-        self._hear(getattr(self._feed, "counters", None) or Counters(), options.rays)
+        self._count_with(getattr(self._feed, "counters", None) or Counters(), options.rays)
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the ray sensors that have cast so far."""
+        """Names of the ray sensors that gave scans so far."""
         return tuple(self._cast)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """A frame of each scan as it comes."""
+        """Give a frame of each scan as it comes."""
         try:
             while not self._over():
                 found = self._feed.next(0.5)
                 self.counters.report()
-                if isinstance(found, Note):
-                    self._tell(found.text)
+                if isinstance(found, Notice):
+                    self._log_throttled(found.text)
                 elif found is not None:
                     yield from self._pieces(found)
         finally:
@@ -148,11 +148,11 @@ class ScanSource(Endless):
             self.close()
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
         self._feed.close()
 
     def _pieces(self, found: Scan) -> Iterator[dict[str, Frames]]:
-        """The frame of a scan, once its time can be trusted."""
+        """Give the frame of a scan once the clock accepts its time."""
         cast = self._cast.get(found.sensor) or self._new_stream(found.sensor)
         self._cast[found.sensor] = cast
         if found.t_ns == cast.last_ns:
@@ -170,7 +170,7 @@ class ScanSource(Endless):
         spec = spec_of(scan, radar_of(self._rig, name))
         strength = scan.intensity
         if not strength.any():
-            self._tell("every intensity is zero: no laser_retro in this world, so each object reflects as 1")
+            self._log_throttled("every intensity is zero: no laser_retro in this world, so each object reflects as 1")
             strength = np.ones_like(strength)
         clean = echoes_of_scans(scan.range_m[None], strength[None], spec)
         seed = sensor_seed(self._options.seed, name)

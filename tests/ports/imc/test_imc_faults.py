@@ -46,8 +46,8 @@ def tcp(
 ) -> Iterator[tuple[Link, list[str]]]:
     told: list[str] = []
     host, port = place.removeprefix("tcp://").split(":")
-    wire = TcpWire(host, int(port), table=own(), silence_s=silence_s, reconnect=reconnect, say=told.append)
-    link = Link(wire, Identity(0x9001, "ullage"), say=told.append, **limits)
+    wire = TcpWire(host, int(port), table=own(), silence_s=silence_s, reconnect=reconnect, log=told.append)
+    link = Link(wire, Identity(0x9001, "ullage"), log=told.append, **limits)
     try:
         yield link, told
     finally:
@@ -238,9 +238,9 @@ def udp(
     told: list[str] = []
     me = Identity(number, name)
     wire = UdpWire(
-        place, table=own(), own=me, interface="127.0.0.1", port=0, silence_s=silence_s, reconnect=True, say=told.append
+        place, table=own(), own=me, interface="127.0.0.1", port=0, silence_s=silence_s, reconnect=True, log=told.append
     )  # fmt: skip
-    link = Link(wire, me, say=told.append)
+    link = Link(wire, me, log=told.append)
     try:
         yield link, told
     finally:
@@ -260,7 +260,7 @@ def test_a_thousand_peers_cost_no_memory_and_are_counted() -> None:
     counters = Counters()
     wire = UdpWire(
         None, table=own(), own=Identity(0x9001, "one"), interface="127.0.0.1", port=0, silence_s=3600.0, reconnect=True,
-        say=lambda _: None, counters=counters,
+        log=lambda _: None, counters=counters,
     )  # fmt: skip
     speaker = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     place = wire.services[0].removeprefix("imc+udp://").rstrip("/").split(":")

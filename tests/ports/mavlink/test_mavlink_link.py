@@ -34,7 +34,7 @@ def link_to(said: list[str]) -> Iterator[Opened]:
     links: list[Link] = []
 
     def opened(place: str, **options: Any) -> Link:
-        links.append(open_link(place, LinkOptions(**options), role="sink", report=said.append))
+        links.append(open_link(place, LinkOptions(**options), role="sink", log=said.append))
         return links[-1]
 
     yield opened
@@ -202,8 +202,8 @@ def test_a_serial_line_carries_the_same(link_to: Opened, said: list[str]) -> Non
 def test_a_source_and_a_sink_of_one_place_share_the_link() -> None:
     with Autopilot() as autopilot:
         place = f"udp://127.0.0.1:{autopilot.port}"
-        one = open_link(place, LinkOptions(), role="source", report=print)
-        two = open_link(place, SinkOptions(), role="sink", report=print)
+        one = open_link(place, LinkOptions(), role="source", log=print)
+        two = open_link(place, SinkOptions(), role="sink", log=print)
         assert one is two
         leave(one, "source")
         seen = len(autopilot.await_("HEARTBEAT"))

@@ -34,7 +34,7 @@ def said() -> list[str]:
 
 
 def sink(autopilot: Autopilot, said: list[str], **options: Any) -> MavlinkSink:
-    return MavlinkSink(f"udp://127.0.0.1:{autopilot.port}", SinkOptions(**options), say=said.append)
+    return MavlinkSink(f"udp://127.0.0.1:{autopilot.port}", SinkOptions(**options), log=said.append)
 
 
 def around(t_s: float, distance_m: float = 2.0, *, now_ns: int = 0) -> Any:
@@ -158,14 +158,14 @@ def test_obstacles_of_the_run_replace_our_own(autopilot: Autopilot, said: list[s
 
 
 def test_without_an_autopilot_it_is_said_at_the_end(said: list[str]) -> None:
-    with MavlinkSink("udp://127.0.0.1:9", SinkOptions(pace=0), say=said.append) as out:
+    with MavlinkSink("udp://127.0.0.1:9", SinkOptions(pace=0), log=said.append) as out:
         out.write(around(0.0))
     assert any("no HEARTBEAT of an autopilot came" in line for line in said)
 
 
 def test_an_autopilot_that_is_waited_for_and_does_not_come_is_an_error(said: list[str]) -> None:
     with pytest.raises(ul.InputError, match=r"no HEARTBEAT of an autopilot within 0.2 s .*vehicle=ID"):
-        MavlinkSink("udp://127.0.0.1:9", SinkOptions(wait_s=0.2), say=said.append)
+        MavlinkSink("udp://127.0.0.1:9", SinkOptions(wait_s=0.2), log=said.append)
 
 
 def test_a_closed_sink_takes_nothing(autopilot: Autopilot, said: list[str]) -> None:

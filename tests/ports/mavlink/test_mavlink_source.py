@@ -39,7 +39,7 @@ def east(t_s: float) -> tuple[float, float, float]:
 def frames_of(autopilot: Autopilot, world: str, said: list[str], **options: Any) -> Iterator[dict[str, ul.Frames]]:
     place = f"udp://127.0.0.1:{autopilot.port}"
     values = {"world": world, "rig": "single", "rate_hz": 20, "duration_s": 1.0, **options}
-    with source_of(place, values, say=said.append) as source:
+    with source_of(place, values, log=said.append) as source:
         yield from source.stream()
 
 
@@ -104,7 +104,7 @@ def test_an_autopilot_that_starts_again_begins_a_new_track(world: str) -> None:
 def test_no_heartbeat_is_an_error_in_one_line(world: str) -> None:
     options = {"world": world, "rig": "single", "wait_s": 0.5}
     with (
-        source_of("udp://127.0.0.1:9", options, say=[].append) as source,
+        source_of("udp://127.0.0.1:9", options, log=[].append) as source,
         pytest.raises(ul.InputError, match=r"no HEARTBEAT of an autopilot within 0.5 s"),
     ):
         next(source.stream())

@@ -61,7 +61,7 @@ class Network:
         return started
 
 
-def told(started: subprocess.Popen[str], *, stop: bool = False, timeout: float = 120.0) -> Any:
+def result_of(started: subprocess.Popen[str], *, stop: bool = False, timeout: float = 120.0) -> Any:
     """What a program said in its last line, as JSON, once it has ended (or been asked to, by the end of its input)."""
     early = ""
     if not stop:  # read as it speaks, since its end may be longer than a pipe holds, and leave its input open

@@ -9,8 +9,8 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 
 file, *words = sys.argv[1:]
-told = [(name, value) for name, _, value in (word.partition(":=") for word in words)]
+result_of = [(name, value) for name, _, value in (word.partition(":=") for word in words)]
 service = LaunchService()
-included = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=told)
+included = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=result_of)
 service.include_launch_description(LaunchDescription([included]))
 raise SystemExit(service.run())

@@ -11,7 +11,7 @@ import pytest
 
 import ullage as ul
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 
@@ -32,7 +32,7 @@ def test_cmd_vel_moves_it_silence_stops_it_and_a_set_point_places_it(
 ) -> None:
     pilot = network.start("pilot.py")
     drone = network.start("-m", "ullage", *words, "--to", "ros2:?node=out", "--out", tmp_path)
-    heard = told(pilot)
+    heard = result_of(pilot)
     drone.send_signal(signal.SIGINT)
     out, err = drone.communicate(timeout=120)
     assert drone.returncode == 0, out + err
@@ -54,7 +54,7 @@ def test_a_joystick_and_stamped_velocities_fly_it(network: Network, tmp_path: Pa
     stick = network.start("stick.py")
     words = ["-m", "ullage", "run", "ros2:?fly=ntnu-room&fidelity=thesis&node=drone&rate_hz=20"]
     drone = network.start(*words, "--do", "detect", "--to", "ros2:?node=out", "--out", tmp_path)
-    seen = told(stick)
+    seen = result_of(stick)
     drone.send_signal(signal.SIGINT)
     out, err = drone.communicate(timeout=60)
     assert drone.returncode == 0, out + err

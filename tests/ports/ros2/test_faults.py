@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
 
@@ -18,10 +18,10 @@ def run(network: Network) -> tuple[list[dict[str, Any]], int, dict[str, str]]:
     """What came of such a robot: lines of frames and reports, how many it sent, and the last diagnostics."""
     watcher = network.ready("hear.py", "/diagnostics=diagnostic_msgs/msg/DiagnosticArray:stream")
     taker = network.ready("take.py", "ros2:?node=mapper&idle_s=4&patience_s=5")
-    sent = told(network.start("harm.py"))
+    sent = result_of(network.start("harm.py"))
     out, err = taker.communicate(timeout=120)
     assert taker.returncode == 0, err
-    status = told(watcher, stop=True)["last"]["/diagnostics"]["status"][0]
+    status = result_of(watcher, stop=True)["last"]["/diagnostics"]["status"][0]
     return [json.loads(line) for line in out.splitlines()], sent, {v["key"]: v["value"] for v in status["values"]}
 
 

@@ -16,7 +16,7 @@ from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
 from ullage.ports.imc.teller import BODY
 
-from .network import ROOT, Network, told
+from .network import ROOT, Network, result_of
 
 pytestmark = pytest.mark.ros2
 BUS = ROOT / "tests/ports/imc/imc_bus.py"
@@ -63,10 +63,10 @@ def test_a_vehicle_goes_to_ros_and_from_ros_to_a_bus_without_losing_a_bit(networ
 
     flown = ul.open(next((tmp_path / "there").glob("imc-*/frames.mcap"))).frames()
     assert set(flown) == {"front", "left", "back", "right"}
-    told_ = told(listener, stop=True)
-    assert told_["count"]["/dune/odom"] > 20
-    assert told_["last"]["/dune/odom"]["pose"]["pose"]["position"]["x"] == pytest.approx(0.0, abs=1e-6)
-    assert told_["last"]["/tf"]["transforms"][0]["child_frame_id"] == "base_link"
+    heard = result_of(listener, stop=True)
+    assert heard["count"]["/dune/odom"] > 20
+    assert heard["last"]["/dune/odom"]["pose"]["pose"]["position"]["x"] == pytest.approx(0.0, abs=1e-6)
+    assert heard["last"]["/tf"]["transforms"][0]["child_frame_id"] == "base_link"
 
     gather = Gatherer(Track(origin=Geodetic.degrees(63.4185, 10.4009, 40.0)))
     for packet in heard(tmp_path / "ground.bin"):
@@ -128,13 +128,13 @@ def test_what_is_said_on_a_bus_is_said_on_ros_and_on_another_bus_and_what_ros_wa
         "-m", "ullage", "run", f"imc:{place}?reconnect=false", "--do", "", "--out", tmp_path / "there",
         "--to", "ros2:/dune?linger_s=2",
     )  # fmt: skip
-    told(wishes, timeout=120)
+    result_of(wishes, timeout=120)
     for process in (there, back):
         out, err = process.communicate(timeout=120)
         assert process.returncode == 0, out + err
     ground.communicate(timeout=60)
     dune.communicate(timeout=60)
-    count = told(listener, stop=True)["count"]
+    count = result_of(listener, stop=True)["count"]
     assert count["/dune/imc/packet"] > 300
     assert set(count) == {"/dune/imc/packet", "/dune/imc/temperature", "/dune/imc/desired/heading"}
 

@@ -11,7 +11,7 @@ import pytest
 
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 
-from .network import ROOT, Network, told
+from .network import ROOT, Network, result_of
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow, pytest.mark.timeout(600)]
 BUS = ROOT / "tests/ports/imc/imc_bus.py"
@@ -46,7 +46,7 @@ def test_messages_of_a_bus_become_those_of_imc_msgs(network: Network, tmp_path: 
     out, err = relay.communicate(timeout=120)
     assert relay.returncode == 0, out + err
     bus.communicate(timeout=60)
-    got = told(listener, stop=True)
+    got = result_of(listener, stop=True)
     assert min(got["count"].values()) > 20
     height, control = (got["last"][f"/dune/imc/typed/{name}"] for name in ("DesiredZ", "PlanControl"))
     assert (height["value"], height["z_units"], height["src"], height["src_ent"]) == (4.25, 3, 0x0804, 9)
@@ -64,7 +64,7 @@ def test_messages_of_imc_msgs_reach_a_bus(network: Network, tmp_path: Path) -> N
         "-m", "ullage", "run", "ros2:/dune?idle_s=4&node=back", "--do", "", "--out", tmp_path / "back",
         "--to", f"imc:tcp://127.0.0.1:{port}?pace=0",
     )  # fmt: skip
-    assert told(speaker) == 2
+    assert result_of(speaker) == 2
     out, err = relay.communicate(timeout=120)
     assert relay.returncode == 0, out + err
     bus.communicate(timeout=120)

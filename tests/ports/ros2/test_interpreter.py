@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from .network import ROOT, Network, told
+from .network import ROOT, Network, result_of
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 PILOT = ROOT / "tests/ports/imc/imc_pilot.py"
@@ -25,12 +25,12 @@ def test_a_controller_on_the_bus_flies_a_ros_drone_which_hovers_when_it_falls_si
     port = pilot.stdout.readline().strip()
     words = f"imc:udp://127.0.0.1:{port}?fly=ros2:/drone1&takes={takes}"
     interpreter = network.start("-m", "ullage", "run", words, "--do", "", "--out", tmp_path)
-    seen = told(pilot, timeout=200)
+    seen = result_of(pilot, timeout=200)
     interpreter.send_signal(signal.SIGINT)
     out, err = interpreter.communicate(timeout=60)
     assert interpreter.returncode == 0, out + err
     assert "the controller has said nothing for 2.5 s: hovering" in err
-    flown = told(drone, stop=True)
+    flown = result_of(drone, stop=True)
 
     assert [seen[step] for step in ("met", "risen", "arrived")] == [True] * 3, json.dumps(seen)
     assert seen["answer"] == 1  # success

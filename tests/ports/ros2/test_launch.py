@@ -17,7 +17,7 @@ import pytest
 from ullage.ports.live import Address
 from ullage.ports.ros2.options import SinkOptions
 
-from .network import ROOT, Network, interpreter, told
+from .network import ROOT, Network, interpreter, result_of
 
 pytestmark = pytest.mark.ros2
 PACKAGE = ROOT / "integrations/ros2/ullage_ros"
@@ -115,7 +115,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def test_every_launch_file_starts_what_it_says(network: Network, installed: dict[str, str]) -> None:
     files = [f"{installed['ULLAGE_LAUNCH']}/{name}" for name in FILES]
-    started = told(network.start("-c", DESCRIBE, *files, **installed))
+    started = result_of(network.start("-c", DESCRIBE, *files, **installed))
     assert started.pop("radars.launch.py") == [["ullage_ros", "radar_simulator"], ["ullage_ros", "radar_mapping"]]
     for name, commands in started.items():
         scenario = name.partition(".")[0].replace("_", "-")
@@ -138,7 +138,7 @@ def test_radars_on_a_robot_that_others_move_and_the_map_of_what_they_see(
     listener = network.ready("hear.py", "--all", *RADARS)
     words = ("pose:=/robot/odom", "fidelity:=thesis")
     launched = network.start("start.py", f"{installed['ULLAGE_LAUNCH']}/radars.launch.py", *words, **installed)
-    got = told(listener)
+    got = result_of(listener)
     said = end(launched)
     robot.kill()
     assert got["last"]["/map"]["info"]["width"] in (200, 201)
@@ -162,7 +162,7 @@ def test_a_scenario_flies_by_itself_and_everything_is_heard(
     file = f"{installed['ULLAGE_LAUNCH']}/{name}.launch.py"
     pace = 10 if name in LONG else 1
     launched = network.start("start.py", file, f"pace:={pace}", cwd=tmp_path, **installed)
-    got: Any = told(listener, timeout=300)
+    got: Any = result_of(listener, timeout=300)
     said = end(launched)
     assert set(got["count"]) == {topic.partition("=")[0] for topic in FLOWN}
     assert "Traceback" not in said, said

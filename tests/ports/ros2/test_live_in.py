@@ -15,7 +15,7 @@ import pytest
 import ullage as ul
 from ullage.ports import read_map
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
 SPEAK = "ros2:?pace=1&node=speaker&listeners=1"
@@ -59,7 +59,7 @@ def test_mapping_on_topics_gives_what_the_flight_gives(network: Network, tmp_pat
         np.testing.assert_allclose(frames.poses.position, flown[name].poses.position[rows], atol=1e-6)
     omap = read_map(run / "map.yaml")
     assert omap.free.sum() > 100
-    told_map = told(listener, stop=True)["last"]["/mapped/map"]
+    told_map = result_of(listener, stop=True)["last"]["/mapped/map"]
     assert told_map["data"]["length"] == omap.percent.size
 
 
@@ -95,11 +95,11 @@ def test_radars_follow_a_robot_and_each_may_die_and_come_back(network: Network) 
     lines = lines_until(radars, lambda line: line.get("t_ns", 0) > before_ns + 2_000_000_000)
     assert lines[-1]["at"][0] < 3.0
 
-    assert set(told(early)["count"]) == set(topics)
+    assert set(result_of(early)["count"]) == set(topics)
     radars.kill()  # the radars die, and come back
     again = network.ready("take.py", address)
     lines_until(again, lambda line: line.get("sensor") == "front")
-    got = told(network.ready("hear.py", *asked))  # who comes late hears of the world too
+    got = result_of(network.ready("hear.py", *asked))  # who comes late hears of the world too
     assert set(got["count"]) == set(topics)
     out, err = again.communicate(timeout=60)
     assert again.returncode == 0, err

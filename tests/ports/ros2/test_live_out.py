@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
 TOPICS = (
@@ -40,7 +40,7 @@ def heard(network: Network) -> Any:
     out, err = speaker.communicate(timeout=120)
     assert speaker.returncode == 0, out + err
     assert "warning" not in err.lower()
-    return told(listener, stop=True)
+    return result_of(listener, stop=True)
 
 
 def test_a_stranger_hears_everything_with_ros_own_frames_and_units(heard: Any) -> None:
@@ -89,7 +89,7 @@ def test_the_clock_goes_evenly_at_the_pace_of_the_stamps(heard: Any) -> None:
 def test_who_comes_late_gets_the_map_the_world_and_the_fixed_transforms(network: Network) -> None:
     speaker = network.ready("speak.py", "ros2:?pace=0&linger_s=300")
     listener = network.start("hear.py", "--all", *(t for t in TOPICS if t.endswith(":latched")))
-    got = told(listener)
+    got = result_of(listener)
     speaker.kill()
     assert got["last"]["/map"]["data"]["sum"] > 0
     assert len(got["last"]["/tf_static"]["transforms"]) == 5

@@ -11,7 +11,7 @@ from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
 from ullage.ports.publisher import Publisher
 from ullage.thesis.node import batches
 
-from .network import Network, told
+from .network import Network, result_of
 
 MAPS, IMAGES = ("map", "map_updates"), ("image",)
 
@@ -69,7 +69,7 @@ def test_the_node_publishes_maps_and_images_five_times_a_second(network: Network
     )  # fmt: skip
     speaker = network.start("fly.py", "6", "ros2:/flying?node=speaker&listeners=1&pace=0.5&linger_s=1")
     assert speaker.wait(120) == 0, speaker.communicate()
-    stamps = told(listener, stop=True)["stamps"]
+    stamps = result_of(listener, stop=True)["stamps"]
     images = np.unique(stamps[topic]) * 1e-9
     maps = np.unique(stamps[f"/{method}/map"] + stamps.get(f"/{method}/map_updates", [])) * 1e-9
     for came in (images, maps):  # of 6 s of frames; the first piece also pays for the imports

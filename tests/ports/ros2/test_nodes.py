@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
 
@@ -17,7 +17,7 @@ def test_a_node_goes_through_its_states_and_refuses_what_it_cannot(network: Netw
         "-m", "ullage.experiments.ros2_nodes", "radar_simulator", "--ros-args", "-p", "autostart:=false",
         "-p", "simulate:=nowhere", "-p", "pose:=/robot/odom", "-p", "fidelity:=thesis",
     )  # fmt: skip
-    got = told(network.start("drive.py", "/radar_simulator", "/radar/front/range"))
+    got = result_of(network.start("drive.py", "/radar_simulator", "/radar/front/range"))
     assert got["first"] == ["unconfigured", False]  # no such world
     assert got["parameter"]
     assert got["states"] == ["inactive", "active", "inactive", "unconfigured", "inactive", "active"]
@@ -34,7 +34,7 @@ def test_the_mapping_node_publishes_a_map_of_what_it_hears(network: Network) -> 
     node = network.start("-m", "ullage.experiments.ros2_nodes", "radar_mapping", "--ros-args", "-p", "reach_m:=5.0")
     listener = network.start("hear.py", "--all", "/map=nav_msgs/msg/OccupancyGrid:latched")
     speaker = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker&listeners=1")
-    got = told(listener)
+    got = result_of(listener)
     assert got["last"]["/map"]["info"]["width"] in (100, 101)
     node.send_signal(2)
     _, err = node.communicate(timeout=120)
@@ -55,7 +55,7 @@ def test_the_mapping_node_maps_as_the_thesis_did_and_publishes_often(network: Ne
     speaker = network.start("fly.py", "8", "ros2:/flying?node=speaker&listeners=1")
     assert speaker.wait(120) == 0, speaker.communicate()
     time.sleep(1.0)
-    got = told(listener, stop=True)
+    got = result_of(listener, stop=True)
     assert got["last"]["/map/cells"]["method"] == "elfes"
     assert got["count"]["/map"] + got["count"]["/updates"] > 12  # one a second would be 8
     node.send_signal(2)
@@ -83,7 +83,7 @@ def test_the_mapping_node_outlives_a_flight_that_leaves_its_map(network: Network
     assert speaker.wait(120) == 0
     again = network.start("speak.py", "ros2:/flying?pace=0.5&node=speaker&listeners=1")  # it begins anew, inside
     assert again.wait(120) == 0
-    got = told(listener, stop=True)
+    got = result_of(listener, stop=True)
     assert got["last"]["/map"]["info"]["width"] in (10, 11)
     node.send_signal(2)
     _, err = node.communicate(timeout=120)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
 RADARS = ("front", "left", "back", "right")
@@ -37,7 +37,7 @@ def flight(network: Network, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     flown = network.start("fly.py", "9", "ros2:?listeners=2&reliable=true&linger_s=1", folder)
     out, err = flown.communicate(timeout=180)
     assert flown.returncode == 0, out + err
-    return told(keeper, stop=True), told(timer, stop=True), folder
+    return result_of(keeper, stop=True), result_of(timer, stop=True), folder
 
 
 def test_live_topics_and_recordings_are_the_same(flight: tuple[Any, Any, Path]) -> None:

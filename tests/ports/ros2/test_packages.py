@@ -22,7 +22,7 @@ from ullage.ports.encode import CLOCK, DIAGNOSTICS, PATH, PICTURE, RANGE
 from ullage.ports.ros2.build import PARTS, build, foreign, main, package_files
 from ullage.world.library import WORLDS
 
-from .network import ROOT, Network, told
+from .network import ROOT, Network, result_of
 
 PACKAGES = ROOT / "integrations/ros2"
 PUBLIC = (
@@ -85,11 +85,11 @@ def test_the_launched_nodes_know_their_parameters() -> None:
     tree = ast.parse((PACKAGES / "ullage_ros/launch/radars.launch.py").read_text())
     assigned = {n.targets[0].id: n.value for n in ast.walk(tree) if isinstance(n, ast.Assign)}  # type: ignore[attr-defined]
     arguments = {key.value for key in assigned["ARGUMENTS"].keys}  # type: ignore[attr-defined]
-    told_ = {
+    heard = {
         key.value: value.args[0].value
         for key, value in zip(assigned["simulator"].keys, assigned["simulator"].values, strict=True)
     }  # type: ignore[attr-defined]
-    assert told_.keys() <= NODES["radar_simulator"][0].model_fields.keys()
+    assert heard.keys() <= NODES["radar_simulator"][0].model_fields.keys()
     assert {key.value for key in assigned["mapping"].keys} <= NODES["radar_mapping"][0].model_fields.keys()  # type: ignore[attr-defined]
     used = {n.args[0].value for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "of"}  # type: ignore[attr-defined]
     assert used == arguments
@@ -148,7 +148,7 @@ def test_rclpy_knows_the_same_hashes_and_reads_our_recordings(network: Network, 
         summary = make_reader(file).get_summary()
         assert summary is not None
         hashes = {summary.schemas[c.schema_id].name: c.metadata["topic_type_hash"] for c in summary.channels.values()}
-    got = told(network.start("decode.py", tmp_path / "run/frames.mcap"))
+    got = result_of(network.start("decode.py", tmp_path / "run/frames.mcap"))
     assert set(got["count"]) == set(hashes)
     assert all(count > 0 for count in got["count"].values())
     assert got["hashes"] == hashes

@@ -19,7 +19,7 @@ import pytest
 import yaml
 from PIL import Image
 
-from .network import HERE, ROOT, Network, told
+from .network import HERE, ROOT, Network, result_of
 
 pytestmark = [pytest.mark.ros2, pytest.mark.slow]
 DIST = Path("/usr/lib/python3/dist-packages")
@@ -99,7 +99,7 @@ def test_rviz_shows_world_map_and_profiles(network: Network, tmp_path: Path) -> 
         ):
             listener = network.start("hear.py", "--all", TOPICS[0], TOPICS[3])
             flight = network.start(*FLIGHT, SINK)
-            told(listener, timeout=180.0)
+            result_of(listener, timeout=180.0)
             time.sleep(float(os.environ.get("ULLAGE_PICTURE_S", "10")))
             subprocess.run(["import", "-window", "root", str(picture)], env=there, check=True, timeout=60)
             assert flight.poll() is None

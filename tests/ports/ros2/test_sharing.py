@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from .network import Network, told
+from .network import Network, result_of
 
 pytestmark = pytest.mark.ros2
 OURS = {"odom>base_link", "odom of base_link", "clock of the flight"}
@@ -54,8 +54,8 @@ def test_a_second_drone_has_names_of_its_own_and_topics_can_be_remapped(network:
     flight = network.start(
         "fly.py", "5", "ros2:/drone2?frame_prefix=drone2/&remap=odom:=/where&listeners=1&linger_s=60"
     )
-    got = told(listener)["last"]
-    names = told(network.start("ask.py", "/drone2/ullage"))  # the node is spun, so its services answer
+    got = result_of(listener)["last"]
+    names = result_of(network.start("ask.py", "/drone2/ullage"))  # the node is spun, so its services answer
     assert "use_sim_time" in names
     flight.kill()
     assert got["/drone2/radar/front/range"]["header"]["frame_id"] == "drone2/front"

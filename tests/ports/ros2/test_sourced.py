@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from .network import ROOT, Network, interpreter, told
+from .network import ROOT, Network, interpreter, result_of
 
 WHOSE = "import json, rclpy, ullage; print(json.dumps([rclpy.__file__, ullage.__file__]))"
 
@@ -36,11 +36,11 @@ def sourced(python: Path) -> dict[str, str]:
         "{k: v for k, v in os.environ.items() if k in ('AMENT_PREFIX_PATH', 'LD_LIBRARY_PATH')}]))"
     )
     out = subprocess.run([python, "-c", ask], capture_output=True, text=True, check=True, env=bare())
-    packages, prefix, told_ = json.loads(out.stdout)
-    libraries = f"{prefix}/lib:{told_.get('LD_LIBRARY_PATH', '')}".rstrip(":")
+    packages, prefix, heard = json.loads(out.stdout)
+    libraries = f"{prefix}/lib:{heard.get('LD_LIBRARY_PATH', '')}".rstrip(":")
     return {
         "PYTHONPATH": f"{ROOT / 'src'}:{packages}", "LD_LIBRARY_PATH": libraries,
-        "AMENT_PREFIX_PATH": told_.get("AMENT_PREFIX_PATH", prefix),
+        "AMENT_PREFIX_PATH": heard.get("AMENT_PREFIX_PATH", prefix),
     }  # fmt: skip
 
 
@@ -50,7 +50,7 @@ def test_the_rclpy_of_a_sourced_environment_is_used(network: Network) -> None:
     assert python is not None
     there = sourced(python)
     ours = Network(plain(), network.prefix, network.domain)
-    rclpy, ullage = told(ours.start("-c", WHOSE, **there))
+    rclpy, ullage = result_of(ours.start("-c", WHOSE, **there))
     assert Path(rclpy).is_relative_to(python.parent.parent)
     assert Path(ullage).is_relative_to(ROOT)
     listener = network.ready(
@@ -59,7 +59,7 @@ def test_the_rclpy_of_a_sourced_environment_is_used(network: Network) -> None:
     speaker = ours.start("speak.py", "ros2:?pace=1&linger_s=1&listeners=1", **there)
     out, err = speaker.communicate(timeout=120)
     assert speaker.returncode == 0, out + err
-    assert told(listener, stop=True)["count"]["/radar/front/frame"] > 20
+    assert result_of(listener, stop=True)["count"]["/radar/front/frame"] > 20
 
 
 def test_without_any_rclpy_one_line_says_how_to_get_it(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Gazebo (gz-sim, Fortress and later): follow a model in its world, simulate its radars, give back what they see."""
+"""Gazebo (gz-sim, Fortress and later): simulate the radars of a model in its world and publish their frames."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ __all__ = ["open_drone", "open_sink", "open_source"]
 
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Frames of radars on a model in a running Gazebo: `gazebo:WORLD?model=NAME&key=value`."""
+    """Open radars on a model in a running Gazebo: `gazebo:WORLD?model=NAME&key=value`."""
     from ullage.ports.gazebo.source import source_of
 
     return source_of(address, options)
 
 
 def open_sink(address: str, options: dict[str, Any]) -> Sink:
-    """A place on Gazebo's topics for frames from anywhere: `gazebo:?model=NAME&key=value`."""
+    """Open Gazebo's topics for frames from any source: `gazebo:?model=NAME&key=value`."""
     from ullage.ports.gazebo.sink import GazeboSink
 
     return GazeboSink(address, options)
 
 
 def open_drone(address: str, options: DroneOptions, takes: Takes) -> Drone:
-    """A model with a velocity controller, to be commanded: `gazebo:MODEL`.
+    """Open a model with a velocity controller: `gazebo:MODEL`.
 
     Raises:
-        InputError: there is no model's name, or poses are asked for.
+        InputError: the model has no name, or `takes` is pose.
         MissingExtra: pyzmq or protobuf is not installed.
     """
     from ullage.errors import InputError

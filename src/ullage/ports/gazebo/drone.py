@@ -8,7 +8,7 @@ from typing import Any
 from ullage.errors import InputError
 from ullage.flight.pilot import Velocity
 from ullage.ports.drone import DroneOptions, DroneState, state_of
-from ullage.ports.gazebo.peer import Came, Heard, Peer
+from ullage.ports.gazebo.peer import Peer, Received, TopicOffered
 from ullage.ports.gazebo.wire import gz
 from ullage.ports.publisher import is_present
 
@@ -44,9 +44,9 @@ class GazeboDrone:
         """The states since the last call, in order of time."""
         out = []
         while (event := self._peer.wait(0.0)) is not None:
-            if isinstance(event, Came | Heard) and event.topic == self._odom:
+            if isinstance(event, TopicOffered | Received) and event.topic == self._odom:
                 self._offer(event.kind)
-            if not isinstance(event, Heard) or event.topic != self._odom:
+            if not isinstance(event, Received) or event.topic != self._odom:
                 continue
             self.counters.receive(self._odom)
             found = self._state(event.data)

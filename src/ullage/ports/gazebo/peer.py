@@ -1,7 +1,7 @@
-"""A peer of Gazebo Transport: finds topics by multicast, takes and gives messages over ZeroMQ.
+"""A peer of Gazebo Transport: finds topics by multicast, sends and receives messages over ZeroMQ.
 
-A thread of its own owns every socket, so that the rest of us may compute for seconds and still be heard to live. What
-arrives waits in `events`, in order, until it is taken.
+A separate thread owns every socket, so that heartbeats go out while the caller computes for seconds. Events wait in
+`events`, in order, until the caller takes them.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from ullage.ports.gazebo.service import Requests
 from ullage.ports.intake import Counters, Inbox
 
 HEARTBEAT_S, SILENCE_S = 1.0, 3.0
-"""How often a peer says that it lives, and after how long a silence it is held for gone."""
+"""Time between two heartbeats, and the silence after which a peer counts as gone [s]."""
 MOST_WAITING = 200_000
 """Messages that may wait to be taken."""
 MOST_OFFERS = 10_000
-"""Publishers that are remembered; further ones are passed over."""
+"""Greatest number of known publishers; further ones are ignored."""
 MOST_BYTES = 64 * 2**20
-"""A longer message is held for nonsense, and its publisher is disconnected."""
+"""Longest message [bytes]; the publisher of a longer one is disconnected."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Received:
     """A message on a topic."""
 
     topic: str
@@ -40,8 +40,8 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Came:
-    """A topic that somebody offers, told once for each publisher."""
+class TopicOffered:
+    """A topic that a peer offers, given once for each publisher."""
 
     topic: str
     kind: str
@@ -49,21 +49,21 @@ class Came:
 
 
 @dataclass(frozen=True, slots=True)
-class Gone:
-    """A process that left, or fell silent."""
+class ProcessLeft:
+    """A process that left or fell silent."""
 
     process: str
 
 
-Event = Heard | Came | Gone
+Event = Received | TopicOffered | ProcessLeft
 
 
 class Peer:
-    """One process among those that speak Gazebo Transport.
+    """One process on the network of Gazebo Transport.
 
     Args:
         host: address of the interface to use; the loopback keeps everything on this machine.
-        partition: those of another partition are not heard; None: this host's and user's, as Gazebo has it.
+        partition: peers of other partitions are ignored; None: the default of this host and user, as in Gazebo.
         silence_s: after how long a silence another process counts as gone [s].
         most_waiting: messages that may wait to be taken; further ones are lost and counted.
 
@@ -84,12 +84,12 @@ class Peer:
         self.counters = Counters()
         self.events: Inbox[Event] = Inbox(self.counters, most=most_waiting)
         self._zmq, self._context = zmq, zmq.Context()
-        self._alive: dict[str, float] = {}  # process to when it was last heard
+        self._alive: dict[str, float] = {}  # process to the time of its last heartbeat
         self._offers: dict[tuple[str, str], Any] = {}  # (full topic, node) to publisher
         self._wanted: set[str] = set()
         self._mine: dict[str, str] = {}  # full topic to type
         self._joined: dict[str, set[str]] = {}  # address to processes behind it
-        self._parting: set[str] = set()  # addresses to let go of when nothing waits to be read
+        self._parting: set[str] = set()  # addresses to disconnect when nothing waits to be read
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._woken = socket.socketpair()
         self._closing = threading.Event()
@@ -115,7 +115,7 @@ class Peer:
         self._requests = Requests(self._zmq, self._context, self.host, self._node)
 
     def subscribe(self, topic: str) -> None:
-        """Take what anybody says on a topic from now on."""
+        """Receive the messages of a topic from now on."""
         full = wire.full_topic(topic, self.partition)
         self._do(lambda: self._subscribe(full))
 
@@ -123,13 +123,13 @@ class Peer:
         """Offer a topic of this type of message, as `gz.msgs.Double`."""
         full = wire.full_topic(topic, self.partition)
         self._mine[full] = kind
-        self._do(lambda: self._tell(wire.ADVERTISE, pub=self._offer(full)))
+        self._do(lambda: self._send_discovery(wire.ADVERTISE, pub=self._offer(full)))
 
     def publish(self, topic: str, message: Any) -> None:
-        """Say something on a topic that was advertised.
+        """Publish a message on an advertised topic.
 
         Raises:
-            InputError: it was not.
+            InputError: the topic was not advertised.
         """
         full = wire.full_topic(topic, self.partition)
         if full not in self._mine:
@@ -138,7 +138,7 @@ class Peer:
         self._do(lambda: self._give.send_multipart(parts))
 
     def request(self, topic: str, *, kinds: tuple[str, str], data: bytes = b"", timeout_s: float = 3.0) -> bytes | None:
-        """Call a service and wait for its answer; None where none comes, or it refuses.
+        """Call a service and return its answer, or None if none comes or the service refuses.
 
         Args:
             topic: of the service.
@@ -155,11 +155,11 @@ class Peer:
             return None
 
     def wait(self, timeout_s: float) -> Event | None:
-        """The next thing that happened, waiting no longer than this for it."""
+        """Return the next event, or None if none came within the timeout."""
         return self.events.get(timeout_s)
 
     def close(self) -> None:
-        """Say goodbye and let go of every socket."""
+        """Leave the network and close every socket."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -175,7 +175,7 @@ class Peer:
         self.close()
 
     def _do(self, job: Callable[[], None]) -> None:
-        """Have the thread that owns the sockets do something."""
+        """Run a job in the thread that owns the sockets."""
         self._jobs.put(job)
         with contextlib.suppress(OSError):
             self._wake.send(b".")
@@ -193,7 +193,7 @@ class Peer:
                     self._live()
                 poller.poll(max(1, int((beat - now) * 1000)))
                 self._serve()
-            self._tell(wire.BYE)
+            self._send_discovery(wire.BYE)
         finally:
             self._close_sockets()
 
@@ -203,70 +203,70 @@ class Peer:
         while not self._jobs.empty():
             self._jobs.get()()
         for sock, port in self._group:
-            self._hear_group(sock, port)
-        self._hear_topics()
-        self._requests.hear()
+            self._receive_group(sock, port)
+        self._receive_topics()
+        self._requests.receive()
 
     def _live(self) -> None:
-        """Say that we live and what we offer; let go of those that fell silent."""
-        self._tell(wire.HEARTBEAT)
+        """Send the heartbeat and our offers; drop the peers that fell silent."""
+        self._send_discovery(wire.HEARTBEAT)
         for full in tuple(self._mine):  # the caller's thread adds to them
-            self._tell(wire.ADVERTISE, pub=self._offer(full))
+            self._send_discovery(wire.ADVERTISE, pub=self._offer(full))
         if self._requests.topics:
             for full in self._requests.topics:
-                self._tell(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
+                self._send_discovery(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
         now = time.monotonic()
-        for process in [p for p, heard in self._alive.items() if now - heard > self._silence_s]:
+        for process in [p for p, last_s in self._alive.items() if now - last_s > self._silence_s]:
             self._lose(process)
 
-    def _tell(self, kind: int, *, port: int = wire.MESSAGE_PORT, **parts: Any) -> None:
-        said = wire.datagram(kind, self.uuid, **parts)
-        with contextlib.suppress(OSError):  # an interface that is down comes back, or the silence is told
-            next(sock for sock, at in self._group if at == port).sendto(said, (wire.GROUP, port))
+    def _send_discovery(self, kind: int, *, port: int = wire.MESSAGE_PORT, **parts: Any) -> None:
+        datagram = wire.datagram(kind, self.uuid, **parts)
+        with contextlib.suppress(OSError):  # an interface that is down may come back; else the silence is reported
+            next(sock for sock, at in self._group if at == port).sendto(datagram, (wire.GROUP, port))
 
-    def _hear_group(self, sock: socket.socket, port: int) -> None:
+    def _receive_group(self, sock: socket.socket, port: int) -> None:
         while True:
             try:
-                said = wire.read_datagram(sock.recv(65536))
+                datagram = wire.read_datagram(sock.recv(65536))
             except BlockingIOError:
                 return
-            if said is not None and said.process_uuid != self.uuid:
-                self._take_in(said, port)
+            if datagram is not None and datagram.process_uuid != self.uuid:
+                self._take_in(datagram, port)
 
-    def _take_in(self, said: Any, port: int) -> None:
-        if said.type in (wire.BYE,) and port == wire.MESSAGE_PORT:
-            self._lose(said.process_uuid)
+    def _take_in(self, datagram: Any, port: int) -> None:
+        if datagram.type in (wire.BYE,) and port == wire.MESSAGE_PORT:
+            self._lose(datagram.process_uuid)
             return
         if port == wire.MESSAGE_PORT:
-            self._alive[said.process_uuid] = time.monotonic()
-        if said.type == wire.SUBSCRIBE and said.sub.topic in self._mine:
-            self._tell(wire.ADVERTISE, pub=self._offer(said.sub.topic))
-        elif said.type == wire.UNADVERTISE:
-            self._offers.pop((said.pub.topic, said.pub.node_uuid), None)
-        elif said.type == wire.ADVERTISE and said.pub.scope and self._reachable(said.pub.address):
+            self._alive[datagram.process_uuid] = time.monotonic()
+        if datagram.type == wire.SUBSCRIBE and datagram.sub.topic in self._mine:
+            self._send_discovery(wire.ADVERTISE, pub=self._offer(datagram.sub.topic))
+        elif datagram.type == wire.UNADVERTISE:
+            self._offers.pop((datagram.pub.topic, datagram.pub.node_uuid), None)
+        elif datagram.type == wire.ADVERTISE and datagram.pub.scope and self._reachable(datagram.pub.address):
             if port == wire.SERVICE_PORT:
-                self._requests.found(said.pub)
+                self._requests.found(datagram.pub)
             else:
-                self._met(said.pub)
+                self._met(datagram.pub)
 
     def _reachable(self, address: str) -> bool:
-        """On the loopback only what is on it too: nothing on the network can call us out."""
+        """On the loopback, connect only to loopback addresses: no other host can make us connect to it."""
         return not self.host.startswith("127.") or address.startswith("tcp://127.")
 
     def _met(self, pub: Any) -> None:
         if not pub.topic.startswith(wire.full_topic("/x", self.partition)[:-1]):
-            return  # others' partitions are none of ours: neither their coming nor their going is told
+            return  # peers of other partitions give no events
         key = (pub.topic, pub.node_uuid)
         if key not in self._offers:
             if len(self._offers) >= MOST_OFFERS:
                 return
             self._offers[key] = pub
-            self.events.put(Came(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
+            self.events.put(TopicOffered(wire.short_topic(pub.topic), pub.msg_pub.msg_type, pub.process_uuid))
         if pub.topic in self._wanted:
             self._join(pub)
 
     def _join(self, pub: Any) -> None:
-        """Connect, and let the publisher know, without which it sends nothing."""
+        """Connect, and announce it to the publisher, which sends nothing otherwise."""
         if pub.address not in self._joined:
             try:
                 self._take.connect(pub.address)
@@ -278,7 +278,7 @@ class Peer:
         ours = wire.gz().Publisher()
         ours.CopyFrom(pub)
         ours.process_uuid, ours.node_uuid, ours.msg_pub.ctrl = self.uuid, self._node, pub.process_uuid
-        self._tell(wire.NEW_CONNECTION, pub=ours)
+        self._send_discovery(wire.NEW_CONNECTION, pub=ours)
 
     def _lose(self, process: str) -> None:
         self._alive.pop(process, None)
@@ -290,9 +290,9 @@ class Peer:
             if not behind:
                 self._parting.add(address)
         if known:
-            self.events.put(Gone(process))
+            self.events.put(ProcessLeft(process))
 
-    def _hear_topics(self) -> None:
+    def _receive_topics(self) -> None:
         while True:
             try:
                 parts = self._take.recv_multipart(self._zmq.NOBLOCK)
@@ -300,17 +300,17 @@ class Peer:
                 break
             topic = wire.short_topic(parts[0].decode(errors="replace"))
             if len(parts) >= 4:  # a fifth holds statistics
-                heard = Heard(topic, parts[3].decode(errors="replace"), parts[2])
-                self.events.put(heard, topic=topic, size=len(parts[2]))
+                received = Received(topic, parts[3].decode(errors="replace"), parts[2])
+                self.events.put(received, topic=topic, size=len(parts[2]))
             else:
                 self.counters.drop(topic, "bad", f"a message of {len(parts)} parts")
         self._part()
 
     def _part(self) -> None:
-        """Disconnect from those that left: now, while no message is half read.
+        """Disconnect from the peers that left while no message is half read.
 
-        To see whether a SUB socket can be read, libzmq takes the first part of the next message off its pipe; the pipe
-        cut off after that, the process aborts at the second part (`!_more`, fq.cpp; issue 2163 of libzmq).
+        To poll a SUB socket, libzmq takes the first part of the next message off its pipe. If the pipe is cut off after
+        that, the process aborts at the second part (`!_more`, fq.cpp; issue 2163 of libzmq).
         """
         for address in self._parting:
             del self._joined[address]
@@ -323,7 +323,7 @@ class Peer:
             return
         self._wanted.add(full)
         self._take.setsockopt_string(self._zmq.SUBSCRIBE, full)
-        self._tell(wire.SUBSCRIBE, sub=wire.gz().Subscriber(topic=full))
+        self._send_discovery(wire.SUBSCRIBE, sub=wire.gz().Subscriber(topic=full))
         for pub in [pub for (topic, _), pub in self._offers.items() if topic == full]:
             self._join(pub)
 
@@ -336,7 +336,7 @@ class Peer:
 
     def _ask(self, full: str, kinds: tuple[str, str], data: bytes, answer: queue.SimpleQueue[bytes | None]) -> None:
         self._requests.ask(full, kinds, data, answer)
-        self._tell(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
+        self._send_discovery(wire.SUBSCRIBE, port=wire.SERVICE_PORT, sub=wire.gz().Subscriber(topic=full))
 
     def _close_sockets(self) -> None:
         for sock, _ in self._group:

@@ -1,6 +1,6 @@
-"""The world as a running Gazebo tells it: its scene service, read as the SDF that it stands for.
+"""The world of a running Gazebo: the answer of its scene service, converted to SDF.
 
-The service knows visuals only, so these are what the radar sees; a world file tells more (collisions, materials).
+The service gives visuals only, so the radar sees these. A world file holds more (collisions, materials).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from ullage.errors import InputError
-from ullage.ports.gazebo.peer import Came, Peer
+from ullage.ports.gazebo.peer import Peer, TopicOffered
 from ullage.ports.gazebo.wire import gz
 from ullage.world.scene import Scene
 
@@ -23,16 +23,16 @@ BOX, CYLINDER, SPHERE, PLANE, MESH, CONE, CAPSULE, ELLIPSOID = 0, 1, 2, 3, 6, 10
 
 
 def ask_scene(peer: Peer, world: str, *, where: str, patience_s: float = 10.0) -> Scene:
-    """The scene of a running Gazebo.
+    """Ask a running Gazebo for its scene.
 
     Args:
-        peer: speaks to Gazebo.
-        world: Gazebo's name of it; empty: the first heard of.
+        peer: the connection to Gazebo.
+        world: Gazebo's name of the world; empty: the first that is found.
         where: for messages.
         patience_s: how long to wait for it [s].
 
     Raises:
-        InputError: Gazebo does not answer, or its scene cannot be used.
+        InputError: Gazebo does not answer, or its scene is not valid.
     """
     name, package = _find(peer, world, time.monotonic() + patience_s)
     allowed = "world=FILE.sdf, or a running Gazebo (GZ_IP, GZ_PARTITION as here)"
@@ -48,33 +48,33 @@ def ask_scene(peer: Peer, world: str, *, where: str, patience_s: float = 10.0) -
 def _find(peer: Peer, world: str, end_s: float) -> tuple[str, str]:
     while time.monotonic() < end_s:
         event = peer.wait(0.25)
-        found = WORLD.match(event.topic) if isinstance(event, Came) else None
-        if isinstance(event, Came) and found is not None and world in ("", found[1]):
+        found = WORLD.match(event.topic) if isinstance(event, TopicOffered) else None
+        if isinstance(event, TopicOffered) and found is not None and world in ("", found[1]):
             return found[1], event.kind.rpartition(".")[0]
     return "", ""
 
 
-def scene_of(told: Any, *, where: str) -> Scene:
-    """The scene in a message.
+def scene_of(message: Any, *, where: str) -> Scene:
+    """Return the scene in a message.
 
     Raises:
-        InputError: a shape of it cannot be used, as a mesh that is not on the search path.
+        InputError: a shape is not valid, for example a mesh that is not on the search path.
     """
     from ullage.world.load import load_scene
 
     with tempfile.TemporaryDirectory(prefix="ullage-scene-") as folder:
         path = Path(folder) / "scene.sdf"
-        path.write_text(sdf_of(told), encoding="utf-8")
+        path.write_text(sdf_of(message), encoding="utf-8")
         try:
             return load_scene(path)
         except InputError as error:
             raise InputError(f"Gazebo's scene: {error.what}", where=where, allowed=error.allowed) from None
 
 
-def sdf_of(told: Any) -> str:
-    """The message as SDF, each visual as a collision."""
-    models = "".join(_model(model) for model in told.model)
-    return f'<sdf version="1.9"><world name={quoteattr(told.name or "world")}>{models}</world></sdf>'
+def sdf_of(message: Any) -> str:
+    """Return the message as SDF, with each visual as a collision."""
+    models = "".join(_model(model) for model in message.model)
+    return f'<sdf version="1.9"><world name={quoteattr(message.name or "world")}>{models}</world></sdf>'
 
 
 def _model(model: Any) -> str:
@@ -92,27 +92,27 @@ def _visual(visual: Any) -> str:
     return f"<collision name={quoteattr(visual.name)}>{_pose(visual.pose)}{retro}{shape}</collision>" if shape else ""
 
 
-def _geometry(told: Any) -> str:
-    """The shape, empty for what has no surface that a radar meets (axes, arrows, lines)."""
+def _geometry(shape: Any) -> str:
+    """Return the shape as SDF; empty for shapes without a surface (axes, arrows, lines)."""
     rounds = {CYLINDER: "cylinder", CONE: "cone", CAPSULE: "capsule"}
     inside = ""
-    if told.type == BOX:
-        inside = f"<box><size>{_three(told.box.size)}</size></box>"
-    elif told.type == SPHERE:
-        inside = f"<sphere><radius>{told.sphere.radius!r}</radius></sphere>"
-    elif told.type in rounds:
-        name = rounds[told.type]
-        one = getattr(told, name)
+    if shape.type == BOX:
+        inside = f"<box><size>{_three(shape.box.size)}</size></box>"
+    elif shape.type == SPHERE:
+        inside = f"<sphere><radius>{shape.sphere.radius!r}</radius></sphere>"
+    elif shape.type in rounds:
+        name = rounds[shape.type]
+        one = getattr(shape, name)
         inside = f"<{name}><radius>{one.radius!r}</radius><length>{one.length!r}</length></{name}>"
-    elif told.type == ELLIPSOID:
-        inside = f"<ellipsoid><radii>{_three(told.ellipsoid.radii)}</radii></ellipsoid>"
-    elif told.type == PLANE:
-        size = f"{told.plane.size.x!r} {told.plane.size.y!r}"
-        inside = f"<plane><normal>{_three(told.plane.normal)}</normal><size>{size}</size></plane>"
-    elif told.type == MESH:
-        scale = f"<scale>{_three(told.mesh.scale)}</scale>" if told.mesh.HasField("scale") else ""
-        part = f"<submesh><name>{told.mesh.submesh}</name></submesh>" if told.mesh.submesh else ""
-        inside = f"<mesh><uri>{told.mesh.filename}</uri>{part}{scale}</mesh>"
+    elif shape.type == ELLIPSOID:
+        inside = f"<ellipsoid><radii>{_three(shape.ellipsoid.radii)}</radii></ellipsoid>"
+    elif shape.type == PLANE:
+        size = f"{shape.plane.size.x!r} {shape.plane.size.y!r}"
+        inside = f"<plane><normal>{_three(shape.plane.normal)}</normal><size>{size}</size></plane>"
+    elif shape.type == MESH:
+        scale = f"<scale>{_three(shape.mesh.scale)}</scale>" if shape.mesh.HasField("scale") else ""
+        part = f"<submesh><name>{shape.mesh.submesh}</name></submesh>" if shape.mesh.submesh else ""
+        inside = f"<mesh><uri>{shape.mesh.filename}</uri>{part}{scale}</mesh>"
     return inside and f"<geometry>{inside}</geometry>"
 
 

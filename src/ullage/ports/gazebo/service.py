@@ -1,4 +1,4 @@
-"""Calls to services of Gazebo Transport: a request goes to the one who offers it, the answer to a socket of ours."""
+"""Calls to services of Gazebo Transport: the request goes to the server, the answer comes to a socket of ours."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class _Call:
 
 
 class Requests:
-    """The calls under way; used by the thread of a `Peer` alone.
+    """The pending calls; only the thread of a `Peer` uses them.
 
     Args:
         zmq: the library.
         context: of its sockets.
-        host: address to take answers at.
-        node: who asks.
+        host: address that receives answers.
+        node: id of the calling node.
     """
 
     def __init__(self, zmq: Any, context: Any, host: str, node: str) -> None:
@@ -45,16 +45,16 @@ class Requests:
 
     @property
     def topics(self) -> set[str]:
-        """What is asked for and not yet sent."""
+        """Topics of the calls that are not sent yet."""
         return {call.topic for call in self._calls.values() if not call.sent}
 
     def ask(self, topic: str, kinds: tuple[str, str], data: bytes, answer: Answer) -> None:
-        """Begin a call; it goes out when somebody is found that offers the service."""
+        """Begin a call; it is sent once a server of the service is found."""
         self._calls = {key: call for key, call in self._calls.items() if call.topic != topic}
         self._calls[wire.new_uuid()] = _Call(topic, kinds, data, answer)
 
     def found(self, pub: Any) -> None:
-        """Somebody offers a service."""
+        """Send the calls of a service that a peer offers."""
         for key, call in self._calls.items():
             if call.topic == pub.topic and not call.sent:
                 self._send(key, call, pub)
@@ -72,8 +72,8 @@ class Requests:
             self._ask.send_multipart(parts, self._zmq.NOBLOCK)
             call.sent = True
 
-    def hear(self) -> None:
-        """Hand on the answers that came."""
+    def receive(self) -> None:
+        """Deliver the answers that came."""
         while True:
             try:
                 parts = self.answers.recv_multipart(self._zmq.NOBLOCK)

@@ -1,4 +1,4 @@
-"""Frames from anywhere on Gazebo's topics."""
+"""Publish frames from any source on Gazebo's topics."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any, Literal
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.cosimulation import PacedSink, PaceOptions, options_of
+from ullage.ports.cosimulation import PacedSink, SimulatorSinkOptions, options_of
 from ullage.ports.gazebo.peer import Peer
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
 
 
-class SinkOptions(PaceOptions):
-    """What can be set about `--to gazebo:`."""
+class SinkOptions(SimulatorSinkOptions):
+    """Options of `--to gazebo:`."""
 
     messages: Literal["gz", "ignition"] = Field("gz", description="ignition for Fortress and before")
     clock: str = Field("/clock", description="topic of the frames' clock; empty: none")
@@ -22,14 +22,14 @@ class SinkOptions(PaceOptions):
 
 
 class GazeboSink(PacedSink):
-    """Publishes frames, at the pace of their own clock.
+    """Publish frames at the rate of their own clock.
 
     Args:
         address: unused; `gazebo:` alone.
-        options: as `SinkOptions` lists them.
+        options: as listed in `SinkOptions`.
 
     Raises:
-        InputError: an option cannot be used.
+        InputError: an option is not valid.
         MissingExtra: pyzmq or protobuf is not installed.
     """
 
@@ -52,5 +52,5 @@ class GazeboSink(PacedSink):
         self._topics.write(frames)
 
     def close(self) -> None:
-        """Say goodbye."""
+        """Leave the network."""
         self._peer.close()

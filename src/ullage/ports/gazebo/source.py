@@ -14,24 +14,32 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
-from ullage.ports.cosimulation import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
-from ullage.ports.gazebo.peer import Came, Event, Gone, Heard, Peer
+from ullage.ports.cosimulation import (
+    PATIENCE_S,
+    CosimulationOptions,
+    CosimulationSource,
+    matching,
+    options_of,
+    resolved,
+)
+from ullage.ports.gazebo.peer import Event, Peer, ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
-from ullage.ports.pose_events import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
+from ullage.ports.intake import Log
+from ullage.ports.pose_events import EventFeed, ModelPose, Notice, OtherModels, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 from ullage.world.scene import Scene
 
 POSES = re.compile(r"/world/([^/]+)/(dynamic_pose|pose)/info")
 STATS = re.compile(r"/world/([^/]+)/stats")
 SCENE = re.compile(r"/world/([^/]+)/scene/info")
-GLANCE_S = 0.2
-"""How often the poses of what stands still are looked at, where the model is among those of what moves."""
+FULL_POSES_S = 0.2
+"""Time between two reads of the full pose stream while the model is in the stream of moving models [s]."""
 
 
-class GazeboOptions(FollowOptions):
-    """What can be set about `gazebo:`."""
+class GazeboOptions(CosimulationOptions):
+    """Options of `gazebo:`."""
 
     topic: str = Field("", description="topic of the poses; none: /world/WORLD/dynamic_pose/info or pose/info")
     scan_topic: str = Field("", description="topic of the rays; none: the usual one of the model's sensor")
@@ -39,12 +47,12 @@ class GazeboOptions(FollowOptions):
 
 
 class PoseFeed(EventFeed[Event]):
-    """Poses of one model from Gazebo's stream, those of others beside it, and what becomes of the server.
+    """Poses of one model and of other models from Gazebo's streams, and notices about the server.
 
     Args:
-        peer: speaks to Gazebo.
-        options: which model, and how.
-        world: Gazebo's name of it; empty: the first that gives poses.
+        peer: the connection to Gazebo.
+        options: name the model and its topics.
+        world: Gazebo's name of the world; empty: the first that gives poses.
         mounts: model_from_sensor (4, 4) of its ray sensors by name.
         others: names of the world's other models.
     """
@@ -55,27 +63,27 @@ class PoseFeed(EventFeed[Event]):
     ) -> None:  # fmt: skip
         super().__init__(peer)
         self._peer, self._options, self.world = peer, options, world
-        self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
-        self._roaming: set[str] = set()  # those that were among what moves
-        self._glance_s = 0.0
+        self._others = frozenset() if options.rays else others - {options.model}  # rays meet them without our help
+        self._roaming: set[str] = set()  # models that the stream of moving models had
+        self._full_poses_s = 0.0
         self.package = "gz.msgs"
         self.newest_ns = 0
-        self._servers: set[str] = set()  # processes that give poses
-        self._dynamic = False  # the model is in the stream of what moves
+        self._servers: set[str] = set()  # processes that publish poses
+        self._dynamic = False  # the model is in the stream of moving models
         self._seen = False
         self._missed_s: float | None = None
-        self._last_s, self._told_s = time.monotonic(), 0.0
+        self._last_s, self._logged_s = time.monotonic(), 0.0
         self._paused = False
         self._topics: RadarTopics | None = None
         self._mounts, self._scans = mounts, dict[str, str]()  # name of the ray sensor by its topic
-        self._at: Sighting | None = None
+        self._at: ModelPose | None = None
         if options.topic:
             peer.subscribe(options.topic)
 
-    def _take(self, event: Event) -> Sighting | Others | Scan | Note | None:
-        if isinstance(event, Came):
+    def _take(self, event: Event) -> ModelPose | OtherModels | Scan | Notice | None:
+        if isinstance(event, TopicOffered):
             return self._met(event)
-        if isinstance(event, Gone):
+        if isinstance(event, ProcessLeft):
             return self._lost(event)
         if event.topic in self._scans:
             return self._scan(event)
@@ -83,23 +91,23 @@ class PoseFeed(EventFeed[Event]):
             if pattern.fullmatch(event.topic):
                 return read(event)
         found = self._pose(event)
-        if self._options.rays and isinstance(found, Sighting):
+        if self._options.rays and isinstance(found, ModelPose):
             self._at = found
             return None
         return found
 
-    def _scan(self, event: Heard) -> Scan | None:
-        """A scan, cast from where the model was last seen."""
-        told = _read("LaserScan", event)
+    def _scan(self, event: Received) -> Scan | None:
+        """Return a scan at the last pose of the model."""
+        message = _read("LaserScan", event)
         if self._at is None:
             self.counters.drop(event.topic, "no pose", f"nothing told where {self._options.model!r} is")
             return None
         sensor = self._scans[event.topic]
         mounted = transform_of(self._at) @ self._mounts[sensor]
         pose = (tuple(mounted[:3, 3]), tuple(matrix_quat(mounted[:3, :3])))
-        return scan_of(told, told.header.stamp, pose, sensor=sensor)
+        return scan_of(message, message.header.stamp, pose, sensor=sensor)
 
-    def _met(self, event: Came) -> Note | None:
+    def _met(self, event: TopicOffered) -> Notice | None:
         if self._options.rays and (sensor := self._cast_by(event.topic)):
             self._scans[event.topic] = sensor
             self._peer.subscribe(event.topic)
@@ -118,92 +126,95 @@ class PoseFeed(EventFeed[Event]):
         fresh = not self._servers
         self._servers.add(event.process)
         self._peer.subscribe(event.topic)
-        return Note(f"Gazebo gives poses on {event.topic}") if fresh else None
+        return Notice(f"Gazebo gives poses on {event.topic}") if fresh else None
 
     def _cast_by(self, topic: str) -> str:
-        """The name of the ray sensor that gives this topic; empty: none of ours."""
+        """Return the name of the ray sensor that publishes this topic; empty: none of ours."""
         if self._options.scan_topic:
             return next(iter(self._mounts)) if topic == self._options.scan_topic else ""
         ours = f"/model/{self._options.model}/" in topic
         return next((name for name in self._mounts if ours and topic.endswith(f"/sensor/{name}/scan")), "")
 
-    def _lost(self, event: Gone) -> Note | None:
+    def _lost(self, event: ProcessLeft) -> Notice | None:
         if event.process not in self._servers:
             return None
         self._servers.discard(event.process)
-        return None if self._servers else Note("Gazebo has gone; waiting for it to come back (Ctrl-C ends)")
+        return None if self._servers else Notice("Gazebo has gone; waiting for it to come back (Ctrl-C ends)")
 
-    def _status(self, event: Heard) -> Note | None:
+    def _status(self, event: Received) -> Notice | None:
         stats = _read("WorldStatistics", event)
         if stats.paused == self._paused:
             return None
         self._paused = bool(stats.paused)
-        return Note("Gazebo is paused" if self._paused else "Gazebo goes on")
+        return Notice("Gazebo is paused" if self._paused else "Gazebo goes on")
 
-    def _pose(self, event: Heard) -> Sighting | Note | None:
+    def _pose(self, event: Received) -> ModelPose | Notice | None:
         dynamic = event.topic.endswith("/dynamic_pose/info")
-        if self._dynamic and not dynamic and not self._glance():
+        if self._dynamic and not dynamic and not self._full_poses_due():
             return None
         poses = _read("Pose_V", event)
         self._last_s = time.monotonic()
         t_ns = stamp_ns(poses.header.stamp)
-        told = {pose.name: pose for pose in reversed(poses.pose)}  # models come first, and may share names with links
+        # reversed, since models come before links and may share names with them
+        by_name = {pose.name: pose for pose in reversed(poses.pose)}
         if self._others:
-            self._ready.append(self._around(event.topic, t_ns, told))
+            self._ready.append(self._other_models(event.topic, t_ns, by_name))
         if self._dynamic and not dynamic:
             return None
-        if self._options.model not in told:
+        if self._options.model not in by_name:
             return self._missing(poses, dynamic)
         self._missed_s, self._seen, self._dynamic = None, True, self._dynamic or dynamic
         self.newest_ns = t_ns
-        return Sighting(t_ns, *pose_of(told[self._options.model]))
+        return ModelPose(t_ns, *pose_of(by_name[self._options.model]))
 
-    def _glance(self) -> bool:
-        """Whether it is time to look at the poses of what stands still."""
-        due = bool(self._others) and time.monotonic() - self._glance_s > GLANCE_S
+    def _full_poses_due(self) -> bool:
+        """Whether to read the full pose stream now."""
+        due = bool(self._others) and time.monotonic() - self._full_poses_s > FULL_POSES_S
         if due:
-            self._glance_s = time.monotonic()
+            self._full_poses_s = time.monotonic()
         return due
 
-    def _around(self, topic: str, t_ns: int, told: dict[str, Any]) -> Others:
-        """Where others are, and who of them is no longer where it was told of."""
-        poses = self._placed(topic, {name: told[name] for name in self._others & told.keys()})
-        here = self._others & told.keys()
+    def _other_models(self, topic: str, t_ns: int, by_name: dict[str, Any]) -> OtherModels:
+        """Return the poses of other models and the names of models that left."""
+        poses = self._valid_poses(topic, {name: by_name[name] for name in self._others & by_name.keys()})
+        here = self._others & by_name.keys()
         found = POSES.fullmatch(topic)
-        if found is None:  # a topic of somebody's own may tell of some only
-            return Others(t_ns, poses)
+        if found is None:  # a custom topic may hold only some models
+            return OtherModels(t_ns, poses)
         if found[2] == "dynamic_pose":
             gone = frozenset(self._roaming - here)
             self._roaming |= here
-            return Others(t_ns, poses, gone)
-        return Others(t_ns, poses, self._others - here)
+            return OtherModels(t_ns, poses, gone)
+        return OtherModels(t_ns, poses, self._others - here)
 
-    def _news(self, event: Heard) -> Others | None:
-        """What was put into the world."""
-        told = _read("Scene", event)
-        names = frozenset(model.name for model in told.model)
-        return Others(self.newest_ns, new=names - self._others - {self._options.model})
+    def _news(self, event: Received) -> OtherModels | None:
+        """Return the names of models that are new in the world."""
+        message = _read("Scene", event)
+        names = frozenset(model.name for model in message.model)
+        return OtherModels(self.newest_ns, new=names - self._others - {self._options.model})
 
-    def _missing(self, poses: Any, dynamic: bool) -> Note | None:
+    def _missing(self, poses: Any, dynamic: bool) -> Notice | None:
         now = time.monotonic()
         if dynamic and not self._dynamic:
-            return None  # what stands still is only in the other stream
+            return None  # still models are only in the other stream
         self._missed_s = self._missed_s or now
         if now - self._missed_s < 1.0:
             return None
         if self._seen:
-            return Note(f"the model {self._options.model!r} has gone from Gazebo; waiting for it to come back")
+            return Notice(f"the model {self._options.model!r} has gone from Gazebo; waiting for it to come back")
         names = ", ".join(dict.fromkeys(pose.name for pose in poses.pose[:12]))
-        return Note(f"no model {self._options.model!r} in Gazebo's poses (there are {names})")
+        return Notice(f"no model {self._options.model!r} in Gazebo's poses (there are {names})")
 
-    def _silence(self) -> Note | None:
+    def _on_silence(self) -> Notice | None:
         now = time.monotonic()
-        if self._paused or now - max(self._last_s, self._told_s) < PATIENCE_S:
+        if self._paused or now - max(self._last_s, self._logged_s) < PATIENCE_S:
             return None
-        self._told_s = now
+        self._logged_s = now
         what = self._options.topic or f"/world/{self.world or 'WORLD'}/pose/info"
         host, partition = self._peer.host, self._peer.partition
-        return Note(f"no poses on {what} (listening on {host}, partition {partition}; start Gazebo with GZ_IP={host})")
+        return Notice(
+            f"no poses on {what} (listening on {host}, partition {partition}; start Gazebo with GZ_IP={host})"
+        )
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Publish frames."""
@@ -213,32 +224,32 @@ class PoseFeed(EventFeed[Event]):
             self._topics.write(frames, offset_ns)
 
 
-def transform_of(found: Sighting) -> Floats:
-    """The transform (4, 4) from the model to the world."""
+def transform_of(found: ModelPose) -> Floats:
+    """Return the transform (4, 4) from the model to the world."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = quat_matrix(np.array(found.quat_xyzw)), found.position
     return out
 
 
-def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource | ScanSource:
-    """Frames of radars on a model of a running Gazebo: `gazebo:WORLD?model=NAME`.
+def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource | ScanSource:
+    """Open radars on a model of a running Gazebo: `gazebo:WORLD?model=NAME`.
 
     Args:
         address: Gazebo's name of the world; empty: the first world that gives poses.
         options: as `GazeboOptions` lists them.
-        say: told what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
 
     Raises:
-        InputError: an option cannot be used, or no world is known.
+        InputError: an option is not valid, or no world is known.
         MissingExtra: pyzmq or protobuf is not installed.
     """
     where = f"gazebo:{address}"
     chosen = options_of(GazeboOptions, options, where)
-    told: Scene | None = None
+    served: Scene | None = None
     if not chosen.world:
         with Peer(chosen.host, chosen.partition) as peer:
-            told = ask_scene(peer, address, where=where)
-    chosen, scene, rig = opened(chosen, where, told)
+            served = ask_scene(peer, address, where=where)
+    chosen, scene, rig = resolved(chosen, where, served)
     named, missing = matching(chosen.rays, rig.sensors)
     if missing:
         allowed = f"a sensor of the world's file that holds <ullage:radar>: {', '.join(rig.sensors)}"
@@ -251,12 +262,12 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
         return PoseFeed(Peer(chosen.host, chosen.partition), chosen, address, mounts, frozenset(scene.models))
 
     if chosen.rays:
-        return ScanSource(join, rig, chosen, scene=scene, say=say)
-    return FollowSource(join, scene, rig, chosen, say=say)
+        return ScanSource(join, rig, chosen, scene=scene, log=log)
+    return CosimulationSource(join, scene, rig, chosen, log=log)
 
 
-def _read(kind: str, event: Heard) -> Any:
-    """The message of an event; whoever calls counts those that cannot be read."""
+def _read(kind: str, event: Received) -> Any:
+    """Return the message of an event; the caller counts messages that cannot be read."""
     message = getattr(gz(), kind)()
     message.ParseFromString(event.data)
     return message

@@ -1,4 +1,4 @@
-"""What the radars say on Gazebo's topics: whole frames, profiles, the nearest range, points along the boresight."""
+"""Radar frames on Gazebo's topics: whole frames, profiles, the nearest range, points along the boresight."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class RadarTopics:
     (Double: the nearest echo [m], infinite where none), `points` (PointCloudPacked along the boresight).
 
     Args:
-        peer: speaks to Gazebo.
-        model: whose radars.
+        peer: the connection to Gazebo.
+        model: the model that carries the radars.
         package: `gz.msgs`, or `ignition.msgs` up to Fortress.
     """
 
@@ -33,7 +33,7 @@ class RadarTopics:
         self._known: set[str] = set()
 
     def write(self, frames: Frames, offset_ns: int = 0) -> None:
-        """Publish every frame; their time less the offset is Gazebo's."""
+        """Publish every frame; their time minus the offset is Gazebo's time."""
         root = f"{self._root}/{frames.sensor}"
         kinds = {"frame": "Float_V", "profile": "Float_V", "range": "Double", "points": "PointCloudPacked"}
         if frames.sensor not in self._known:

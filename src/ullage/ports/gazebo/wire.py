@@ -1,4 +1,4 @@
-"""The messages of Gazebo Transport that are used here, by their fields' numbers, and how one finds the other.
+"""The messages of Gazebo Transport that are used here, by their field numbers, and peer discovery.
 
 The same numbers hold for `ignition.msgs` (Fortress and before) and `gz.msgs` (Garden and later).
 """
@@ -64,13 +64,13 @@ TABLE = {
 }
 
 ADVERTISE, SUBSCRIBE, UNADVERTISE, HEARTBEAT, BYE, NEW_CONNECTION, END_CONNECTION = range(1, 8)
-"""What a datagram of discovery says."""
+"""Kinds of a discovery datagram."""
 EVERYWHERE = 2
-"""Scope of a topic that other hosts may hear; what does not leave a process is 0, a host 1."""
+"""Scope of a topic that other hosts receive; 0 stays in the process, 1 on the host."""
 WIRE_VERSION = 10
 GROUP, MESSAGE_PORT, SERVICE_PORT = "239.255.0.7", 10317, 10318
 IP_MULTICAST_ALL = 49
-"""Linux: with 0, a socket hears only the groups that it joined itself."""
+"""Linux: with 0, a socket receives only from the groups that it joined itself."""
 
 
 @functools.cache
@@ -84,20 +84,20 @@ def gz() -> SimpleNamespace:
 
 
 def setting(name: str) -> str:
-    """The value of `GZ_name`, or of `IGN_name` as it was called up to Fortress; empty where neither is set."""
+    """Return the value of `GZ_name`, or of `IGN_name` (up to Fortress); empty if neither is set."""
     return os.environ.get(f"GZ_{name}") or os.environ.get(f"IGN_{name}") or ""
 
 
 def usual_partition() -> str:
-    """The partition of this host and user, unless GZ_PARTITION says another."""
+    """Return the partition: GZ_PARTITION, or the default of this host and user."""
     return setting("PARTITION") or f"{socket.gethostname()}:{getpass.getuser()}"
 
 
 def full_topic(topic: str, partition: str) -> str:
-    """How a topic is called on the wire.
+    """Return the name of a topic on the wire.
 
     Raises:
-        InputError: it is not a topic.
+        InputError: the name is not a topic.
     """
     if not topic.startswith("/") or len(topic) < 2 or any(c in topic for c in " @~\t\n") or "//" in topic:
         raise InputError(f"{topic!r} is not a topic", where="topic", allowed="/one/like/this")
@@ -105,38 +105,38 @@ def full_topic(topic: str, partition: str) -> str:
 
 
 def short_topic(full: str) -> str:
-    """The topic without its partition."""
+    """Return the topic without its partition."""
     return full.rpartition("@")[2]
 
 
 def datagram(kind: int, process: str, **parts: Any) -> bytes:
-    """One message of discovery as it goes out."""
-    said: bytes = gz().Discovery(version=WIRE_VERSION, process_uuid=process, type=kind, **parts).SerializeToString()
-    return struct.pack("<H", len(said)) + said
+    """Return the bytes of one discovery message."""
+    body: bytes = gz().Discovery(version=WIRE_VERSION, process_uuid=process, type=kind, **parts).SerializeToString()
+    return struct.pack("<H", len(body)) + body
 
 
 def read_datagram(raw: bytes) -> Any | None:
-    """The message of discovery in a datagram; None where it is none, or of another version of the wire."""
+    """Return the discovery message in a datagram; None if there is none, or its wire version differs."""
     if len(raw) < 2 or struct.unpack_from("<H", raw)[0] != len(raw) - 2:
         return None
-    said = gz().Discovery()
+    message = gz().Discovery()
     try:
-        said.ParseFromString(raw[2:])
+        message.ParseFromString(raw[2:])
     except Exception:  # protobuf raises kinds of its own, by implementation
         return None
-    return said if said.version % 100 == WIRE_VERSION else None
+    return message if message.version % 100 == WIRE_VERSION else None
 
 
 def new_uuid() -> str:
-    """Who we are."""
+    """Return a new unique id."""
     return str(uuid.uuid4())
 
 
 def discovery_socket(port: int, host: str) -> socket.socket:
-    """A UDP socket in the group of discovery, on the interface with this address alone.
+    """Open a UDP socket in the discovery group, only on the interface with this address.
 
     Raises:
-        InputError: no interface has this address, or it cannot be listened on.
+        InputError: no interface has this address, or the port cannot be opened.
     """
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

@@ -1,4 +1,4 @@
-"""Gazebo Classic 11: follow a model in its world, simulate its radars, give back what they see."""
+"""Gazebo Classic 11: simulate the radars of a model in its world and publish their frames."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ __all__ = ["open_sink", "open_source"]
 
 
 def open_source(address: str, options: dict[str, Any]) -> Source:
-    """Frames of radars on a model in a running gzserver: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
+    """Open radars on a model in a running gzserver: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
     from ullage.ports.gazebo_classic.source import source_of
 
     return source_of(address, options)
 
 
 def open_sink(address: str, options: dict[str, Any]) -> Sink:
-    """A place on gzserver's topics for frames from anywhere: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
+    """Open gzserver's topics for frames from any source: `gazebo-classic:HOST:PORT?model=NAME&key=value`."""
     from ullage.ports.gazebo_classic.sink import ClassicSink
 
     return ClassicSink(address, options)

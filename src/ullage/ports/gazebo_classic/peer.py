@@ -1,7 +1,7 @@
-"""A peer of Gazebo Classic: told by the master who has what, and joined to them by TCP.
+"""A peer of Gazebo Classic: gets the list of publishers from the master and connects to them by TCP.
 
-A thread of its own owns every socket. What arrives waits in `events`, in order, until it is taken; a master that went
-is looked for again, and told anew what is wanted and offered.
+A separate thread owns every socket. Events wait in `events`, in order, until the caller takes them. If the master
+leaves, the peer tries to connect again and then repeats its subscriptions and offers.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from ullage.ports.gazebo_classic.wire import Stream, framed, full_type, gz, pack
 from ullage.ports.intake import Counters, Inbox
 
 AGAIN_S = 1.0
-"""How often a master that is not there is looked for, and publishers that could not be joined are tried again."""
-ASK_S, DEAF_S = 1.0, 3.0
-"""How often the master is asked something, and how long an answer may take.
+"""Time between two attempts to reach a missing master or publisher [s]."""
+ASK_S, ANSWER_S = 1.0, 3.0
+"""Time between two requests to the master, and the longest wait for an answer [s].
 
-A gzserver that is joined while it starts now and then accepts, says what it has, and never reads that connection (what
-was said lay unread in its socket, while whoever came later was answered).
+A gzserver that is starting sometimes accepts a connection, lists its topics, and never reads that connection: our
+bytes stayed unread in its socket, while it answered later connections.
 """
 MOST_PATIENT_S = 60.0
-"""Each silence doubles the next one's limit, up to this: a server that is stopped in a debugger is not overrun."""
+"""Each silence doubles the next limit, up to this [s]: a server in a debugger does not get many connections."""
 MOST_UNSENT = 64 * 2**20
-"""Bytes that may wait for a slow reader before it is let go."""
+"""Bytes that may wait for a slow reader before it is disconnected."""
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Received:
     """A message on a topic."""
 
     topic: str
@@ -43,23 +43,23 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
-    """The master was found, with the worlds that it has."""
+class Connected:
+    """The master was found; it has these worlds."""
 
     worlds: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
-    """The master went."""
+class Disconnected:
+    """The master left."""
 
 
 @dataclass(frozen=True, slots=True)
-class Deaf:
-    """The master did not answer for a while, and is joined anew."""
+class Unresponsive:
+    """The master did not answer for a while; the peer connects again."""
 
 
-Event = Heard | Met | Lost | Deaf
+Event = Received | Connected | Disconnected | Unresponsive
 
 
 @dataclass(slots=True, eq=False)
@@ -74,13 +74,13 @@ class _Line:
 
 
 class ClassicPeer:
-    """One process among those around a gzserver.
+    """One process on the network of a gzserver.
 
     Args:
         master: host and port of the master.
-        host: address that others reach us at; the loopback keeps everything on this machine.
+        host: our address for other peers; the loopback keeps everything on this machine.
         ask_s: how often the master is asked something [s].
-        deaf_s: how long its first answer may take [s].
+        answer_s: how long its first answer may take [s].
 
     Raises:
         MissingExtra: protobuf is not installed.
@@ -88,47 +88,47 @@ class ClassicPeer:
     """
 
     def __init__(
-        self, master: tuple[str, int], host: str = "127.0.0.1", *, ask_s: float = ASK_S, deaf_s: float = DEAF_S
+        self, master: tuple[str, int], host: str = "127.0.0.1", *, ask_s: float = ASK_S, answer_s: float = ANSWER_S
     ) -> None:
         gz()
         self.master, self.host = master, host
-        self._ask_s, self._deaf_s = ask_s, deaf_s
+        self._ask_s, self._answer_s = ask_s, answer_s
         self.counters = Counters()
         self.events: Inbox[Event] = Inbox(self.counters)
         self._wanted: dict[str, str] = {}  # topic to type
         self._mine: dict[str, str] = {}
-        self._offers: dict[tuple[str, str, int], Any] = {}  # of others, on what is wanted
+        self._offers: dict[tuple[str, str, int], Any] = {}  # of other peers, on subscribed topics
         self._publishers: dict[tuple[str, str, int], _Line] = {}
         self._readers: dict[str, set[_Line]] = {}
         self._lines: set[_Line] = set()
         self._main: _Line | None = None
         self._retry_s = 0.0
-        self._asked_s = self._heard_s = 0.0  # when the master was asked last, and when it last answered
-        self._patience_s = deaf_s
+        self._asked_s = self._answered_s = 0.0  # time of the last request to the master and of its last answer
+        self._patience_s = answer_s
         self._closing = threading.Event()
         self._jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wake, self._woken = socket.socketpair()
-        self._door = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
-            self._door.bind((host, 0))
+            self._server.bind((host, 0))
         except OSError as error:
-            for sock in (self._door, self._wake, self._woken):
+            for sock in (self._server, self._wake, self._woken):
                 sock.close()
             raise InputError(
                 f"cannot listen there: {error.strerror or error}", where=f"host {host}",
                 allowed="an address of this machine",
             ) from None  # fmt: skip
-        self._door.listen()
-        self.port = self._door.getsockname()[1]
+        self._server.listen()
+        self.port = self._server.getsockname()[1]
         self._selector = selectors.DefaultSelector()
-        for sock in (self._door, self._woken):
+        for sock in (self._server, self._woken):
             sock.setblocking(False)
             self._selector.register(sock, selectors.EVENT_READ)
         self._thread = threading.Thread(target=self._loop, name="gazebo-classic", daemon=True)
         self._thread.start()
 
     def subscribe(self, topic: str, kind: str) -> None:
-        """Take what anybody says on a topic from now on; `kind` as gazebo.msgs.Pose."""
+        """Receive the messages of a topic from now on; `kind` as gazebo.msgs.Pose."""
         self._do(lambda: self._subscribe(topic, kind))
 
     def advertise(self, topic: str, kind: str) -> None:
@@ -136,16 +136,16 @@ class ClassicPeer:
         self._do(lambda: self._advertise(topic, kind))
 
     def publish(self, topic: str, message: Any) -> None:
-        """Say something on a topic, to whoever has joined it."""
+        """Send a message to the subscribers of a topic."""
         data = framed(message.SerializeToString())
-        self._do(lambda: self._say(topic, data))
+        self._do(lambda: self._publish(topic, data))
 
     def wait(self, timeout_s: float) -> Event | None:
-        """The next thing that happened, waiting no longer than this for it."""
+        """Return the next event, or None if none came within the timeout."""
         return self.events.get(timeout_s)
 
     def close(self) -> None:
-        """Let go of every socket."""
+        """Close every socket."""
         if not self._closing.is_set():
             self._closing.set()
             self._do(lambda: None)
@@ -165,8 +165,8 @@ class ClassicPeer:
     def _loop(self) -> None:
         try:
             while not self._closing.is_set():
-                self._look_for_master()
-                self._look_after_master()
+                self._connect_to_master()
+                self._check_master()
                 for key, mask in self._selector.select(0.25):
                     self._serve(key, mask)
                 while not self._jobs.empty():
@@ -174,7 +174,7 @@ class ClassicPeer:
         finally:
             for line in list(self._lines):
                 line.sock.close()
-            for sock in (self._door, self._wake, self._woken):
+            for sock in (self._server, self._wake, self._woken):
                 sock.close()
             self._selector.close()
 
@@ -182,9 +182,9 @@ class ClassicPeer:
         if key.fileobj is self._woken:
             with contextlib.suppress(BlockingIOError):
                 self._woken.recv(4096)
-        elif key.fileobj is self._door:
+        elif key.fileobj is self._server:
             with contextlib.suppress(OSError):
-                self._add(self._door.accept()[0], self._on_reader)
+                self._add(self._server.accept()[0], self._on_reader)
         elif key.data in self._lines:
             self._serve_line(key.data, mask)
 
@@ -200,7 +200,7 @@ class ClassicPeer:
                     line.take(line, data)
         except BlockingIOError:
             return
-        except Exception:  # gone, or speaking something else: parsers raise kinds of their own
+        except Exception:  # gone, or not this protocol: parsers raise their own kinds of error
             self._drop(line)
 
     def _add(self, sock: socket.socket, take: Callable[[_Line, bytes], None], topic: str = "") -> _Line:
@@ -224,7 +224,7 @@ class ClassicPeer:
         if line is self._main:
             self._main = None
             self._offers.clear()
-            self.events.put(Lost())
+            self.events.put(Disconnected())
 
     def _send(self, line: _Line, data: bytes) -> None:
         if len(line.unsent) > MOST_UNSENT:
@@ -243,7 +243,7 @@ class ClassicPeer:
         both = selectors.EVENT_READ | selectors.EVENT_WRITE
         self._selector.modify(line.sock, both if line.unsent else selectors.EVENT_READ, line)
 
-    def _look_for_master(self) -> None:
+    def _connect_to_master(self) -> None:
         now = time.monotonic()
         if self._main is not None or now < self._retry_s:
             return
@@ -253,23 +253,23 @@ class ClassicPeer:
         except OSError:
             return
         self._main = self._add(sock, self._on_master)
-        self._heard_s = self._asked_s = now
+        self._answered_s = self._asked_s = now
         for topic, kind in self._mine.items():
-            self._tell_offer(topic, kind)
+            self._send_offer(topic, kind)
         for topic, kind in self._wanted.items():
-            self._tell_want(topic, kind)
+            self._send_subscription(topic, kind)
 
-    def _look_after_master(self) -> None:
-        """Ask whether it still hears us, leave it if it does not, and try publishers again that could not be joined."""
+    def _check_master(self) -> None:
+        """Check that the master answers, disconnect if it does not, and try missing publishers again."""
         now = time.monotonic()
         if self._main is None or now - self._asked_s < self._ask_s:
             return
-        if now - self._heard_s > self._patience_s:
+        if now - self._answered_s > self._patience_s:
             self._patience_s = min(2 * self._patience_s, MOST_PATIENT_S)
-            deaf, self._main = self._main, None  # not lost: it is there
-            self._drop(deaf)
+            silent, self._main = self._main, None  # it still exists, so no `Disconnected` event
+            self._drop(silent)
             self._offers.clear()
-            self.events.put(Deaf())
+            self.events.put(Unresponsive())
             return
         self._asked_s = now
         self._send(self._main, packet("request", gz().Request(id=0, request="get_topic_namespaces", data="")))
@@ -279,20 +279,20 @@ class ClassicPeer:
     def _on_master(self, line: _Line, data: bytes) -> None:
         if line is not self._main:
             return
-        said = gz().Packet.FromString(data)
-        if said.type == "get_topic_namespaces_response":
-            self._heard_s, self._patience_s = time.monotonic(), self._deaf_s
-        if said.type == "topic_namepaces_init":
-            self.events.put(Met(tuple(gz().GzString_V.FromString(said.serialized_data).data)))
-        elif said.type == "topic_namespace_add":
-            self.events.put(Met((gz().GzString.FromString(said.serialized_data).data,)))
-        elif said.type in ("publisher_subscribe", "publisher_advertise"):
-            pub = gz().Publish.FromString(said.serialized_data)
+        message = gz().Packet.FromString(data)
+        if message.type == "get_topic_namespaces_response":
+            self._answered_s, self._patience_s = time.monotonic(), self._answer_s
+        if message.type == "topic_namepaces_init":
+            self.events.put(Connected(tuple(gz().GzString_V.FromString(message.serialized_data).data)))
+        elif message.type == "topic_namespace_add":
+            self.events.put(Connected((gz().GzString.FromString(message.serialized_data).data,)))
+        elif message.type in ("publisher_subscribe", "publisher_advertise"):
+            pub = gz().Publish.FromString(message.serialized_data)
             if pub.topic in self._wanted and (pub.host, pub.port) != (self.host, self.port):
                 self._offers[_key(pub)] = pub
                 self._join(pub)
-        elif said.type == "unadvertise":
-            key = _key(gz().Publish.FromString(said.serialized_data))
+        elif message.type == "unadvertise":
+            key = _key(gz().Publish.FromString(message.serialized_data))
             self._offers.pop(key, None)
             if key in self._publishers:
                 self._drop(self._publishers[key])
@@ -308,22 +308,22 @@ class ClassicPeer:
         self._send(line, packet("sub", self._want(pub.topic, pub.msg_type)))
 
     def _on_topic(self, line: _Line, data: bytes) -> None:
-        self.events.put(Heard(line.topic, data), topic=line.topic, size=len(data))
+        self.events.put(Received(line.topic, data), topic=line.topic, size=len(data))
 
     def _on_reader(self, line: _Line, data: bytes) -> None:
-        said = gz().Packet.FromString(data)
-        if said.type == "sub":
-            topic = gz().Subscribe.FromString(said.serialized_data).topic
+        message = gz().Packet.FromString(data)
+        if message.type == "sub":
+            topic = gz().Subscribe.FromString(message.serialized_data).topic
             self._readers.setdefault(topic, set()).add(line)
 
     def _want(self, topic: str, kind: str) -> Any:
         return gz().Subscribe(topic=topic, host=self.host, port=self.port, msg_type=kind, latching=False)
 
-    def _tell_want(self, topic: str, kind: str) -> None:
+    def _send_subscription(self, topic: str, kind: str) -> None:
         if self._main is not None:
             self._send(self._main, packet("subscribe", self._want(topic, kind)))
 
-    def _tell_offer(self, topic: str, kind: str) -> None:
+    def _send_offer(self, topic: str, kind: str) -> None:
         if self._main is not None:
             offer = gz().Publish(topic=topic, msg_type=kind, host=self.host, port=self.port)
             self._send(self._main, packet("advertise", offer))
@@ -331,14 +331,14 @@ class ClassicPeer:
     def _subscribe(self, topic: str, kind: str) -> None:
         if topic not in self._wanted:
             self._wanted[topic] = kind
-            self._tell_want(topic, kind)
+            self._send_subscription(topic, kind)
 
     def _advertise(self, topic: str, kind: str) -> None:
         if topic not in self._mine:
             self._mine[topic] = kind
-            self._tell_offer(topic, kind)
+            self._send_offer(topic, kind)
 
-    def _say(self, topic: str, data: bytes) -> None:
+    def _publish(self, topic: str, data: bytes) -> None:
         for line in list(self._readers.get(topic, ())):
             self._send(line, data)
 
@@ -348,5 +348,5 @@ def _key(pub: Any) -> tuple[str, str, int]:
 
 
 def type_of(name: str) -> str:
-    """The full name of a message's type by its short one."""
+    """Return the full name of a message type by its short name."""
     return full_type(getattr(gz(), name)())

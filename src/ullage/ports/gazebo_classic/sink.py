@@ -1,4 +1,4 @@
-"""Frames from anywhere on gzserver's topics."""
+"""Publish frames from any source on gzserver's topics."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Any
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.cosimulation import PacedSink, PaceOptions, options_of
+from ullage.ports.cosimulation import PacedSink, SimulatorSinkOptions, options_of
 from ullage.ports.gazebo_classic.peer import ClassicPeer
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import master_of
 
 
-class SinkOptions(PaceOptions):
-    """What can be set about `--to gazebo-classic:`."""
+class SinkOptions(SimulatorSinkOptions):
+    """Options of `--to gazebo-classic:`."""
 
     gazebo_world: str = Field("default", min_length=1, description="topics are /gazebo/WORLD/MODEL/radar/SENSOR/...")
 
 
 class ClassicSink(PacedSink):
-    """Publishes frames, at the pace of their own clock.
+    """Publish frames at the rate of their own clock.
 
     Args:
         address: of the master; empty: GAZEBO_MASTER_URI, or this machine's usual port.
-        options: as `SinkOptions` lists them.
+        options: as listed in `SinkOptions`.
 
     Raises:
         InputError: an option cannot be used.

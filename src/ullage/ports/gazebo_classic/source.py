@@ -11,35 +11,51 @@ from typing import Any
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.cosimulation import PATIENCE_S, FollowOptions, FollowSource, Say, matching, opened, options_of
-from ullage.ports.gazebo_classic.peer import ClassicPeer, Deaf, Event, Heard, Lost, Met, type_of
+from ullage.ports.cosimulation import (
+    PATIENCE_S,
+    CosimulationOptions,
+    CosimulationSource,
+    matching,
+    options_of,
+    resolved,
+)
+from ullage.ports.gazebo_classic.peer import (
+    ClassicPeer,
+    Connected,
+    Disconnected,
+    Event,
+    Received,
+    Unresponsive,
+    type_of,
+)
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
-from ullage.ports.pose_events import EventFeed, Note, Others, Sighting, pose_of, stamp_ns
+from ullage.ports.intake import Log
+from ullage.ports.pose_events import EventFeed, ModelPose, Notice, OtherModels, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 
 ASK_S = 0.5
 """How often the server is asked for the model while no pose of it comes: it tells of what moves only."""
 STILL_NS = 200_000_000
-"""The answer stands for this long before the question: what had moved until then was told before the answer."""
+"""An answer holds for the time this long before the request: later motion came before the answer [ns]."""
 
 
 RAY_TYPES = {"ray", "gpu_ray"}
 """Types of sensors that publish scans."""
 
 
-class ClassicOptions(FollowOptions):
-    """What can be set about `gazebo-classic:`."""
+class ClassicOptions(CosimulationOptions):
+    """Options of `gazebo-classic:`."""
 
     gazebo_world: str = Field("", description="the server's name of its world; none: the first that it tells")
 
 
 class ClassicFeed(EventFeed[Event]):
-    """Poses of one model from a gzserver and those of others beside it, or scans of its rays, and the server's fate.
+    """Poses of one model and of other models from a gzserver, or scans of its rays, and notices about the server.
 
     Args:
-        peer: speaks to the server.
-        options: which model, and how.
+        peer: the connection to the server.
+        options: name the model and its topics.
         others: names of the world's other models.
         ask_every_s: how often the server is asked for the model while no pose of it comes [s].
         patience_s: after how long a silence that is reported [s].
@@ -53,21 +69,21 @@ class ClassicFeed(EventFeed[Event]):
         self._peer, self._options, self.world = peer, options, options.gazebo_world
         self._ask_every_s, self._patience_s = ask_every_s, patience_s
         self._others = frozenset() if options.rays else others - {options.model}  # rays see them by themselves
-        self._look_around = False  # before anything moves, the server is asked where everything is
-        self._looked_ns: int | None = None
-        self._look_s = 0.0
+        self._refresh_due = False  # before anything moves, the server is asked where everything is
+        self._refresh_ns: int | None = None
+        self._refresh_s = 0.0
         self.newest_ns = 0
         self._known = False  # the model was there
-        self._number = int.from_bytes(os.urandom(4), "big") >> 1  # of our questions
+        self._number = int.from_bytes(os.urandom(4), "big") >> 1  # of our requests
         self._paused = self._there = False
         self._asked_ns: int | None = None  # the server's clock at the question, until it is answered or a pose comes
         self._last_s = self._ask_s = time.monotonic()
-        self._told_s = 0.0
+        self._logged_s = 0.0
         self._topics: RadarTopics | None = None
         self._scans: dict[str, str] = {}  # name of the ray sensor by its topic
 
-    def _take(self, event: Event) -> Sighting | Others | Scan | Note | None:
-        if not isinstance(event, Heard):
+    def _take(self, event: Event) -> ModelPose | OtherModels | Scan | Notice | None:
+        if not isinstance(event, Received):
             return self._master(event)
         self._last_s = time.monotonic()
         reads = {
@@ -76,30 +92,30 @@ class ClassicFeed(EventFeed[Event]):
         }  # fmt: skip
         return next((read(event) for end, read in reads.items() if event.topic.endswith(end)), None)
 
-    def _scan(self, event: Heard) -> Scan:
-        told = gz().LaserScanStamped.FromString(event.data)
+    def _scan(self, event: Received) -> Scan:
+        message = gz().LaserScanStamped.FromString(event.data)
         sensor = self._scans.get(event.topic, event.topic.split("/")[-2])
-        return scan_of(told.scan, told.time, pose_of(told.scan.world_pose), sensor=sensor)
+        return scan_of(message.scan, message.time, pose_of(message.scan.world_pose), sensor=sensor)
 
-    def _response(self, event: Heard) -> Sighting | Others | Note | None:
-        told = gz().Response.FromString(event.data)
-        if told.id == self._number + 1:
-            return self._everything(told)
-        return self._answer(told) if told.id == self._number else None
+    def _response(self, event: Received) -> ModelPose | OtherModels | Notice | None:
+        message = gz().Response.FromString(event.data)
+        if message.id == self._number + 1:
+            return self._everything(message)
+        return self._answer(message) if message.id == self._number else None
 
-    def _master(self, event: Met | Lost | Deaf) -> Note | None:
-        if isinstance(event, Met):
+    def _master(self, event: Connected | Disconnected | Unresponsive) -> Notice | None:
+        if isinstance(event, Connected):
             return self._met(event)
-        if isinstance(event, Deaf):
-            return Note("gzserver does not answer: joining it anew")
+        if isinstance(event, Unresponsive):
+            return Notice("gzserver does not answer: joining it anew")
         self._there = False
-        return Note("gzserver has gone; waiting for it to come back (Ctrl-C ends)")
+        return Notice("gzserver has gone; waiting for it to come back (Ctrl-C ends)")
 
-    def _met(self, event: Met) -> Note | None:
+    def _met(self, event: Connected) -> Notice | None:
         worlds = [name for name in event.worlds if name and not name.startswith("/")]
         if self._there or not worlds or (self.world and self.world not in worlds):
             return None
-        self._there, self.world, self._look_around = True, self.world or worlds[0], bool(self._others)
+        self._there, self.world, self._refresh_due = True, self.world or worlds[0], bool(self._others)
         root = f"/gazebo/{self.world}"
         kinds = {"world_stats": "WorldStatistics", "response": "Response"}
         if not self._options.rays:
@@ -109,96 +125,96 @@ class ClassicFeed(EventFeed[Event]):
         for name, kind in kinds.items():
             self._peer.subscribe(f"{root}/{name}", type_of(kind))
         self._peer.advertise(f"{root}/request", type_of("Request"))
-        return Note(f"gzserver runs the world {self.world!r}")
+        return Notice(f"gzserver runs the world {self.world!r}")
 
-    def _poses(self, event: Heard) -> Sighting | None:
-        told = gz().PosesStamped.FromString(event.data)
-        t_ns, own = stamp_ns(told.time), None
+    def _poses(self, event: Received) -> ModelPose | None:
+        message = gz().PosesStamped.FromString(event.data)
+        t_ns, own = stamp_ns(message.time), None
         theirs = {}
-        for pose in told.pose:
+        for pose in message.pose:
             if pose.name == self._options.model:
                 own = pose
             elif pose.name in self._others:
                 theirs[pose.name] = pose
-        moved = self._placed(event.topic, theirs)
+        moved = self._valid_poses(event.topic, theirs)
         if moved:
-            self._ready.append(Others(t_ns, moved))
+            self._ready.append(OtherModels(t_ns, moved))
         if own is None:
             return None
         self._ask_s, self._asked_ns, self._known = time.monotonic(), None, True
         return self._seen(t_ns, own)
 
-    def _seen(self, t_ns: int, pose: Any) -> Sighting:
+    def _seen(self, t_ns: int, pose: Any) -> ModelPose:
         self.newest_ns = t_ns
-        return Sighting(t_ns, *pose_of(pose))
+        return ModelPose(t_ns, *pose_of(pose))
 
-    def _came(self, event: Heard) -> Others | None:
-        """A model was put into the world, or changed: where is everything now?"""
-        name, self._look_around = gz().Model.FromString(event.data).name, True
-        return Others(self.newest_ns, new=frozenset({name})) if self._strange(name) else None
+    def _came(self, event: Received) -> OtherModels | None:
+        """Note a new or changed model, and request all poses."""
+        name, self._refresh_due = gz().Model.FromString(event.data).name, True
+        return OtherModels(self.newest_ns, new=frozenset({name})) if self._strange(name) else None
 
-    def _asked(self, event: Heard) -> Others | None:
-        """Somebody asked the server for something: that a model be deleted?"""
-        told = gz().Request.FromString(event.data)
-        deleted = told.request == "entity_delete" and told.data in self._others
-        return Others(self.newest_ns, gone=frozenset({told.data})) if deleted else None
+    def _asked(self, event: Received) -> OtherModels | None:
+        """Note a request to delete a model."""
+        message = gz().Request.FromString(event.data)
+        deleted = message.request == "entity_delete" and message.data in self._others
+        return OtherModels(self.newest_ns, gone=frozenset({message.data})) if deleted else None
 
     def _strange(self, name: str) -> bool:
         return name != self._options.model and name not in self._others
 
-    def _everything(self, told: Any) -> Others | None:
-        """Where everything is, by the server's scene."""
-        asked_ns, self._looked_ns, self._look_around = self._looked_ns, None, False
+    def _everything(self, message: Any) -> OtherModels | None:
+        """Return all poses from the server's scene."""
+        asked_ns, self._refresh_ns, self._refresh_due = self._refresh_ns, None, False
         if asked_ns is None:
             return None
-        there = {model.name: model.pose for model in gz().Scene.FromString(told.serialized_data).model}
+        there = {model.name: model.pose for model in gz().Scene.FromString(message.serialized_data).model}
         new = frozenset(name for name in there if self._strange(name))
-        ours = self._placed("response", {name: pose for name, pose in there.items() if name in self._others})
-        return Others(asked_ns, ours, self._others - there.keys(), new)
+        ours = self._valid_poses("response", {name: pose for name, pose in there.items() if name in self._others})
+        return OtherModels(asked_ns, ours, self._others - there.keys(), new)
 
-    def _status(self, event: Heard) -> Note | None:
+    def _status(self, event: Received) -> Notice | None:
         stats = gz().WorldStatistics.FromString(event.data)
         if time.monotonic() - self._ask_s > self._ask_every_s:
             self._ask_s = time.monotonic()
             self._asked_ns = stamp_ns(stats.sim_time)
             self._ask("entity_info", self._options.model)
         if (
-            self._look_around and time.monotonic() - self._look_s > self._ask_every_s
+            self._refresh_due and time.monotonic() - self._refresh_s > self._ask_every_s
         ):  # until it answers: the first may be lost
-            self._look_s, self._looked_ns = time.monotonic(), stamp_ns(stats.sim_time)
+            self._refresh_s, self._refresh_ns = time.monotonic(), stamp_ns(stats.sim_time)
             self._ask("scene_info", "", number=self._number + 1)
         if stats.paused == self._paused:
             return None
         self._paused = stats.paused
-        return Note("gzserver is paused" if self._paused else "gzserver goes on")
+        return Notice("gzserver is paused" if self._paused else "gzserver goes on")
 
     def _ask(self, what: str, data: str, *, number: int | None = None) -> None:
         ask = gz().Request(id=self._number if number is None else number, request=what, data=data)
         self._peer.publish(f"/gazebo/{self.world}/request", ask)
 
-    def _answer(self, told: Any) -> Sighting | Note | None:
-        if told.request == "scene_info":
-            names = [model.name for model in gz().Scene.FromString(told.serialized_data).model]
-            return Note(f"no model {self._options.model!r} in gzserver (there are {', '.join(names[:12])})")
-        if told.type != type_of("Model"):
+    def _answer(self, message: Any) -> ModelPose | Notice | None:
+        if message.request == "scene_info":
+            names = [model.name for model in gz().Scene.FromString(message.serialized_data).model]
+            return Notice(f"no model {self._options.model!r} in gzserver (there are {', '.join(names[:12])})")
+        if message.type != type_of("Model"):
             return self._absent()
         if self._options.rays:
-            return self._sensor(told)
+            return self._sensor(message)
         asked_ns, self._asked_ns, self._known = self._asked_ns, None, True
         if asked_ns is None:
             return None
-        return self._seen(max(asked_ns - STILL_NS, 0), gz().Model.FromString(told.serialized_data).pose)
+        return self._seen(max(asked_ns - STILL_NS, 0), gz().Model.FromString(message.serialized_data).pose)
 
-    def _absent(self) -> Note | None:
+    def _absent(self) -> Notice | None:
         if self._known:
             self._known = False
-            return Note(f"the model {self._options.model!r} has gone from gzserver; waiting for it to come back")
+            return Notice(f"the model {self._options.model!r} has gone from gzserver; waiting for it to come back")
         self._ask("scene_info", "")
         return None
 
-    def _sensor(self, told: Any) -> Note | None:
-        """Join the topics of the ray sensors, wherever on the model they are."""
-        found = ray_sensors(gz().Model.FromString(told.serialized_data).link)
+    def _sensor(self, message: Any) -> Notice | None:
+        """Subscribe to the topics of the ray sensors on any link of the model."""
+        found = ray_sensors(gz().Model.FromString(message.serialized_data).link)
         wanted, missing = matching(self._options.rays, found)
         for name in wanted:
             topic = f"/gazebo/{self.world}/{found[name]}/scan"
@@ -207,16 +223,16 @@ class ClassicFeed(EventFeed[Event]):
         if missing:
             names = ", ".join(found) or "none"
             absent = ", ".join(map(repr, missing))
-            return Note(f"no ray sensor {absent} on {self._options.model!r} (there are {names})")
+            return Notice(f"no ray sensor {absent} on {self._options.model!r} (there are {names})")
         return None
 
-    def _silence(self) -> Note | None:
+    def _on_silence(self) -> Notice | None:
         now = time.monotonic()
-        if now - max(self._last_s, self._told_s) < self._patience_s:
+        if now - max(self._last_s, self._logged_s) < self._patience_s:
             return None
-        self._told_s = now
+        self._logged_s = now
         host, port = self._peer.master
-        return Note(f"no gzserver at {host}:{port}" if not self._there else f"gzserver at {host}:{port} says nothing")
+        return Notice(f"no gzserver at {host}:{port}" if not self._there else f"gzserver at {host}:{port} says nothing")
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
         """Publish frames."""
@@ -227,10 +243,10 @@ class ClassicFeed(EventFeed[Event]):
 
 
 def ray_sensors(links: Iterable[Any]) -> dict[str, str]:
-    """Paths of a model's ray sensors by name; a name that several links use has its link before it, as `arm/front`.
+    """Return the paths of a model's ray sensors by name; a name on several links gets its link as prefix (`arm/front`).
 
     Args:
-        links: of the message of the model.
+        links: links in the message of the model.
     """
     placed = [(link.name, sensor.name) for link in links for sensor in link.sensor if sensor.type in RAY_TYPES]
     count = Counter(name for _, name in placed)
@@ -240,25 +256,25 @@ def ray_sensors(links: Iterable[Any]) -> dict[str, str]:
     }
 
 
-def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource | ScanSource:
-    """Frames of radars on a model of a running gzserver: `gazebo-classic:HOST:PORT?model=NAME`.
+def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource | ScanSource:
+    """Open radars on a model of a running gzserver: `gazebo-classic:HOST:PORT?model=NAME`.
 
     Args:
-        address: of the master; empty: GAZEBO_MASTER_URI, or this machine's usual port.
+        address: address of the master; empty: GAZEBO_MASTER_URI, or this machine's usual port.
         options: as `ClassicOptions` lists them.
-        say: told what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
 
     Raises:
-        InputError: an option cannot be used, or no world is known.
+        InputError: an option is not valid, or no world is known.
         MissingExtra: protobuf is not installed.
     """
     where = f"gazebo-classic:{address}"
-    chosen, scene, rig = opened(options_of(ClassicOptions, options, where), where)
+    chosen, scene, rig = resolved(options_of(ClassicOptions, options, where), where)
     master = master_of(address)
 
     def join() -> ClassicFeed:
         return ClassicFeed(ClassicPeer(master, chosen.host), chosen, frozenset(scene.models))
 
     if chosen.rays:
-        return ScanSource(join, rig, chosen, scene=scene, say=say)
-    return FollowSource(join, scene, rig, chosen, say=say)
+        return ScanSource(join, rig, chosen, scene=scene, log=log)
+    return CosimulationSource(join, scene, rig, chosen, log=log)

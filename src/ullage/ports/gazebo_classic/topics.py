@@ -1,4 +1,4 @@
-"""What the radars say on gzserver's topics: whole frames as images, the nearest range as sonar and as a point."""
+"""Radar frames on gzserver's topics: whole frames as images, the nearest range as sonar and as a point."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class RadarTopics:
     nearest echo on the boresight).
 
     Args:
-        peer: speaks to the server.
+        peer: the connection to the server.
         world: its name of the world.
-        model: whose radars.
+        model: the model that carries the radars.
     """
 
     def __init__(self, peer: ClassicPeer, world: str, model: str) -> None:
@@ -36,7 +36,7 @@ class RadarTopics:
         self._known: set[str] = set()
 
     def write(self, frames: Frames, offset_ns: int = 0) -> None:
-        """Publish every frame; their time less the offset is Gazebo's."""
+        """Publish every frame; their time minus the offset is Gazebo's time."""
         root = f"{self._root}/{frames.sensor}"
         if frames.sensor not in self._known:
             self._known.add(frames.sensor)

@@ -1,4 +1,4 @@
-"""The messages of Gazebo Classic that are used here, by their fields' numbers, and how they lie on a TCP stream."""
+"""The messages of Gazebo Classic that are used here, by their field numbers, and their framing on a TCP stream."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ TABLE = {
 }
 
 HEADER = 8
-"""A message is led by its length in this many hexadecimal digits."""
+"""A message begins with its length in this many hexadecimal digits."""
 MOST_BYTES = 256 * 2**20
-"""A longer message is held for nonsense."""
+"""Longest message [bytes]; a longer one ends the connection."""
 USUAL_PORT = 11345
 
 
@@ -65,27 +65,27 @@ def full_type(message: Any) -> str:
 
 
 def framed(data: bytes) -> bytes:
-    """A message as it goes out."""
+    """Return a message with its length before it."""
     return f"{len(data):08X}".encode() + data
 
 
 def packet(kind: str, message: Any) -> bytes:
-    """What is said to the master, or first to a publisher."""
+    """Return a packet for the master, or the first one for a publisher."""
     made = gz().Packet(stamp=gz().Time(sec=0, nsec=0), type=kind, serialized_data=message.SerializeToString())
     return framed(made.SerializeToString())
 
 
 class Stream:
-    """Bytes that come in as they come, messages that come out whole."""
+    """Cut a stream of bytes into messages."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
     def take(self, more: bytes) -> list[bytes]:
-        """The messages that are whole now.
+        """Add bytes and return the messages that are complete.
 
         Raises:
-            ValueError: these are not such messages.
+            ValueError: the bytes are not such messages.
         """
         self._bytes += more
         out, start = [], 0
@@ -102,10 +102,10 @@ class Stream:
 
 
 def master_of(address: str) -> tuple[str, int]:
-    """Host and port of the master: as written, or of GAZEBO_MASTER_URI, or this machine's.
+    """Return host and port of the master: as given, from GAZEBO_MASTER_URI, or of this machine.
 
     Raises:
-        InputError: it is not HOST:PORT.
+        InputError: the address is not HOST:PORT.
     """
     text = address or os.environ.get("GAZEBO_MASTER_URI", "")
     try:

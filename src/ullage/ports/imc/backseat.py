@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from ullage.flight.missions import Waypoints
 from ullage.ports.imc.codec import Packet, make, readable
 from ullage.ports.imc.link import Link
 from ullage.ports.imc.places import Geodetic, Pose
+from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
 
 REQUEST, SUCCESS, FAILURE, IN_PROGRESS = 0, 1, 2, 3
@@ -44,13 +44,13 @@ class Backseat:
         mission: where to go, and how fast.
         z: how heights are told: "height" over the ellipsoid, "altitude" over the ground, "depth" under the origin.
         near_m: a waypoint this near is reached [m].
-        say: told of what happens.
+        log: told of what happens.
     """
 
     def __init__(
-        self, link: Link, mission: Waypoints, *, z: str, near_m: float, say: Callable[[str], None]
+        self, link: Link, mission: Waypoints, *, z: str, near_m: float, log: Log
     ) -> None:  # fmt: skip
-        self._link, self._mission, self._units, self._near, self._say = link, mission, UNITS[z], near_m, say
+        self._link, self._mission, self._units, self._near, self._log = link, mission, UNITS[z], near_m, log
         self.target = 0
         self.done = self.refused = False
         self._accepted = self._loiters = False
@@ -89,11 +89,11 @@ class Backseat:
             self._patience_s = CALIBRATION_S
         elif answer == SUCCESS and not self._accepted:
             self._accepted = True
-            self._say(f"system {packet.src:#06x} follows")
+            self._log(f"system {packet.src:#06x} follows")
         elif answer == FAILURE and not self.refused:
             self.refused = True
             why = readable(packet["info"], 200) or "it does not say why"
-            self._say(f"system {packet.src:#06x} does not follow: {why}")
+            self._log(f"system {packet.src:#06x} does not follow: {why}")
 
     def _says_it_loiters(self, packet: Packet) -> bool:
         """Whether DUNE reports that the vehicle loiters at the point that it was last told."""
@@ -169,7 +169,7 @@ class Backseat:
         self.done, self._told = True, time.monotonic()
         self._refer(vehicle, origin, len(self._mission) - 1, LOCATION | SPEED | HEIGHT_FLAG | DONE)
         self._ask_stop(vehicle)
-        self._say("the mission is flown")
+        self._log("the mission is flown")
 
     def _ask_stop(self, vehicle: int) -> None:
         """Ask the vehicle to stop our plan, again until it answers."""

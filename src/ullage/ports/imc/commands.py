@@ -14,6 +14,7 @@ from ullage.arrays import Floats
 from ullage.flight.live import Wish
 from ullage.ports.imc.codec import Message, Packet, make
 from ullage.ports.imc.places import Geodetic
+from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
 
 DEPTH, ALTITUDE, HEIGHT = 1, 2, 3
@@ -51,11 +52,11 @@ class Commands:
     Args:
         vehicle: that is asked; its place and the last request complete some commands.
         origin: where the world lies.
-        say: told of what cannot be done.
+        log: told of what cannot be done.
     """
 
-    def __init__(self, vehicle: Obedient, origin: Geodetic, say: Callable[[str], None]) -> None:
-        self._vehicle, self._origin, self._say = vehicle, origin, say
+    def __init__(self, vehicle: Obedient, origin: Geodetic, log: Log) -> None:
+        self._vehicle, self._origin, self._log = vehicle, origin, log
         self._said: set[str] = set()
         self._known: dict[str, Callable[[Mapping[str, Any]], Wish | None]] = {
             "DesiredZ": self._height, "DesiredSpeed": self._speed, "DesiredVelocity": self._velocity,
@@ -70,7 +71,7 @@ class Commands:
     def wish(self, packet: Packet) -> Wish | None:
         """What a message asks for; None where it is no command, or makes no sense."""
         if packet.name == "Abort":
-            self._say(f"system {packet.src:#06x} says abort: hovering")
+            self._log(f"system {packet.src:#06x} says abort: hovering")
         return self._of(packet.message)
 
     def answer(self, packet: Packet) -> tuple[Wish | None, Message] | None:
@@ -113,7 +114,7 @@ class Commands:
         if m["speed_units"] != METRES_A_SECOND:
             if key not in self._said:
                 self._said.add(key)
-                self._say(f"{key} is taken in m/s only")
+                self._log(f"{key} is taken in m/s only")
             return None
         return float(m["value" if key == "DesiredSpeed" else "speed"])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +21,7 @@ from ullage.ports import messages as ros
 from ullage.ports.imc.codec import Packet, readable
 from ullage.ports.imc.places import Geodetic, Pose, path_along, pose_of
 from ullage.ports.imc.radars import carried, mount_of, profile_of
-from ullage.ports.intake import Clock, Counters, Place, PoseQueue, Stamped, Stream
+from ullage.ports.intake import Clock, Counters, Log, Place, PoseQueue, Stamped, Stream
 from ullage.specs import MountSpec, RadarSpec
 
 HELD = 4096  # messages of one sensor that wait for a pose or for their settings
@@ -140,14 +140,12 @@ class Gatherer:
 
     Args:
         track: of the vehicle, for the poses of profiles.
-        say: told once of each radar that gives profiles only; None: the reporter of the track's counters.
+        log: told once of each radar that gives profiles only; None: the reporter of the track's counters.
         labels: names of parts of systems; learned from EntityInfo and EntityList as well.
     """
 
-    def __init__(
-        self, track: Track, say: Callable[[str], None] | None = None, *, labels: dict[Part, str] | None = None
-    ) -> None:
-        self._track, self._say, self._labels = track, say or track.counters.reporter, labels or {}
+    def __init__(self, track: Track, log: Log | None = None, *, labels: dict[Part, str] | None = None) -> None:
+        self._track, self._log, self._labels = track, log or track.counters.log, labels or {}
         self._counters = track.counters
         self._sensors: dict[Part, _Sensor] = {}
         self._clocks: dict[int, Clock] = {}  # of exact frames, by system
@@ -292,7 +290,7 @@ class Gatherer:
         sensor.profiles.put((round(packet.t_s * 1e9), axis, values), time.monotonic())
         if part not in self._told:
             self._told.add(part)
-            self._say(f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images")
+            self._log(f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images")
 
     def label(self, part: Part) -> str:
         """The name of a part of a system, as far as it is known."""

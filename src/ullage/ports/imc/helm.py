@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from typing import Any, Protocol
 
 from ullage.arrays import Floats
@@ -14,6 +13,7 @@ from ullage.ports.imc.codec import NOBODY, Packet, make
 from ullage.ports.imc.commands import Commands
 from ullage.ports.imc.link import Link
 from ullage.ports.imc.places import Geodetic, Pose, state_of
+from ullage.ports.intake import Log
 
 
 class Vehicle(Protocol):
@@ -44,11 +44,11 @@ class Simulated:
         vehicle: in the air.
         rate_hz: poses a second of flight.
         pace: times real time.
-        say: told when it hits something.
+        log: told when it hits something.
     """
 
-    def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, say: Callable[[str], None]) -> None:
-        self._vehicle, self._say, self._pace = vehicle, say, pace
+    def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, log: Log) -> None:
+        self._vehicle, self._log, self._pace = vehicle, log, pace
         self._period_ns = round(1e9 / rate_hz)
         self._begun: float | None = None
         self._count = 0
@@ -85,7 +85,7 @@ class Simulated:
                 break
         if v.touched and not self._touched:
             self._touched = True
-            self._say("the vehicle hit something")
+            self._log("the vehicle hit something")
         return out
 
     def close(self) -> None:
@@ -142,14 +142,12 @@ class Helm:
         link: to the controller.
         origin: where the world lies.
         timeout_s: silence after which the vehicle hovers [s].
-        say: told of what cannot be done.
+        log: told of what cannot be done.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, link: Link, *, origin: Geodetic, timeout_s: float, say: Callable[[str], None]
-    ) -> None:
-        self._vehicle, self._link, self._origin, self._say = vehicle, link, origin, say
-        self._commands = Commands(vehicle, origin, say)
+    def __init__(self, vehicle: Vehicle, link: Link, *, origin: Geodetic, timeout_s: float, log: Log) -> None:
+        self._vehicle, self._link, self._origin, self._log = vehicle, link, origin, log
+        self._commands = Commands(vehicle, origin, log)
         self._timeout_s, self._heard_s = timeout_s, 0.0
         self._commanded = self._adopted = False
 
@@ -176,7 +174,7 @@ class Helm:
             return []
         if self._commanded and time.monotonic() - self._heard_s > self._timeout_s:
             self._commanded = False
-            self._say(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
+            self._log(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
             self._vehicle.ask(self._commands.hover())
         poses = self._vehicle.fly()
         if self._link.connected:

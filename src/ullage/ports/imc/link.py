@@ -7,14 +7,14 @@ import time
 import uuid
 import warnings
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from ullage.errors import UllageWarning
 from ullage.ports.imc.codec import NOBODY, Message, Packet, Parser, compile_kernels, encode, make, readable
 from ullage.ports.imc.table import Table, own
-from ullage.ports.intake import Counters
+from ullage.ports.intake import Counters, Log
 
 MOBILE_SENSOR, UAV = 7, 4
 NORMAL = 1
@@ -136,21 +136,21 @@ class Link:
         wire: carries the bytes.
         me: who we are.
         table: the messages.
-        say: told of what others should know: that we wait, that a peer has gone.
+        log: told of what others should know: that we wait, that a peer has gone.
         listens: whether anybody here will `receive`.
         counters: count what is damaged or finds no room.
         most_waiting: messages that may wait to be received; beyond that the oldest are lost.
     """
 
     def __init__(
-        self, wire: Wire, me: Identity, *, table: Table | None = None, say: Callable[[str], None] | None = None,
+        self, wire: Wire, me: Identity, *, table: Table | None = None, log: Log | None = None,
         listens: bool = True, counters: Counters | None = None, most_waiting: int = INBOX,
     ):  # fmt: skip
         self.wire, self.me, self.table = wire, me, table or own()
         self.listens, self._most_waiting = listens, most_waiting
-        self._say = say or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
+        self._log = log or (lambda text: warnings.warn(text, UllageWarning, stacklevel=2))
         self.out = Outbox()
-        self.counters = counters or Counters(self._say)
+        self.counters = counters or Counters(self._log)
         self._in: deque[Packet] = deque()
         self._in_bytes = 0
         self._lock = threading.Condition()
@@ -236,7 +236,7 @@ class Link:
     def _once(self, key: str, text: str) -> None:
         if key not in self._told:
             self._told.add(key)
-            self._say(text)
+            self._log(text)
 
     def _run(self) -> None:
         try:
@@ -256,7 +256,7 @@ class Link:
             if self.wire.connected and not there:
                 next_beat = next_announce = 0.0
             elif there and not self.wire.connected:
-                self._say("the peer has gone" + ("" if self.wire.finished else "; waiting for it to come back"))
+                self._log("the peer has gone" + ("" if self.wire.finished else "; waiting for it to come back"))
                 self.out.clear()
             there = self.wire.connected
             if now >= next_announce:
@@ -336,12 +336,12 @@ def held_bytes(packet: Packet) -> int:
     return 500 + sum(len(value) for value in held if isinstance(value, (str, bytes)))
 
 
-def strangers(parser: Parser, where: str, say: Callable[[str], None], told: set[str]) -> None:
+def strangers(parser: Parser, where: str, log: Log, told: set[str]) -> None:
     """Say once where a peer speaks another version, or no IMC at all."""
     if parser.strange > 1 and parser.version and "version" not in told:
         told.add("version")
         major, minor = parser.version
-        say(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4")
+        log(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4")
     elif parser.garbage > 4096 and "garbage" not in told:
         told.add("garbage")
-        say(f"{where} sends bytes that are no IMC; they are passed over")
+        log(f"{where} sends bytes that are no IMC; they are passed over")

@@ -18,10 +18,10 @@ from ullage.ports.imc.definition import to_xml
 from ullage.ports.imc.gather import Gatherer, Track
 from ullage.ports.imc.link import Entity
 from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
-from ullage.ports.imc.source import pieces, warn
+from ullage.ports.imc.source import pieces
 from ullage.ports.imc.table import from_xml, own
 from ullage.ports.imc.teller import BODY, Teller
-from ullage.ports.intake import Counters
+from ullage.ports.intake import Counters, warn
 from ullage.ports.protocol import Item, one_or_all
 
 AT_ONCE = 1 << 19

@@ -6,14 +6,14 @@ To others a system has one address: of two that announce the same one with diffe
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Literal
 
 from ullage.ports.imc.link import Identity, Link, Wire
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.tcp import TcpWire
-from ullage.ports.intake import Counters
+from ullage.ports.intake import Counters, Log
 
 Role = Literal["source", "sink", "vehicle"]
 
@@ -30,7 +30,7 @@ _open: dict[Hashable, _Held] = {}
 _lock = threading.Lock()
 
 
-def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, say: Callable[[str], None]) -> Link:
+def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log: Log) -> Link:
     """A link to a place; to be left by `leave`.
 
     Args:
@@ -38,7 +38,7 @@ def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, say
         options: how; where the link is open already they stand as it was opened.
         me: who we are.
         role: a source and a sink share a link; a vehicle, which takes another's address, has its own.
-        say: told of waiting and of peers that go.
+        log: told of waiting and of peers that go.
 
     Raises:
         InputError: the place cannot be understood.
@@ -51,9 +51,9 @@ def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, say
             held.roles.add(role)
             held.link.join(me, listens=role == "source")
             return held.link
-    counters = Counters(say)
-    wire = _wire(where, options, me, say, counters)
-    link = Link(wire, me, table=options.table(), say=say, listens=role != "sink", counters=counters)
+    counters = Counters(log)
+    wire = _wire(where, options, me, log, counters)
+    link = Link(wire, me, table=options.table(), log=log, listens=role != "sink", counters=counters)
     with _lock:
         if role != "vehicle":
             _open[key] = _Held(link, {role})
@@ -72,19 +72,17 @@ def leave(link: Link, role: Role) -> None:
     link.close()
 
 
-def _wire(
-    where: tuple[str, str, int], options: LinkOptions, me: Identity, say: Callable[[str], None], counters: Counters
-) -> Wire:
+def _wire(where: tuple[str, str, int], options: LinkOptions, me: Identity, log: Log, counters: Counters) -> Wire:
     kind, host, port = where
     table = options.table()
     if kind == "tcp":
         return TcpWire(
-            host, port, table=table, silence_s=options.silence_s, reconnect=options.reconnect, say=say,
+            host, port, table=table, silence_s=options.silence_s, reconnect=options.reconnect, log=log,
             counters=counters,
         )  # fmt: skip
     from ullage.ports.imc.udp import UdpWire
 
     return UdpWire(
         (host, port) if kind else None, table=table, own=me, interface=options.interface, port=options.port,
-        silence_s=options.silence_s, reconnect=options.reconnect, say=say, counters=counters,
+        silence_s=options.silence_s, reconnect=options.reconnect, log=log, counters=counters,
     )  # fmt: skip

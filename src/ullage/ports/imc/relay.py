@@ -9,7 +9,7 @@ under `desired/` are taken without `to_imc/` too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from ullage.errors import InputError
@@ -18,6 +18,7 @@ from ullage.ports.imc import broker
 from ullage.ports.imc.codec import NOBODY, Malformed, Message, Packet, encode
 from ullage.ports.imc.interpreter import PAIRS, Ros, imc_of, interpreted, rows_of
 from ullage.ports.imc.table import own
+from ullage.ports.intake import Log
 from ullage.ports.plain import decoded, encoded
 from ullage.ports.protocol import Passed
 
@@ -100,11 +101,11 @@ class RosToImc:
 
     Args:
         own_id: our number on the bus; what we said ourselves is not said again.
-        say: told of what cannot be used.
+        log: told of what cannot be used.
     """
 
-    def __init__(self, own_id: int, say: Callable[[str], None]) -> None:
-        self._own, self._say = own_id, say
+    def __init__(self, own_id: int, log: Log) -> None:
+        self._own, self._log = own_id, log
         self._latest: Ros = {}  # parts of messages that are made of several
         self._told: set[str] = set()
 
@@ -160,7 +161,7 @@ class RosToImc:
     def _once(self, text: str) -> None:
         if text not in self._told and len(self._told) < 100:
             self._told.add(text)
-            self._say(text)
+            self._log(text)
 
 
 def _outgoing(packet: Packet, part: str) -> Outgoing:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Self
 
 from ullage.ports.imc.codec import readable
@@ -11,8 +10,8 @@ from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SinkOptions
 from ullage.ports.imc.reach import leave, open_link
 from ullage.ports.imc.relay import Outgoing, RosToImc
-from ullage.ports.imc.source import warn
 from ullage.ports.imc.teller import BODY, Note, Teller
+from ullage.ports.intake import Log, warn
 from ullage.ports.protocol import Item, Passed
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254
@@ -27,22 +26,22 @@ class ImcSink:
     Args:
         place: `tcp://host:port`, `udp://host:port`, or nothing.
         options: what to give.
-        say: told of waiting and of peers that go.
+        log: told of waiting and of peers that go.
 
     Raises:
         InputError: the place cannot be used.
     """
 
-    def __init__(self, place: str, options: SinkOptions, *, say: Callable[[str], None] = warn) -> None:
+    def __init__(self, place: str, options: SinkOptions, *, log: Log = warn) -> None:
         home = options.home()
         me = Identity(
             options.system_id, options.name, entities=[Entity(BODY, options.name, "ullage")], lat_rad=home.lat_rad,
             lon_rad=home.lon_rad, height_m=home.height_m,
         )  # fmt: skip
         self._pace = options.pace
-        self._link: Link = open_link(place, options, me, role="sink", say=say)
+        self._link: Link = open_link(place, options, me, role="sink", log=log)
         self._teller = Teller(options, home, self._link.enter)
-        self._from_ros, self._relayed = RosToImc(options.system_id, say), dict[str, int]()
+        self._from_ros, self._relayed = RosToImc(options.system_id, log), dict[str, int]()
         self._shares = False  # the last entity stands for several parts
         self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
         self._epoch_s = 0.0

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from ullage.data import Frames, Trajectory, gathered
-from ullage.errors import InputError, UllageWarning
+from ullage.errors import InputError
 from ullage.grids import OccupancyMap
 from ullage.ports.imc.codec import Packet
 from ullage.ports.imc.gather import Gatherer, Track
@@ -20,7 +19,7 @@ from ullage.ports.imc.options import SourceOptions, scene_path
 from ullage.ports.imc.places import TRONDHEIM, Pose
 from ullage.ports.imc.reach import Role, leave, open_link
 from ullage.ports.imc.relay import passed
-from ullage.ports.intake import Covered
+from ullage.ports.intake import Covered, Log, warn
 from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
 from ullage.world.scene import Scene
@@ -29,11 +28,6 @@ if TYPE_CHECKING:
     from ullage.ports.drone import Guided
     from ullage.ports.imc.backseat import Backseat
     from ullage.ports.imc.helm import Flight, Vehicle
-
-
-def warn(text: str) -> None:
-    """Say it as a warning."""
-    warnings.warn(text, UllageWarning, stacklevel=3)
 
 
 class ImcSource:
@@ -45,14 +39,14 @@ class ImcSource:
     Args:
         place: `tcp://host:port`, `udp://host:port`, or nothing.
         options: what to take.
-        say: told of waiting, of peers that go, of clocks that jump.
+        log: told of waiting, of peers that go, of clocks that jump.
 
     Raises:
         InputError: the place or the world cannot be used.
     """
 
-    def __init__(self, place: str, options: SourceOptions, *, say: Callable[[str], None] = warn) -> None:
-        self._options, self._say = options, say
+    def __init__(self, place: str, options: SourceOptions, *, log: Log = warn) -> None:
+        self._options, self._log = options, log
         self.scene: Scene | None = None
         self.home: Trajectory | None = None
         self.passing = Passing()
@@ -66,11 +60,11 @@ class ImcSource:
         vehicle = self._vehicle(start) if options.fly else None
         me = Identity(options.system_id, options.name, entities=[Entity(1, options.name, "ullage")])
         self._role: Role = "vehicle" if vehicle is not None else "source"
-        self._link: Link = open_link(place, options, me, role=self._role, say=say)
+        self._link: Link = open_link(place, options, me, role=self._role, log=log)
         self.counters = self._link.counters
-        self.counters.reporter = say
+        self.counters.log = log
         self._track = Track(self.counters, state=options.state, origin=options.place(), vehicle=options.vehicle)
-        self._gather = Gatherer(self._track, say)
+        self._gather = Gatherer(self._track, log)
         self._flight = self._take_off(vehicle) if vehicle is not None else None
         self._backseat = self._take_wheel(points) if points else None
 
@@ -124,7 +118,7 @@ class ImcSource:
         address = Address.of(o.fly)
         if address is None:
             vehicle = Steered(o.fly, scene=self.scene, start=start)
-            return Simulated(vehicle, rate_hz=o.state_hz, pace=o.pace, say=self._say)
+            return Simulated(vehicle, rate_hz=o.state_hz, pace=o.pace, log=self._log)
         return Foreign(self._guided(address), rate_hz=o.state_hz)
 
     def _guided(self, address: Address) -> Guided:
@@ -136,14 +130,14 @@ class ImcSource:
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
         topics = DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint)
         drone = door(address.place, topics, o.takes)
-        return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), say=self._say)
+        return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
     def _take_off(self, vehicle: Vehicle) -> Flight:
         from ullage.ports.imc.helm import Flight, Helm
 
         o = self._options
         home = self._track.origin = o.place() or TRONDHEIM
-        helm = Helm(vehicle, self._link, origin=home, timeout_s=o.timeout_s, say=self._say)
+        helm = Helm(vehicle, self._link, origin=home, timeout_s=o.timeout_s, log=self._log)
         return Flight(helm, self._link)
 
     def _take_wheel(self, points: list[tuple[float, ...]]) -> Backseat:
@@ -152,7 +146,7 @@ class ImcSource:
 
         o = self._options
         mission = Waypoints(np.array(points), speed_m_s=o.speed_m_s)
-        return Backseat(self._link, mission, z=o.z, near_m=o.near_m, say=self._say)
+        return Backseat(self._link, mission, z=o.z, near_m=o.near_m, log=self._log)
 
     def _arriving(self) -> Iterator[dict[str, Frames]]:
         told = time.monotonic()
@@ -166,7 +160,7 @@ class ImcSource:
                     told = now
                     what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
                     flown = "the drone's odometry" if self._link.connected else "a controller"
-                    self._say(f"waiting for {what if self._flight is None else flown}")
+                    self._log(f"waiting for {what if self._flight is None else flown}")
                 wheel = self._backseat
                 left = wheel is not None and wheel.finished
                 if left or self._over() or (self._link.finished and not heard):
@@ -176,7 +170,7 @@ class ImcSource:
         finally:
             self._track.finish()
             for line in self.counters.lines():
-                self._say(line)
+                self._log(line)
 
     def _made(self, tracks: list[list[Pose]], heard: bool) -> Iterator[dict[str, Frames]]:
         """The frames that are ready: simulated along the poses, or those that came."""
@@ -230,7 +224,7 @@ class ImcSource:
         took, span = time.monotonic() - began, (poses[-1].t_ns - poses[0].t_ns) * 1e-9
         if span > 3.0 and took > span and not self._behind:
             self._behind = True
-            self._say("the radars take longer than the flight; give rate_hz= or fidelity=thesis to keep up")
+            self._log("the radars take longer than the flight; give rate_hz= or fidelity=thesis to keep up")
         return out
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:

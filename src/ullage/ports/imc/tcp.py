@@ -5,13 +5,13 @@ from __future__ import annotations
 import select
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 from ullage.ports.imc.codec import Packet, Parser
 from ullage.ports.imc.link import Outbox, strangers
 from ullage.ports.imc.table import Table
-from ullage.ports.intake import Counters
+from ullage.ports.intake import Counters, Log
 
 AT_ONCE = 65536
 
@@ -50,18 +50,18 @@ class TcpWire:
         table: the messages.
         silence_s: a server that says nothing for so long is taken for dead [s].
         reconnect: try again after the connection was lost.
-        say: told of what others should know.
+        log: told of what others should know.
         counters: count damaged packets.
     """
 
     services: Sequence[str] = ()
 
     def __init__(
-        self, host: str, port: int, *, table: Table, silence_s: float, reconnect: bool, say: Callable[[str], None],
+        self, host: str, port: int, *, table: Table, silence_s: float, reconnect: bool, log: Log,
         counters: Counters | None = None,
     ) -> None:  # fmt: skip
         self._counters, self._damaged = counters or Counters(), 0
-        self._place, self._table, self._silence, self._again, self._say = (host, port), table, silence_s, reconnect, say
+        self._place, self._table, self._silence, self._again, self._log = (host, port), table, silence_s, reconnect, log
         self._where = f"tcp://{host}:{port}"
         self._waker = Waker()
         self._sock: socket.socket | None = None
@@ -99,7 +99,7 @@ class TcpWire:
             self._write(sock, out)
         packets = self._read(sock) if sock in ready else []
         if self._sock is not None and time.monotonic() - self._heard > self._silence:
-            self._say(f"{self._where} has said nothing for {self._silence:g} s; connecting anew")
+            self._log(f"{self._where} has said nothing for {self._silence:g} s; connecting anew")
             self._drop()
         return packets
 
@@ -114,7 +114,7 @@ class TcpWire:
         except OSError as error:
             if "waiting" not in self._told:
                 self._told.add("waiting")
-                self._say(f"waiting for {self._where} ({error.strerror or error})")
+                self._log(f"waiting for {self._where} ({error.strerror or error})")
             self._next_try, self._wait_s = now + self._wait_s, min(2 * self._wait_s, 2.0)
             return False
         if sock.getsockname() == sock.getpeername():  # a port of ours that met itself: nobody listens there
@@ -154,7 +154,7 @@ class TcpWire:
         packets = list(self._parser.feed(data))
         fresh, self._damaged = self._parser.damaged - self._damaged, self._parser.damaged
         self._counters.drop(self._where, "bad", "a packet is damaged or cut", count=fresh)
-        strangers(self._parser, self._where, self._say, self._told)
+        strangers(self._parser, self._where, self._log, self._told)
         return packets
 
     def _drop(self) -> None:

@@ -7,7 +7,7 @@ import re
 import select
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ullage.errors import InputError
@@ -15,7 +15,7 @@ from ullage.ports.imc.codec import Malformed, Packet, Parser, decode, readable
 from ullage.ports.imc.link import Identity, Outbox, strangers
 from ullage.ports.imc.table import Table
 from ullage.ports.imc.tcp import Waker
-from ullage.ports.intake import Counters
+from ullage.ports.intake import Counters, Log
 
 GROUP = "224.0.75.69"
 ANNOUNCE_PORTS = range(30100, 30105)
@@ -47,7 +47,7 @@ class UdpWire:
         port: where we listen; the next free one is taken.
         silence_s: a peer that says nothing for so long is taken for dead [s].
         reconnect: wait for it to come back.
-        say: told of what others should know.
+        log: told of what others should know.
         counters: count damaged packets, and peers beyond those that are remembered.
 
     Raises:
@@ -56,11 +56,11 @@ class UdpWire:
 
     def __init__(
         self, place: Place | None, *, table: Table, own: Identity, interface: str, port: int, silence_s: float,
-        reconnect: bool, say: Callable[[str], None], counters: Counters | None = None,
+        reconnect: bool, log: Log, counters: Counters | None = None,
     ) -> None:  # fmt: skip
         self._counters = counters or Counters()
         self._table, self._me, self._interface, self._silence = table, own, interface, silence_s
-        self._again, self._say = reconnect, say
+        self._again, self._log = reconnect, log
         self._fixed = (_address(place[0]), place[1]) if place else None
         self._local = ipaddress.ip_address(_address(interface)).is_loopback
         self._waker = Waker()
@@ -125,7 +125,7 @@ class UdpWire:
                 self._counters.drop(f"udp://{host}", "bad", str(error))
                 list(self._parser.feed(data))
                 list(self._parser.finish())
-                strangers(self._parser, f"udp://{host}:{port}", self._say, self._told)
+                strangers(self._parser, f"udp://{host}:{port}", self._log, self._told)
                 continue
             if self._known(packet, host, port):
                 found.append(packet)
@@ -178,14 +178,14 @@ class UdpWire:
         key = f"twins {number}"
         if key not in self._told and len(self._told) < MOST_TOLD:
             self._told.add(key)
-            self._say(f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to")
+            self._log(f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to")
 
     def _bury(self) -> None:
         now = time.monotonic()
         for number, peer in list(self._peers.items()):
             if now - peer.heard > self._silence:
                 del self._peers[number]
-                self._say(f"{peer.name!r} has said nothing for {self._silence:g} s")
+                self._log(f"{peer.name!r} has said nothing for {self._silence:g} s")
 
     def greet(self, announce: bytes) -> None:
         """Announce ourselves on this machine, and on the network where the interface is one."""

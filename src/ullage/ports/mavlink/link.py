@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from ullage.errors import InputError
-from ullage.ports.intake import Counters, Inbox, Report
+from ullage.ports.intake import Counters, Inbox, Log
 from ullage.ports.mavlink.dialect import Decoder, mavlink
 from ullage.ports.mavlink.options import LinkOptions, Place, place_of
 from ullage.ports.mavlink.timesync import ClockOffset
@@ -31,7 +31,7 @@ UTC_S = 1.0
 """A difference between the autopilot's UTC and ours that is reported [s]."""
 
 
-class Heard(NamedTuple):
+class PoseMessage(NamedTuple):
     """A message of the autopilot."""
 
     topic: str  # its type
@@ -56,12 +56,12 @@ class Link:
     Args:
         wire: carries the bytes.
         options: ids and limits.
-        report: takes what a person should know.
+        log: takes what a person should know.
     """
 
-    def __init__(self, wire: Wire, options: LinkOptions, report: Report) -> None:
+    def __init__(self, wire: Wire, options: LinkOptions, log: Log) -> None:
         self.dialect, self.options, self.name = mavlink(), options, wire.name
-        self.counters = Counters(report)
+        self.counters = Counters(log)
         self.clock = ClockOffset(self.counters)
         self.autopilot: Autopilot | None = None
         self.state = int(self.dialect.MAV_STATE_STANDBY)
@@ -72,9 +72,9 @@ class Link:
         """Whether poses came since the autopilot was asked; else it is asked again."""
         self.listens = False
         """Whether somebody takes the poses."""
-        self._wire, self._report = wire, report
+        self._wire, self._log = wire, log
         self._mav = self.dialect.MAVLink(None)
-        self._inbox: Inbox[Heard] = Inbox(self.counters, most=20_000)
+        self._inbox: Inbox[PoseMessage] = Inbox(self.counters, most=20_000)
         self._decoders: dict[Sender, Decoder] = {}
         self._questions: list[int] = []
         self._strangers: set[int] = set()  # systems with an autopilot that is not ours
@@ -99,7 +99,7 @@ class Link:
             self._mav.seq = (self._mav.seq + 1) % 256
             self._wire.send(bytes(data))
 
-    def wait(self, timeout_s: float) -> Heard | None:
+    def wait(self, timeout_s: float) -> PoseMessage | None:
         """The next message that holds a pose; None where none came for so long."""
         self._check()
         return self._inbox.get(timeout_s)
@@ -187,7 +187,7 @@ class Link:
         elif kind == "COMMAND_ACK":
             self._acknowledged(message)
         elif self.listens:
-            self._inbox.put(Heard(kind, message), topic="", size=0)
+            self._inbox.put(PoseMessage(kind, message), topic="", size=0)
 
     def _heartbeat(self, message: Any, system: int, component: int) -> None:
         d, now = self.dialect, time.monotonic()
@@ -200,7 +200,7 @@ class Link:
         if known is None and self.options.vehicle in (0, system):
             self.autopilot = known = Autopilot(system, component, now)
             name = d.enums["MAV_AUTOPILOT"][message.autopilot].name.removeprefix("MAV_AUTOPILOT_")
-            self._report(f"{self.name}: autopilot {name}, system {system}, component {component}")
+            self._log(f"{self.name}: autopilot {name}, system {system}, component {component}")
             self._met.set()
         if known is None or (system, component) != (known.system, known.component):
             self._strangers.add(system)
@@ -213,7 +213,7 @@ class Link:
         if not known.there:
             known.there = True
             self._requested = False  # it may have been started again, with its own rates
-            self._report(f"{self.name}: HEARTBEAT of system {system} is back")
+            self._log(f"{self.name}: HEARTBEAT of system {system} is back")
 
     def _timesync(self, message: Any) -> None:
         now = time.monotonic_ns()
@@ -238,7 +238,7 @@ class Link:
     def _once(self, text: str) -> None:
         if text not in self._reported and len(self._reported) < 100:
             self._reported.add(text)
-            self._report(text)
+            self._log(text)
 
     def _tick(self, now: float) -> None:
         if self._is_due("heartbeat", now, HEARTBEAT_S):
@@ -258,7 +258,7 @@ class Link:
             self._request(there, self.request_hz)
         if there.there and now - there.heard_s > self.options.heartbeat_s:
             there.there = False
-            self._report(
+            self._log(
                 f"{self.name}: no HEARTBEAT of system {there.system} for {self.options.heartbeat_s:g} s; "
                 "its poses end here until it is back"
             )
@@ -293,14 +293,14 @@ _open: dict[Hashable, _Shared] = {}
 _open_lock = threading.Lock()
 
 
-def open_link(text: str, options: LinkOptions, *, role: Role, report: Report) -> Link:
+def open_link(text: str, options: LinkOptions, *, role: Role, log: Log) -> Link:
     """The link to a place; a source and a sink of one program share it. `leave` closes it.
 
     Args:
         text: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
         options: where the link is open already, they stay as it was opened.
         role: who asks.
-        report: takes what a person should know.
+        log: takes what a person should know.
 
     Raises:
         InputError: the place cannot be understood or opened.
@@ -312,7 +312,7 @@ def open_link(text: str, options: LinkOptions, *, role: Role, report: Report) ->
     with _open_lock:
         shared = _open.get(key)
         if shared is None or role in shared.roles:
-            shared = _open[key] = _Shared(Link(open_wire(place, options, report), options, report))
+            shared = _open[key] = _Shared(Link(open_wire(place, options, log), options, log))
         shared.roles.add(role)
         return shared.link
 

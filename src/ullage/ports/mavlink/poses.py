@@ -12,7 +12,7 @@ from ullage.errors import InputError
 from ullage.geometry import apply, matrix_quat, quat_matrix, rpy_quat, transform
 from ullage.ports.intake import Counters, checked_pose
 from ullage.ports.ned import enu_position, enu_quat
-from ullage.ports.pose_events import Sighting
+from ullage.ports.pose_events import ModelPose
 from ullage.world.moving import between
 
 FRAMES = {1: "MAV_FRAME_LOCAL_NED", 20: "MAV_FRAME_LOCAL_FRD"}
@@ -47,7 +47,7 @@ class PoseBuilder:
         self.reset = False
         """Whether the autopilot's estimator was reset since the caller cleared this."""
 
-    def take(self, message: Any) -> list[Sighting]:
+    def take(self, message: Any) -> list[ModelPose]:
         """The poses that are known by this message, by the autopilot's clock."""
         kind = message.get_type()
         if kind == "ODOMETRY":
@@ -64,7 +64,7 @@ class PoseBuilder:
             self._attitude(kind, t_ns, turn)
         return self._matched()
 
-    def _odometry(self, message: Any) -> list[Sighting]:
+    def _odometry(self, message: Any) -> list[ModelPose]:
         if self._wanted == "local":
             return []
         w, *xyz = message.q
@@ -107,7 +107,7 @@ class PoseBuilder:
         if not self._attitudes or t_ns > self._attitudes[-1][0]:
             self._attitudes.append((t_ns, pose[1]))
 
-    def _matched(self) -> list[Sighting]:
+    def _matched(self) -> list[ModelPose]:
         """Positions whose time lies between two attitudes."""
         out = []
         while self._waiting and self._attitudes and self._waiting[0][0] <= self._attitudes[-1][0]:
@@ -130,12 +130,12 @@ class PoseBuilder:
         known = (np.array([before[0], at]), np.zeros((2, 3)), np.array([before[1], quat]))
         return np.asarray(between(known, np.array([t_ns], np.int64)).quat_xyzw[0])
 
-    def _sighting(self, t_ns: int, ned: Floats, ned_from_frd: Floats) -> Sighting:
+    def _sighting(self, t_ns: int, ned: Floats, ned_from_frd: Floats) -> ModelPose:
         at = apply(self._origin, enu_position(ned)[None])[0]
         turn = matrix_quat(self._origin[:3, :3] @ quat_matrix(enu_quat(ned_from_frd)))
         x, y, z = at.tolist()
         a, b, c, d = turn.tolist()
-        return Sighting(t_ns, (x, y, z), (a, b, c, d))
+        return ModelPose(t_ns, (x, y, z), (a, b, c, d))
 
 
 def origin_of(text: str) -> Floats:

@@ -10,13 +10,13 @@ from typing import Self
 
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.ports.cosimulation import Say, tell
+from ullage.ports.intake import Log, warn
 from ullage.ports.mavlink.encode import distance_sensors, obstacle_distance
 from ullage.ports.mavlink.link import leave, open_link
 from ullage.ports.mavlink.options import SinkOptions
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import is_present
-from ullage.ports.rate_limiter import STEP_BACK_S, Pace
+from ullage.ports.rate_limiter import STEP_BACK_S, RateLimiter
 from ullage.processing.obstacles import STALE_S, ObstacleSectors, ObstacleStage
 
 AHEAD_S = 2.0
@@ -36,16 +36,16 @@ class MavlinkSink:
     Args:
         place: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
         options: what is sent, and how.
-        say: takes what a person should know; None: it becomes a warning.
+        log: takes what a person should know; None: it becomes a warning.
 
     Raises:
         InputError: the place cannot be opened, or no autopilot is there where one is waited for.
         MissingExtra: pymavlink or pyserial is not installed.
     """
 
-    def __init__(self, place: str, options: SinkOptions, *, say: Say | None = None) -> None:
-        self._options, self._say = options, say or tell
-        self.link = open_link(place, options, role="sink", report=self._say)
+    def __init__(self, place: str, options: SinkOptions, *, log: Log | None = None) -> None:
+        self._options, self._log = options, log or warn
+        self.link = open_link(place, options, role="sink", log=self._log)
         try:
             if options.wait_s:
                 self.link.wait_heartbeat(options.wait_s)
@@ -55,10 +55,10 @@ class MavlinkSink:
         self._stage: ObstacleStage | None = ObstacleStage()  # None: the run has its own
         self._first: Mapping[str, Frames] | None = None  # the first frames: a run's own distances come after them
         self._own = False  # the run has none
-        self._pace = Pace(options.pace)
+        self._limiter = RateLimiter(options.pace)
         self._at_once: bool | None = None if options.pace else True  # None: the first distances decide
         self._due_ns: int | None = None  # when the next distances are sent, by the clock of the stream
-        self._rate = _Rate(self._say)
+        self._rate = _Rate(self._log)
         self._queue: queue.Queue[ObstacleSectors | None] = queue.Queue(max(round(AHEAD_S * options.obstacle_hz), 1))
         self._error: BaseException | None = None
         self._thread: threading.Thread | None = threading.Thread(target=self._run, name="ullage mavlink sink")
@@ -134,7 +134,7 @@ class MavlinkSink:
         d = self.link.dialect
         if self.link.state == d.MAV_STATE_ACTIVE:
             self.link.state = int(d.MAV_STATE_CRITICAL)
-            self._say(f"{self.link.name}: no distances for {STALE_S:g} s, so none are sent; the autopilot must stop")
+            self._log(f"{self.link.name}: no distances for {STALE_S:g} s, so none are sent; the autopilot must stop")
 
     def _send_in_time(self, sectors: ObstacleSectors) -> None:
         if self._at_once is None:
@@ -142,7 +142,7 @@ class MavlinkSink:
         present = self._at_once and is_present(sectors.t_ns)
         if not self._at_once:
             now = time.monotonic()
-            time.sleep(max(0.0, self._pace.due_s(sectors.t_ns, now) - now))
+            time.sleep(max(0.0, self._limiter.due_s(sectors.t_ns, now) - now))
         elif present and (age_s := time.time() - sectors.t_ns * 1e-9) > STALE_S:
             self.link.counters.drop(TOPIC, "late", f"distances {age_s:.2g} s old")
             return
@@ -171,9 +171,9 @@ class MavlinkSink:
                     continue
             thread.join()
             if self.link.autopilot is None:
-                self._say(f"{self.link.name}: no HEARTBEAT of an autopilot came; the distances may have reached nobody")
+                self._log(f"{self.link.name}: no HEARTBEAT of an autopilot came; the distances may have reached nobody")
             for line in self.link.counters.lines():
-                self._say(line)
+                self._log(line)
         finally:
             leave(self.link, "sink")
         if self._error is not None:
@@ -189,8 +189,8 @@ class MavlinkSink:
 class _Rate:
     """Reports once that distances go out too rarely for an autopilot."""
 
-    def __init__(self, say: Say) -> None:
-        self._say, self._begun_s, self._count, self._said = say, 0.0, 0, False
+    def __init__(self, log: Log) -> None:
+        self._log, self._begun_s, self._count, self._said = log, 0.0, 0, False
 
     def count(self, now_s: float) -> None:
         self._begun_s = self._begun_s or now_s
@@ -198,4 +198,4 @@ class _Rate:
         took_s = now_s - self._begun_s
         if not self._said and took_s > 2.0 and (rate := (self._count - 1) / took_s) < 0.9 * LEAST_HZ:
             self._said = True
-            self._say(f"{rate:.1f} distances a second are sent; autopilots expect {LEAST_HZ:g}")
+            self._log(f"{rate:.1f} distances a second are sent; autopilots expect {LEAST_HZ:g}")

@@ -8,11 +8,12 @@ from typing import Any
 
 from ullage.data import Frames
 from ullage.errors import InputError
-from ullage.ports.cosimulation import FollowSource, Say, options_of, rig_of, tell, world_of
-from ullage.ports.mavlink.link import POSES, Heard, Link, leave, open_link
+from ullage.ports.cosimulation import CosimulationSource, options_of, rig_of, world_of
+from ullage.ports.intake import Log, warn
+from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.mavlink.poses import PoseBuilder, origin_of
-from ullage.ports.pose_events import EventFeed, Note, Sighting
+from ullage.ports.pose_events import EventFeed, ModelPose, Notice
 
 PATIENCE_S = 5.0
 """Between two reports that no poses come [s]."""
@@ -23,7 +24,7 @@ RESTART_NS = 1_000_000_000
 MOST_WAITING = 512
 
 
-class PoseFeed(EventFeed[Heard]):
+class PoseFeed(EventFeed[PoseMessage]):
     """Poses of the autopilot's vehicle, at times of this machine's clock where TIMESYNC is answered.
 
     Args:
@@ -35,7 +36,7 @@ class PoseFeed(EventFeed[Heard]):
         super().__init__(link)
         self._link, self._options = link, options
         self._builder = PoseBuilder(link.counters, options.poses, origin_of(options.origin))
-        self._unsynced: deque[Sighting] = deque(maxlen=MOST_WAITING)
+        self._unsynced: deque[ModelPose] = deque(maxlen=MOST_WAITING)
         self._synchronised: bool | None = None  # None: not decided
         self._begun_s = self._last_s = self._reported_s = time.monotonic()
         self._first_s: float | None = None
@@ -50,7 +51,7 @@ class PoseFeed(EventFeed[Heard]):
         self._link.listens = False
         leave(self._link, "source")
 
-    def _take(self, event: Heard) -> Sighting | Note | None:
+    def _take(self, event: PoseMessage) -> ModelPose | Notice | None:
         found = self._builder.take(event.message)
         if found:
             self._last_s = time.monotonic()
@@ -60,33 +61,33 @@ class PoseFeed(EventFeed[Heard]):
             if pose.t_ns < self._boot_ns - RESTART_NS:
                 self._unsynced.clear()
                 self._link.forget_clock()
-                self._ready.append(Note("the autopilot's clock went back: it was started again"))
+                self._ready.append(Notice("the autopilot's clock went back: it was started again"))
             self._boot_ns = pose.t_ns
             self._unsynced.append(pose)
         self._ready += self._timed()
         if self._builder.reset:
             self._builder.reset = False
-            return Note("the autopilot reset its estimate: its poses may have jumped")
+            return Notice("the autopilot reset its estimate: its poses may have jumped")
         return None
 
-    def _timed(self) -> list[Sighting | Note]:
+    def _timed(self) -> list[ModelPose | Notice]:
         """The poses whose time is known."""
         if self._synchronised is None and self._unsynced:
             if self._link.clock.known:
                 self._synchronised = True
             elif self._first_s is not None and time.monotonic() - self._first_s > SYNC_S:
                 self._synchronised = False
-                self._ready.append(Note("the autopilot does not answer TIMESYNC: frames keep the time of its clock"))
+                self._ready.append(Notice("the autopilot does not answer TIMESYNC: frames keep the time of its clock"))
         if self._synchronised is None or (self._synchronised and not self._link.clock.known):
             return []
         poses, self._unsynced = list(self._unsynced), deque(maxlen=MOST_WAITING)
         return [self._local(pose) if self._synchronised else pose for pose in poses]
 
-    def _local(self, pose: Sighting) -> Sighting:
+    def _local(self, pose: ModelPose) -> ModelPose:
         t_ns = self._link.local_ns(pose.t_ns)
-        return pose if t_ns is None else Sighting(t_ns, pose.position, pose.quat_xyzw)
+        return pose if t_ns is None else ModelPose(t_ns, pose.position, pose.quat_xyzw)
 
-    def _silence(self) -> Note | None:
+    def _on_silence(self) -> Notice | None:
         """Nothing came for a while.
 
         Raises:
@@ -99,19 +100,19 @@ class PoseFeed(EventFeed[Heard]):
             return None
         self._reported_s = now
         if there is None:
-            return Note(f"waiting for HEARTBEAT on {self._link.name}")
+            return Notice(f"waiting for HEARTBEAT on {self._link.name}")
         self._link.poses_come = False
         wanted = {"odometry": POSES[0], "local": ", ".join(POSES[1:])}.get(self._options.poses, ", ".join(POSES))
-        return Note(f"no poses of system {there.system}: frames wait (it should send {wanted})")
+        return Notice(f"no poses of system {there.system}: frames wait (it should send {wanted})")
 
 
-def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) -> FollowSource:
+def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) -> CosimulationSource:
     """Frames of radars on the autopilot's vehicle in a world: `mavlink:udp://HOST:PORT?world=NAME`.
 
     Args:
         address: the place.
         options: as `SourceOptions` lists them.
-        say: takes what a person should know; None: it becomes a warning.
+        log: takes what a person should know; None: it becomes a warning.
 
     Raises:
         InputError: an option cannot be used, no world is named, or the place cannot be opened.
@@ -124,9 +125,9 @@ def source_of(address: str, options: dict[str, Any], *, say: Say | None = None) 
         raise InputError("no world", where=where, allowed="world=NAME or world=FILE")
     scene = world_of(chosen.world, where=where)
     rig = rig_of(chosen.rig, scene, chosen.model, where=where)
-    link = open_link(address, chosen, role="source", report=say or tell)
+    link = open_link(address, chosen, role="source", log=log or warn)
     try:
-        return FollowSource(lambda: PoseFeed(link, chosen), scene.without(chosen.model), rig, chosen, say=say)
+        return CosimulationSource(lambda: PoseFeed(link, chosen), scene.without(chosen.model), rig, chosen, log=log)
     except BaseException:
         leave(link, "source")
         raise

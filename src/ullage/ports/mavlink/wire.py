@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ullage.errors import InputError, need
-from ullage.ports.intake import Report
+from ullage.ports.intake import Log
 from ullage.ports.mavlink.options import LinkOptions, Place
 
 Sender = tuple[str, int]
@@ -40,7 +40,7 @@ class Wire(Protocol):
         """Let go of socket or device."""
 
 
-def open_wire(place: Place, options: LinkOptions, report: Report) -> Wire:
+def open_wire(place: Place, options: LinkOptions, log: Log) -> Wire:
     """The connection to a place.
 
     Raises:
@@ -48,7 +48,7 @@ def open_wire(place: Place, options: LinkOptions, report: Report) -> Wire:
         MissingExtra: pyserial is not installed.
     """
     if place.kind == "serial":
-        return SerialWire(place.host, options.baud, report)
+        return SerialWire(place.host, options.baud, log)
     return UdpWire(place, options)
 
 
@@ -123,17 +123,17 @@ class SerialWire:
     Args:
         device: as `/dev/ttyACM0`.
         baud: its speed.
-        report: takes a line when the device goes or comes back.
+        log: takes a line when the device goes or comes back.
 
     Raises:
         InputError: the device cannot be opened.
         MissingExtra: pyserial is not installed.
     """
 
-    def __init__(self, device: str, baud: int, report: Report) -> None:
+    def __init__(self, device: str, baud: int, log: Log) -> None:
         need("serial", extra="mavlink")
         self.name = f"serial://{device}"
-        self._device, self._baud, self._report = device, baud, report
+        self._device, self._baud, self._log = device, baud, log
         self._lost_s = 0.0
         try:
             self._line: Any = self._opened()
@@ -174,7 +174,7 @@ class SerialWire:
         self._lost_s = time.monotonic()
         if line is not None:
             line.close()
-            self._report(f"{self.name} is lost ({_reason(error)}): waiting for it to come back")
+            self._log(f"{self.name} is lost ({_reason(error)}): waiting for it to come back")
 
     def _back(self, timeout_s: float) -> bool:
         if time.monotonic() - self._lost_s < REOPEN_S:
@@ -185,7 +185,7 @@ class SerialWire:
             self._line = self._opened()
         except (OSError, ValueError):
             return False
-        self._report(f"{self.name} is back")
+        self._log(f"{self.name} is back")
         return True
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""ullage as the radars of somebody's robot: its pose comes in, what its radars receive goes out."""
+"""Simulated radars on an external robot: its poses come in, the frames of its radars go out."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
-from ullage.ports.cosimulation import PATIENCE_S, FollowSource, rig_of, world_of
-from ullage.ports.intake import Counters, Inbox, checked_pose
-from ullage.ports.pose_events import Note as Said
-from ullage.ports.pose_events import Sighting
+from ullage.ports.cosimulation import PATIENCE_S, CosimulationSource, rig_of, world_of
+from ullage.ports.intake import Counters, Inbox, Log, checked_pose, warn
+from ullage.ports.pose_events import ModelPose, Notice
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
 from ullage.ports.ros2.incoming import stamp_ns
-from ullage.ports.ros2.middleware import Peer, Say, tell
+from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SimulateOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
@@ -32,8 +31,8 @@ class PoseFeed:
 
     Args:
         peer: the node.
-        options: which topic.
-        scene: the world, which is shown to whoever wants to see it.
+        options: names the topic.
+        scene: the world, published once for viewers.
     """
 
     def __init__(self, peer: Peer, options: SimulateOptions, scene: Scene) -> None:
@@ -43,20 +42,20 @@ class PoseFeed:
         self.counters = Counters()
         self._inbox: Inbox[bytes] = Inbox(self.counters)
         self._transforms = Transforms()
-        self._waiting: list[Sighting] = []
+        self._waiting: list[ModelPose] = []
         self._publisher = Publisher(frame_prefix=options.frame_prefix)
         peer.claim(self._topic)
         self._scene: Scene | None = scene
-        self._looked_s = 0.0
-        self._last_s = self._told_s = time.monotonic()
+        self._searched_s = 0.0
+        self._last_s = self._logged_s = time.monotonic()
         self.newest_ns = 0
         self._peer.spin()
 
-    def next(self, timeout_s: float) -> Sighting | Said | None:
-        """The next pose, or something to say."""
+    def next(self, timeout_s: float) -> ModelPose | Notice | None:
+        """Return the next pose or notice, or None if none came within the timeout."""
         end = time.monotonic() + timeout_s
         while True:
-            if not self._kind and (found := self._look()):
+            if not self._kind and (found := self._find_topic()):
                 return found
             if self._waiting:
                 return self._waiting.pop(0)
@@ -64,16 +63,16 @@ class PoseFeed:
             data = self._inbox.get(max(0.0, min(left, 0.1)))
             if data is None:
                 if left <= 0:
-                    return self._silence() if timeout_s else None
+                    return self._on_silence() if timeout_s else None
                 continue
             self._last_s = time.monotonic()
             self._waiting += self._taken(data)
 
-    def _look(self) -> Said | None:
-        """Listen once the topic is there."""
-        if time.monotonic() - self._looked_s < 0.2:
+    def _find_topic(self) -> Notice | None:
+        """Subscribe once the topic exists."""
+        if time.monotonic() - self._searched_s < 0.2:
             return None
-        self._looked_s = time.monotonic()
+        self._searched_s = time.monotonic()
         kind = self._peer.topics().get(self._topic, "")
         if not kind:
             return None
@@ -84,13 +83,13 @@ class PoseFeed:
         self._peer.listen(self._topic, kind, quality, self._put, depth=500)
         if kind == ros.TRANSFORMS:
             self._peer.listen("/tf_static", kind, "latched", self._fixed, depth=100)
-        return Said(f"poses come on {self._topic}")
+        return Notice(f"poses come on {self._topic}")
 
     def _put(self, data: bytes) -> None:
         self._inbox.put(data, topic=self._topic, size=len(data))
 
-    def _taken(self, data: bytes) -> list[Sighting]:
-        """The poses in a message; none where it cannot be read."""
+    def _taken(self, data: bytes) -> list[ModelPose]:
+        """Return the poses in a message, and count a message that cannot be read."""
         try:
             return self._read(data)
         except Exception as error:  # whatever a damaged message makes the decoder raise
@@ -113,56 +112,57 @@ class PoseFeed:
             stamps.append(stamp_ns(note.header))
         return stamps
 
-    def _read(self, data: bytes) -> list[Sighting]:
-        """The body's poses in a message."""
+    def _read(self, data: bytes) -> list[ModelPose]:
+        """Return the poses of the body in a message."""
         if self._kind == ros.TRANSFORMS:
             return self._from_transforms(self._add(data))
         note = ros.from_bytes(self._kind, data)
         pose = note.pose if self._kind == POSE else note.pose.pose
         at, turn = pose.position, pose.orientation
-        return self._sighted(stamp_ns(note.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        return self._valid_pose(stamp_ns(note.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
 
-    def _from_transforms(self, stamps: list[int]) -> list[Sighting]:
+    def _from_transforms(self, stamps: list[int]) -> list[ModelPose]:
         out = []
         for t_ns in dict.fromkeys(stamps):
             answer = self._transforms.at(self._options.map, self._options.frame_prefix + self._options.body, t_ns)
             if answer.matrix is not None:
                 x, y, z = answer.matrix[:3, 3].tolist()
-                out += self._sighted(t_ns, (x, y, z), tuple(matrix_quat(answer.matrix[:3, :3]).tolist()))
+                out += self._valid_pose(t_ns, (x, y, z), tuple(matrix_quat(answer.matrix[:3, :3]).tolist()))
         return out
 
-    def _sighted(self, t_ns: int, at: tuple[float, float, float], turn: Any) -> list[Sighting]:
+    def _valid_pose(self, t_ns: int, at: tuple[float, float, float], turn: Any) -> list[ModelPose]:
         pose = checked_pose(at, turn)
         if isinstance(pose, str):
             self.counters.drop(self._topic, "bad", pose)
             return []
         self.newest_ns = t_ns
         x, y, z, w = pose[1].tolist()
-        return [Sighting(t_ns, at, (x, y, z, w))]
+        return [ModelPose(t_ns, at, (x, y, z, w))]
 
-    def _silence(self) -> Said | None:
+    def _on_silence(self) -> Notice | None:
         now = time.monotonic()
-        if now - max(self._last_s, self._told_s) < PATIENCE_S:
+        if now - max(self._last_s, self._logged_s) < PATIENCE_S:
             return None
-        self._told_s = now
+        self._logged_s = now
         if self._kind:
-            return Said(f"no poses on {self._topic} any more; waiting (Ctrl-C ends)")
+            return Notice(f"no poses on {self._topic} any more; waiting (Ctrl-C ends)")
         fitting = [name for name, kind in self._peer.topics().items() if kind in KINDS]
-        return Said(f"nobody publishes {self._topic}; pose=TOPIC could be {', '.join(fitting) or 'none that is there'}")
+        names = ", ".join(fitting) or "none that is there"
+        return Notice(f"nobody publishes {self._topic}; pose=TOPIC could be {names}")
 
     def give(self, chunk: dict[str, Frames], offset_ns: int) -> None:
-        """Publish frames, in the clock of the poses."""
+        """Publish frames on the clock of the poses."""
         parts = {part.sensor: shifted(part, -offset_ns) for part in sensors_of(chunk)}
         items: list[Any] = [parts] if self._scene is None else [parts, self._scene]
         self._scene = None
         for item in items:
             for note in self._publisher.messages(item):
                 if note.topic in ("odom", "truth/odom", "path") or (note.topic == "/tf" and not self._moves()):
-                    continue  # the robot's own say
+                    continue  # the robot publishes these itself
                 if self._peer.send(note):
                     self._peer.claim(
                         self._peer.resolved(note.topic)
-                    )  # so that `--to ros2:` beside does not say it twice
+                    )  # a `--to ros2:` sink then does not publish it again
 
     def pass_on(self, item: Passed) -> None:
         """Publish a message as it is."""
@@ -170,7 +170,7 @@ class PoseFeed:
             self._peer.send(note)
 
     def _moves(self) -> bool:
-        """Whether to tell where the body is."""
+        """Whether to publish the transform of the body."""
         if self._options.tf == "auto":  # a frame that others place is left to them in any case
             return self._kind != ros.TRANSFORMS
         return self._options.tf == "on"
@@ -181,13 +181,13 @@ class PoseFeed:
         self._peer.close()
 
 
-class Ros2Radars(FollowSource):
+class Ros2Radars(CosimulationSource):
     """Frames of radars on a vehicle whose pose comes on a topic; they go out as topics as well.
 
     Args:
         namespace: of its topics.
         options: the world, the pose, the radars.
-        say: told what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
         peer: the node to use; None: one of its own.
 
     Raises:
@@ -196,7 +196,7 @@ class Ros2Radars(FollowSource):
     """
 
     def __init__(
-        self, namespace: str, options: SimulateOptions, *, say: Say | None = None, peer: Peer | None = None
+        self, namespace: str, options: SimulateOptions, *, log: Log | None = None, peer: Peer | None = None
     ) -> None:
         where = f"ros2:{namespace}"
         if not (options.simulate or options.world):
@@ -206,7 +206,7 @@ class Ros2Radars(FollowSource):
         rig = rig_of(options.rig, scene, model, where=where)
         scene = scene.without(model) if model in scene.rigs else scene
         made = peer or Peer(namespace, options)
-        super().__init__(lambda: PoseFeed(made, options, scene), scene, rig, options, say=say or tell)
+        super().__init__(lambda: PoseFeed(made, options, scene), scene, rig, options, log=log or warn)
         self._stopped = False
 
     def stop(self) -> None:

@@ -12,8 +12,8 @@ from ullage.flight.pilot import HOVER, Pilot, Velocity
 from ullage.geometry import quat_rpy
 from ullage.ports import messages as ros
 from ullage.ports.by_hand import FlyOptions, HandFlownSource
-from ullage.ports.cosimulation import Say, rig_of, tell, world_of
-from ullage.ports.intake import Counters, Inbox, checked_pose
+from ullage.ports.cosimulation import rig_of, world_of
+from ullage.ports.intake import Counters, Inbox, Log, checked_pose, warn
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
@@ -57,15 +57,15 @@ class TopicControls:
     Args:
         peer: the node.
         options: which topics.
-        say: takes what a person should know.
+        log: takes what a person should know.
 
     Raises:
         InputError: an option cannot be used.
     """
 
-    def __init__(self, peer: Peer, options: ControlOptions, *, say: Say | None = None) -> None:
+    def __init__(self, peer: Peer, options: ControlOptions, *, log: Log | None = None) -> None:
         self.counters = Counters()
-        self._peer, self._options, self._axes, self._say = peer, options, options.axes(), say or tell
+        self._peer, self._options, self._axes, self._log = peer, options, options.axes(), log or warn
         self._inbox: Inbox[tuple[str, str, bytes]] = Inbox(self.counters)
         self._topics = {
             peer.resolved(name): kinds
@@ -107,10 +107,10 @@ class TopicControls:
                 continue
             self._heard.add(topic)
             if kind not in kinds:
-                self._say(f"{topic} carries {kind}, which is no command (allowed: {', '.join(kinds)})")
+                self._log(f"{topic} carries {kind}, which is no command (allowed: {', '.join(kinds)})")
                 continue
             self._peer.listen(topic, kind, "sensor", self._taker(topic, kind), depth=10)
-            self._say(f"commands come on {topic}")
+            self._log(f"commands come on {topic}")
 
     def _taker(self, topic: str, kind: str) -> Any:
         return lambda data: self._inbox.put((topic, kind, data), topic=topic, size=len(data))
@@ -149,7 +149,7 @@ class TopicControls:
         return Velocity(values[0] * v, values[1] * v, values[2] * v, values[3] * self._options.joy_turn_rad_s)
 
 
-def open_flight(namespace: str, options: TopicFlyOptions, *, say: Say | None = None) -> HandFlownSource:
+def open_flight(namespace: str, options: TopicFlyOptions, *, log: Log | None = None) -> HandFlownSource:
     """The simulated multirotor in a world, flown by topics: `ros2:NAMESPACE?fly=WORLD`.
 
     Raises:
@@ -166,10 +166,10 @@ def open_flight(namespace: str, options: TopicFlyOptions, *, say: Say | None = N
     start = options.place() or (tuple(WORLDS[options.fly].start) if options.fly in WORLDS else None)
     if start is None:
         raise InputError("no start", where=where, allowed="start=X,Y,Z or start=X,Y,Z,YAW in metres and degrees")
-    controls = TopicControls(Peer(namespace, options), options, say=say)
+    controls = TopicControls(Peer(namespace, options), options, log=log)
     try:
         return HandFlownSource(
-            scene, rig, options, controls, start=start, say=say, frame_prefix=options.frame_prefix
+            scene, rig, options, controls, start=start, log=log, frame_prefix=options.frame_prefix
         )  # fmt: skip
     except BaseException:
         controls.close()

@@ -20,7 +20,7 @@ from ullage.geometry import C0, matrix_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.encode import RANGE, range_layout
-from ullage.ports.intake import LATE_NS, Clock, Counters, Place, PoseQueue, Stamped, Stream, checked_pose
+from ullage.ports.intake import LATE_NS, Clock, Counters, Log, Place, PoseQueue, Stamped, Stream, checked_pose
 from ullage.ports.publisher import shifted
 from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Transforms
@@ -55,16 +55,14 @@ class Incoming:
 
     Args:
         options: where poses come from, and how long to wait for them.
-        say: takes one line for a person.
+        log: takes one line for a person.
         now: gives the time that limits how long frames wait [s].
     """
 
-    def __init__(
-        self, options: SourceOptions, say: Callable[[str], None], *, now: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._options, self._say, self._now = options, say, now
+    def __init__(self, options: SourceOptions, log: Log, *, now: Callable[[], float] = time.monotonic) -> None:
+        self._options, self._log, self._now = options, log, now
         self.transforms = Transforms()
-        self.counters = Counters(say)
+        self.counters = Counters(log)
         self._clock = Clock(self.counters)
         self.waits_for = ""
         self._radars: dict[str, Radar] = {}
@@ -221,7 +219,7 @@ class Incoming:
             warnings.simplefilter("always")
             made = conversions.frames_of([data], radar.sensor, radar.fields, conversions.times_in([data]))
         for note in caught:
-            self._say(str(note.message))
+            self._log(str(note.message))
         radar.fields = {"spec": made.spec, "range_m": made.range_m, "unit": made.unit} | radar.fields
         radar.frame_id = conversions.text_in(data, 0).lstrip("/")
         self._queue(radar, with_item(stamped, replace(made, truth=None)), came_s)
@@ -273,7 +271,7 @@ class Incoming:
                 return Place("wait", missing=f"nothing tells where {root} is")
             if root not in self._joined_to:
                 self._joined_to.add(root)
-                self._say(f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes")
+                self._log(f"{name} hangs on {root}, not on {target}; {root} is taken for the world until that changes")
         answer = self.transforms.at(root if root != target else target, name, stamped.stamp_ns)
         if answer.status != "ok" or answer.matrix is None:
             return Place("never" if answer.status == "lost" else "wait", missing=answer.what)

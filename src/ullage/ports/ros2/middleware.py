@@ -20,7 +20,6 @@ from ullage.ports.publisher import Message, Quality
 from ullage.ports.ros2.options import NodeOptions
 from ullage.ports.ros2.sharing import ONE_PUBLISHER, TRANSFORMS, Sharing
 
-Say = Callable[[str], None]
 HOW = {
     "sensor": (5, False, False),  # depth, reliable, kept: as rclcpp's SensorDataQoS
     "stream": (50, True, False),
@@ -34,11 +33,6 @@ OWN: Counter[str] = Counter()
 """Topics that this program publishes, with the number of its publishers."""
 REMAP = re.compile(r"[~/\w]+:=[~/\w]+")
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?")
-
-
-def tell(text: str) -> None:
-    """How things are said unless somebody else listens."""
-    warnings.warn(text, UllageWarning, stacklevel=3)
 
 
 def profile(quality: Quality, *, depth: int | None = None, reliable: bool | None = None) -> Any:
@@ -101,7 +95,7 @@ class Peer:
         self._publishers: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
         self._sharing = Sharing(self)
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._claimed: set[str] = set()
         self._executor: Any = None
         self._thread: threading.Thread | None = None
@@ -148,8 +142,8 @@ class Peer:
         """The class of a message; None, said once, where its package is missing."""
         found = message_class(kind)
         package = kind.partition("/")[0]
-        if found is None and package not in self._told:
-            self._told.add(package)
+        if found is None and package not in self._reported:
+            self._reported.add(package)
             how = "python -m ullage.ports.ros2.build, or from your ROS 2 distribution"
             warnings.warn(f"{package} is not installed, so {topic} is left out; get it with: {how}", UllageWarning, 3)
         return found

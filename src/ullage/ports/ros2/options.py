@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from ullage.ports.cosimulation import FollowOptions
+from ullage.ports.cosimulation import CosimulationOptions
 from ullage.specs import Spec
 
 
@@ -54,7 +54,7 @@ class SourceOptions(NodeOptions):
     idle_s: float | None = Field(None, gt=0, description="ends when nothing came for so long")
 
 
-class SimulateOptions(FollowOptions, NodeOptions):
+class SimulateOptions(CosimulationOptions, NodeOptions):
     """What `ullage run ros2:?simulate=WORLD` is told beside what every simulator port is told."""
 
     simulate: str = Field("", description="library world or file that the vehicle moves in")

@@ -15,7 +15,7 @@ from ullage.ports import encode
 from ullage.ports import messages as ros
 from ullage.ports.protocol import Item
 from ullage.ports.publisher import Clock, Message, Publisher, in_order, is_present
-from ullage.ports.rate_limiter import LATE_S, Pace, StampOrder
+from ullage.ports.rate_limiter import LATE_S, RateLimiter, StampOrder
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SinkOptions
 
@@ -52,7 +52,7 @@ class Ros2Sink:
             map_full_s=options.map_full_s, frame_prefix=options.frame_prefix, clock=clock, rays=options.rays
         )
         self._order: StampOrder[Message] = StampOrder(in_order)
-        self._pace = Pace(options.pace)
+        self._limiter = RateLimiter(options.pace)
         self._at_once: bool | None = None if options.pace else True  # None: the first frames will tell
         self._messages: queue.Queue[Message | None] = queue.Queue()
         self._sent_ns: int | None = None
@@ -134,10 +134,10 @@ class Ros2Sink:
         """Until the stamp is due."""
         if self._at_once:
             return
-        due = self._pace.due_s(t_ns, time.monotonic())
+        due = self._limiter.due_s(t_ns, time.monotonic())
         while (left := due - time.monotonic()) > 0:
             time.sleep(min(left, STEP_S))
-        self._late_s = max(self._late_s, self._pace.late_s, -left)
+        self._late_s = max(self._late_s, self._limiter.late_s, -left)
 
     def _report(self, t_ns: int) -> None:
         """Once a second: new subscribers of the map, and diagnostics."""

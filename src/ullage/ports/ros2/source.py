@@ -11,11 +11,11 @@ from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.ports import encode
 from ullage.ports import messages as ros
-from ullage.ports.intake import Inbox
+from ullage.ports.intake import Inbox, Log, warn
 from ullage.ports.protocol import Passed, Passing, one_or_all
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.incoming import Incoming
-from ullage.ports.ros2.middleware import Peer, Say, tell
+from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SourceOptions
 from ullage.world.scene import Scene
 
@@ -36,7 +36,7 @@ class Ros2Source:
     Args:
         namespace: where their topics are looked for; none: anywhere.
         options: which, and where poses come from.
-        say: told what a person should know; None: it becomes a warning.
+        log: told what a person should know; None: it becomes a warning.
         peer: the node to use; None: one of its own.
 
     Raises:
@@ -45,12 +45,12 @@ class Ros2Source:
     """
 
     def __init__(
-        self, namespace: str, options: SourceOptions, *, say: Say | None = None, peer: Peer | None = None
+        self, namespace: str, options: SourceOptions, *, log: Log | None = None, peer: Peer | None = None
     ) -> None:
         self.scene: Scene | None = None
         self.passing = Passing()
-        self._options, self._say, self._told = options, say or tell, dict[str, float]()
-        self._incoming = Incoming(options, self._tell)
+        self._options, self._log, self._logged_s = options, log or warn, dict[str, float]()
+        self._incoming = Incoming(options, self._log_throttled)
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
         self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self._incoming.counters)
@@ -85,11 +85,11 @@ class Ros2Source:
                     yield found
                     self._given_s = time.monotonic()  # whoever took them may have taken long
                 elif time.monotonic() - self._given_s > PATIENCE_S:
-                    self._tell(self._why_nothing())
+                    self._log_throttled(self._why_nothing())
         finally:
             self._incoming.finish()
             for line in self._incoming.counters.lines():
-                self._say(line)
+                self._log(line)
             self.close()
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
@@ -197,7 +197,7 @@ class Ros2Source:
         self._peer.listen(
             topic, kind, "sensor", self._taker(topic, takers[kind], topic), depth=DEPTH, lost=partial(self._lost, topic)
         )
-        self._say(f"listening to {topic}")
+        self._log(f"listening to {topic}")
 
     def _lost(self, topic: str, count: int) -> None:
         """The middleware has lost messages; of frames their numbers tell it."""
@@ -239,9 +239,9 @@ class Ros2Source:
         data = encode.diagnostics_note(t_ns, level, f"{self._options.node}: source", text, values)
         self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
 
-    def _tell(self, text: str) -> None:
+    def _log_throttled(self, text: str) -> None:
         """Say it, but the same no more often than every few seconds."""
         now = time.monotonic()
-        if now - self._told.get(text, -PATIENCE_S) >= PATIENCE_S:
-            self._told[text] = now
-            self._say(text)
+        if now - self._logged_s.get(text, -PATIENCE_S) >= PATIENCE_S:
+            self._logged_s[text] = now
+            self._log(text)
