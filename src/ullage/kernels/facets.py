@@ -8,9 +8,11 @@ cubic B-spline, demodulated at the carrier; one short convolution per kind (`pul
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from ullage.arrays import Complexes, Floats
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import TOUCH_M, lifted
 
@@ -19,6 +21,48 @@ C0 = 299_792_458.0
 BULK, EDGE, VERTEX = np.int64(0), np.int64(1), np.int64(2)  # spectral kinds, rows of the delay grids
 ONE = np.int64(0)  # the radar, where there is but one
 FROM, TO = np.int64(0), np.int64(1)  # ends of a piece
+
+
+class Antennas(NamedTuple):
+    """Radars of a transmitter and a receiver each, or of their mirror images, with the pattern that both share."""
+
+    origins: Floats  # (w, 2, 3) transmitter and receiver of each radar [m]
+    frames: Floats  # (w, 2, 3, 3) sensor_from_world rotations of both, with mirrors
+    fields: Floats  # (w, 2, 3) unit electric fields in the world
+    table: Floats  # (6, n, n) one-way amplitude gains on a cube of directions in the sensor's frame
+    isotropic: bool  # whether the gain is table[0, 0, 0] in all directions
+    factor: Complexes  # (w) multiplies every echo
+
+
+class Reflection(NamedTuple):
+    """Reflection of each material against cos(incidence)."""
+
+    gamma: Complexes  # (s, taps, 2, c) coefficients of each material and tap, TE and TM
+    lag: Floats  # (s, taps, c) delay of each tap [s], negative where there is no such tap
+
+
+class PulseGrid(NamedTuple):
+    """Carrier of a pulse, and the delays at which its echoes are summed."""
+
+    omega: float  # carrier [rad/s]
+    start_s: float  # delay of the first grid place [s]
+    step_s: float  # grid step [s]
+    fold_s: float  # time between pulses, after which an echo lands again [s]
+
+
+class Transmission(NamedTuple):
+    """Effect of what lies between the radar and each of m echoes."""
+
+    factor: Complexes  # (m) two-way amplitude, 0 where hidden
+    delay_s: Floats  # (m) two-way delay added [s]
+
+
+class EchoSums(NamedTuple):
+    """Where a kernel writes its echoes."""
+
+    grids: Complexes  # (3, g) one delay grid for each spectral kind, added to
+    echo: Complexes  # (m) gets each echo at the carrier
+    delay_s: Floats  # (m) gets the delay of each [s]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from ullage.arrays import Complexes, Floats, Ints
 from ullage.kernels.facets import FROM, TO, _mean_range, toward
 from ullage.kernels.loops import core, loop
 from ullage.kernels.near import spread
@@ -14,11 +16,31 @@ from ullage.kernels.outlines import accumulate_line
 C0 = 299_792_458.0
 
 
+class WirePieces(NamedTuple):
+    """Pieces of wires (m), and the wires (w) that they belong to."""
+
+    ends: Floats  # (m, 2, 3) both ends of each piece [m]
+    wire: Ints  # (m) wire of each piece
+    radii: Floats  # (w) [m]
+    series: Complexes  # (w, 2, c) backscatter series, TM and TE, over the sine of the angle to the axis
+
+
 @loop(fastmath=True, nogil=True, error_model="numpy")
 def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner):  # type: ignore[no-untyped-def]
-    """Halves each wire (w, 3)-(w, 3) within the gate until each piece's delay is nearly linear; gives the count.
+    """Halve each wire within the gate until the delay along each piece is nearly linear.
 
-    The radar is at origins (1 or w, 2, 3), one for all or one for each.
+    Args:
+        starts: (w, 3) one end of each wire [m].
+        ends: (w, 3) the other end [m].
+        origins: (1 or w, 2, 3) transmitter and receiver, for all wires or for each [m].
+        gate: (2) least and greatest mean range [m].
+        kappa_lambda: largest squared transverse length of a piece over its range [m].
+        reach: greatest length of a piece over its range.
+        pieces: (m, 2, 3) gets the ends of the pieces [m].
+        owner: (m) gets the wire of each piece.
+
+    Returns:
+        How many pieces there are; only the first m are written.
     """
     count = 0
     stack = np.empty((64, 2))
@@ -65,13 +87,17 @@ def cut_wires(starts, ends, origins, gate, kappa_lambda, reach, pieces, owner): 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _element(pieces, k, end, axis, radius, series, w, wave, origins, o, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
-    """Complex strength per length at a point of a wire; path length and its rate along the wire go to `out`."""
+def _element(pieces, k, end, axis, antennas, o, wave, out):  # type: ignore[no-untyped-def]
+    """Complex strength per length at an end of piece k, seen by radar o.
+
+    The path length [m] and its bend along the wire [1/m] go to `out`.
+    """
     g, path, bend, sine = 1.0 + 0j, 0.0, 0.0, 0.0
-    share = 0.0
+    share, w = 0.0, pieces.wire[k]
+    origins, fields, points = antennas.origins, antennas.fields, pieces.ends
     for s in range(2):
-        dx, dy, dz = (pieces[k, end, 0] - origins[o, s, 0], pieces[k, end, 1] - origins[o, s, 1],
-                      pieces[k, end, 2] - origins[o, s, 2])  # fmt: skip
+        dx, dy, dz = (points[k, end, 0] - origins[o, s, 0], points[k, end, 1] - origins[o, s, 1],
+                      points[k, end, 2] - origins[o, s, 2])  # fmt: skip
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         ux, uy, uz = dx / r, dy / r, dz / r
         along = axis[0] * ux + axis[1] * uy + axis[2] * uz
@@ -80,10 +106,11 @@ def _element(pieces, k, end, axis, radius, series, w, wave, origins, o, frames, 
         eu, ea = ex * ux + ey * uy + ez * uz, ex * axis[0] + ey * axis[1] + ez * axis[2]
         square = slope * slope * max(1 - eu * eu, 1e-12)
         share += 0.5 * min((ea - eu * along) ** 2 / square, 1.0) if square > 1e-12 else 0.0
-        g *= toward(table, flat, frames, o, s, ux, uy, uz) * spread(wave, r)
-        path += max(r - radius * slope, 0.0)
+        g *= toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz) * spread(wave, r)
+        path += max(r - pieces.radii[w] * slope, 0.0)
         bend += (1 - along * along) / r
         sine += 0.5 * slope
+    series = pieces.series
     n = series.shape[2] - 1
     u = min(sine, 0.9999999) * n
     i = int(u)
@@ -95,51 +122,48 @@ def _element(pieces, k, end, axis, radius, series, w, wave, origins, o, frames, 
 
 
 @loop(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_wires(pieces, owner, transmission, extra, radii, series, origins, frames, fields, table, flat, factor,  # type: ignore[no-untyped-def]
-              omega, t0, dt, fold, grids, echo, delay):  # fmt: skip
-    """Lays the echoes of pieces of wire (m, 2, 3) on the delay grids.
+def accumulate_wires(pieces, between, antennas, pulse, sums):  # type: ignore[no-untyped-def]
+    """Add the echoes of pieces of wire to the delay grids.
 
     Args:
-        pieces: (m, 2, 3) ends of each piece [m].
-        owner: (m) wire of each piece.
-        transmission: (m) complex two-way factor of what lies between.
-        extra: (m) delay added by it [s].
-        radii: (w) [m].
-        series: (w, 2, c) complex backscatter series, TM and TE, over the sine of the angle to the axis.
-        origins: (1 or w, 2, 3) radars for all or for each wire, as in `facets.accumulate`, and so the rest.
+        pieces: `WirePieces` (m).
+        between: `facets.Transmission` (m).
+        antennas: `facets.Antennas`, one radar for all wires or one for each wire.
+        pulse: `facets.PulseGrid`.
+        sums: `facets.EchoSums` (m), written.
     """
+    omega, start, step = pulse.omega, pulse.start_s, pulse.step_s
     unit, wave = 1j * (2 * math.pi * C0 / omega) / (4 * math.pi * math.pi), omega / C0
-    last = t0 + grids.shape[1] * dt
+    last = start + sums.grids.shape[1] * step
     axis, out = np.empty(3), np.empty(2)
-    for k in range(len(pieces)):
-        echo[k], delay[k] = 0j, 0.0
-        if transmission[k] == 0:
+    for k in range(len(pieces.ends)):
+        sums.echo[k], sums.delay_s[k] = 0j, 0.0
+        if between.factor[k] == 0:
             continue
-        w, size = owner[k], 0.0
-        o = w if len(origins) > 1 else 0
-        scale = unit * factor[o]
+        o, size = pieces.wire[k] if len(antennas.origins) > 1 else 0, 0.0
+        scale = unit * antennas.factor[o]
         for j in range(3):
-            axis[j] = pieces[k, 1, j] - pieces[k, 0, j]
+            axis[j] = pieces.ends[k, 1, j] - pieces.ends[k, 0, j]
             size += axis[j] * axis[j]
         size = math.sqrt(size)
         for j in range(3):
             axis[j] /= size
-        w0 = _element(pieces, k, FROM, axis, radii[w], series, w, wave, origins, o, frames, fields, table, flat, out)
+        w0 = _element(pieces, k, FROM, axis, antennas, o, wave, out)
         path0, bend = out[0], out[1]
-        w1 = _element(pieces, k, TO, axis, radii[w], series, w, wave, origins, o, frames, fields, table, flat, out)
+        w1 = _element(pieces, k, TO, axis, antennas, o, wave, out)
         path1, bend = out[0], 0.5 * (bend + out[1])
-        w0, w1 = w0 * scale * size * transmission[k], w1 * scale * size * transmission[k]
+        w0, w1 = w0 * scale * size * between.factor[k], w1 * scale * size * between.factor[k]
         # mean of bend s (L - s) / 2, by which the chord lies beyond the path: half of it at the most
         early = min(bend * size / 12, 0.5) * size
-        late = extra[k] - early / C0
+        late = between.delay_s[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
-        delay[k] = mean
-        landed = mean - math.floor((mean - t0) / fold) * fold
+        sums.delay_s[k] = mean
+        landed = mean - math.floor((mean - start) / pulse.fold_s) * pulse.fold_s
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            value = accumulate_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
-                             (b - t0) / dt)  # fmt: skip
-            echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
-            landed += fold
-            shift += fold
+            value = accumulate_line(sums.grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0,
+                                    (a - start) / step, (b - start) / step)  # fmt: skip
+            sums.echo[k] += value if landed < start + pulse.fold_s else 0j  # a pulse later it is the same echo
+            landed += pulse.fold_s
+            shift += pulse.fold_s

@@ -16,6 +16,7 @@ from ullage.antenna import cube
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import facets as kernel
+from ullage.kernels.facets import Antennas, EchoSums, PulseGrid, Reflection, Transmission
 from ullage.radar.diffraction import OutlineSet, nowhere, outlines_of
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.facets import Surfaces
@@ -78,6 +79,21 @@ class RadarContext:
         """Time between pulses: echoes later than this land in the next frame's start [s]."""
         return 1 / self.spec.prf_hz
 
+    @property
+    def reflection(self) -> Reflection:
+        """Reflection tables of the materials, as kernels take them."""
+        return Reflection(self.gamma, self.lag)
+
+    @property
+    def pulse_grid(self) -> PulseGrid:
+        """Carrier and delay grid, as kernels take them."""
+        return PulseGrid(self.pulse.omega, self.first_m * 2 / C0, self.pulse.step_s, self.fold_s)
+
+    def antennas(self, pair: AntennaPair) -> Antennas:
+        """One radar at one place, as kernels take it."""
+        return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], self.table,
+                        self.spec.antenna.kind == "isotropic", np.array([pair.factor], complex))  # fmt: skip
+
 
 def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> RadarContext:
     """Pulse, tables and gates of one radar in one scene; without `edges` plain physical optics.
@@ -137,32 +153,30 @@ def accumulate_triangles(
     normals: Floats,
     object_ids: Ints,
     pieces: tuple[Floats, Ints, Longs],
-    between: tuple[Complexes, Floats],
+    between: Transmission,
     told: tuple[Any, ...],
 ) -> EchoSet:
     """Lays pieces of triangles, as `triangles` gives them, and the radar of each (m).
 
     With factor and delay [s] of what stands before each; what the kernel is `told` of radars (w) is as in `common`.
     """
-    (leaves, owner, of), (transmission, extra) = pieces, between
+    leaves, owner, of = pieces
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+    def put(between: Transmission, sums: EchoSums) -> None:
         kernel.accumulate(
             leaves,
             owner,
             of,
-            transmission,
-            extra,
+            *between,
             normals,
             object_ids,
             *told[:-1],
-            grids,
-            *out,
+            *sums,
             np.empty((5, 3)),
             np.empty(3, complex),
         )
 
-    return echo_set(put, transmission, told[-1], object_ids[owner], lambda: centroids(leaves))
+    return echo_set(put, between, told[-1], object_ids[owner], lambda: centroids(leaves))
 
 
 def common(context: RadarContext, antennas: AntennaPair, grids: Complexes) -> tuple[Any, ...]:
@@ -200,13 +214,13 @@ def triangles(
 
 def transmission_to(
     context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, points: Floats
-) -> tuple[Complexes, Floats]:
-    """Two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
+) -> Transmission:
+    """Find the two-way factor (m) of what stands before each point, 1 in the open, and the delay it adds [s]."""
     one, other = antennas.origins
     if near(one, other):
-        return seen(parts, (one + other) / 2, points, context.transmissive)
+        return Transmission(*seen(parts, (one + other) / 2, points, context.transmissive))
     (factor, late), (back, later) = (seen(parts, eye, points, context.transmissive) for eye in (one, other))
-    return np.sqrt(factor) * np.sqrt(back), (late + later) / 2
+    return Transmission(np.sqrt(factor) * np.sqrt(back), (late + later) / 2)
 
 
 def near(one: Floats, other: Floats) -> bool:

@@ -20,6 +20,7 @@ from ullage.geometry import C0
 from ullage.kernels import edges, lit
 from ullage.kernels import facets as triangle
 from ullage.kernels import paths as kernel
+from ullage.kernels.facets import Transmission
 from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, accumulate_triangles, common, grown
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -113,7 +114,7 @@ def _accumulate_small(
     if not len(free):
         return []
     of, at = of[free], at[free]
-    pieces, between = (leaves.take(at, 0), owner[at], of), (factor[free], np.zeros(len(free)))
+    pieces, between = (leaves.take(at, 0), owner[at], of), Transmission(factor[free], np.zeros(len(free)))
     told = paths.end(antennas, common(_bare(context), antennas, grids))
     return [paths.told(accumulate_triangles(part.normals, part.object_ids, pieces, between, told), of)]
 

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.kernels.facets import EchoSums, Transmission
 
 Again = Callable[[Complexes, Complexes], None]
 Places = Callable[[], Floats]
+Put = Callable[[Transmission, EchoSums], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,18 +41,24 @@ def centroids(triangles: Floats) -> Floats:
 
 
 def echo_set(
-    put: Callable[..., None], transmission: Complexes, grids: Complexes, object_ids: Ints, points: Floats | Places,
-    **more: Any,
-) -> EchoSet:  # fmt: skip
-    """Lays echoes (m) with factors of what stands before them by `put`, told both, the grids, echoes and delays.
+    put: Put, between: Transmission, grids: Complexes, object_ids: Ints, points: Floats | Places, **more: Any
+) -> EchoSet:
+    """Add echoes (m) to the delay grids, and keep what made them.
 
-    What `more` there is to tell of them is as in `EchoSet`.
+    Args:
+        put: calls the kernel that adds the echoes.
+        between: what lies between the radar and each of them.
+        grids: (3, g) delay grids, added to.
+        object_ids: (m) object of each.
+        points: (m, 3) where each comes from [m], or what gives that.
+        **more: further fields of `EchoSet`.
     """
-    many = len(transmission)
-    echo, delay = np.empty(many, complex), np.empty(many)
-    put(transmission, grids, echo, delay)
+    many = len(between.factor)
+    sums = EchoSums(grids, np.empty(many, complex), np.empty(many))
+    put(between, sums)
 
     def again(factors: Complexes, others: Complexes) -> None:
-        put(transmission * factors, others, np.empty(many, complex), np.empty(many))
+        put(between._replace(factor=between.factor * factors),
+            EchoSums(others, np.empty(many, complex), np.empty(many)))  # fmt: skip
 
-    return EchoSet(object_ids, points, echo, delay, again, **more)
+    return EchoSet(object_ids, points, sums.echo, sums.delay_s, again, **more)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
 from ullage.kernels import wires as string
+from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, common, grown, transmission_to
@@ -45,13 +45,14 @@ def accumulate_edges(
     free = alone.ties < 0
     cut = len(alone.owner)
     seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), alone.ties)])
-    transmission, extra = transmission_to(context, parts, antennas, np.concatenate([
+    seen = transmission_to(context, parts, antennas, np.concatenate([
         _middles(alone.pieces) + outward[:cut], alone.tips[free, 0] + outward[cut:][free],
         _middles(over) + side * pairs.normals[of]]))  # fmt: skip
-    count = len(transmission) - len(of)
-    across = transmission[count:], extra[count:]
+    count = len(seen.factor) - len(of)
+    across = Transmission(seen.factor[count:], seen.delay_s[count:])
+    beside = Transmission(seen.factor[seats], seen.delay_s[seats])
     over -= pairs.gaps[of, None] / 2
-    return [_accumulate_edge_diffraction(context, antennas, edges, alone, (transmission[seats], extra[seats]), grids),
+    return [_accumulate_edge_diffraction(context, antennas, edges, alone, beside, grids),
             _accumulate_doubles(context, antennas, pairs, over, of, across, grids)]  # fmt: skip
 
 
@@ -159,32 +160,30 @@ def _accumulate_edge_diffraction(
     antennas: AntennaPair,
     edges: diffraction.Edges,
     alone: Parted,
-    seen: tuple[Complexes, Floats],
+    between: Transmission,
     grids: Complexes,
 ) -> EchoSet:
-    told, (transmission, extra) = common(context, antennas, grids), seen
+    told = common(context, antennas, grids)
     owner = np.concatenate([alone.owner, alone.holders])
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+    def put(between: Transmission, sums: EchoSums) -> None:
         edge_diffraction.accumulate_edge_diffraction(
             alone.pieces,
             alone.tips,
             owner,
-            transmission,
-            extra,
+            *between,
             edges.angles,
             edges.inward,
             edges.normals,
             context.outlines.transmissive,
             *told[:6],
             *told[8:-1],
-            grids,
-            *out,
+            *sums,
             np.empty((4, 3)),
         )
 
     points = np.concatenate([_middles(alone.pieces), alone.tips[:, 0]])
-    return echo_set(put, transmission, grids, edges.object_ids[owner], points)
+    return echo_set(put, between, grids, edges.object_ids[owner], points)
 
 
 def _accumulate_doubles(
@@ -193,17 +192,16 @@ def _accumulate_doubles(
     pairs: double.Pairs,
     pieces: Floats,
     owner: Ints,
-    across: tuple[Complexes, Floats],
+    between: Transmission,
     grids: Complexes,
 ) -> EchoSet:
-    told, (transmission, extra) = common(context, antennas, grids), across
+    told = common(context, antennas, grids)
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+    def put(between: Transmission, sums: EchoSums) -> None:
         double_edge_diffraction.accumulate_doubles(
             pieces,
             owner,
-            transmission,
-            extra,
+            *between,
             pairs.gaps,
             pairs.angles,
             pairs.inward,
@@ -211,9 +209,8 @@ def _accumulate_doubles(
             context.outlines.both,
             *told[:6],
             *told[8:-1],
-            grids,
-            *out,
+            *sums,
             np.empty((3, 3)),
         )
 
-    return echo_set(put, transmission, grids, pairs.object_ids[owner], _middles(pieces) + pairs.gaps[owner] / 2)
+    return echo_set(put, between, grids, pairs.object_ids[owner], _middles(pieces) + pairs.gaps[owner] / 2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints
+from ullage.kernels.facets import Transmission
 from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, common, transmission_to, triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
@@ -41,7 +42,7 @@ def _echoes_of(
 
 def _before(
     context: RadarContext, parts: list[Surfaces], patches: Patches, antennas: AntennaPair, leaves: Floats, owner: Ints
-) -> tuple[Complexes, Floats]:
+) -> Transmission:
     """Factor and delay [s] of what stands before leaves (m) of pieces: a ray for each cell, or leaf of a long piece."""
     cell = patches.cell[owner]
     alone, shared = np.flatnonzero(cell < 0), np.flatnonzero(cell >= 0)
@@ -57,4 +58,4 @@ def _before(
     transmission, late = transmission_to(
         context, parts, antennas, middles + (side * (depth + PULL_M))[:, None] * normals
     )
-    return transmission[row], late[row]
+    return Transmission(transmission[row], late[row])

@@ -17,6 +17,7 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels import paths as kernel
+from ullage.kernels.facets import Antennas
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -57,6 +58,13 @@ class PathSet:
         """Echoes with the ways (m) by which they come."""
         there = self.faces[:, 0] >= 0
         return replace(echoes, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
+
+    def antennas(self, radar: Antennas, of: Longs | None = None) -> Antennas:
+        """One radar as what the ends of all paths, or of some (m), see of it: its images, one for each path."""
+        some = slice(None) if of is None else of
+        fields = np.repeat(radar.fields, len(self.weights[some]), 0)
+        return radar._replace(origins=self.ends[some], frames=self.frames[some], fields=fields,
+                              factor=radar.factor * self.weights[some])  # fmt: skip
 
     def end(self, antennas: AntennaPair, told: tuple[Any, ...], of: Longs | None = None) -> tuple[Any, ...]:
         """What kernels are told, as `common` gives it, with the radar as the ends of all or some (m) ways see it."""

@@ -21,6 +21,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
+from ullage.kernels.facets import EchoSums, Transmission
 from ullage.kernels.near import LEAST_M
 from ullage.radar.arcs import accumulate_arcs
 from ullage.radar.ball_bounces import accumulate_inside
@@ -209,15 +210,13 @@ def _accumulate_wires(
     if not len(pieces):
         return []
     middle = 0.5 * (pieces[:, 0] + pieces[:, 1])
-    transmission, extra = transmission_to(context, parts, antennas, middle)
-    told = common(context, antennas, grids)
+    wires, radar = string.WirePieces(pieces, owner, lines.radii, lines.series), context.antennas(antennas)
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
-        string.accumulate_wires(
-            pieces, owner, transmission, extra, lines.radii, lines.series, *told[:6], *told[8:-1], grids, *out
-        )
+    def put(between: Transmission, sums: EchoSums) -> None:
+        string.accumulate_wires(wires, between, radar, context.pulse_grid, sums)
 
-    return [echo_set(put, transmission, grids, lines.object_ids[owner], middle)]
+    between = transmission_to(context, parts, antennas, middle)
+    return [echo_set(put, between, grids, lines.object_ids[owner], middle)]
 
 
 def _accumulate_small(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import edges as kernel
 from ullage.kernels import outlines as draw
+from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar.context import AntennaPair, RadarContext, common, transmission_to
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -166,17 +167,15 @@ def accumulate_outline(
     owner = np.concatenate([outline.owner, outline.holders, which.astype(np.int32)])
     ends = np.concatenate([outline.tips, points])
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+    def put(between: Transmission, sums: EchoSums) -> None:
         draw.accumulate_outlines(
             outline.pieces,
             ends,
             len(outline.tips),
             owner,
-            transmission,
-            extra,
+            *between,
             *told[:-1],
-            grids,
-            *out,
+            *sums,
             np.empty(TAPS, complex),
             np.empty(TAPS),
         )
@@ -187,7 +186,9 @@ def accumulate_outline(
     rays = np.zeros(len(owner), np.bool_)
     rays[len(owner) - len(points) :] = True
     object_ids = told[1][owner] if object_ids is None else object_ids
-    return echo_set(put, transmission, told[-1], object_ids, places, via=via, before=before, rays=rays)
+    return echo_set(
+        put, Transmission(transmission, extra), told[-1], object_ids, places, via=via, before=before, rays=rays
+    )
 
 
 def _looks(

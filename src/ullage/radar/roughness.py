@@ -12,13 +12,13 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import diffuse_scatterers as kernel
+from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar.context import AntennaPair, RadarContext, common, transmission_to
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import Surfaces
@@ -154,23 +154,23 @@ def accumulate_diffuse_scatterers(
         transmission[near], extra[near] = transmission_to(context, parts, antennas, at[near])
     told, lobes = common(context, antennas, grids), _lobes(context)
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
+    def put(between: Transmission, sums: EchoSums) -> None:
         kernel.accumulate_diffuse_scatterers(
             diffuse_scatterers.points,
             diffuse_scatterers.normals,
             diffuse_scatterers.weights,
             diffuse_scatterers.object_ids,
             diffuse_scatterers.first,
-            transmission,
-            extra,
+            *between,
             lobes,
             *told[:6],
             *told[8:-1],
-            grids,
-            *out,
+            *sums,
         )
 
-    return echo_set(put, transmission, grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at)
+    return echo_set(
+        put, Transmission(transmission, extra), grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at
+    )
 
 
 def _lobes(context: RadarContext) -> Floats:

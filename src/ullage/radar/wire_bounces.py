@@ -9,14 +9,14 @@ wire counts where its path meets the faces within their rims and is free on all 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels import paths as kernel
 from ullage.kernels import wires as string
-from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, common, grown
+from ullage.kernels.facets import EchoSums, Transmission
+from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.paths import PathSet, reached
@@ -56,15 +56,14 @@ def accumulate_wire_bounces(
     free = reached(parts, planar, paths, met.of[owner], middle).free
     if not free.any():
         return []
-    _, _, _, table, flat, factor, _, _, *rest = common(context, antennas, grids)
-    told = (lines.radii[met.on], _series(context, met), radars, paths.frames[met.of],
-            np.repeat(antennas.fields[None], len(met.on), 0), table, flat, factor * paths.weights[met.of])  # fmt: skip
-    at_once = np.zeros(len(pieces))
+    wires = string.WirePieces(pieces, owner, lines.radii[met.on], _series(context, met))
+    images = paths.antennas(context.antennas(antennas), met.of)
 
-    def put(transmission: Complexes, grids: Complexes, *out: Any) -> None:
-        string.accumulate_wires(pieces, owner, transmission, at_once, *told, *rest[:-1], grids, *out)
+    def put(between: Transmission, sums: EchoSums) -> None:
+        string.accumulate_wires(wires, between, images, context.pulse_grid, sums)
 
-    echoes = echo_set(put, free.astype(complex), grids, lines.object_ids[met.on[owner]], middle)
+    between = Transmission(free.astype(complex), np.zeros(len(pieces)))
+    echoes = echo_set(put, between, grids, lines.object_ids[met.on[owner]], middle)
     return [paths.told(echoes, met.of[owner])]
 
 
