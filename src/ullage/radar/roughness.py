@@ -19,7 +19,7 @@ from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import diffuse_scatterers as kernel
 from ullage.kernels.facets import EchoSums, Transmission
-from ullage.radar.context import AntennaPair, RadarContext, common, transmission_to
+from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import Surfaces
 from ullage.radar.penetration import COSINES, reflection_tables
@@ -140,7 +140,7 @@ def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | Non
 def accumulate_diffuse_scatterers(
     context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
 ) -> EchoSet:
-    """Adds the echoes of rough surfaces' scatterers to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
+    """Add the echoes of rough surfaces' scatterers to the delay grids; `poses` (o, 4, 4) of objects if any moves."""
     diffuse_scatterers = diffuse_scatterers_of(context.world, context.seed)
     if poses is not None:
         (points,) = moved((diffuse_scatterers.points,), diffuse_scatterers.object_ids, poses)
@@ -152,25 +152,15 @@ def accumulate_diffuse_scatterers(
     transmission, extra = np.zeros(len(at), complex), np.zeros(len(at))
     if len(near):
         transmission[near], extra[near] = transmission_to(context, parts, antennas, at[near])
-    told, lobes = common(context, antennas, grids), _lobes(context)
+    tiles = kernel.ScattererTiles(diffuse_scatterers.points, diffuse_scatterers.normals, diffuse_scatterers.weights,
+                                  diffuse_scatterers.object_ids, diffuse_scatterers.first)  # fmt: skip
+    lobes, radar = _lobes(context), context.antennas(antennas)
 
     def put(between: Transmission, sums: EchoSums) -> None:
-        kernel.accumulate_diffuse_scatterers(
-            diffuse_scatterers.points,
-            diffuse_scatterers.normals,
-            diffuse_scatterers.weights,
-            diffuse_scatterers.object_ids,
-            diffuse_scatterers.first,
-            *between,
-            lobes,
-            *told[:6],
-            *told[8:-1],
-            *sums,
-        )
+        kernel.accumulate_diffuse_scatterers(tiles, lobes, between, radar, context.pulse_grid, sums)
 
-    return echo_set(
-        put, Transmission(transmission, extra), grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at
-    )
+    between = Transmission(transmission, extra)
+    return echo_set(put, between, grids, diffuse_scatterers.object_ids[diffuse_scatterers.middles], at)
 
 
 def _lobes(context: RadarContext) -> Floats:
