@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Bools, Floats, Ints
 from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import accumulate_line
 
 C0 = 299_792_458.0
+
+
+class EdgePairs(NamedTuple):
+    """Pairs (p) of parallel edges of one face each."""
+
+    gaps: Floats  # (p, 3) from the first edge to the second [m]
+    angles: Floats  # (p, 2) of the free space about both edges, over pi
+    inward: Floats  # (p, 2, 3) unit vectors from each edge into the face
+    normals: Floats  # (p, 3) unit normals of the face
+    transmissive: Bools  # (p) whether the wave runs over both sides
+
+
+class PairPieces(NamedTuple):
+    """Pieces (m) of the first edges of pairs."""
+
+    ends: Floats  # (m, 2, 3) both ends of each piece [m]
+    pair: Ints  # (m) pair of each piece
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
@@ -31,8 +50,12 @@ def transition(x):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fields, table, flat, out):  # type: ignore[no-untyped-def]
-    """One edge of a pair: diffraction along the face, with gains over ranges; out gets hz of both ends and path."""
+def _graze(p, w, side, pairs, width, wave, antennas, out):  # type: ignore[no-untyped-def]
+    """Diffraction by one edge of a pair along the face, with antenna gains over ranges.
+
+    Row `side` of `out` gets the magnetic field along the edge for both antennas, and the path length [m].
+    """
+    inward, normals, origins, fields = pairs.inward, pairs.normals, antennas.origins, antennas.fields
     ux, uy, uz, g, path = 0.0, 0.0, 0.0, 1.0, 0.0
     nx, ny, nz = normals[w, 0], normals[w, 1], normals[w, 2]
     ix, iy, iz = inward[w, side, 0], inward[w, side, 1], inward[w, side, 2]
@@ -41,7 +64,9 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
         dx, dy, dz = p[0] - origins[0, s, 0], p[1] - origins[0, s, 1], p[2] - origins[0, s, 2]
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = math.sqrt(max(toward(table, flat, frames, ONE, s, dx, dy, dz), 0.0) * spread(wave, r))
+        one = math.sqrt(
+            max(toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, dx, dy, dz), 0.0) * spread(wave, r)
+        )
         g *= one
         path += 0.5 * r
         ux, uy, uz = ux + dx, uy + dy, uz + dz
@@ -63,7 +88,7 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
     phi = math.atan2(sy, sx)
     if phi < 0:
         phi += 2 * math.pi
-    n = angles[w, side]
+    n = pairs.angles[w, side]
     if phi >= n * math.pi:
         return 0j
     half = math.cos(0.5 * phi)
@@ -75,126 +100,61 @@ def _graze(p, w, side, angles, inward, normals, wave, width, origins, frames, fi
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _twice(  # type: ignore[no-untyped-def]
-    pieces,
-    k,
-    end,
-    w,
-    gaps,
-    width,
-    angles,
-    inward,
-    normals,
-    transmissive,
-    wave,
-    origins,
-    frames,
-    fields,
-    table,
-    flat,
-    out,
-):
-    """Strength per length of the wave that runs over the face from edge to edge; and path length."""
-    product = 1.0 + 0j
+def _twice(pieces, k, end, pairs, width, wave, antennas, out):  # type: ignore[no-untyped-def]
+    """Strength per length of the wave that crosses the face from edge to edge, and path length [m]."""
+    product, w = 1.0 + 0j, pieces.pair[k]
     for side in range(2):
         for j in range(3):
-            out[2, j] = pieces[k, end, j] + (gaps[w, j] if side == 1 else 0.0)
-        product *= _graze(out[2], w, side, angles, inward, normals, wave, width, origins, frames, fields, table, flat,
-                          out)  # fmt: skip
+            out[2, j] = pieces.ends[k, end, j] + (pairs.gaps[w, j] if side == 1 else 0.0)
+        product *= _graze(out[2], w, side, pairs, width, wave, antennas, out)
     # the second edge runs the other way in its own face's frame
     both = -0.5 * (out[0, 0] * out[1, 1] + out[0, 1] * out[1, 0])
     path = out[0, 2] + out[1, 2]
     spread = 1 / math.sqrt(2 * math.pi * wave * width * (1 + width / path))
-    faces = 2.0 if transmissive[w] else 1.0
+    faces = 2.0 if pairs.transmissive[w] else 1.0
     value = -faces * both * spread * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
     return value, path + width
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_doubles(  # type: ignore[no-untyped-def]
-    pieces,
-    owner,
-    transmission,
-    extra,
-    gaps,
-    angles,
-    inward,
-    normals,
-    transmissive,
-    origins,
-    frames,
-    fields,
-    table,
-    flat,
-    factor,
-    omega,
-    t0,
-    dt,
-    fold,
-    grids,
-    echo,
-    delay,
-    rows,
-):
-    """Lays the echoes of waves that cross a face between two parallel edges, there and back.
+def accumulate_doubles(pieces, pairs, between, antennas, pulse, sums, rows):  # type: ignore[no-untyped-def]
+    """Add the echoes of waves that cross a face between two parallel edges, there and back, to the delay grids.
 
     Args:
-        pieces: (m, 2, 3) ends of each piece of the first edge [m].
-        owner: (m) pair of each piece.
-        transmission: (m) complex two-way factor of what lies between.
-        extra: (m) delay added by it [s].
-        gaps: (p, 3) from the first edge to the second [m].
-        angles: (p, 2) of the free space about both edges, over pi.
-        inward: (p, 2, 3) from each edge into the face.
-        normals: (p, 3) of the face.
-        transmissive: (p) whether the wave runs over both sides.
-        origins: (1, 2, 3), as in `facets.accumulate`, and so the rest.
+        pieces: `PairPieces` (m).
+        pairs: `EdgePairs` (p).
+        between: `facets.Transmission` (m).
+        antennas: `facets.Antennas` of one radar.
+        pulse: `facets.PulseGrid`.
+        sums: `facets.EchoSums` (m), written.
         rows: (3, 3), scratch.
     """
+    omega, start, step, fold = pulse.omega, pulse.start_s, pulse.step_s, pulse.fold_s
     wave = omega / C0
-    scale = factor[0] / (4 * math.pi * wave)
-    last = t0 + grids.shape[1] * dt
-    for k in range(len(pieces)):
-        echo[k], delay[k] = 0j, 0.0
-        if transmission[k] == 0:
+    scale = antennas.factor[0] / (4 * math.pi * wave)
+    last = start + sums.grids.shape[1] * step
+    for k in range(len(pieces.ends)):
+        sums.echo[k], sums.delay_s[k] = 0j, 0.0
+        if between.factor[k] == 0:
             continue
-        w, size, width = owner[k], 0.0, 0.0
+        w, size, width = pieces.pair[k], 0.0, 0.0
         for j in range(3):
-            size += (pieces[k, 1, j] - pieces[k, 0, j]) ** 2
-            width += gaps[w, j] * gaps[w, j]
+            size += (pieces.ends[k, 1, j] - pieces.ends[k, 0, j]) ** 2
+            width += pairs.gaps[w, j] * pairs.gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
-        w0, path0 = _twice(
-            pieces,
-            k,
-            FROM,
-            w,
-            gaps,
-            width,
-            angles,
-            inward,
-            normals,
-            transmissive,
-            wave,
-            origins,
-            frames,
-            fields,
-            table,
-            flat,
-            rows,
-        )
-        w1, path1 = _twice(pieces, k, TO, w, gaps, width, angles, inward, normals, transmissive, wave, origins, frames,
-                           fields, table, flat, rows)  # fmt: skip
-        w0, w1 = w0 * scale * size * transmission[k], w1 * scale * size * transmission[k]
+        w0, path0 = _twice(pieces, k, FROM, pairs, width, wave, antennas, rows)
+        w1, path1 = _twice(pieces, k, TO, pairs, width, wave, antennas, rows)
+        w0, w1 = w0 * scale * size * between.factor[k], w1 * scale * size * between.factor[k]
         early = size * size / 12 * 4 / max(path0 + path1 - 2 * width, 0.02)
-        late = extra[k] - early / C0
+        late = between.delay_s[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
-        delay[k] = mean
-        landed = mean - math.floor((mean - t0) / fold) * fold
+        sums.delay_s[k] = mean
+        landed = mean - math.floor((mean - start) / fold) * fold
         shift = late + landed - mean
         while landed < last:
             a, b = path0 / C0 + shift, path1 / C0 + shift
-            value = accumulate_line(grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0, (a - t0) / dt,
-                             (b - t0) / dt)  # fmt: skip
-            echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
+            value = accumulate_line(sums.grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0,
+                                    (a - start) / step, (b - start) / step)  # fmt: skip
+            sums.echo[k] += value if landed < start + fold else 0j  # what lands a pulse later is the same echo
             landed += fold
             shift += fold

@@ -8,13 +8,41 @@ at every aspect [Michaeli1986], [Ufimtsev2007]. Only straight back, at the bisec
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Bools, Floats, Ints
 from ullage.kernels.facets import FROM, ONE, TO, VERTEX, same, toward
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
-from ullage.kernels.outlines import accumulate_pulses
+from ullage.kernels.outlines import LineEcho, accumulate_pulses
 
 C0 = 299_792_458.0
+
+
+class Wedges(NamedTuple):
+    """Straight edges (w) of conductors between two faces each."""
+
+    angles: Floats  # (w) of the free space about each edge, over pi
+    inward: Floats  # (w, 2, 3) unit vectors in both faces, away from the edge
+    normals: Floats  # (w, 2, 3) unit normals of both faces, into the free space
+    transmissive: Bools  # (w) whether it is the edge of a thin body, whose first face is the wide one
+
+
+class EdgePieces(NamedTuple):
+    """Pieces (m) of edges, and ends (n) of edges."""
+
+    pieces: Floats  # (m, 2, 3) both ends of each piece [m]
+    tips: Floats  # (n, 2, 3) place of each end [m]; real and imaginary value, as `lines.part` gives it
+    owner: Ints  # (m + n) edge of each piece, then of each end
+
+
+class EdgeLines(NamedTuple):
+    """Edges (w) as straight lines."""
+
+    starts: Floats  # (w, 3) [m]
+    ends: Floats  # (w, 3) [m]
+    lit: Bools  # (w) which of them can return anything
+    factors: Floats  # (w) strength over that of an edge by itself
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -99,11 +127,14 @@ def face(open_angle, inward, normals, w, i, sign, rows, out):  # type: ignore[no
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def strength(  # type: ignore[no-untyped-def]
-    places, k, end, w, angles, inward, normals, transmissive, wave, origins, frames, fields, table, flat, rows
-):
-    """Antenna gains over ranges times the strength of edge w at places[k, end]; path length and its bend."""
+def strength(places, k, end, w, wedges, wave, antennas, rows):  # type: ignore[no-untyped-def]
+    """Antenna gains over ranges times the strength of edge w at places[k, end].
+
+    The length of the path there [m] and its bend along the edge [1/m] follow.
+    """
     g, path, bend = 1.0, 0.0, 0.0
+    inward, normals, transmissive = wedges.inward, wedges.normals, wedges.transmissive
+    origins, fields = antennas.origins, antennas.fields
     ix, iy, iz = inward[w, 0, 0], inward[w, 0, 1], inward[w, 0, 2]
     nx, ny, nz = normals[w, 0, 0], normals[w, 0, 1], normals[w, 0, 2]
     tx, ty, tz = iy * nz - iz * ny, iz * nx - ix * nz, ix * ny - iy * nx
@@ -113,7 +144,7 @@ def strength(  # type: ignore[no-untyped-def]
                       places[k, end, 2] - origins[0, s, 2])  # fmt: skip
         r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         dx, dy, dz = dx / r, dy / r, dz / r
-        one = toward(table, flat, frames, ONE, s, dx, dy, dz) * spread(wave, r)
+        one = toward(antennas.table, antennas.isotropic, antennas.frames, ONE, s, dx, dy, dz) * spread(wave, r)
         along = tx * dx + ty * dy + tz * dz
         g, path, bend = g * one, path + r, bend + (1 - along * along) / r
         rows[0, 0], rows[0, 1], rows[0, 2] = rows[0, 0] + dx, rows[0, 1] + dy, rows[0, 2] + dz
@@ -140,48 +171,47 @@ def strength(  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(2):
         side, sign = (0, 1.0 - 2.0 * i) if transmissive[w] else (i, 1.0)
-        total += face(2.0 if transmissive[w] else angles[w], inward, normals, w, side, sign, rows, rows[3])
+        total += face(2.0 if transmissive[w] else wedges.angles[w], inward, normals, w, side, sign, rows, rows[3])
     return g * total, path, bend
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _best_seen(starts, w, near, size, t, across, origins, frames, fields, table, flat):  # type: ignore[no-untyped-def]
-    """Most of the antenna's gain, and of the field across an edge, at both ends of it and `near` along it [m]."""
+def _best_seen(start, near, size, t, across, antennas):  # type: ignore[no-untyped-def]
+    """Largest gain of the antenna, and largest field across an edge, at both ends of it and `near` along it [m]."""
+    origins, fields = antennas.origins, antennas.fields
     ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
     gain, most = 0.0, 0.0
     for step in range(3):
         along = near if step == 0 else (0.0 if step == 1 else size)
-        x, y, z = (starts[w, 0] + along * t[0] - origins[0, 0, 0], starts[w, 1] + along * t[1] - origins[0, 0, 1],
-                   starts[w, 2] + along * t[2] - origins[0, 0, 2])  # fmt: skip
+        x, y, z = (start[0] + along * t[0] - origins[0, 0, 0], start[1] + along * t[1] - origins[0, 0, 1],
+                   start[2] + along * t[2] - origins[0, 0, 2])  # fmt: skip
         r = max(math.sqrt(x * x + y * y + z * z), 1e-2)
         if across:
             hard = (y * ez - z * ey) * t[0] + (z * ex - x * ez) * t[1] + (x * ey - y * ex) * t[2]
             most = max(most, abs(hard) / r)
-        gain = max(gain, toward(table, flat, frames, ONE, ONE, x / r, y / r, z / r))
+        gain = max(gain, toward(antennas.table, antennas.isotropic, antennas.frames, ONE, ONE, x / r, y / r, z / r))
     return gain, most
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def audible(starts, ends, lit, factors, across, origins, frames, fields, table, flat, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
-    """Whether each edge (w, 3)-(w, 3) can return more than `least`, by the most its strength and length allow.
+def audible(edges, across, antennas, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
+    """Find the edges that can return more than `least`, by the most that their strength and length allow.
 
     Args:
-        starts: (w, 3) [m].
-        ends: (w, 3) [m].
-        lit: (w) which to ask about; the others cannot.
-        factors: (w) strength over that of an edge by itself.
+        edges: `EdgeLines` (w).
         across: whether only the electric field across the edge counts.
-        origins: (1, 2, 3), as in `facets.accumulate`, and so the next ones.
+        antennas: `facets.Antennas` of one radar.
         wave: wave number [1/m].
         gate: (2) least and greatest range [m].
         least: path gain amplitude.
         t: (3), scratch.
         out: (w) gets the answer.
     """
+    starts, ends, origins, fields = edges.starts, edges.ends, antennas.origins, antennas.fields
     ex, ey, ez = fields[0, 0, 0], fields[0, 0, 1], fields[0, 0, 2]
     for w in range(len(starts)):
         out[w] = False
-        if not lit[w]:
+        if not edges.lit[w]:
             continue
         size = 0.0
         for k in range(3):
@@ -199,7 +229,7 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
         if square > gate[1] * gate[1]:
             continue
         best = max(math.sqrt(square), 1e-2)
-        gain, most = _best_seen(starts, w, near, size, t, across, origins, frames, fields, table, flat)
+        gain, most = _best_seen(starts[w], near, size, t, across, antennas)
         reach = math.sqrt(math.pi * best / wave)  # of the stationary part
         beside = abs(foot - near)
         if beside > 0:
@@ -210,58 +240,31 @@ def audible(starts, ends, lit, factors, across, origins, frames, fields, table, 
             along = ex * x + ey * y + ez * z
             along *= along / max(x * x + y * y + z * z, 1e-9)
             strong *= most * most / max(1 - along, 0.05)
-        out[w] = 1.5 * factors[w] * strong > least
+        out[w] = 1.5 * edges.factors[w] * strong > least
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_edge_diffraction(  # type: ignore[no-untyped-def]
-    pieces,
-    tips,
-    owner,
-    transmission,
-    extra,
-    angles,
-    inward,
-    normals,
-    transmissive,
-    origins,
-    frames,
-    fields,
-    table,
-    flat,
-    factor,
-    omega,
-    t0,
-    dt,
-    fold,
-    grids,
-    echo,
-    delay,
-    rows,
-):
-    """Lays the echoes of pieces of edge and of ends of edges on the delay grids.
+def accumulate_edge_diffraction(edges, wedges, between, antennas, pulse, sums, rows):  # type: ignore[no-untyped-def]
+    """Add the echoes of pieces of edges, and of ends of edges, to the delay grids.
 
     Args:
-        pieces: (m, 2, 3) ends of each piece [m].
-        tips: (n, 2, 3) ends of edges: place [m]; real and imaginary value, as `lines.part` gives it.
-        owner: (m + n) edge of each piece, then of each end.
-        transmission: (m + n) complex two-way factor of what lies between.
-        extra: (m + n) delay added by it [s].
-        angles: (w) of the free space about each edge, over pi.
-        inward: (w, 2, 3) unit vectors in its two faces, away from it.
-        normals: (w, 2, 3) their unit normals, into the free space.
-        transmissive: (w) whether it is the rim of a thin body, whose first face is the wide one.
-        origins: (1, 2, 3), as in `facets.accumulate`, and so the rest.
+        edges: `EdgePieces` (m + n).
+        wedges: `Wedges` (w).
+        between: `facets.Transmission` (m + n).
+        antennas: `facets.Antennas` of one radar.
+        pulse: `facets.PulseGrid`.
+        sums: `facets.EchoSums` (m + n), written.
         rows: (4, 3), scratch.
     """
+    pieces, tips, owner, omega = edges.pieces, edges.tips, edges.owner, pulse.omega
     many, wave = len(pieces), omega / C0
     known, w0, path0, bend0 = -2, 0.0, 0.0, 0.0
     for k in range(len(owner)):
-        echo[k], delay[k] = 0j, 0.0
-        if transmission[k] == 0:
+        sums.echo[k], sums.delay_s[k] = 0j, 0.0
+        if between.factor[k] == 0:
             continue
         w, size, early = owner[k], 1.0, 0.0
-        scale = factor[0] / (4 * math.pi * wave) * transmission[k]
+        scale = antennas.factor[0] / (4 * math.pi * wave) * between.factor[k]
         w1, path1, bend1 = w0, path0, bend0
         if k < many:
             square = 0.0
@@ -271,52 +274,19 @@ def accumulate_edge_diffraction(  # type: ignore[no-untyped-def]
                 follows = follows and pieces[known, 0, j] == pieces[k, 1, j]
             size, known = math.sqrt(square), k
             if not follows:  # pieces of an edge come one after the other, from its end
-                w1, path1, bend1 = strength(
-                    pieces,
-                    k,
-                    TO,
-                    w,
-                    angles,
-                    inward,
-                    normals,
-                    transmissive,
-                    wave,
-                    origins,
-                    frames,
-                    fields,
-                    table,
-                    flat,
-                    rows,
-                )
-            w0, path0, bend0 = strength(
-                pieces,
-                k,
-                FROM,
-                w,
-                angles,
-                inward,
-                normals,
-                transmissive,
-                wave,
-                origins,
-                frames,
-                fields,
-                table,
-                flat,
-                rows,
-            )
+                w1, path1, bend1 = strength(pieces, k, TO, w, wedges, wave, antennas, rows)
+            w0, path0, bend0 = strength(pieces, k, FROM, w, wedges, wave, antennas, rows)
             # as for wires: what the chord lies beyond the path
             early = min(0.5 * (bend0 + bend1) * size / 12, 0.5) * size
             scale *= size
         else:
-            w0, path0, bend0 = strength(tips, k - many, FROM, w, angles, inward, normals, transmissive, wave, origins,
-                                        frames, fields, table, flat, rows)  # fmt: skip
+            w0, path0, bend0 = strength(tips, k - many, FROM, w, wedges, wave, antennas, rows)
             w1, path1 = w0, path0
             scale *= complex(tips[k - many, 1, 0], tips[k - many, 1, 1])
         if w0 == 0 and w1 == 0:
             continue
-        late = extra[k] - early / C0
+        late = between.delay_s[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
-        delay[k] = mean
-        echo[k] = accumulate_pulses(grids, k < many, VERTEX, scale * w0, scale * w1, path0 / C0, path1 / C0,
-                             1.5 * omega * early / C0, late, mean, omega, t0, dt, fold)  # fmt: skip
+        sums.delay_s[k] = mean
+        line = LineEcho(scale * w0, scale * w1, path0 / C0, path1 / C0, 1.5 * omega * early / C0)
+        sums.echo[k] = accumulate_pulses(sums.grids, pulse, k < many, VERTEX, line, late, mean)

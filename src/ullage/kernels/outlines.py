@@ -3,15 +3,37 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ullage.kernels.facets import EDGE, VERTEX, _accumulate, _late, _reflection, same, te_share, toward, turned
+from ullage.kernels.facets import (
+    EDGE,
+    VERTEX,
+    PulseGrid,
+    _accumulate,
+    _late,
+    _reflection,
+    same,
+    te_share,
+    toward,
+    turned,
+)
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import eased, height
 
 C0 = 299_792_458.0
 START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
+
+
+class LineEcho(NamedTuple):
+    """Echo of a line whose amplitude is linear along it, and whose phase nearly is."""
+
+    start: complex  # amplitude at the start
+    stop: complex  # amplitude at the end
+    start_delay_s: float  # delay of the path to the start [s]
+    stop_delay_s: float  # delay of the path to the end [s]
+    bow: float  # as in `accumulate_line` [rad]
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
@@ -110,27 +132,32 @@ def accumulate_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def accumulate_pulses(grids, lines, kind, w0, w1, path0, path1, bow, late, mean, omega, t0, dt, fold):  # type: ignore[no-untyped-def]
-    """Lays an echo wherever a pulse's comes on the delay grids, one each `fold` [s]; gives that of one pulse.
+def accumulate_pulses(grids, pulse, lines, kind, line, late, mean):  # type: ignore[no-untyped-def]
+    """Add an echo to the delay grids wherever a pulse brings it, once each `pulse.fold_s`.
 
     Args:
-        grids: as in `facets.accumulate`.
-        lines: whether it is a line's, as in `accumulate_line`, or a point's of a
-            `kind`, as in `facets._accumulate`, of strength w0.
-        w0, w1, bow: as in `accumulate_line`.
-        path0, path1: delays of the paths to both ends [s].
-        late: what is added to them [s]; mean: what comes of both, for all of the echo [s].
-        omega: carrier [rad/s]; t0: first delay on the grids [s]; dt: their step [s].
+        grids: (3, g) as in `facets.EchoSums`.
+        pulse: `facets.PulseGrid`.
+        lines: whether the echo is that of a line, or that of a point of strength `line.start`.
+        kind: spectral kind of a point.
+        line: `LineEcho`.
+        late: delay added to that of the paths [s].
+        mean: mean delay of the whole echo [s].
+
+    Returns:
+        The echo of one pulse at the carrier.
     """
-    echo, shift = 0j, late - math.floor((mean - t0) / fold) * fold
-    while mean - late + shift < t0 + grids.shape[1] * dt:
-        a, b = path0 + shift, path1 + shift
+    omega, start, step, fold = pulse.omega, pulse.start_s, pulse.step_s, pulse.fold_s
+    echo, shift = 0j, late - math.floor((mean - start) / fold) * fold
+    while mean - late + shift < start + grids.shape[1] * step:
+        a, b = line.start_delay_s + shift, line.stop_delay_s + shift
         if lines:
-            value = accumulate_line(grids, w0, w1, omega * a, omega * b, bow, (a - t0) / dt, (b - t0) / dt)
+            value = accumulate_line(grids, line.start, line.stop, omega * a, omega * b, line.bow, (a - start) / step,
+                                    (b - start) / step)  # fmt: skip
         else:
-            value = w0 * turned(omega * a)
-            _accumulate(grids, kind, (a - t0) / dt, value)
-        echo += value if mean - late + shift < t0 + fold else 0j  # a pulse later it is the same echo
+            value = line.start * turned(omega * a)
+            _accumulate(grids, kind, (a - start) / step, value)
+        echo += value if mean - late + shift < start + fold else 0j  # a pulse later it is the same echo
         shift += fold
     return echo
 
@@ -272,9 +299,8 @@ def accumulate_outlines(  # type: ignore[no-untyped-def]
             mean = 0.5 * (path0 + path1) + late
             if tap == 0:
                 delay[k] = mean
-            echo[k] += accumulate_pulses(
-                grids, i < 0, VERTEX if i < many else EDGE, w0, w1, path0, path1, bow, late, mean, omega, t0, dt, fold
-            )
+            echo[k] += accumulate_pulses(grids, PulseGrid(omega, t0, dt, fold), i < 0, VERTEX if i < many else EDGE,
+                                         LineEcho(w0, w1, path0, path1, bow), late, mean)  # fmt: skip
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")

@@ -13,7 +13,7 @@ from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
-from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, common, grown, transmission_to
+from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown, transmission_to
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import Surfaces
 
@@ -81,7 +81,7 @@ def _heard(
 ) -> Longs:
     """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
     strong = np.ones(len(lit)) if factors is None else factors
-    heard = np.zeros(len(lit), np.bool_)
+    asked, heard = edge_diffraction.EdgeLines(starts, ends, lit, strong), np.zeros(len(lit), np.bool_)
     for side in (
         (slice(None),) if (antennas.origins[0] == antennas.origins[1]).all() else (slice(None), slice(None, None, -1))
     ):
@@ -89,23 +89,9 @@ def _heard(
         one, turn, field = (
             np.ascontiguousarray(row[side])[None] for row in (antennas.origins, antennas.frames, antennas.fields)
         )
-        edge_diffraction.audible(
-            starts,
-            ends,
-            lit,
-            strong,
-            factors is not None,
-            one,
-            turn,
-            field,
-            context.table,
-            context.spec.antenna.kind == "isotropic",
-            context.pulse.omega / C0,
-            np.array(context.gate),
-            FAINT,
-            np.empty(3),
-            out,
-        )
+        radar = context.antennas(antennas)._replace(origins=one, frames=turn, fields=field)
+        edge_diffraction.audible(asked, factors is not None, radar, context.pulse.omega / C0, np.array(context.gate),
+                                 FAINT, np.empty(3), out)  # fmt: skip
         heard |= out
     return np.flatnonzero(heard)
 
@@ -163,23 +149,13 @@ def _accumulate_edge_diffraction(
     between: Transmission,
     grids: Complexes,
 ) -> EchoSet:
-    told = common(context, antennas, grids)
-    owner = np.concatenate([alone.owner, alone.holders])
+    owner, radar = np.concatenate([alone.owner, alone.holders]), context.antennas(antennas)
+    wedges = edge_diffraction.Wedges(edges.angles, edges.inward, edges.normals, context.outlines.transmissive)
+    pieces = edge_diffraction.EdgePieces(alone.pieces, alone.tips, owner)
 
     def put(between: Transmission, sums: EchoSums) -> None:
         edge_diffraction.accumulate_edge_diffraction(
-            alone.pieces,
-            alone.tips,
-            owner,
-            *between,
-            edges.angles,
-            edges.inward,
-            edges.normals,
-            context.outlines.transmissive,
-            *told[:6],
-            *told[8:-1],
-            *sums,
-            np.empty((4, 3)),
+            pieces, wedges, between, radar, context.pulse_grid, sums, np.empty((4, 3))
         )
 
     points = np.concatenate([_middles(alone.pieces), alone.tips[:, 0]])
@@ -195,22 +171,13 @@ def _accumulate_doubles(
     between: Transmission,
     grids: Complexes,
 ) -> EchoSet:
-    told = common(context, antennas, grids)
+    radar, double_pieces = context.antennas(antennas), double_edge_diffraction.PairPieces(pieces, owner)
+    faced = double_edge_diffraction.EdgePairs(pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
+                                              context.outlines.both)  # fmt: skip
 
     def put(between: Transmission, sums: EchoSums) -> None:
         double_edge_diffraction.accumulate_doubles(
-            pieces,
-            owner,
-            *between,
-            pairs.gaps,
-            pairs.angles,
-            pairs.inward,
-            pairs.normals,
-            context.outlines.both,
-            *told[:6],
-            *told[8:-1],
-            *sums,
-            np.empty((3, 3)),
+            double_pieces, faced, between, radar, context.pulse_grid, sums, np.empty((3, 3))
         )
 
     return echo_set(put, between, grids, pairs.object_ids[owner], _middles(pieces) + pairs.gaps[owner] / 2)
