@@ -39,14 +39,15 @@ def twin(empty, occupied, grid, x, y, yaw, near, reach, spread, half):
 
 
 def test_kernel_equals_its_slow_twin():
-    from ullage.kernels.elfes import insert_reading
+    from ullage.kernels.elfes import Cells, Lobe, Reading, insert_reading
 
     grid = ul.Grid((-2.0, -1.0, 0.0), 0.2, (25, 30))
     rng = np.random.default_rng(1)
     fast = np.zeros((2, *grid.shape)), np.zeros((2, *grid.shape))
     for _ in range(4):
         x, y, yaw, reach = rng.uniform(-1, 2), rng.uniform(0, 2), rng.uniform(-3, 3), rng.uniform(1, 3)
-        insert_reading(fast[0][0], fast[0][1], -2.0, -1.0, 0.2, x, y, yaw, 0.2, reach, 0.2, True, 0.6, np.zeros(4, int))
+        reading, lobe = Reading(x, y, yaw, 0.2, reach, True), Lobe(0.6, 0.2)
+        insert_reading(fast[0][0], fast[0][1], Cells(-2.0, -1.0, 0.2), reading, lobe, np.zeros(4, int))
         twin(fast[1][0], fast[1][1], grid, x, y, yaw, 0.2, reach, 0.2, 0.6)
     np.testing.assert_allclose(fast[0], fast[1], atol=1e-6)
     assert fast[0][1].max() > 0.1

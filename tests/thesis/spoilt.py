@@ -185,7 +185,8 @@ def elfes_as(
 ) -> Callable[[Patch], None]:
     """Elfes' update with a density or a step changed."""
 
-    def insert(empty, occupied, x0, y0, step, x, y, yaw, near, reach, spread, echo, half, box):
+    def insert(empty, occupied, cells, reading, lobe, box):
+        (x0, y0, step), (x, y, yaw, near, reach, echo), (half, spread) = cells, reading, lobe
         box[:] = 0, empty.shape[0], 0, empty.shape[1]
         dx = x0 + (np.arange(empty.shape[1]) + 0.5)[None] * step - x
         dy = y0 + (np.arange(empty.shape[0]) + 0.5)[:, None] * step - y

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.arrays import Floats, Longs
+from ullage.arrays import Longs
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
 from ullage.geometry import quat_matrix
 from ullage.grids import UNKNOWN, Changes, Grid, OccupancyMap
-from ullage.kernels.elfes import insert_reading, lobe_box
+from ullage.kernels.elfes import Cells, Lobe, Reading, insert_reading, lobe_box
 from ullage.processing.echoes import first_echo
 from ullage.processing.mapper_door import in_order, plane_of
 
@@ -66,8 +66,9 @@ class ElfesMapper:
                 "the Elfes grid is a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
             )
         self.grid = grid
-        self._threshold, self._half = threshold, np.radians(lobe_deg) / 2
-        self._spread = max(spread_m, grid.step_m)
+        self._threshold = threshold
+        self._cells = Cells(float(grid.origin_m[0]), float(grid.origin_m[1]), float(grid.step_m))
+        self._lobe = Lobe(half=float(np.radians(lobe_deg) / 2), spread=float(max(spread_m, grid.step_m)))
         self._certain = certain
         self._kernel = insert_reading if kernel is None else kernel
         self._layers = (  # emptiness and occupancy; or one layer of their difference in percent
@@ -98,56 +99,37 @@ class ElfesMapper:
         last = min(float(frames.range_m[-1]), frames.spec.thesis.max_range_m if frames.unit == "thesis" else np.inf)
         path = frames.believed
         ahead = quat_matrix(path.quat_xyzw)[:, :2, 0]
-        box = np.zeros(4, np.int64)
+        positions, box = path.position[:, :2].tolist(), np.zeros(4, np.int64)
         for i in range(len(frames)):
             level = float(np.hypot(*ahead[i]))
             if level < np.sin(np.radians(20)) or (found[i] and not near < reach[i] < last):
                 continue
-            self._blend(path.position[i, :2], float(np.arctan2(ahead[i, 1], ahead[i, 0])), near,
-                        (float(reach[i]) if found[i] else last, bool(found[i])), box)  # fmt: skip
+            (x, y), yaw = positions[i], float(np.arctan2(ahead[i, 1], ahead[i, 0]))
+            self._blend(Reading(x, y, yaw, near, float(reach[i]) if found[i] else last, bool(found[i])), box)
             self.traversed = slice(int(box[0]), int(box[1])), slice(int(box[2]), int(box[3]))
 
-    def _blend(self, at: Floats, yaw: float, near: float, echo: tuple[float, bool], box: Longs) -> None:
-        """Add one reading: `echo` holds its range and whether there was one; `box` takes the cells that it reached."""
+    def _blend(self, reading: Reading, box: Longs) -> None:
+        """Add one reading; `box` takes the rows and columns that it reached."""
         if len(self._layers) == 1:
-            self._blend_byte(self._layers[0], (at, yaw, near, echo), box)
+            self._blend_byte(self._layers[0], reading, box)
             return
         empty, occupied = self._layers
-        self._insert_into(empty, occupied, (0, 0), (at, yaw, near, echo), box)
+        self._kernel(empty, occupied, self._cells, reading, self._lobe, box)
         if self._certain < 1:
             for layer in self._layers:
                 part = layer[box[0] : box[1], box[2] : box[3]]
                 np.minimum(part, self._certain, out=part)
 
-    def _blend_byte(
-        self,
-        layer: NDArray[Any],
-        reading: tuple[Floats, float, float, tuple[float, bool]],
-        box: Longs,
-    ) -> None:
+    def _blend_byte(self, layer: NDArray[Any], reading: Reading, box: Longs) -> None:
         """Add one reading to cells of one byte; only what the lobe can reach is unpacked."""
-        at, yaw, _, (reach, _) = reading
-        lobe_box(*self.grid.origin_m[:2], self.grid.step_m, at[0], at[1], yaw, reach + self._spread, self._half,
-                 *layer.shape, box)  # fmt: skip
+        lobe_box(self._cells, reading, self._lobe, layer.shape, box)
         square = slice(box[0], box[1]), slice(box[2], box[3])
         signed = layer[square].astype(np.float32) / 100
         empty, occupied = np.maximum(-signed, 0), np.maximum(signed, 0)
-        self._insert_into(empty, occupied, (int(box[0]), int(box[2])), reading, np.zeros(4, np.int64))
+        step = self._cells.step
+        cells = Cells(self._cells.x0 + int(box[2]) * step, self._cells.y0 + int(box[0]) * step, step)
+        self._kernel(empty, occupied, cells, reading, self._lobe, np.zeros(4, np.int64))
         layer[square] = np.rint(100 * np.clip(occupied - empty, -self._certain, self._certain)).astype(np.int8)
-
-    def _insert_into(
-        self,
-        empty: NDArray[Any],
-        occupied: NDArray[Any],
-        first: tuple[int, int],
-        reading: tuple[Floats, float, float, tuple[float, bool]],
-        box: Longs,
-    ) -> None:
-        """Run the kernel on layers whose first cell is row and column `first` of the grid."""
-        at, yaw, near, (reach, found) = reading
-        step, (x0, y0) = self.grid.step_m, self.grid.origin_m[:2]
-        self._kernel(empty, occupied, x0 + first[1] * step, y0 + first[0] * step, step, at[0], at[1], yaw, near,
-                     reach, self._spread, found, self._half, box)  # fmt: skip
 
     def map(self) -> OccupancyMap:
         """The map so far: 50 + 50 Occ where Occ >= Emp, else 50 - 50 Emp, unknown where neither is known."""

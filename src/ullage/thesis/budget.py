@@ -13,7 +13,7 @@ import numpy as np
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.folder import provenance
 from ullage.experiments.simulated import prepare
-from ullage.kernels.elfes import insert_reading
+from ullage.kernels.elfes import Cells, Lobe, Reading, insert_reading
 from ullage.ports import sink
 from ullage.thesis.node import NodeCost, measure_node
 from ullage.thesis.tables import stream_part
@@ -72,11 +72,11 @@ def yardstick(readings: int = 2000) -> float:
     """Time Elfes' own kernel, so that figures of this machine can be set against the reference core [s of CPU]."""
     empty, box = np.zeros((500, 500), np.float32), np.zeros(4, np.int64)
     occupied = np.zeros_like(empty)
-    times = []
+    cells, lobe, times = Cells(-25.0, -25.0, 0.1), Lobe(0.567, 0.15), []
     for count in (10, readings, readings, readings):
         start = time.process_time()
         for i in range(count):
-            insert_reading(empty, occupied, -25.0, -25.0, 0.1, 0.0, 0.0, 0.7 * i, 0.3, 4.0, 0.15, True, 0.567, box)
+            insert_reading(empty, occupied, cells, Reading(0.0, 0.0, 0.7 * i, 0.3, 4.0, True), lobe, box)
         times.append(time.process_time() - start)
     return min(times[1:])
 
