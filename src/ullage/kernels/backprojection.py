@@ -1,8 +1,11 @@
-"""The inner loops of time-domain back-projection: per row of cells and frame, first geometry, then the echoes."""
+"""Time-domain back-projection: per row of cells and frame, first the geometry of all cells, then their echoes."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ullage.kernels.loops import inner, loop
 
@@ -13,26 +16,76 @@ _C0, _C2, _C4 = np.float32(0.99995902), np.float32(-19.73094237), np.float32(64.
 _C6, _C8 = np.float32(-82.39080631), np.float32(45.62105110)
 
 
-@inner(nogil=True, fastmath=True, error_model="numpy")
-def _aim(gx, dx, gy, gz, turn, axis, beam, last, place, near, cos, sin, weight):  # type: ignore[no-untyped-def]
-    """Where each cell of a row lies in a frame's profile, its phase and its weight in the beam.
+class Rows(NamedTuple):
+    """Rows of image cells along x."""
 
-    gx: first cell from the sensor along x [m]; dx: step [m]; gy, gz: the row from the sensor [m].
-    turn: (3, 3) world_from_sensor; axis: samples per metre, sample 0 [samples], cycles per metre.
-    beam: 1 / (span sin^2 half azimuth), the same in elevation, least weight.
-    Out: place (int), near 0..1, cos, sin, weight of each cell.
+    y: NDArray[np.float64]  # (k) of each row [m]
+    z: NDArray[np.float64]  # (k) of each row [m]
+    x0: float  # centre of the first cells [m]
+    step: float  # from cell to cell [m]
+
+
+class Profiles(NamedTuple):
+    """Oversampled range profiles, and how ranges become samples and phases."""
+
+    real: NDArray[np.float32]  # (n, m)
+    imag: NDArray[np.float32]  # (n, m)
+    per_m: np.float32  # samples per metre
+    first: np.float32  # range of sample 0, in samples
+    cycles_per_m: np.float32  # two-way carrier phase per metre of range [cycles/m]: 2 / wavelength
+
+
+class Track(NamedTuple):
+    """Where the sensor was, and what each frame counts."""
+
+    position: NDArray[np.float64]  # (n, 3) [m]
+    rotation: NDArray[np.float64]  # (n, 3, 3) world_from_sensor
+    weight: NDArray[np.float32]  # (n)
+
+
+class Pattern(NamedTuple):
+    """The antenna's pattern: the two-way amplitude is (1 - q)^2, q = inv_y2 sin^2 + inv_z2 sin^2 off the boresight."""
+
+    inv_y2: np.float32  # 1 / (span sin^2 of half the opening) across; 0 in both: isotropic
+    inv_z2: np.float32  # and up
+    least: np.float32  # weights below this count as 0
+
+
+class _Aimed(NamedTuple):
+    """Scratch: what the cells of one row see of one frame, each (nx)."""
+
+    place: NDArray[np.int32]  # sample before the cell
+    near: NDArray[np.float32]  # share of the way to the next sample, 0 to 1
+    cos: NDArray[np.float32]  # of the carrier phase
+    sin: NDArray[np.float32]
+    weight: NDArray[np.float32]  # of the pattern
+
+
+@inner(nogil=True, fastmath=True, error_model="numpy")
+def _aim(offset, step, turn, profiles, pattern, last, aimed):  # type: ignore[no-untyped-def]
+    """Find where each cell of a row lies in a frame's profile, its phase and its weight in the beam.
+
+    Args:
+        offset: (3) first cell of the row from the sensor [m]; x is a float32.
+        step: from cell to cell along x [m].
+        turn: (3, 3) world_from_sensor.
+        profiles, pattern: as in `backproject_rows`.
+        last: greatest place in a profile [samples].
+        aimed: gets the results.
     """
+    gx, gy, gz = offset
+    place, near, cos, sin, weight = aimed
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     flat = np.float32(gy * gy + gz * gz + 1e-12)
     ax, bx, cx = np.float32(turn[0, 0]), np.float32(turn[0, 1]), np.float32(turn[0, 2])
     a0 = np.float32(turn[1, 0] * gy + turn[2, 0] * gz)
     b0 = np.float32(turn[1, 1] * gy + turn[2, 1] * gz)
     c0 = np.float32(turn[1, 2] * gy + turn[2, 2] * gz)
-    per_m, first, turns = axis[0], axis[1], axis[2]
-    iy, iz, least = beam[0], beam[1], beam[2]
+    per_m, first, turns = profiles.per_m, profiles.first, profiles.cycles_per_m
+    iy, iz, least = pattern.inv_y2, pattern.inv_z2, pattern.least
     everywhere = iy == zero and iz == zero
     for i in range(len(place)):
-        x = gx + np.float32(i) * dx
+        x = gx + np.float32(i) * step
         d2 = x * x + flat
         r = np.sqrt(d2)
         b, c = bx * x + b0, cx * x + c0
@@ -57,31 +110,31 @@ def _aim(gx, dx, gy, gz, turn, axis, beam, last, place, near, cos, sin, weight):
 
 
 @loop(nogil=True, fastmath=True, error_model="numpy")
-def backproject_rows(y, z, x0, dx, re, im, axis, beam, position, rotation, weight, sums):  # type: ignore[no-untyped-def]
-    """Adds the echoes of every frame to rows of cells.
+def backproject_rows(rows, profiles, track, pattern, sums):  # type: ignore[no-untyped-def]
+    """Add the echoes of every frame to rows of cells.
 
-    y, z: (k) of the rows [m]; x0, dx: first cell and step along x [m].
-    re, im: (n, m) float32 oversampled profiles.
-    axis: (3) float32, samples per metre, sample number of range 0, 2 / wavelength.
-    beam: (3) float32, 1 / (span sin^2 of the half openings) in y and z (0: isotropic), the least weight that counts;
-    the two-way amplitude is (1 - q)^2.
-    position: (n, 3) [m]; rotation: (n, 3, 3) world_from_sensor; weight: (n) float32.
-    sums: (k, 5, nx) float32: real, imaginary, weighted power, weight, weight^2; added to.
+    Args:
+        rows: (k) rows of cells.
+        profiles: (n) of the frames.
+        track: (n) of the frames.
+        pattern: of the antenna.
+        sums: (k, 5, nx) float32: real, imaginary, weighted power, weight, weight^2; added to.
     """
-    nx = sums.shape[2]
-    place = np.empty(nx, np.int32)
-    near, cos, sin, pattern = np.empty((4, nx), np.float32)
-    last, step = np.float32(re.shape[1] - 1.001), np.float32(dx)
-    for k in range(len(y)):
+    nx, position, weight = sums.shape[2], track.position, track.weight
+    near, cos, sin, share = np.empty((4, nx), np.float32)
+    aimed = _Aimed(np.empty(nx, np.int32), near, cos, sin, share)
+    last, step = np.float32(profiles.real.shape[1] - 1.001), np.float32(rows.step)
+    for k in range(len(rows.y)):
         total = sums[k]
         for n in range(len(weight)):
-            gx, gy, gz = np.float32(x0 - position[n, 0]), y[k] - position[n, 1], z[k] - position[n, 2]
-            _aim(gx, step, gy, gz, rotation[n], axis, beam, last, place, near, cos, sin, pattern)
-            row_re, row_im = re[n], im[n]
+            gx = np.float32(rows.x0 - position[n, 0])
+            offset = gx, rows.y[k] - position[n, 1], rows.z[k] - position[n, 2]
+            _aim(offset, step, track.rotation[n], profiles, pattern, last, aimed)
+            row_re, row_im = profiles.real[n], profiles.imag[n]
             for i in range(nx):
-                w = pattern[i] * weight[n]
+                w = aimed.weight[i] * weight[n]
                 if w > np.float32(0.0):
-                    j, f = place[i], near[i]
+                    j, f = aimed.place[i], near[i]
                     vr = row_re[j] + f * (row_re[j + 1] - row_re[j])
                     vi = row_im[j] + f * (row_im[j + 1] - row_im[j])
                     total[0, i] += w * (vr * cos[i] - vi * sin[i])

@@ -18,6 +18,7 @@ from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.grids import Grid, Image
+from ullage.kernels.backprojection import Pattern, Profiles, Rows, Track, backproject_rows
 from ullage.processing.baseband import checked, to_baseband
 from ullage.specs import AntennaSpec, RadarSpec
 
@@ -118,11 +119,12 @@ class Backprojector:
         beam = Beam.of(spec.antenna, weighted=self.antenna, min_weight=self.min_weight)
         rotation = quat_matrix(path.quat_xyzw)
         per_m = factor / bin_m
-        axis = np.array([per_m, float(frames.range_m[0]) * per_m, 2 / spec.wavelength_m], np.float32)
+        axis = np.float32(per_m), np.float32(float(frames.range_m[0]) * per_m), np.float32(2 / spec.wavelength_m)
         for start in range(0, len(frames), 256):
             part = slice(start, start + 256)
             fine = oversampled(to_baseband(checked(frames[part])), factor)
-            self._add(fine, axis, path.position[part], rotation[part], given[part], beam)
+            profiles = Profiles(np.ascontiguousarray(fine.real), np.ascontiguousarray(fine.imag), *axis)
+            self._add(profiles, Track(path.position[part], rotation[part], given[part].astype(np.float32)), beam)
         self.frames += len(frames)
         self._weight += float(given.sum())
 
@@ -132,32 +134,21 @@ class Backprojector:
         other._sums = self._sums.copy()
         return other
 
-    def _add(
-        self,
-        fine: NDArray[np.complex64],
-        axis: Singles,
-        position: Floats,
-        rotation: Floats,
-        weight: Floats,
-        beam: Beam,
-    ) -> None:
-        from ullage.kernels.backprojection import backproject_rows
-
+    def _add(self, profiles: Profiles, track: Track, beam: Beam) -> None:
         z, y = (a.ravel() for a in np.meshgrid(self.grid.z_m, self.grid.y_m, indexing="ij"))
-        x0, step = float(self.grid.x_m[0]), self.grid.step_m
-        re, im, w = np.ascontiguousarray(fine.real), np.ascontiguousarray(fine.imag), weight.astype(np.float32)
-        shape = np.array([beam.inv_y2 / _SPAN, beam.inv_z2 / _SPAN, beam.min_weight], np.float32)
+        x0, step = float(self.grid.x_m[0]), float(self.grid.step_m)
+        pattern = Pattern(*map(np.float32, (beam.inv_y2 / _SPAN, beam.inv_z2 / _SPAN, beam.min_weight)))
 
-        def rows(part: slice) -> None:
-            backproject_rows(y[part], z[part], x0, step, re, im, axis, shape, position, rotation, w, self._sums[part])
+        def add(part: slice) -> None:
+            backproject_rows(Rows(y[part], z[part], x0, step), profiles, track, pattern, self._sums[part])
 
         cuts = np.linspace(0, len(y), min(self.threads, len(y)) + 1).astype(int)
         parts = [slice(int(a), int(b)) for a, b in pairwise(cuts)]
         if len(parts) == 1:
-            rows(parts[0])
+            add(parts[0])
             return
         with ThreadPoolExecutor(len(parts)) as pool:
-            list(pool.map(rows, parts))
+            list(pool.map(add, parts))
 
     @property
     def values(self) -> NDArray[np.complex64]:

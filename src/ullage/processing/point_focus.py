@@ -16,6 +16,7 @@ import numpy as np
 
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.data import Frames, Trajectory
+from ullage.kernels.backprojection import Pattern, Profiles, Rows, Track, backproject_rows
 from ullage.processing.backprojection import oversampled, oversampling
 from ullage.processing.baseband import to_baseband
 from ullage.processing.motion_match import whole_frames
@@ -156,8 +157,6 @@ class PointFocus:
         self, path: Floats, use: Longs, taper: Floats, range_m: float, flat: bool, segments: int
     ) -> list[tuple[float, Floats]]:
         """Peaks of coherence in a box around a part of the track."""
-        from ullage.kernels.backprojection import backproject_rows
-
         cell, middle = 0.8 * self.wave_m, path.mean(0)
         heights = np.zeros(1) if flat else np.arange(-5, 6) * 5.0 * cell
         reach = min(REACH_M, self.last_m + range_m)
@@ -165,14 +164,15 @@ class PointFocus:
         half = np.arange(-min(reach, most), min(reach, most) + cell, cell)
         y, z = (a.ravel() for a in np.meshgrid(half + middle[1], heights + middle[2]))
         sums = np.zeros((len(y), 5, len(half)), np.float32)
-        axis = np.array([self.per_m, (self.first_m + range_m) * self.per_m, 2 / self.wave_m], np.float32)
-        turn = np.tile(np.eye(3), (len(use), 1, 1))
         profile = self.fine[use]
-        backproject_rows(
-            y, z, float(half[0] + middle[0]), cell, np.ascontiguousarray(profile.real),
-            np.ascontiguousarray(profile.imag), axis, np.zeros(3, np.float32), np.ascontiguousarray(path), turn,
-            (taper / taper.sum()).astype(np.float32), sums,
+        profiles = Profiles(
+            np.ascontiguousarray(profile.real), np.ascontiguousarray(profile.imag), np.float32(self.per_m),
+            np.float32((self.first_m + range_m) * self.per_m), np.float32(2 / self.wave_m),
         )  # fmt: skip
+        turn = np.tile(np.eye(3), (len(use), 1, 1))
+        track = Track(np.ascontiguousarray(path), turn, (taper / taper.sum()).astype(np.float32))
+        rows = Rows(y, z, float(half[0] + middle[0]), float(cell))
+        backproject_rows(rows, profiles, track, Pattern(*np.zeros(3, np.float32)), sums)
         coherence = (sums[:, 0] ** 2 + sums[:, 1] ** 2) / np.maximum(sums[:, 2] * sums[:, 3], 1e-12)
         x = half + middle[0]
         near = np.sqrt((x[None] - middle[0]) ** 2 + (y[:, None] - middle[1]) ** 2 + (z[:, None] - middle[2]) ** 2)
