@@ -32,7 +32,7 @@ def let_go(
     rows = []
     for _ in range(round(seconds * PHYSICS_HZ)):
         rows.append(np.concatenate([data.qpos, data.qvel, memory[3 + count :]]))
-        wrench(data.qpos, data.qvel, memory, tables.plane, tables.rotors, np.array([wind], float), 0, 1 / PHYSICS_HZ,
+        wrench(data.qpos, data.qvel, memory, tables.plane, tables.rotors, np.array(wind, float), 1 / PHYSICS_HZ,
                data.qfrc_applied)  # fmt: skip
         mujoco.mj_step(data.model, data)
     table = np.asarray(rows)

@@ -65,7 +65,7 @@ def _our_controller(frame, track):
         memory[7:] = state["rotor_speeds"]
         pose = np.concatenate([state["x"], state["q"][[3, 0, 1, 2]]])
         rates = np.concatenate([state["v"], state["w"]])
-        command(pose, rates, memory, tables.plane, tables.gains, tables.mixer, track, row, DT)
+        command(tables.vehicle(pose, rates, memory), track, row, DT)
         return memory[3:7].copy()
 
     return control

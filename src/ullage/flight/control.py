@@ -1,4 +1,4 @@
-"""The tables that the flight kernel works from: what the body is like, how the controller acts, how the air moves.
+"""The arrays that the flight kernel reads: the airframe, the gains of its controller, and the wind.
 
 The controller is the geometric one on SE(3) [LeeEtAl2010] with an integral term [GoodarziEtAl2013] and the feedforward
 of turn rate from jerk [MellingerKumar2011]; its loop is in kernels/flight.py.
@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 from ullage.arrays import Floats
 from ullage.flight.airframe import GRAVITY_M_S2, Airframe
 from ullage.flight.wander import philox
+from ullage.kernels.flight import Vehicle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +29,7 @@ class Tables:
 
     @classmethod
     def of(cls, frame: Airframe) -> Tables:
-        """The tables of an airframe."""
+        """Return the tables of an airframe."""
         g = frame.gains
         plane = [
             frame.mass_kg, *frame.inertia_kg_m2, frame.rotor_inertia_kg_m2, frame.rotor_time_s, frame.rotor_max_rad_s,
@@ -44,8 +45,12 @@ class Tables:
         return cls(np.asarray(plane, float), np.asarray(gains, float), np.ascontiguousarray(frame.mixer()), rotors)
 
     def memory(self, speed_rad_s: float) -> Floats:
-        """The kernel's state: no integral, every rotor asked for and turning at one speed."""
+        """Return the kernel's memory (3 + 2 r): no integral, every rotor commanded and turning at one speed."""
         return np.concatenate([np.zeros(3), np.full(2 * len(self.rotors), speed_rad_s)])
+
+    def vehicle(self, qpos: Floats, qvel: Floats, memory: Floats) -> Vehicle:
+        """Return what the controller's kernel works on, for a body in this state."""
+        return Vehicle(qpos, qvel, memory, self.plane, self.gains, self.mixer)
 
 
 def air(wind_m_s: Floats, gust_m_s: float, *, count: int, rate_hz: float, seed: int) -> Floats:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +19,7 @@ from ullage.flight.airframe import Airframe, airframe
 from ullage.flight.control import Tables, air
 from ullage.flight.obstacles import bodies
 from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings
+from ullage.kernels.flight import command, wrench
 from ullage.world.scene import Scene
 
 _PULL_S = 1.2  # climb asked for per metre of height that is missing [1/s]
@@ -192,23 +192,15 @@ class Steered:
     def _step(self) -> None:
         import mujoco
 
-        from ullage.kernels import flight
-
-        command: Any = flight.command
-        wrench: Any = flight.wrench
-        around, tables, dt = self._around, self._tables, 1 / CONTROL_HZ
+        around, tables = self._around, self._tables
         row = min(self.steps, self._rows - 1)
         around.look(row)
         data = around.data
-        self._steer(dt)
-        command(
-            data.qpos, data.qvel, self._memory, tables.plane, tables.gains, tables.mixer, self._track, 0, dt
-        )  # fmt: skip
+        self._steer(1 / CONTROL_HZ)
+        command(tables.vehicle(data.qpos, data.qvel, self._memory), self._track, 0, 1 / CONTROL_HZ)
         for _ in range(CONTROL_EVERY):
-            wrench(
-                data.qpos, data.qvel, self._memory, tables.plane, tables.rotors, self._wind, row, 1 / PHYSICS_HZ,
-                data.qfrc_applied,
-            )  # fmt: skip
+            wrench(data.qpos, data.qvel, self._memory, tables.plane, tables.rotors, self._wind[row], 1 / PHYSICS_HZ,
+                   data.qfrc_applied)  # fmt: skip
             mujoco.mj_step(around.model, data)
             if around.near and data.ncon:
                 around.note(self.steps)

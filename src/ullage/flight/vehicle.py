@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ from ullage.flight.missions import Waypoints
 from ullage.flight.obstacles import Body, Solids, bodies, into
 from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings, Touch
 from ullage.flight.reference import Reference, plan
+from ullage.kernels.flight import control, wrench
 from ullage.world.scene import Scene
 
 Progress = Callable[[float], None]
@@ -158,32 +159,27 @@ def _steps(
     """The loop: look around, control, push, integrate. Returns the state at each control step."""
     import mujoco
 
-    from ullage.kernels.flight import advance
-
-    control_and_push: Any = advance
-    tables = Tables.of(frame)
-    first, dt = reference.track[0], 1 / PHYSICS_HZ
+    tables, first, dt = Tables.of(frame), reference.track[0], 1 / PHYSICS_HZ
     around.data.qpos[:] = [*first[:3], math.cos(first[12] / 2), 0, 0, math.sin(first[12] / 2)]
-    memory = tables.memory(frame.hover_rad_s)
-    last = (len(reference.track) - 1) * CONTROL_EVERY
-    log = np.zeros((len(reference.track), 13 + len(tables.rotors)))
-    fixed: tuple[Any, ...] = (
-        memory, tables.plane, tables.gains, tables.mixer, tables.rotors, reference.track, wind, log, dt,
-    )  # fmt: skip
-    model, data = around.model, around.data
-    state, push = (data.qpos, data.qvel), data.qfrc_applied
-    for step in range(last + 1):
-        if step % CONTROL_EVERY == 0 and around.look(step // CONTROL_EVERY):
+    memory, track = tables.memory(frame.hover_rad_s), reference.track
+    log = np.zeros((len(track), 13 + len(tables.rotors)))
+    plane, rotors, period, mj_step = tables.plane, tables.rotors, dt * CONTROL_EVERY, mujoco.mj_step
+    for row in range(len(track)):
+        if around.look(row) or row == 0:
             model, data = around.model, around.data
-            state, push = (data.qpos, data.qvel), data.qfrc_applied
-        control_and_push(step, CONTROL_EVERY, *state, *fixed, push)
-        mujoco.mj_step(model, data)
-        if around.near and data.ncon:
-            around.note(step // CONTROL_EVERY)
-            if on_contact == "raise" and scene is not None:
-                raise Collision(f"the vehicle hit {_contact(around.touches[0], scene)}")
-        if progress is not None and step % PHYSICS_HZ == 0:
-            progress(step / (last + 1))
+            qpos, qvel, push = data.qpos, data.qvel, data.qfrc_applied
+            body = tables.vehicle(qpos, qvel, memory)
+        control(body, track, row, period, log)
+        near, blowing = around.near, wind[row]
+        for _ in range(CONTROL_EVERY if row < len(track) - 1 else 1):
+            wrench(qpos, qvel, memory, plane, rotors, blowing, dt, push)
+            mj_step(model, data)
+            if near and data.ncon:
+                around.note(row)
+                if on_contact == "raise" and scene is not None:
+                    raise Collision(f"the vehicle hit {_contact(around.touches[0], scene)}")
+        if progress is not None and row % CONTROL_HZ == 0:
+            progress(row / len(track))
     if progress is not None:
         progress(1.0)
     return log

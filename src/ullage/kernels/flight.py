@@ -1,13 +1,12 @@
-"""One step of a multirotor: geometric control, rotor lag, and the wrench on the body. Plain arrays only.
+"""One step of a multirotor: geometric control, rotor lag, and the wrench on the body.
 
-Quaternions here are wxyz, as the physics engine keeps them. `memory` holds the integral of the position error (3),
-then the commanded and the actual speed of each rotor (2 r). A row of `track` is position, velocity, acceleration,
-jerk (12), yaw and yaw rate. The layout of `plane` and `gains` is that of flight/control.py.
+Quaternions here are wxyz, as the physics engine keeps them.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +16,20 @@ MASS, IX, IY, IZ, SPIN_J, TAU, TOP, C0, C1, KT, KM, DX, DY, DZ, MX, MY, MZ, G = 
 KP, KV, KI, KR, KW, KRZ, KWZ, KROT, REACH, LEAN = range(10)
 
 
+class Vehicle(NamedTuple):
+    """A multirotor in flight; the layout of `plane` and `gains` is that of flight/control.py."""
+
+    qpos: np.ndarray  # (7) position [m], world_from_body quaternion wxyz
+    qvel: np.ndarray  # (6) velocity [m/s] in the world, body rates [rad/s]
+    memory: np.ndarray  # (3 + 2 r) integral of the position error [m s], commanded and actual rotor speeds [rad/s]
+    plane: np.ndarray  # (18) mass, inertia, rotors, drag, gravity: the constants above, in SI units
+    gains: np.ndarray  # (10) of the controller, and its limits
+    mixer: np.ndarray  # (r, 4) thrust of each rotor for a unit of thrust and of torque about x, y, z
+
+
 @loop()
 def rotation(q: np.ndarray) -> tuple[float, ...]:
-    """Rotation matrix (row by row, 9 numbers) of the unit quaternion wxyz at the end of a pose (7)."""
+    """Return the rotation matrix (row by row, 9 numbers) of the unit quaternion wxyz at the end of a pose (7)."""
     w, x, y, z = q[3], q[4], q[5], q[6]
     return (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -29,11 +39,9 @@ def rotation(q: np.ndarray) -> tuple[float, ...]:
 
 
 @inner()
-def lift(
-    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray,
-    track: np.ndarray, row: int, dt: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Acceleration asked for, gravity included, leaning no more than allowed; updates the integral."""
+def lift(vehicle: Vehicle, track: np.ndarray, row: int, dt: float) -> tuple[float, float, float]:
+    """Return the acceleration to apply [m/s^2], gravity included, within the tilt limit; update the integral."""
+    qpos, qvel, memory, plane, gains, _ = vehicle
     out = np.empty(3)
     for k in range(3):
         gap = min(max(track[row, k] - qpos[k], -gains[REACH]), gains[REACH])
@@ -51,12 +59,10 @@ def lift(
 
 
 @inner()
-def demand(
-    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray,
-    track: np.ndarray, row: int, dt: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """Total thrust and torque about x, y, z that the geometric tracking controller asks for."""
-    fx, fy, fz = lift(qpos, qvel, memory, plane, gains, track, row, dt)
+def demand(vehicle: Vehicle, track: np.ndarray, row: int, dt: float) -> tuple[float, float, float, float]:
+    """Return total thrust [N] and torque about x, y, z [N m] of the geometric tracking controller."""
+    qpos, qvel, _, plane, gains, _ = vehicle
+    fx, fy, fz = lift(vehicle, track, row, dt)
     size = math.sqrt(fx * fx + fy * fy + fz * fz)
     b3x, b3y, b3z = fx / size, fy / size, fz / size
     cos, sin = math.cos(track[row, 12]), math.sin(track[row, 12])
@@ -99,7 +105,7 @@ def demand(
 
 @loop()
 def share(thrust: float, tx: float, ty: float, tz: float, mixer: np.ndarray, most: float, out: np.ndarray) -> None:
-    """Thrust of each rotor, within 0..most, for a wanted thrust and torque; yaw yields first."""
+    """Write the thrust of each rotor [N], within 0..most, for a thrust and torque; yaw is reduced first."""
     keep = 1.0
     for i in range(len(mixer)):
         out[i] = min(max(mixer[i, 0] * thrust + mixer[i, 1] * tx + mixer[i, 2] * ty, 0.0), most)
@@ -112,14 +118,15 @@ def share(thrust: float, tx: float, ty: float, tz: float, mixer: np.ndarray, mos
 
 
 @loop()
-def command(
-    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, gains: np.ndarray, mixer: np.ndarray,
-    track: np.ndarray, row: int, dt: float,
-) -> None:  # fmt: skip
-    """Sets the commanded rotor speeds in `memory` from the state and a row of the track."""
+def command(vehicle: Vehicle, track: np.ndarray, row: int, dt: float) -> None:
+    """Set the commanded rotor speeds in the vehicle's memory from its state and a row of the track.
+
+    A row of `track` (n, 14) is position, velocity, acceleration, jerk (12) [SI units], yaw [rad], yaw rate [rad/s].
+    """
+    _, _, memory, plane, gains, mixer = vehicle
     n = len(mixer)
     thrust = np.empty(n)
-    force, tx, ty, tz = demand(qpos, qvel, memory, plane, gains, track, row, dt)
+    force, tx, ty, tz = demand(vehicle, track, row, dt)
     share(force, tx, ty, tz, mixer, plane[C0] * plane[TOP] ** 2, thrust)
     for i in range(n):
         speed = math.sqrt(thrust[i] / plane[C0])
@@ -128,15 +135,38 @@ def command(
 
 
 @loop()
+def control(vehicle: Vehicle, track: np.ndarray, row: int, dt: float, log: np.ndarray) -> None:
+    """Write pose, velocity and actual rotor speeds to a row of `log` (n, 13 + r) after a `command`."""
+    command(vehicle, track, row, dt)
+    for k in range(7):
+        log[row, k] = vehicle.qpos[k]
+    for k in range(6):
+        log[row, 7 + k] = vehicle.qvel[k]
+    n = len(vehicle.mixer)
+    for k in range(n):
+        log[row, 13 + k] = vehicle.memory[3 + n + k]
+
+
+@loop()
 def wrench(
-    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, rotors: np.ndarray,
-    wind: np.ndarray, row: int, dt: float, out: np.ndarray,
+    qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray, rotors: np.ndarray, wind: np.ndarray,
+    dt: float, out: np.ndarray,
 ) -> None:  # fmt: skip
-    """Moves the rotors on by `dt` and writes the force (world) and torque (body) of mid-step in `out` (6)."""
+    """Move the rotors on by one physics step, and write force and torque on the body at mid-step.
+
+    Runs at every physics step; plain arrays reach compiled code faster than a named tuple does.
+
+    Args:
+        qpos, qvel, memory, plane: as in `Vehicle`; the actual rotor speeds are updated.
+        rotors: (r, 4) x, y, z [m] in the body, direction of spin.
+        wind: (3) [m/s] in the world.
+        dt: time of the step [s].
+        out: (6) gets force [N] in the world and torque [N m] about the body's axes.
+    """
     n = len(rotors)
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(qpos)
     p, q, r = qvel[3], qvel[4], qvel[5]
-    ax, ay, az = qvel[0] - wind[row, 0], qvel[1] - wind[row, 1], qvel[2] - wind[row, 2]
+    ax, ay, az = qvel[0] - wind[0], qvel[1] - wind[1], qvel[2] - wind[2]
     u = r00 * ax + r10 * ay + r20 * az
     v = r01 * ax + r11 * ay + r21 * az
     w = r02 * ax + r12 * ay + r22 * az
@@ -164,22 +194,3 @@ def wrench(
     out[1] = r10 * gx + r11 * gy + r12 * gz
     out[2] = r20 * gx + r21 * gy + r22 * gz
     out[3], out[4], out[5] = tx, ty, tz
-
-
-@loop()
-def advance(
-    step: int, every: int, qpos: np.ndarray, qvel: np.ndarray, memory: np.ndarray, plane: np.ndarray,
-    gains: np.ndarray, mixer: np.ndarray, rotors: np.ndarray, track: np.ndarray, wind: np.ndarray,
-    log: np.ndarray, dt: float, out: np.ndarray,
-) -> None:  # fmt: skip
-    """Control (each `every` steps) and wrench of one physics step; logs the state when it controls."""
-    row, n = step // every, len(rotors)
-    if step % every == 0:
-        command(qpos, qvel, memory, plane, gains, mixer, track, row, dt * every)
-        for k in range(7):
-            log[row, k] = qpos[k]
-        for k in range(6):
-            log[row, 7 + k] = qvel[k]
-        for k in range(n):
-            log[row, 13 + k] = memory[3 + n + k]
-    wrench(qpos, qvel, memory, plane, rotors, wind, row, dt, out)
