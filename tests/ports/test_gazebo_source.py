@@ -14,10 +14,9 @@ import ullage as ul
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.following import FollowSource, opened
-
+from ullage.ports.cosimulation import CosimulationSource, opened
 from ullage.ports.gazebo import wire
-from ullage.ports.gazebo.peer import Came, Gone, Peer, Received
+from ullage.ports.gazebo.peer import Peer, ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.scene import ask_scene, sdf_of
 from ullage.ports.gazebo.sink import GazeboSink
 from ullage.ports.gazebo.source import GazeboOptions, PoseFeed, source_of
@@ -191,7 +190,7 @@ def test_a_flood_of_a_real_publisher_loses_nothing_silently(server):
     def join():
         return PoseFeed(Peer(most_waiting=300), options, "", {}, frozenset(scene.models))
 
-    with FollowSource(join, scene, rig, options, log=reported.append) as live:
+    with CosimulationSource(join, scene, rig, options, log=reported.append) as live:
         pieces = live.stream()
         begun = until(pieces, lambda f: True).t_ns[-1]
         server.order("flood")
@@ -299,5 +298,5 @@ def test_a_peer_that_falls_silent_is_held_for_gone(partition):
             return False
 
         speaker.sendto(wire.datagram(wire.ADVERTISE, process, pub=offer), (wire.GROUP, wire.MESSAGE_PORT))
-        assert met(Came)
-        assert met(Gone)
+        assert met(TopicOffered)
+        assert met(ProcessLeft)
