@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -114,6 +116,15 @@ def test_frames_without_poses_say_so_when_poses_are_wanted() -> None:
     bare = ul.Frames(good.samples, good.range_m, good.t_ns, good.spec)
     with pytest.raises(ul.InputError, match="no poses"):
         bare.believed.position.sum()
+
+
+def test_only_amplitudes_of_the_ray_model_carry_its_settings() -> None:
+    waves = frames()
+    assert waves.ray_model is None
+    assert replace(waves, unit="normalised").ray_model is None
+    rays = replace(waves, unit="thesis", spec=waves.spec.but(thesis={"threshold": 0.05}))
+    assert rays.ray_model is not None
+    assert rays.ray_model.threshold == 0.05
 
 
 def test_what_flows_is_shown_on_one_short_line() -> None:

@@ -241,7 +241,7 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
     """Compile what a run of SOURCE cannot begin without if this is its first time; what goes on compiling."""
     from ullage.experiments.simulated import load_world
     from ullage.experiments.source_resolution import simulated_scenario
-    from ullage.experiments.warmup import ahead, begin, compiled, estimated_s, parts_of
+    from ullage.experiments.warmup import NEEDED, ahead, begin, compiled, estimated_s, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
     from ullage.view.progress import console, say
@@ -249,8 +249,8 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
     address, patient, work = Address.of(source), True, None
     if address and address.scheme.startswith("gazebo"):
         bounces = str(address.options.get("max_bounces", 1))
-        fidelity = "thesis" if address.options.get("fidelity") == "thesis" else "physical"
-        parts = (*radar_parts(fidelity, 1 if bounces == "1" else 3), "ullage")
+        fidelity = str(address.options.get("fidelity", "physical"))
+        parts = (*(part for part in radar_parts(fidelity, 1 if bounces == "1" else 3) if part in NEEDED), "ullage")
         patient = False  # a peer that goes on measuring is not kept waiting
     elif (scenario := simulated_scenario(source, tasks=tasks, options=options)) is not None:
         parts = parts_of(scenario)

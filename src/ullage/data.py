@@ -13,7 +13,7 @@ from ullage.arrays import Floats, Longs, Singles
 from ullage.display import Displayed, plots
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix, rotations, rpy_quat
-from ullage.specs import RadarSpec
+from ullage.specs import RadarSpec, ThesisSpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -310,6 +310,11 @@ class Frames(Displayed):
     def amplitude(self) -> Singles:
         """Magnitude of each bin (n, b)."""
         return np.abs(self.samples)
+
+    @property
+    def ray_model(self) -> ThesisSpec | None:
+        """Settings of the ray model whose amplitudes these are; None: waves, simulated or received by a real radar."""
+        return self.spec.thesis if self.unit == "thesis" else None
 
     @property
     def believed(self) -> Trajectory:

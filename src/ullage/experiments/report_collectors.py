@@ -110,7 +110,7 @@ class QuietestFrames:
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
         """Keep this chunk if it changes less than the quietest so far."""
         for name, part in chunk.items():
-            if len(part) < 16 or part.unit == "thesis":
+            if len(part) < 16 or part.ray_model:
                 continue
             change = float(np.mean(np.abs(np.diff(part.samples, axis=0)) ** 2))
             if name not in self._best or change < self._best[name][0]:

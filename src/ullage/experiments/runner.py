@@ -362,7 +362,7 @@ def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
     from ullage.view import figures
 
     plan = job.scenario.detect
-    threshold = plan.threshold or (frames[0].spec.thesis.threshold if frames[0].unit == "thesis" else None)
+    threshold = plan.threshold or (rays.threshold if (rays := frames[0].ray_model) else None)
     t_s = float(frames[0].t_ns[index]) * 1e-9
     return figures.snapshot_figure(
         path, frames, index, threshold=threshold, title=f"{job.title}: one profile at {t_s:.1f} s"

@@ -229,7 +229,7 @@ def _of_recording(
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
     if tasks is None:
-        phase = all(part.unit != "thesis" for part in first.values())
+        phase = all(part.ray_model is None for part in first.values())
         tasks = ("detect", "image", "map") if placed and phase else ("detect", "map") if placed else ("detect",)
     tree |= {"name": run_name(Path(target.rstrip("/").replace(":", "_")).stem), "do": tasks}
     tree["title"] = f"Recording {Path(target).name}"

@@ -22,7 +22,7 @@ _LN2 = float(np.log(2.0))
 
 def is_amplitude(frames: Frames) -> bool:
     """Whether the samples are amplitudes without phase, as the thesis' model gives them."""
-    return not np.iscomplexobj(frames.samples) and frames.unit == "thesis"
+    return not np.iscomplexobj(frames.samples) and frames.ray_model is not None
 
 
 def has_phase(frames: Frames) -> bool:

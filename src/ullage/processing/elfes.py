@@ -96,7 +96,7 @@ class ElfesMapper:
     def _insert(self, frames: Frames) -> None:
         reach, found = first_echo(frames, threshold=self._threshold)
         near = max(frames.spec.thesis.min_range_m, float(frames.range_m[0]))
-        last = min(float(frames.range_m[-1]), frames.spec.thesis.max_range_m if frames.unit == "thesis" else np.inf)
+        last = min(float(frames.range_m[-1]), frames.ray_model.max_range_m if frames.ray_model else np.inf)
         path = frames.believed
         ahead = quat_matrix(path.quat_xyzw)[:, :2, 0]
         positions, box = path.position[:, :2].tolist(), np.zeros(4, np.int64)

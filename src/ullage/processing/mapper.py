@@ -115,7 +115,7 @@ class UllageMapper:
         """
         parts = [as_baseband(part) for part in in_order(frames, self.grid)]
         self.grid = self.blocks.grid = plane_of(self.grid, parts)
-        if self._rays is not None or (self.grid.dims == 2 and all(part.unit == "thesis" for part in parts)):
+        if self._rays is not None or (self.grid.dims == 2 and all(part.ray_model for part in parts)):
             self._rays = self._rays or ElfesMapper(self.grid)
             self._rays.update(parts)
             return

@@ -106,7 +106,7 @@ def _count_looks(
     path = true_path(frames)
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
     beam = half_beam_rad(frames)
-    limit = np.where(smooth & (frames.unit != "thesis"), np.cos(SPECULAR_RAD), np.cos(OBLIQUE_RAD))
+    limit = np.where(smooth & (frames.ray_model is None), np.cos(SPECULAR_RAD), np.cos(OBLIQUE_RAD))
     round_ones, columns = np.asarray(~normals.any(axis=1)), np.ascontiguousarray(points.T)
     for i in spaced_looks(path):
         near = _in_beam(columns, path.position[i], ahead[i], float(frames.range_m[-1]), beam)
@@ -121,8 +121,8 @@ def _count_looks(
 
 def half_beam_rad(frames: Frames) -> float:
     """Half opening of a sensor's beam: of the thesis' fan of rays, else where its antenna has fallen by 3 dB."""
-    if frames.unit == "thesis":
-        return float(np.radians(frames.spec.thesis.fov_deg) / 2)
+    if frames.ray_model:
+        return float(np.radians(frames.ray_model.fov_deg) / 2)
     return boresight_pattern(frames.spec.antenna).half_power_rad
 
 

@@ -114,7 +114,7 @@ def _only(recording: Frames | Mapping[str, Frames]) -> Frames:
             names = ", ".join(recording)
             raise InputError(f"{len(recording)} radars", where="Receiver.fit", allowed=f"frames of one of {names}")
         recording = next(iter(recording.values()))
-    if not np.iscomplexobj(recording.samples) and (recording.spec.output != "rf" or recording.unit == "thesis"):
+    if not np.iscomplexobj(recording.samples) and (recording.spec.output != "rf" or recording.ray_model):
         raise InputError("amplitudes without phase", where=recording.sensor, allowed="complex baseband or RF samples")
     _refuse_saturated(recording)
     if recording.unit == "path_gain":

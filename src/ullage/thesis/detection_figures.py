@@ -66,7 +66,7 @@ def draw_target(path: Path, passes: Sequence[Pass], *, title: str) -> None:
 
 
 def _unit(frames: Frames) -> str:
-    return "amplitude, eq. 4.2" if frames.unit == "thesis" else "amplitude, root of path gain"
+    return "amplitude, eq. 4.2" if frames.ray_model else "amplitude, root of path gain"
 
 
 def _profile(axes: Axes, one: Pass, row: Floats, target_m: float | None) -> None:

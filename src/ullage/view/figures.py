@@ -223,19 +223,21 @@ UNIT_LABEL = {
     "normalised": "amplitude, sensor's own units [dB]",
     "thesis": "amplitude, eq. 4.2",
 }
+LINEAR_UNITS = ("thesis",)
+"""Units drawn on a linear scale; all others are drawn in decibels."""
 
 
 def _levels(amplitude: ArrayLike, unit: str) -> Floats:
-    """Amplitudes as they are drawn: in dB, those of the thesis as they are."""
+    """Return amplitudes as they are drawn: in dB, or as they are."""
     value = np.asarray(amplitude, float)
-    return value if unit == "thesis" else np.asarray(20 * np.log10(np.maximum(value, 1e-12)))
+    return value if unit in LINEAR_UNITS else np.asarray(20 * np.log10(np.maximum(value, 1e-12)))
 
 
 def level_limits(amplitudes: Sequence[ArrayLike], unit: str) -> tuple[float, float]:
     """Lowest and highest level of the colours of range-time pictures, at most 70 dB apart."""
     values = [_levels(one, unit) for one in amplitudes]
     top = max(float(np.quantile(v, 0.999)) for v in values)
-    low = 0.0 if unit == "thesis" else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
+    low = 0.0 if unit in LINEAR_UNITS else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
     return low, top
 
 
@@ -286,7 +288,7 @@ def snapshot_figure(path: Path, frames: Sequence[Frames], index: int, *, thresho
         for part in frames:
             draw_profile(axes, part, min(index, len(part) - 1))
         if threshold is not None:
-            level = threshold if frames[0].unit == "thesis" else 20 * np.log10(threshold)
+            level = float(_levels(threshold, frames[0].unit))
             axes.axhline(level, color="0.4", linestyle="--", linewidth=0.8, label=f"threshold {threshold:g}")
         axes.set(ylabel=UNIT_LABEL[frames[0].unit], title=title)
         axes.legend(fontsize=7)

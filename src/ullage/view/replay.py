@@ -208,7 +208,7 @@ def _radar(number: int, part: Frames, start_ns: int) -> dict[str, Any]:
     from ullage.processing.detect import detect
     from ullage.processing.own_echo import without_own_echo
 
-    clean = part if part.unit == "thesis" else without_own_echo(part)[0]
+    clean = part if part.ray_model else without_own_echo(part)[0]
     level = 20 * np.log10(np.maximum(clean.amplitude, 1e-12))
     top = 5 * float(np.ceil(level.max() / 5))
     share = np.clip((level - top + SPAN_DB) / SPAN_DB, 0, 1)
