@@ -103,22 +103,22 @@ BASELINE = Section("baseline", "baseline", lambda work, _: baseline.run(work), (
 
 # --- detection: four targets, flown past and alone
 
-Looks = dict[str, dict[str, Flown]]
+TargetFlights = dict[str, dict[str, Flown]]
 
 
-def four_targets(fleet: Fleet) -> Looks:
+def four_targets(fleet: Fleet) -> TargetFlights:
     laws = {"thesis law": "", "physical law": "-physical"}
     return {world: {law: fleet(world + tail) for law, tail in laws.items()} for world in TARGETS}
 
 
-def state_targets(work: Workspace, looks: Looks) -> None:
-    detection.ranges(work, looks)
-    detection.places(work, looks)
-    detection.levels(work, looks)
+def state_targets(work: Workspace, flights: TargetFlights) -> None:
+    detection.ranges(work, flights)
+    detection.places(work, flights)
+    detection.levels(work, flights)
 
 
-def all_longer(looks: Looks) -> Looks:
-    return {world: {law: changed(one, longer(0.25)) for law, one in laws.items()} for world, laws in looks.items()}
+def all_longer(flights: TargetFlights) -> TargetFlights:
+    return {world: {law: changed(one, longer(0.25)) for law, one in laws.items()} for world, laws in flights.items()}
 
 
 def changed(flown: Flown, change: Callable[[Any], Any]) -> Flown:
@@ -167,7 +167,7 @@ DETECTION = (
             "wire: back-projection",
         ), change=all_longer),
         Mutant("the plate at 45 deg is not turned", ("the facing plate over the turned one in",),
-               change=lambda looks: looks | {"ntnu-plate45": looks["ntnu-plate"]}),
+               change=lambda flights: flights | {"ntnu-plate45": flights["ntnu-plate"]}),
     ), four_targets),
     Section("targets alone", "detection", lambda work, _: detection_laws.brightness(work), (
         Mutant("the plate at 45 deg is not turned", (

@@ -24,7 +24,7 @@ from ullage.fan import ray_fan, reaching_max_range
 from ullage.processing.detect import detect
 from ullage.processing.metrics import map_quality
 from ullage.processing.occupancy import map_occupancy
-from ullage.thesis.maps import looks_of
+from ullage.thesis.maps import sampled_frames
 from ullage.thesis.workspace import Flown, Workspace
 
 Patch = pytest.MonkeyPatch
@@ -82,7 +82,7 @@ def again(flown: Flown, change: Change = lambda part: part, *, method: Any = Non
     assert flown.omap is not None
     frames = {name: change(part) for name, part in flown.frames.items()}
     omap = map_occupancy(frames, flown.omap.grid, method=method or flown.simulated.scenario.map.method)
-    metrics = map_quality(omap, flown.scene, looks_of(flown))
+    metrics = map_quality(omap, flown.scene, sampled_frames(flown))
     hits = sum(len(detect(part).frame) for part in frames.values())
     return replace(flown, frames=frames, omap=omap, metrics=metrics | {"detections": Metric("detections", hits)})
 

@@ -19,7 +19,7 @@ from ullage.world.section import section, wire_section
 
 FIGURES = {"ntnu-plate": "6.3", "ntnu-plate45": "6.4", "ntnu-pole": "6.5", "ntnu-wire": "6.6"}
 SAR = {"ntnu-plate": "6.7", "ntnu-plate45": "6.7", "ntnu-pole": "6.8", "ntnu-wire": "6.8"}
-WAYS = {
+CASES = {
     "thesis law": "",
     "physical law": "-physical",
     "thesis law, by hand": "-by-hand",
@@ -31,21 +31,21 @@ NEAR_M = 0.6
 
 
 def run(work: Workspace) -> None:
-    """Every target, four ways; figures 6.3 to 6.8 and what the thesis says of them."""
-    looks = {world: target(work, world) for world in TARGETS}
+    """Every target, four cases; figures 6.3 to 6.8 and what the thesis says of them."""
+    flights = {world: target(work, world) for world in TARGETS}
     work.log("drawing")
-    for world, ways in looks.items():
-        show_profiles(work, world, ways)
-        show_images(work, world, ways)
-    ranges(work, looks)
+    for world, cases in flights.items():
+        show_profiles(work, world, cases)
+        show_images(work, world, cases)
+    ranges(work, flights)
     work.log("one target at a time, without noise")
-    plate, wire = looks["ntnu-plate"]["thesis law"], looks["ntnu-wire"]["thesis law"]
+    plate, wire = flights["ntnu-plate"]["thesis law"], flights["ntnu-wire"]["thesis law"]
     brightness(work)
     clutter(work, wire.scene, wire.only.believed, place(wire))
     tail(work, plate.scene, plate.only.believed)
-    places(work, looks)
-    levels(work, looks)
-    shapes(work, looks)
+    places(work, flights)
+    levels(work, flights)
+    shapes(work, flights)
     work.results.not_compared += [
         "Figures 6.3 to 6.8 a and b, the real radar: the recordings behind them are not at hand, so "
         "amplitudes, local maxima and images of the real targets cannot be set beside ours.",
@@ -55,15 +55,17 @@ def run(work: Workspace) -> None:
 
 
 def target(work: Workspace, world: str) -> dict[str, Flown]:
-    """One target, every way; in small only the plate is flown by hand."""
-    ways = {way: tail for way, tail in WAYS.items() if world == "ntnu-plate" or not work.quick or "hand" not in way}
-    return {way: work.fly(world + tail) for way, tail in ways.items()}
+    """One target, every case; in small only the plate is flown by hand."""
+    cases = {
+        case: tail for case, tail in CASES.items() if world == "ntnu-plate" or not work.quick or "hand" not in case
+    }
+    return {case: work.fly(world + tail) for case, tail in cases.items()}
 
 
-def show_profiles(work: Workspace, world: str, ways: dict[str, Flown]) -> None:
-    """Figures 6.3 to 6.6: a row for each way."""
+def show_profiles(work: Workspace, world: str, cases: dict[str, Flown]) -> None:
+    """Figures 6.3 to 6.6: a row for each case."""
     path = work.folder / f"{world}.png"
-    passes = [Pass(way, flown.only, middle(flown), true_range(flown)) for way, flown in ways.items()]
+    passes = [Pass(case, flown.only, middle(flown), true_range(flown)) for case, flown in cases.items()]
     title = TARGETS[world][1]
     draw_target(path, passes, title=title)
     work.results.add_figure(
@@ -73,13 +75,13 @@ def show_profiles(work: Workspace, world: str, ways: dict[str, Flown]) -> None:
     )  # fmt: skip
 
 
-def show_images(work: Workspace, world: str, ways: dict[str, Flown]) -> None:
-    """Figures 6.7 and 6.8: an image for each way and method."""
+def show_images(work: Workspace, world: str, cases: dict[str, Flown]) -> None:
+    """Figures 6.7 and 6.8: an image for each case and method."""
     path = work.folder / f"{world}_sar.png"
-    images = {f"summation, {way}": image_of(flown, "summation") for way, flown in ways.items()}
-    waves = {way: flown for way, flown in ways.items() if "physical" in way}
-    images |= {f"back-projection, {way}": image_of(flown, "backprojection") for way, flown in waves.items()}
-    first = ways["thesis law"]
+    images = {f"summation, {case}": image_of(flown, "summation") for case, flown in cases.items()}
+    waves = {case: flown for case, flown in cases.items() if "physical" in case}
+    images |= {f"back-projection, {case}": image_of(flown, "backprojection") for case, flown in waves.items()}
+    first = cases["thesis law"]
     draw_images(path, images, target_m=place(first)[:2], walls=first.scene, title=TARGETS[world][1])
     work.results.add_figure(
         path, f"figure {SAR[world]}",
@@ -121,19 +123,19 @@ def peak_range(frames: Frames, number: int, near_m: float) -> float:
     return float(frames.range_m[k] + (0.5 * (a - c) / bend if bend < 0 else 0.0) * frames.spec.bin_m)
 
 
-def ranges(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
+def ranges(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
     """Amplitude maxima at the true ranges."""
     for world in ("ntnu-plate", "ntnu-pole", "ntnu-wire"):
-        for way in ("thesis law", "physical law"):
-            if way == "thesis law" and world != "ntnu-plate":
+        for case in ("thesis law", "physical law"):
+            if case == "thesis law" and world != "ntnu-plate":
                 continue  # its rays pass the pole and the wire by
-            flown = looks[world][way]
+            flown = flights[world][case]
             wanted = float(true_range(flown)[middle(flown)])
             work.results.add_statement(
-                f"{TARGETS[world][1]}, {way}: the maximum lies at the true range", "7.1",
+                f"{TARGETS[world][1]}, {case}: the maximum lies at the true range", "7.1",
                 peak_range(flown.only, middle(flown), wanted) - wanted, "m", low=-0.1, high=0.1,
             )  # fmt: skip
-    flown = looks["ntnu-plate"]["physical law"]
+    flown = flights["ntnu-plate"]["physical law"]
     first = len(flown.only) // 12  # where the plate does not hide the wall
     wall = float(flown.scene.bounds[1, 0]) - float(flown.only.believed.position[first, 0])
     found = peak_range(flown.only, first, wall)
@@ -142,21 +144,21 @@ def ranges(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     )
 
 
-def places(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
+def places(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
     """Position from the hyperbola's apex, and from the focused image's peak, against the truth."""
     rows = []
-    for world, ways in looks.items():
-        truth = place(ways["thesis law"])[:2]
+    for world, cases in flights.items():
+        truth = place(cases["thesis law"])[:2]
         around = np.array([[*(truth - 0.8), 0], [*(truth + 0.8), 0]])
-        for way, flown in ways.items():
+        for case, flown in cases.items():
             misses = [from_steel(flown, apex(image_of(flown, "summation", around=around), look_deg=0))]
-            if "physical" in way:
+            if "physical" in case:
                 misses.append(from_steel(flown, image_of(flown, "backprojection", around=around).peak_m))
-            rows.append((TARGETS[world][1], way, *(f"{miss:.2f}" for miss in misses), *[""] * (2 - len(misses))))
-            if way == "physical law":
+            rows.append((TARGETS[world][1], case, *(f"{miss:.2f}" for miss in misses), *[""] * (2 - len(misses))))
+            if case == "physical law":
                 title = f"{TARGETS[world][1]}: back-projection finds it"
                 work.results.add_statement(title, "6.1", misses[1], "m", high=0.15)
-            if way == "thesis law" and world == "ntnu-plate":
+            if case == "thesis law" and world == "ntnu-plate":
                 work.results.add_statement(
                     "facing plate, ray law: the apex of the hyperbola finds it", "6.1", misses[0], "m", high=0.15
                 )
@@ -166,14 +168,14 @@ def places(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     )  # fmt: skip
 
 
-def levels(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
+def levels(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
     """How bright each target is in its summation image, over the brightest cell, and what the thesis says of it."""
     found = {
-        (world, way): level_db(image_of(flown, "summation"), place(flown))
-        for world, ways in looks.items()
-        for way, flown in ways.items()
+        (world, case): level_db(image_of(flown, "summation"), place(flown))
+        for world, cases in flights.items()
+        for case, flown in cases.items()
     }
-    rows = [(TARGETS[world][1], way, f"{value:.1f}") for (world, way), value in found.items()]
+    rows = [(TARGETS[world][1], case, f"{value:.1f}") for (world, case), value in found.items()]
     head = ("target", "flight", "over the brightest cell [dB]")
     note = "Brightest cell within 0.3 m of the target, over the brightest of the image."
     work.results.add_table("Brightness of each target in its summation image", head, rows, note=note)
@@ -187,9 +189,11 @@ def levels(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
     )
 
 
-def shapes(work: Workspace, looks: dict[str, dict[str, Flown]]) -> None:
+def shapes(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
     """Local maxima of the snapshots, which the thesis counts by eye."""
-    counts = {way: np.mean([_tops(ways[way]) for ways in looks.values()]) for way in ("thesis law", "physical law")}
+    counts = {
+        case: np.mean([_tops(cases[case]) for cases in flights.values()]) for case in ("thesis law", "physical law")
+    }
     work.results.add_difference(
         "7.1", "the real amplitudes have more local maxima than the simulated ones",
         f"{counts['thesis law']:.0f} by rays, {counts['physical law']:.0f} by waves, mean of the four snapshots, over "

@@ -30,7 +30,7 @@ LEAST_M, MOST_M = 0.45, 9.0
 class Pass:
     """One strafe past the target."""
 
-    way: str  # what stands beside its row
+    label: str  # beside its row
     frames: Frames
     snapshot: int  # the frame nearest to the target
     target_m: Floats  # (n) true distance to the target [m]
@@ -54,7 +54,7 @@ def draw_target(path: Path, passes: Sequence[Pass], *, title: str) -> None:
         _profile(axes[0], one, one.frames.amplitude[one.snapshot].astype(float), one.target_m[one.snapshot])
         _profile(axes[1], one, one.frames.amplitude.astype(float).sum(0), None)
         _over_time(axes[2], one, figure)
-        axes[0].set_ylabel(f"{one.way}\n{_unit(one.frames)}", fontsize=8)
+        axes[0].set_ylabel(f"{one.label}\n{_unit(one.frames)}", fontsize=8)
     for axes, name in zip(rows[0], ("snapshot in passing", "sum of all amplitudes", "range over time"), strict=True):
         axes.set_title(name, fontsize=9)
     for axes in rows[-1][:2]:

@@ -40,7 +40,7 @@ HEAD = (
 )
 
 
-def looks_of(flown: Flown, *, most: int = 400) -> dict[str, Frames]:
+def sampled_frames(flown: Flown, *, most: int = 400) -> dict[str, Frames]:
     """Some frames of each radar: enough to know what was seen from where."""
     return {name: part[:: max(1, len(part) // most)] for name, part in flown.frames.items()}
 
@@ -50,7 +50,7 @@ def map_at(flown: Flown, step_m: float, method: Any) -> tuple[OccupancyMap, dict
     box = np.stack([np.minimum(flown.scene.bounds[0], flown.track.position.min(0)),
                     np.maximum(flown.scene.bounds[1], flown.track.position.max(0))])  # fmt: skip
     omap = map_occupancy(flown.frames, Grid.covering(box, step_m, margin_m=1.0), method=method)
-    return omap, map_quality(omap, flown.scene, looks_of(flown))
+    return omap, map_quality(omap, flown.scene, sampled_frames(flown))
 
 
 def row_of(name: str, omap: OccupancyMap, scores: dict[str, Metric]) -> tuple[str, ...]:
@@ -66,7 +66,7 @@ def false_cells(
     """Occupied cells farther than MATCH_M from everything true; only those near given points, if given."""
     from scipy.spatial import cKDTree
 
-    surface = surface_of(flown.scene, omap.grid, looks_of(flown, most=50))
+    surface = surface_of(flown.scene, omap.grid, sampled_frames(flown, most=50))
     occupied = cell_centres(omap.grid.at_height(flown.height_m), np.flatnonzero(omap.occupied))[:, :2]
     if not len(occupied):
         return 0

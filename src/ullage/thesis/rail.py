@@ -18,7 +18,7 @@ from ullage.processing.calibrate import calibrate
 from ullage.processing.metrics_image import image_quality
 from ullage.processing.sar import focus
 from ullage.radar.simulate import simulate
-from ullage.thesis.rail_figure import Look, draw_rail
+from ullage.thesis.rail_figure import Rail, draw_rail
 from ullage.thesis.workspace import Workspace
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -115,11 +115,11 @@ def compare(work: Workspace, real: Frames, twin: Frames, place: Floats) -> None:
     clutter = [_clutter(frames, peak) for frames, peak in ((real, peaks[0]), (twin, peaks[1]))]
     _state(work, found, bias, alike, peaks, gain, widths, clutter)
     path = work.folder / "rail.png"
-    looks = [
-        Look("recorded", real, images[0], mean, peaks[0], 1.0),
-        Look("simulated", twin, images[1], ours / gain, peaks[1], gain),
+    rails = [
+        Rail("recorded", real, images[0], mean, peaks[0], 1.0),
+        Rail("simulated", twin, images[1], ours / gain, peaks[1], gain),
     ]
-    draw_rail(path, looks, place=place, reach_m=reach, bias_m=bias)
+    draw_rail(path, rails, place=place, reach_m=reach, bias_m=bias)
     words = (
         "Rail with a PulsON 440 (3.1 to 4.8 GHz) and a corner reflector: the recording, and the same rail, radar and "
     )
