@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel
 
 import ullage as ul
+from code_map import BOXES
 from reference_pages import references_page, scenario_page
 from ullage.config import Scenario
 from ullage.specs import RadarSpec
@@ -63,6 +64,17 @@ def test_written_pages_are_what_the_code_writes() -> None:
     bibtex = (DOCS / "references.bib").read_text(encoding="utf-8")
     assert (DOCS / "references.md").read_text(encoding="utf-8") == references_page(bibtex), told
     assert references_page(bibtex).count("\n- **[") == len(re.findall(r"^@\w+\{", bibtex, re.M))
+
+
+def test_the_code_map_names_packages_and_files_that_exist() -> None:
+    page, recipes = (DOCS / "architecture.md").read_text(encoding="utf-8"), (ROOT / "CONTRIBUTING.md").read_text()
+    named = set(re.findall(r"`((?:src|tests|tools|benchmarks|examples|ullage)/[\w/.-]+)`", page + recipes))
+    below = [f"src/{name}" if name.startswith("ullage/") else name for name in named]
+    drawn = [f"src/ullage/{file}" for box in BOXES for file in box.files]
+    assert len(named) > 20
+    assert [name for name in below + drawn if not (ROOT / name).exists()] == []
+    packages = {path.parent.name for path in (ROOT / "src" / "ullage").glob("*/__init__.py")}
+    assert {name for name in packages if f"| `ullage.{name}` |" not in page} <= {"devices"}
 
 
 def test_every_page_is_in_the_navigation() -> None:
