@@ -77,6 +77,13 @@ def test_the_code_map_names_packages_and_files_that_exist() -> None:
     assert {name for name in packages if f"| `ullage.{name}` |" not in page} <= {"devices"}
 
 
+def test_the_page_of_physics_names_modules_that_exist() -> None:
+    table = (DOCS / "physics.md").read_text(encoding="utf-8").split("module in `ullage.radar`")[1].split("\n\n")[0]
+    named = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[-2])]
+    assert len(named) > 10
+    assert [name for name in named if not (ROOT / "src" / "ullage" / "radar" / f"{name}.py").exists()] == []
+
+
 def test_every_page_is_in_the_navigation() -> None:
     listed = re.findall(r"[\w/-]+\.md", yaml.safe_dump(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
     written = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
