@@ -3,7 +3,7 @@ import pytest
 from ideal_points import frames_of_points
 
 import ullage as ul
-from ullage.processing.autofocus import _Echoes, autofocus
+from ullage.processing.autofocus import PointEchoes, autofocus
 
 SPEC = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
 TRUE = ul.Trajectory.line((0, -0.7, 0), (0, 0.7, 0), 0.17, 17)
@@ -54,7 +54,7 @@ def test_noise_alone_moves_nothing_far():
 
 def test_the_gradient_is_that_of_the_entropy():
     frames = frames_of_points(POINTS, TRUE, spec=SPEC, believed=moved(white(0.003)))
-    echoes = _Echoes.of(frames, np.array(POINTS)[:, None, :].repeat(3, 1).reshape(-1, 3) + white(0.03)[:12])
+    echoes = PointEchoes.of(frames, np.array(POINTS)[:, None, :].repeat(3, 1).reshape(-1, 3) + white(0.03)[:12])
     step = white(0.002, seed=5)
     value, slope = echoes.entropy(step)
     for n, k in ((3, 0), (40, 1), (100, 0)):

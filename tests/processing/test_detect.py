@@ -4,7 +4,7 @@ from ideal_points import frames_of_points
 
 import ullage as ul
 from ullage.processing.baseband import noise_correlation, noise_sigma
-from ullage.processing.cfar import _window_mean, cell_average_factor, cfar_threshold
+from ullage.processing.cfar import cell_average_factor, cfar_threshold
 from ullage.processing.detect import roc
 from ullage.processing.echoes import peaks
 
@@ -98,9 +98,12 @@ def test_noise_correlation_is_the_measured_one():
     assert np.abs(noise_correlation(SPEC)[1:4]) == pytest.approx([0.635, 0.155, 0.02], abs=0.03)
 
 
-def test_window_mean_against_its_twin():
-    power = np.random.default_rng(0).exponential(size=(2, 30))
-    out = _window_mean(power, 2, 4)
+def test_the_threshold_is_the_mean_of_the_training_cells_against_its_twin():
+    power, spec = np.random.default_rng(0).exponential(size=(2, 30)), SPEC.but(bins=30)
+    path = ul.Trajectory.stationary(n=2)
+    noise = ul.Frames(np.sqrt(power).astype(np.complex64), spec.range_m, path.t_ns, spec, poses=path)
+    threshold = cfar_threshold(noise, pfa=1e-3, guard=2, train=4, correlation=[1.0])
+    out = threshold**2 / cell_average_factor(1e-3, 4, np.ones(1), 2)
     for b in range(30):
         left = list(range(b - 3, -1, -1))
         right = list(range(b + 3, 30))
@@ -108,7 +111,7 @@ def test_window_mean_against_its_twin():
         want_right = max(min(4, len(right)), 8 - min(4, len(left)))
         cells = left[:want_left] + right[:want_right]
         assert len(cells) == 8
-        assert out[:, b] == pytest.approx(power[:, cells].mean(1))
+        assert out[:, b] == pytest.approx(power[:, cells].mean(1), rel=1e-5)
 
 
 @pytest.mark.parametrize("method", ["cfar", "os-cfar", "clean"])

@@ -8,7 +8,7 @@ from test_mapper import GRID, PLAN, loop, moved, score
 
 import ullage as ul
 from ullage.data import Trajectory
-from ullage.processing.drift import _is_edge, correct_drift
+from ullage.processing.drift import correct_drift, is_edge
 from ullage.processing.drift_walls import FlatEchoes
 
 
@@ -161,8 +161,8 @@ def test_a_corner_is_no_wall():
     position = np.column_stack([along, np.zeros_like(along)])
     edge = FlatEchoes(along * 2, position, unit(np.array([0.3, 3.0]) - position), away((0.3, 3.0), position), along > 9)
     wall = FlatEchoes(along * 2, position, np.tile([0.0, 1.0], (len(along), 1)), 3 + 0.03 * along**2, along > 9)
-    assert _is_edge(edge)
-    assert not _is_edge(wall)
+    assert is_edge(edge)
+    assert not is_edge(wall)
 
 
 def unit(v):

@@ -68,7 +68,7 @@ def autofocus(
 
 def entropy_at(frames: Frames, points: Floats) -> float:
     """Entropy [nats] of the image at points (m, 3)."""
-    return _Echoes.of(frames, points).entropy(np.zeros((len(frames), 3)))[0]
+    return PointEchoes.of(frames, points).entropy(np.zeros((len(frames), 3)))[0]
 
 
 def _bright_patches(frames: Frames, grid: Grid, most: int) -> list[Floats]:
@@ -90,7 +90,7 @@ def _bright_patches(frames: Frames, grid: Grid, most: int) -> list[Floats]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Echoes:
+class PointEchoes:
     """What each frame adds to each point, and how that turns as the frame is moved."""
 
     parts: NDArray[np.complex64]  # (m, n) weighted
@@ -98,7 +98,8 @@ class _Echoes:
     turn: float  # phase per metre, 4 pi / wavelength
 
     @classmethod
-    def of(cls, frames: Frames, points: Floats) -> _Echoes:
+    def of(cls, frames: Frames, points: Floats) -> PointEchoes:
+        """The echoes of all frames (n) at some points (m, 3) [m]."""
         bin_m = float(np.diff(frames.range_m).mean())
         factor = oversampling(frames.spec, bin_m)
         fine = oversampled(to_baseband(frames), factor)
@@ -150,9 +151,9 @@ def _solve(frames: Frames, points: Floats, basis: Floats, rounds: int) -> Floats
     guess = np.zeros((basis.shape[1], 3))
     for _ in range(rounds):
         start = basis @ guess
-        echoes = _Echoes.of(_moved(frames, start), points)
+        echoes = PointEchoes.of(_moved(frames, start), points)
 
-        def cost(flat: Floats, echoes: _Echoes = echoes, start: Floats = start) -> tuple[float, Floats]:
+        def cost(flat: Floats, echoes: PointEchoes = echoes, start: Floats = start) -> tuple[float, Floats]:
             c = flat.reshape(-1, 3)
             value, slope = echoes.entropy(basis @ c - start)
             scale = len(frames) / 2

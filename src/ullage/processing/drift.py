@@ -145,7 +145,7 @@ def _flat_echoes(parts: list[Frames], looks: dict[str, list[Look]]) -> FlatEchoe
     for track in np.unique(heard.track):
         mine = heard.track == track
         run = heard.only(mine)
-        flat[mine] = _is_flat(run.t_s, run.way) and not _is_edge(run)
+        flat[mine] = _is_flat(run.t_s, run.way) and not is_edge(run)
     return heard.only(flat)
 
 
@@ -193,7 +193,7 @@ def _is_flat(t_s: Floats, way: Floats) -> bool:
     return bool(turn <= FLAT_RAD and angle.std() <= SCATTER_RAD)
 
 
-def _is_edge(run: FlatEchoes) -> bool:
+def is_edge(run: FlatEchoes) -> bool:
     """Whether, over a metre here and there, the ranges fit an upright edge or a corner much better than a wall."""
     middles = range(min(len(run.t_s), EDGE_EVERY) // 2, len(run.t_s), EDGE_EVERY)
     edges = 0

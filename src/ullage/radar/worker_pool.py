@@ -34,13 +34,19 @@ class WorkerPool(Generic[T]):
 
     Args:
         compute: does one piece; what it gives goes through a pipe.
+        workers: how many pieces are computed at once; None: as many as there are cores.
     """
 
-    def __init__(self, compute: Callable[..., T]) -> None:
-        self._compute = compute
-        self._pool = ThreadPoolExecutor(max_workers=cores())
+    def __init__(self, compute: Callable[..., T], *, workers: int | None = None) -> None:
+        self._compute, self._workers = compute, workers or cores()
+        self._pool = ThreadPoolExecutor(max_workers=self._workers)
         self._idle: queue.SimpleQueue[_Copy] = queue.SimpleQueue()
         self._copies: list[_Copy] = []
+
+    @property
+    def pids(self) -> list[int]:
+        """Numbers of the processes that are copies of this one."""
+        return [copy.pid for copy in self._copies]
 
     def submit(self, *words: Any) -> Future[T]:
         """Start one piece."""
@@ -48,9 +54,9 @@ class WorkerPool(Generic[T]):
 
     def fork(self) -> None:
         """Make the copies. Nothing may be under way: what another thread locks stays locked in a copy for ever."""
-        if cores() < 2 or sys.platform != "linux" or multiprocessing.current_process().daemon:
+        if self._workers < 2 or sys.platform != "linux" or multiprocessing.current_process().daemon:
             return
-        self._copies = [_Copy(self._compute) for _ in range(cores())]
+        self._copies = [_Copy(self._compute) for _ in range(self._workers)]
         for copy in self._copies:
             self._idle.put(copy)
 
@@ -81,6 +87,7 @@ class _Copy:
         self._line, far = context.Pipe()
         self._process = context.Process(target=_serve, args=(far, compute, os.getpid()), daemon=True)
         self._process.start()
+        self.pid = self._process.pid or 0
         far.close()
 
     def ask(self, *words: Any) -> Any:
