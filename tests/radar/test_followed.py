@@ -164,7 +164,8 @@ def test_beams_are_as_strong_as_their_gains_reflections_and_length(monkeypatch):
 def test_zones_are_asked_in_cells_of_like_weight():
     """Each cell of a ray holds as much of the fading weight: phases are where (1 - phase / last)^2 falls evenly."""
     lit_at, axes = np.array([[1.0, 2, 3]]), np.array([[[0.1, 0, 0], [0, 0.2, 0]]])
-    ends, turn = np.full((1, 8), 5.0), zones._turn(8)
+    ends, angles = np.full((1, 8), 5.0), 2 * np.pi * (np.arange(8) + 0.5) / 8
+    turn = np.stack([np.cos(angles), np.sin(angles)], 1)
     asked, out = np.empty((1, 4, 3)), np.empty((12, 3))
     zones.kernel.places(lit_at, axes, ends, turn, 7.0, asked, out)
     left = (1 - asked / 7.0) ** 2

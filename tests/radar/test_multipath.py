@@ -56,15 +56,10 @@ def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):
     room = ul.scenes.room((6, 4, 3), material="steel")
     path = ul.Trajectory.line((0.2, -0.04, 0.1), (0.2, 0.04, 0.1), 0.5, 1250)
     planar = prepare(room).still.planar
-    sets = set()
-    chosen = multipath._chosen
-
-    def noted(*words):
-        out = chosen(*words)
-        sets.add(tuple(out.targets))
-        return out
-
-    monkeypatch.setattr(multipath, "_chosen", noted)
+    context, sets = radar_context(room, radar), set()
+    for place in path.position[::25]:
+        sizes = multipath.looks(context, planar, antenna_pair(radar, place, np.eye(3)))
+        sets.add(tuple(multipath.most_looked(sizes)[0]))
     both = [ul.simulate(room, path, radar, max_bounces=order).samples for order in (1, 2)]
     samples = both[1] - both[0]
     step = abs(np.diff(samples, axis=0)).max(1)
@@ -92,8 +87,8 @@ def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     planar = prepare(scene).still.planar
     radar = ul.RadarSpec.preset("x4m05", noise=None)
     antennas = antenna_pair(radar, np.array([0.3, 0.2, height]), np.eye(3))
-    look = multipath.looks(radar_context(scene, radar), planar, antennas)
-    beams = multipath.trace(planar, antennas, 3, 9.0, multipath._chosen(planar, look, 9.0, radar.wavelength_m))
+    context = radar_context(scene, radar)
+    beams = multipath.beams_of(context, planar, antennas, 3, multipath.looks(context, planar, antennas))
     sides = np.flatnonzero(planar.object_ids == 0)
     assert len(sides) == 2
     assert np.isin(beams.chains, sides).any()

@@ -7,7 +7,6 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import over, radar
-from ullage.radar import round_pairs
 from ullage.radar.prepared import prepare
 from ullage.radar.round_pairs import Bodies, paths_over
 from ullage.world import scenes
@@ -153,8 +152,7 @@ def test_sending_and_receiving_may_be_exchanged(kinds):
     assert together == pytest.approx(hardly, rel=1e-4)
 
 
-def test_a_fence_between_them_hides_one_from_the_other(monkeypatch):
-    monkeypatch.setattr(round_pairs, "FAINT", 0.0)
+def test_a_fence_between_them_hides_one_from_the_other():
     pose, spec, open_ = ul.Trajectory.stationary(), radar(), two("drum", "drum")
     fence = Scene.of_mesh(np.array([[2.1, 0, -1.0], [2.6, 0, -1], [2.6, 0, 1], [2.1, 0, 1]]),
                           np.array([[0, 1, 2], [0, 2, 3]]), name="fence", made_of="pec")  # fmt: skip

@@ -68,6 +68,12 @@ def test_in_the_open_nothing_changes(monkeypatch):
     assert ours == pytest.approx(echoes(room, path, RADAR, max_bounces=3), abs=1e-12)
 
 
+def directions(rays):
+    """Unit vectors (rays, 2) evenly around."""
+    angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays
+    return np.stack([np.cos(angles), np.sin(angles)], 1)
+
+
 def drawn(corners, turn, last):
     """Phases (rays) at which rays from the origin leave a polygon (n, 3)."""
     edges = np.ascontiguousarray(np.stack([corners, np.roll(corners, -1, 0)], 1))
@@ -90,7 +96,7 @@ def test_the_outline_lies_where_its_edges_are():
 
 def test_a_zone_all_free_adds_up_to_the_closed_form():
     """Over the whole plane the fading weight integrates to its end less its start, the same along each ray."""
-    ends, out = drawn(100 * SQUARE, zones._turn(zones.RAYS), zones.LAST), np.empty(1, complex)
+    ends, out = drawn(100 * SQUARE, directions(zones.RAYS), zones.LAST), np.empty(1, complex)
     assert (ends == zones.LAST).all()
     kernel.whole(ends, zones.LAST, out)
     phase = np.linspace(0, zones.LAST, 20001)
@@ -103,7 +109,7 @@ def test_behind_a_straight_border_is_what_fresnels_integral_gives(v):
     """A half plane free beyond v root(pi / 2) of a phase of 1 rad from the mirror point [BornWolf1999]."""
     edge = v * np.sqrt(np.pi / 2)
     rays, cells, last = zones.RAYS, zones.CELLS, zones.LAST
-    turn, ends = zones._turn(rays * zones.FINE), np.full((1, rays * zones.FINE), last)
+    turn, ends = directions(rays * zones.FINE), np.full((1, rays * zones.FINE), last)
     border = np.where(turn[:: zones.FINE, 0] * edge > 0, (edge / turn[:: zones.FINE, 0]) ** 2, np.inf)
     borders = np.broadcast_to(last * np.arange(cells) / cells, (1, rays, cells)).copy()
     within = last * (np.arange(cells) + 0.5) / cells
