@@ -217,12 +217,11 @@ def test_worlds_have_python_names():
     assert ul.scenes.ntnu_plate45().bounds == pytest.approx(scene_of("ntnu-plate45").bounds)
 
 
-def test_two_worlds_cannot_fight_over_a_mesh(monkeypatch):
+def test_two_worlds_cannot_fight_over_a_mesh():
     import shipped_worlds
 
     def other() -> list[shipped_worlds.Model]:
         return [shipped_worlds.Model("floor", shipped_worlds.ntnu_room()[1].solids)]
 
-    monkeypatch.setitem(shipped_worlds.BUILDERS, "ntnu-plate", other)
     with pytest.raises(ul.UllageError, match=r"ntnu-plate wants another meshes/ntnu/floor\.obj"):
-        regenerated()
+        regenerated(shipped_worlds.BUILDERS | {"ntnu-plate": other})
