@@ -17,6 +17,6 @@ def test_oracle(oracle):
 def test_a_broken_bound_is_told():
     row = page.Row("x", -60.0, -59.0, 0.3)
     assert not row.passed
-    assert "**no**" in page._page([row], [])
+    assert "**no**" in page.page_text([row], [])
     assert page.Row("x", -60.0, -59.8, 0.3).passed
     assert not page.Row("x", -60.0, np.nan, 0.3).passed

@@ -29,4 +29,4 @@ with Late() as listener:
         while not (isinstance(event := listener.wait(5.0), ProcessLeft) or event is None):
             pass
     time.sleep(4 * LATE_S)
-    print("left", listener._take.closed, sorted(listener._joined))
+    print("left", sorted(listener._joined))

@@ -267,7 +267,7 @@ def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
         drawn = draw(folder / "pictures" / "validation")
     page = folder / "validation.md"
     scratch = page.with_suffix(".tmp")
-    scratch.write_text(_page(rows, drawn))
+    scratch.write_text(page_text(rows, drawn))
     scratch.replace(page)
     return rows
 
@@ -286,7 +286,8 @@ def against_recordings(folder: str | Path, out_dir: str | Path, *, report: Calla
     return rows
 
 
-def _page(rows: list[Row], pictures: list[tuple[str, str]]) -> str:
+def page_text(rows: list[Row], pictures: list[tuple[str, str]]) -> str:
+    """The page in Markdown: a table of all comparisons, then the pictures, each a title and a file."""
     lines = [
         "# Validation", "",
         "Made by `ullage validate`, which exits 1 when a bound is broken. References share no code with the",
