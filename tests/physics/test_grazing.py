@@ -7,6 +7,7 @@ import ullage as ul
 from ullage.geometry import C0
 from ullage.kernels import edges
 from ullage.kernels import outlines as kernel
+from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar import physical, planar
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
@@ -29,9 +30,10 @@ def by_rim(size, one, other):
     count = kernel.crossings(face, rim.windings, normal, offset, pair, limit, points)
     grids = np.zeros((3, READY.places), complex)
     antennas = physical.AntennaPair(pair[0], still.frames, still.fields)
-    told = normal, np.zeros(1, np.int32), *physical.common(READY, antennas, grids)
+    lit = LitFaces(normal, np.zeros(1, np.int32), READY.antennas(antennas), READY.reflection)
     many = len(rim.owner) + len(rim.holders) + count
-    planar.accumulate_outline(rim, points[:count], face[:count], np.ones(many, complex), np.zeros(many), told)
+    between = Transmission(np.ones(many, complex), np.zeros(many))
+    planar.accumulate_outline(rim, points[:count], face[:count], between, lit, READY.pulse_grid, grids)
     return grids.sum()
 
 

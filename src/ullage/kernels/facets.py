@@ -1,7 +1,7 @@
 """Loops of physical optics on triangles: culling and splitting, closed-form echoes.
 
 A flat triangle whose delay is taken linear across it is a sum of a few impulses, each of one spectral kind n = 0, 1, 2
-(bulk, edge, vertex), whose spectrum falls as frequency^-n. Impulses are laid on one fine delay grid per kind with a
+(bulk, edge, vertex), whose spectrum falls as frequency^-n. Impulses are added to one fine delay grid per kind with a
 cubic B-spline, demodulated at the carrier; one short convolution per kind (`pulse.convolve`) then makes the range bins.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ullage.arrays import Complexes, Floats
+from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import TOUCH_M, lifted
 
@@ -41,6 +41,15 @@ class Reflection(NamedTuple):
     lag: Floats  # (s, taps, c) delay of each tap [s], negative where there is no such tap
 
 
+class LitFaces(NamedTuple):
+    """Faces (f) of materials, and the radars that see them."""
+
+    normals: Floats  # (f, 3) unit normals
+    materials: Ints  # (f) row of each face in the reflection tables
+    antennas: Antennas
+    reflection: Reflection
+
+
 class PulseGrid(NamedTuple):
     """Carrier of a pulse, and the delays at which its echoes are summed."""
 
@@ -65,19 +74,50 @@ class EchoSums(NamedTuple):
     delay_s: Floats  # (m) gets the delay of each [s]
 
 
+class TriangleClusters(NamedTuple):
+    """Triangles (f) in clusters (k)."""
+
+    spheres: Floats  # (k, 4) centre and radius of each cluster [m]
+    first: Ints  # (k + 1) first triangle of each cluster
+    corners: Floats  # (f, 3, 3) [m]
+
+
+class PieceLimits(NamedTuple):
+    """Where pieces are wanted, and how small they must be."""
+
+    gate: Floats  # (2) least and greatest mean range [m]
+    kappa_lambda: float  # largest squared transverse edge over range [m]
+    reach: float  # longest edge over range
+
+
+class TrianglePieces(NamedTuple):
+    """Pieces (m) of triangles."""
+
+    corners: Floats  # (m, 3, 3) [m]
+    triangle: Ints  # (m) triangle of each piece
+    radar: Longs  # (m) radar that sees each piece
+
+
+class CornerScratch(NamedTuple):
+    """Scratch of `accumulate`: quantities at the three corners of a piece."""
+
+    phase: Floats  # (3) carrier phase delay [rad]
+    place: Floats  # (3) delay [grid steps]
+    base: Floats  # (3) antenna gains over ranges
+    cosine: Floats  # (3) cos(incidence)
+    path: Floats  # (3) path length there and back [m]
+    weight: Complexes  # (3) complex amplitude
+
+
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, leaves, owner, stack):  # type: ignore[no-untyped-def]
+def split(clusters, dark, origins, limits, leaves, owner, stack):  # type: ignore[no-untyped-def]
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
     Args:
-        spheres: (k, 4) centre and radius of each cluster of triangles [m].
-        first: (k + 1) index of each cluster's first triangle.
-        corners: (f, 3, 3) triangles [m].
+        clusters: `TriangleClusters` (f).
         dark: (f) triangles to leave out.
         origins: (2, 3) transmitter and receiver, or their images [m].
-        gate: (2) least and greatest mean range [m].
-        kappa_lambda: largest squared transverse edge over range [m].
-        reach: longest edge over range.
+        limits: `PieceLimits`.
         leaves: (m, 3, 3) gets the pieces [m].
         owner: (m) gets the index of each piece's triangle.
         stack: (96, 3, 3) scratch.
@@ -85,6 +125,7 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
     Returns:
         How many pieces there are; only the first m are written.
     """
+    spheres, first, corners, gate = clusters.spheres, clusters.first, clusters.corners, limits.gate
     count = 0
     for k in range(len(spheres)):
         r = _mean_range(spheres[k, 0], spheres[k, 1], spheres[k, 2], origins)
@@ -99,7 +140,7 @@ def split(spheres, first, corners, dark, origins, gate, kappa_lambda, reach, lea
             top = 1
             while top > 0:
                 top -= 1
-                edge = _longest(stack[top], origins, gate, kappa_lambda, reach)
+                edge = _longest(stack[top], origins, limits)
                 if edge == -2:
                     continue
                 if edge == -1 or top > 92:
@@ -123,7 +164,7 @@ def _mean_range(x, y, z, origins):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-def]
+def _longest(t, origins, limits):  # type: ignore[no-untyped-def]
     """The edge to halve (from corner e to e + 1), -1 when the piece is small enough, -2 when outside the gate."""
     cx, cy, cz = (
         (t[0, 0] + t[1, 0] + t[2, 0]) / 3,
@@ -145,10 +186,10 @@ def _longest(t, origins, gate, kappa_lambda, reach):  # type: ignore[no-untyped-
         if square > longest * 1.000001:  # equal edges: always the same one, so that pieces nest
             longest, which = square, e
     size = math.sqrt(longest)
-    if r - 0.67 * size > gate[1] or r + 0.67 * size < gate[0]:
+    if r - 0.67 * size > limits.gate[1] or r + 0.67 * size < limits.gate[0]:
         return -2
     near = max(r, 3 * TOUCH_M)
-    if across > kappa_lambda * near or size > reach * near:
+    if across > limits.kappa_lambda * near or size > limits.reach * near:
         return which
     return -1
 
@@ -216,7 +257,7 @@ def turned(x):  # type: ignore[no-untyped-def]
 
 @core(fastmath=True, nogil=True, error_model="numpy")
 def _accumulate(grids, kind, place, value):  # type: ignore[no-untyped-def]
-    """Adds an impulse at a fractional place of one grid, with a cubic B-spline; outside the grid it is lost."""
+    """Add an impulse at a fractional place of one grid, with a cubic B-spline; outside the grid it is lost."""
     i = math.floor(place)
     if i < 1 or i + 2 >= grids.shape[1]:
         return
@@ -230,7 +271,7 @@ def _accumulate(grids, kind, place, value):  # type: ignore[no-untyped-def]
 
 @core(fastmath=True, nogil=True, error_model="numpy")
 def accumulate_triangle(grids, w, x, places, scale):  # type: ignore[no-untyped-def]
-    """Echo of one triangle: unit area, complex amplitude `w` and phase `x` [rad] at its corners, both linear between.
+    """Add the echo of a triangle of unit area, amplitude and phase linear between its corners.
 
     Args:
         grids: (3, g) one delay grid for each spectral kind.
@@ -337,8 +378,15 @@ def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _corners(leaves, k, normals, face, origins, frames, fields, o, table, flat, base, cosine, tau):  # type: ignore[no-untyped-def]
-    """Gain over ranges, cos(incidence) and path length at three corners; gives mean bulge [m], area, TE share."""
+def _corners(pieces, k, lit, scratch):  # type: ignore[no-untyped-def]
+    """Gain over ranges, cos(incidence) and path length at the corners of piece k go to `scratch`.
+
+    Returns:
+        How far the chord lies beyond the curved path on average [m], the area [m^2] and the TE share of the power.
+    """
+    leaves, normals, antennas, origins = pieces.corners, lit.normals, lit.antennas, lit.antennas.origins
+    base, cosine, tau = scratch.base, scratch.cosine, scratch.path
+    face, o = pieces.triangle[k], pieces.radar[k]
     mono = same(origins, o)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     bulge, share = 0.0, 0.0
@@ -359,13 +407,13 @@ def _corners(leaves, k, normals, face, origins, frames, fields, o, table, flat, 
             r = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
             ux, uy, uz = dx / r, dy / r, dz / r
             if i == 0:
-                share += te_share(fields, o, ux, uy, uz, nx, ny, nz) * (1.0 if mono else 0.5)
+                share += te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz) * (1.0 if mono else 0.5)
             along = ex * ux + ey * uy + ez * uz
             c = nx * ux + ny * uy + nz * uz
             far, c = lifted(r, c)
             curve = (ex * ex + ey * ey + ez * ez - along * along) / far
             twice = 2 if mono else 1
-            gain = toward(table, flat, frames, o, s, ux, uy, uz) / far
+            gain = toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz) / far
             base[i] *= gain * gain if mono else gain
             if s == 1 and cosine[i] * c <= 0:
                 base[i] = 0.0
@@ -381,85 +429,43 @@ def _corners(leaves, k, normals, face, origins, frames, fields, o, table, flat, 
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate(  # type: ignore[no-untyped-def]
-    leaves,
-    owner,
-    of,
-    transmission,
-    extra,
-    normals,
-    object_ids,
-    origins,
-    frames,
-    fields,
-    table,
-    flat,
-    factor,
-    gamma,
-    lag,
-    omega,
-    t0,
-    dt,
-    fold,
-    grids,
-    echo,
-    delay,
-    rows,
-    w,
-):
-    """Lays the echo of every piece on the delay grids.
+def accumulate(pieces, lit, between, pulse, sums, scratch):  # type: ignore[no-untyped-def]
+    """Add the echo of every piece of a triangle to the delay grids.
 
     Args:
-        leaves: (m, 3, 3) pieces [m].
-        owner: (m) triangle of each piece.
-        of: (m) radar of each piece.
-        transmission: (m) complex two-way factor of what lies between, 0 where hidden.
-        extra: (m) delay added by it [s].
-        normals: (f, 3) unit normals of the triangles.
-        object_ids: (f) material of each triangle.
-        origins: (w, 2, 3) transmitter and receiver of each radar, or their images [m].
-        frames: (w, 2, 3, 3) sensor_from_world rotations (with mirrors) for both.
-        fields: (w, 2, 3) unit electric fields in the world.
-        table: (6, n, n) one-way amplitude gains.
-        flat: the pattern is the constant table[0, 0, 0].
-        factor: (w) multiplies every echo.
-        gamma: (s, taps, 2, c) complex reflection of each material and tap over cos(incidence), TE and TM.
-        lag: (s, taps, c) delay of each tap [s], negative where there is no such tap.
-        omega: carrier [rad/s].
-        t0: delay of the first grid place [s].
-        dt: grid step [s].
-        fold: delay at which the frame folds [s].
-        grids: (3, g) complex, added to.
-        echo: (m) gets the complex echo of each piece at the carrier.
-        delay: (m) gets its delay [s].
-        rows, w: (5, 3), (3) complex, scratch.
+        pieces: `TrianglePieces` (m).
+        lit: `LitFaces`, the triangles.
+        between: `Transmission` (m).
+        pulse: `PulseGrid`.
+        sums: `EchoSums` (m), written.
+        scratch: `CornerScratch`.
     """
-    x, places, base, cosine, tau = rows[0], rows[1], rows[2], rows[3], rows[4]
+    x, places, base, cosine, tau, w = scratch
+    gamma, lag = lit.reflection
+    grids, omega, t0, dt, fold = sums.grids, pulse.omega, pulse.start_s, pulse.step_s, pulse.fold_s
     last = t0 + grids.shape[1] * dt
-    for k in range(len(leaves)):
-        echo[k], delay[k] = 0j, 0.0
-        if transmission[k] == 0:
+    for k in range(len(pieces.corners)):
+        sums.echo[k], sums.delay_s[k] = 0j, 0.0
+        if between.factor[k] == 0:
             continue
-        object_id, o = object_ids[owner[k]], of[k]
-        early, area, share = _corners(
-            leaves, k, normals, owner[k], origins, frames, fields, o, table, flat, base, cosine, tau
-        )
-        scale = 1j * area / (4 * math.pi) * transmission[k] * factor[o]
+        material, o = lit.materials[pieces.triangle[k]], pieces.radar[k]
+        early, area, share = _corners(pieces, k, lit, scratch)
+        scale = 1j * area / (4 * math.pi) * between.factor[k] * lit.antennas.factor[o]
         for tap in range(gamma.shape[1]):
-            if lag[object_id, tap, 0] < 0:
+            if lag[material, tap, 0] < 0:
                 break
-            late = extra[k] + _late(lag, object_id, tap, (cosine[0] + cosine[1] + cosine[2]) / 3)
+            late = between.delay_s[k] + _late(lag, material, tap, (cosine[0] + cosine[1] + cosine[2]) / 3)
             mean = (tau[0] + tau[1] + tau[2] - 3 * early) / (3 * C0) + late
             if tap == 0:
-                delay[k] = mean
+                sums.delay_s[k] = mean
             landed = mean - math.floor((mean - t0) / fold) * fold
             for i in range(3):
-                w[i] = base[i] * cosine[i] * _reflection(gamma, object_id, tap, cosine[i], share)
+                w[i] = base[i] * cosine[i] * _reflection(gamma, material, tap, cosine[i], share)
             while landed < last:
                 for i in range(3):
                     t = (tau[i] - early) / C0 + late + landed - mean
                     x[i] = omega * t
                     places[i] = (t - t0) / dt
                 value = accumulate_triangle(grids, w, x, places, scale)
-                echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
+                sums.echo[k] += value if landed < t0 + fold else 0j  # what lands a pulse later is the same echo
                 landed += fold

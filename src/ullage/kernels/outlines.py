@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ullage.arrays import Complexes, Floats, Ints
 from ullage.kernels.facets import (
     EDGE,
     VERTEX,
-    PulseGrid,
     _accumulate,
     _late,
     _reflection,
@@ -24,6 +24,22 @@ from ullage.kernels.near import eased, height
 
 C0 = 299_792_458.0
 START, STOP = np.int64(0), np.int64(3)  # columns of a piece's ends
+
+
+class OutlineEchoes(NamedTuple):
+    """What of outlines echoes: pieces (m), and ends of outlines followed by mirror points (n)."""
+
+    pieces: Floats  # (m, 12) as `edges.cut` gives them
+    ends: Floats  # (n, 9) ends as `edges.cut` gives them, then mirror points as `crossings` does
+    tips: int  # how many of these are ends
+    owner: Ints  # (m + n) face of each
+
+
+class KnownEnd(NamedTuple):
+    """What is known of the far end of the last piece, for each tap of the reflection."""
+
+    weight: Complexes  # (taps) antenna gains times the reflection coefficient
+    cosine: Floats  # (taps) cos(incidence)
 
 
 class LineEcho(NamedTuple):
@@ -79,8 +95,10 @@ def look_at(pieces, owner, tips, holders, ties, normals, inward, out, faces, sea
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _weight(rows, k, at, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap):  # type: ignore[no-untyped-def]
-    """Antenna gains and reflection coefficient at a point, rows[k, at : at + 3], of a face; and cos(incidence)."""
+def _weight(rows, k, at, lit, face, tap):  # type: ignore[no-untyped-def]
+    """Antenna gains times the reflection coefficient at the point rows[k, at : at + 3] of a face; cos(incidence)."""
+    normals, antennas, origins = lit.normals, lit.antennas, lit.antennas.origins
+    o = face if len(origins) > 1 else 0
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     gain, cosine, share = 1.0, 0.0, 0.0
     for s in range(2):
@@ -91,9 +109,9 @@ def _weight(rows, k, at, normals, object_ids, face, origins, frames, fields, o, 
         )
         r = 1 / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         ux, uy, uz = dx * r, dy * r, dz * r
-        te = te_share(fields, o, ux, uy, uz, nx, ny, nz)
+        te = te_share(antennas.fields, o, ux, uy, uz, nx, ny, nz)
         share += 0.5 * te
-        one = toward(table, flat, frames, o, s, ux, uy, uz)
+        one = toward(antennas.table, antennas.isotropic, antennas.frames, o, s, ux, uy, uz)
         gain *= one
         cosine += 0.5 * abs(ux * nx + uy * ny + uz * nz)
         if s == 0 and same(origins, o):
@@ -101,12 +119,12 @@ def _weight(rows, k, at, normals, object_ids, face, origins, frames, fields, o, 
             cosine *= 2
             share = te
             break
-    return gain * _reflection(gamma, object_ids[face], tap, cosine, share), cosine
+    return gain * _reflection(lit.reflection.gamma, lit.materials[face], tap, cosine, share), cosine
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
 def accumulate_line(grids, w0, w1, x0, x1, bow, place0, place1):  # type: ignore[no-untyped-def]
-    """Echo of a line of unit measure, amplitude linear and phase nearly linear along it; gives it at the carrier.
+    """Add the echo of a line of unit measure, its amplitude linear and its phase nearly linear; give it at the carrier.
 
     Phases are those of the mean line; the true phase leads it by bow (4 s (1 - s) - 2 / 3) at share s, to first order.
     """
@@ -163,144 +181,80 @@ def accumulate_pulses(grids, pulse, lines, kind, line, late, mean):  # type: ign
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _piece(pieces, k, follows, scale, extra, tap, normals, object_ids, face, origins, frames, fields, o, table, flat,  # type: ignore[no-untyped-def]
-           gamma, lag, wave, omega, weights, cosines):  # fmt: skip
-    """Strengths of both ends of a piece of rim, their delays, the bow of its phase, and how late it comes [s].
+def _ends_of(echoes, k, follows, lit, tap, known):  # type: ignore[no-untyped-def]
+    """Weights of both ends of piece k of an outline, and the mean of cos(incidence) there.
 
-    Where it `follows` the piece before, the weight of its start is kept in `weights` and `cosines`, as its stop's is.
+    Where it `follows` the piece before, the weight of its start is kept in `known`, as that of its end is.
     """
-    w0, c0 = weights[tap], cosines[tap]
+    w0, c0 = known.weight[tap], known.cosine[tap]
     if not follows:
-        w0, c0 = _weight(
-            pieces, k, START, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap
-        )
-    w1, c1 = _weight(pieces, k, STOP, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap)
-    weights[tap], cosines[tap] = w1, c1
-    late = extra + _late(lag, object_ids[face], tap, 0.5 * (c0 + c1))
-    late += pieces[k, 11] / C0
-    w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
-    w1 *= pieces[k, 9] * eased(wave, pieces[k, 7]) * pieces[k, 10] * scale
-    return w0, w1, pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0, late
+        w0, c0 = _weight(echoes.pieces, k, START, lit, echoes.owner[k], tap)
+    w1, c1 = _weight(echoes.pieces, k, STOP, lit, echoes.owner[k], tap)
+    known.weight[tap], known.cosine[tap] = w1, c1
+    return w0, w1, 0.5 * (c0 + c1)
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _tip(ends, i, scale, extra, tap, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, lag,  # type: ignore[no-untyped-def]
-         wave):  # fmt: skip
-    """Strength of an end of a rim or of a mirror point, its delay, and how late it comes [s]."""
-    weight, cosine = _weight(
-        ends, i, START, normals, object_ids, face, origins, frames, fields, o, table, flat, gamma, tap
-    )
+def _piece(pieces, k, w0, w1, scale, omega):  # type: ignore[no-untyped-def]
+    """The echo of piece k of an outline, of which the weights of both ends are known."""
+    wave = omega / C0
+    w0 *= pieces[k, 8] * eased(wave, pieces[k, 6]) * pieces[k, 10] * scale
+    w1 *= pieces[k, 9] * eased(wave, pieces[k, 7]) * pieces[k, 10] * scale
+    return LineEcho(w0, w1, pieces[k, 6] / C0, pieces[k, 7] / C0, -1.5 * omega * pieces[k, 11] / C0)
+
+
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+def _tip(ends, i, scale, extra, tap, lit, face, wave):  # type: ignore[no-untyped-def]
+    """The echo of an end of an outline or of a mirror point, and its additional delay [s]."""
+    weight, cosine = _weight(ends, i, START, lit, face, tap)
     weight *= eased(wave, ends[i, 3]) * scale * complex(ends[i, 4], ends[i, 5])
-    return weight, ends[i, 3] / C0, extra + _late(lag, object_ids[face], tap, cosine)
+    late = extra + _late(lit.reflection.lag, lit.materials[face], tap, cosine)
+    return LineEcho(weight, 0j, ends[i, 3] / C0, ends[i, 3] / C0, 0.0), late
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_outlines(  # type: ignore[no-untyped-def]
-    pieces,
-    ends,
-    many,
-    owner,
-    transmission,
-    extra,
-    normals,
-    object_ids,
-    origins,
-    frames,
-    fields,
-    table,
-    flat,
-    factor,
-    gamma,
-    lag,
-    omega,
-    t0,
-    dt,
-    fold,
-    grids,
-    echo,
-    delay,
-    weights,
-    cosines,
-):
-    """Lays the echoes of faces on the delay grids: pieces of rim, ends of rims, and mirror points.
+def accumulate_outlines(echoes, lit, between, pulse, sums, known):  # type: ignore[no-untyped-def]
+    """Add the echoes of faces to the delay grids: pieces of outlines, ends of outlines, and mirror points.
 
     Args:
-        pieces: (m, 12) of rim, as `edges.cut` gives them.
-        ends: (n, 9) of rims, as `edges.cut` gives them, then mirror points, as `crossings` does.
-        many: how many of them are ends of rims.
-        owner: (m + n) face of each piece, then of each end.
-        transmission: (m + n) complex two-way factor of what lies between.
-        extra: (m + n) delay added by it [s].
-        origins: (1 or p, 2, 3) radars for all or for each face, as in `facets.accumulate`, and so the rest.
-        weights, cosines: (taps), (taps), scratch.
+        echoes: `OutlineEchoes` (m + n).
+        lit: `facets.LitFaces`, with one radar for all or one for each face.
+        between: `facets.Transmission` (m + n).
+        pulse: `facets.PulseGrid`.
+        sums: `facets.EchoSums` (m + n), written.
+        known: `KnownEnd`, scratch.
     """
+    pieces, ends, owner, gamma, lag = echoes.pieces, echoes.ends, echoes.owner, lit.reflection.gamma, lit.reflection.lag
+    omega = pulse.omega
     unit, wave = -(2 * math.pi * C0 / omega) / (16 * math.pi * math.pi), omega / C0
-    known = -2  # the piece whose far end's weights are kept: the next one mostly starts there
+    last = -2  # the piece whose far end's weights are kept: the next one mostly starts there
     for k in range(len(owner)):
-        echo[k], delay[k] = 0j, 0.0
-        if transmission[k] == 0:
+        sums.echo[k], sums.delay_s[k] = 0j, 0.0
+        if between.factor[k] == 0:
             continue
         face = owner[k]
-        o = face if len(origins) > 1 else 0
-        scale = unit * factor[o] * transmission[k]
+        o = face if len(lit.antennas.origins) > 1 else 0
+        scale = unit * lit.antennas.factor[o] * between.factor[k]
         i = k - len(pieces)
-        follows = i < 0 and k > 0 and known == k - 1 and owner[known] == face
+        follows = i < 0 and k > 0 and last == k - 1 and owner[last] == face
         for j in range(3 if follows else 0):
-            follows = follows and pieces[known, 3 + j] == pieces[k, j]
-        known = k
+            follows = follows and pieces[last, 3 + j] == pieces[k, j]
+        last = k
         for tap in range(gamma.shape[1]):
-            if lag[object_ids[face], tap, 0] < 0:
+            if lag[lit.materials[face], tap, 0] < 0:
                 break
             if i < 0:
-                w0, w1, path0, path1, bow, late = _piece(
-                    pieces,
-                    k,
-                    follows,
-                    scale,
-                    extra[k],
-                    tap,
-                    normals,
-                    object_ids,
-                    face,
-                    origins,
-                    frames,
-                    fields,
-                    o,
-                    table,
-                    flat,
-                    gamma,
-                    lag,
-                    wave,
-                    omega,
-                    weights,
-                    cosines,
-                )
+                w0, w1, cosine = _ends_of(echoes, k, follows, lit, tap, known)
+                late = between.delay_s[k] + _late(lag, lit.materials[face], tap, cosine)
+                late += pieces[k, 11] / C0
+                line = _piece(pieces, k, w0, w1, scale, omega)
             else:
-                w0, path0, late = _tip(
-                    ends,
-                    i,
-                    scale,
-                    extra[k],
-                    tap,
-                    normals,
-                    object_ids,
-                    face,
-                    origins,
-                    frames,
-                    fields,
-                    o,
-                    table,
-                    flat,
-                    gamma,
-                    lag,
-                    wave,
-                )
-                w1, path1, bow = 0j, path0, 0.0
-            mean = 0.5 * (path0 + path1) + late
+                line, late = _tip(ends, i, scale, between.delay_s[k], tap, lit, face, wave)
+            mean = 0.5 * (line.start_delay_s + line.stop_delay_s) + late
             if tap == 0:
-                delay[k] = mean
-            echo[k] += accumulate_pulses(grids, PulseGrid(omega, t0, dt, fold), i < 0, VERTEX if i < many else EDGE,
-                                         LineEcho(w0, w1, path0, path1, bow), late, mean)  # fmt: skip
+                sums.delay_s[k] = mean
+            kind = VERTEX if i < echoes.tips else EDGE
+            sums.echo[k] += accumulate_pulses(sums.grids, pulse, i < 0, kind, line, late, mean)
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")

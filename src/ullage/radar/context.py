@@ -8,18 +8,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from ullage.antenna import cube
-from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.arrays import Bools, Complexes, Floats, Ints
 from ullage.geometry import C0
 from ullage.kernels import facets as kernel
-from ullage.kernels.facets import Antennas, EchoSums, PulseGrid, Reflection, Transmission
+from ullage.kernels.facets import (
+    Antennas,
+    EchoSums,
+    LitFaces,
+    PieceLimits,
+    PulseGrid,
+    Reflection,
+    Transmission,
+    TriangleClusters,
+    TrianglePieces,
+)
 from ullage.radar.diffraction import OutlineSet, nowhere, outlines_of
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
-from ullage.radar.facets import Surfaces
+from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.penetration import Transmissive, reflection_tables, transmissive_of
 from ullage.radar.prepared import Prepared, prepare
 from ullage.radar.pulse import Pulse, tabulate
@@ -94,6 +103,15 @@ class RadarContext:
         return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], self.table,
                         self.spec.antenna.kind == "isotropic", np.array([pair.factor], complex))  # fmt: skip
 
+    def lit(self, pair: AntennaPair, surfaces: Surfaces | PlanarPatches) -> LitFaces:
+        """Triangles or flat faces as one radar at one place sees them, as kernels take them."""
+        return LitFaces(surfaces.normals, surfaces.object_ids, self.antennas(pair), self.reflection)
+
+    @property
+    def piece_limits(self) -> PieceLimits:
+        """How small the pieces of triangles must be, and where they are wanted."""
+        return PieceLimits(np.array(self.gate), KAPPA * self.spec.wavelength_m, REACH)
+
 
 def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> RadarContext:
     """Pulse, tables and gates of one radar in one scene; without `edges` plain physical optics.
@@ -150,40 +168,17 @@ def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats) -> AntennaPair
 
 
 def accumulate_triangles(
-    normals: Floats,
-    object_ids: Ints,
-    pieces: tuple[Floats, Ints, Longs],
-    between: Transmission,
-    told: tuple[Any, ...],
+    context: RadarContext, pieces: TrianglePieces, lit: LitFaces, between: Transmission, grids: Complexes
 ) -> EchoSet:
-    """Lays pieces of triangles, as `triangles` gives them, and the radar of each (m).
-
-    With factor and delay [s] of what stands before each; what the kernel is `told` of radars (w) is as in `common`.
-    """
-    leaves, owner, of = pieces
+    """Add the echoes of pieces (m) of triangles, as `triangles` gives them, to the delay grids (3, g)."""
+    phase, place, base, cosine, path = np.empty((5, 3))
+    scratch = kernel.CornerScratch(phase, place, base, cosine, path, np.empty(3, complex))
 
     def put(between: Transmission, sums: EchoSums) -> None:
-        kernel.accumulate(
-            leaves,
-            owner,
-            of,
-            *between,
-            normals,
-            object_ids,
-            *told[:-1],
-            *sums,
-            np.empty((5, 3)),
-            np.empty(3, complex),
-        )
+        kernel.accumulate(pieces, lit, between, context.pulse_grid, sums, scratch)
 
-    return echo_set(put, between, told[-1], object_ids[owner], lambda: centroids(leaves))
-
-
-def common(context: RadarContext, antennas: AntennaPair, grids: Complexes) -> tuple[Any, ...]:
-    """What every kernel that lays echoes is told."""
-    return (antennas.origins[None], antennas.frames[None], antennas.fields[None], context.table,
-            context.spec.antenna.kind == "isotropic", np.array([antennas.factor], complex), context.gamma, context.lag,
-            context.pulse.omega, context.first_m * 2 / C0, context.pulse.step_s, context.fold_s, grids)  # fmt: skip
+    materials = lit.materials[pieces.triangle]
+    return echo_set(put, between, grids, materials, lambda: centroids(pieces.corners))
 
 
 def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]) -> tuple[Floats, Ints]:
@@ -199,7 +194,11 @@ def grown(size: int, shape: tuple[int, ...], fill: Callable[[Floats, Ints], int]
 def triangles(
     context: RadarContext, part: Surfaces, antennas: AntennaPair, done: Bools | None = None
 ) -> tuple[Floats, Ints]:
-    """Triangles within the gate but those `done` (f), small enough for the closed form, and which each came from."""
+    """Cut the triangles within the gate, but those `done` (f), to pieces small enough for the closed form.
+
+    Returns:
+        The pieces (m, 3, 3) [m], and the triangle that each came from (m).
+    """
     opaque = ~context.transmissive.thin[part.object_ids]
     if near(*antennas.origins):
         dark = part.backs.hidden(antennas.origins, opaque)
@@ -207,9 +206,18 @@ def triangles(
         dark = part.backs.hidden(antennas.origins[:1], opaque) | part.backs.hidden(antennas.origins[1:], opaque)
     if done is not None:
         dark = dark | done
-    return grown(8192, (3, 3), lambda out, owner: kernel.split(
-        part.spheres, part.first, part.corners, dark, antennas.origins, np.array(context.gate),
-        KAPPA * context.spec.wavelength_m, REACH, out, owner, np.empty((96, 3, 3))))  # fmt: skip
+    return split(context, part, antennas, dark, 8192)
+
+
+def split(context: RadarContext, part: Surfaces, antennas: AntennaPair, dark: Bools, room: int) -> tuple[Floats, Ints]:
+    """Cut the triangles but the `dark` ones (f); give the pieces (m, 3, 3) [m] and the triangle of each (m).
+
+    There is room for so many pieces at first.
+    """
+    clusters = TriangleClusters(part.spheres, part.first, part.corners)
+    stack = np.empty((96, 3, 3))
+    return grown(room, (3, 3), lambda out, owner: kernel.split(
+        clusters, dark, antennas.origins, context.piece_limits, out, owner, stack))  # fmt: skip
 
 
 def transmission_to(

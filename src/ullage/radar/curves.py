@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import edges, lit
-from ullage.kernels import facets as triangle
 from ullage.kernels import paths as kernel
-from ullage.kernels.facets import Transmission
-from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, accumulate_triangles, common, grown
+from ullage.kernels.facets import LitFaces, Transmission, TrianglePieces
+from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, split
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import unit
@@ -101,11 +100,7 @@ def _accumulate_small(
     reach = lit_by(context, part, paths)
     if not reach.any():
         return []
-    gate, fresnel = np.array(context.gate), KAPPA * context.spec.wavelength_m
-    dark = ~reach.any(0)
-    leaves, owner = grown(2048, (3, 3), lambda pieces, of: triangle.split(
-        part.spheres, part.first, part.corners, dark, antennas.origins, gate, fresnel, REACH, pieces, of,
-        np.empty((96, 3, 3))))  # fmt: skip
+    leaves, owner = split(context, part, antennas, np.asarray(~reach.any(0)), 2048)
     of, at = np.empty((2, len(paths) * len(owner)), np.int64)
     count = lit.pair_up(reach, owner, of, at)
     of, at = of[:count], at[:count]
@@ -114,9 +109,10 @@ def _accumulate_small(
     if not len(free):
         return []
     of, at = of[free], at[free]
-    pieces, between = (leaves.take(at, 0), owner[at], of), Transmission(factor[free], np.zeros(len(free)))
-    told = paths.end(antennas, common(_bare(context), antennas, grids))
-    return [paths.told(accumulate_triangles(part.normals, part.object_ids, pieces, between, told), of)]
+    pieces, between = TrianglePieces(leaves.take(at, 0), owner[at], of), Transmission(factor[free], np.zeros(len(free)))
+    seen = _bare(context).lit(antennas, part)
+    seen = seen._replace(antennas=paths.antennas(seen.antennas))
+    return [paths.told(accumulate_triangles(context, pieces, seen, between, grids), of)]
 
 
 def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
@@ -190,8 +186,8 @@ def _accumulate_strips(
         return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
-    told = faces.normals, plain, *paths.end(antennas, common(context, antennas, grids), strips.of)
-    echoes, owner = accumulate_parted(context, faces, many, outline, limits, shaded, told)
+    seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), strips.of), context.reflection)
+    echoes, owner = accumulate_parted(context, faces, many, outline, limits, shaded, seen, grids)
     return [paths.told(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ullage.arrays import Bools, Complexes
+from ullage.kernels.facets import TrianglePieces
 from ullage.radar.ball_echoes import accumulate_balls, smoothed
-from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, common, transmission_to, triangles
+from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, transmission_to, triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.knuckles import Knuckle
@@ -35,5 +36,5 @@ def _echoes_of(
     middles, normals = centroids(leaves), fine.normals[owner]
     side = np.sign(np.einsum("ni,ni->n", antennas.origins.mean(0) - middles, normals))
     between = transmission_to(context, parts, antennas, middles + (side * (knuckle.depth + PULL_M))[:, None] * normals)
-    pieces = leaves, owner, np.zeros(len(owner), np.int64)
-    return accumulate_triangles(fine.normals, fine.object_ids, pieces, between, common(context, antennas, grids))
+    pieces = TrianglePieces(leaves, owner, np.zeros(len(owner), np.int64))
+    return accumulate_triangles(context, pieces, context.lit(antennas, fine), between, grids)

@@ -17,7 +17,8 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import beams as kernel
 from ullage.kernels import bounces, edges
 from ullage.kernels import outlines as draw
-from ullage.radar.context import AntennaPair, RadarContext, common
+from ullage.kernels.facets import LitFaces, Transmission
+from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import mirrored
@@ -230,22 +231,12 @@ def _accumulate(
     strong = strengths(context, planar, antennas, beams, path, factor)
     factor *= shares(context, planar, antennas, beams, path, strong, lambda *asked: clear(parts, *asked))
     plain = np.full(many, len(context.gamma) - 1, np.int32)
-    _, _, _, table, flat, _, *rest = common(context, antennas, grids)
-    told = normals, plain, origins, frames, fields, table, flat, factor, *rest
-    free = (factor != 0).astype(complex)
+    radars = context.antennas(antennas)._replace(origins=origins, frames=frames, fields=fields, factor=factor)
+    between = Transmission((factor != 0).astype(complex)[owner], np.zeros(len(owner)))
+    lit_faces = LitFaces(normals, plain, radars, context.reflection)
+    echoes = accumulate_outline(outline, points, which, between, lit_faces, context.pulse_grid, grids)
     via = np.where(beams.chains >= 0, planar.object_ids[beams.chains], -1)
-    return [
-        accumulate_outline(
-            outline,
-            points,
-            which,
-            free[owner],
-            np.zeros(len(owner)),
-            told,
-            object_ids=planar.object_ids[on][owner],
-            via=via[owner],
-        )
-    ]
+    return [replace(echoes, object_ids=planar.object_ids[on][owner], via=via[owner])]
 
 
 def _radars(antennas: AntennaPair, beams: Beams) -> Floats:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints
-from ullage.kernels.facets import Transmission
-from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, common, transmission_to, triangles
+from ullage.kernels.facets import Transmission, TrianglePieces
+from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, transmission_to, triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.knuckle_echoes import accumulate_heads
@@ -36,8 +36,8 @@ def _echoes_of(
     fine = patches.fine
     leaves, owner = triangles(context, fine, antennas)
     between = _before(context, parts, patches, antennas, leaves, owner)
-    pieces = leaves, owner, np.zeros(len(owner), np.int64)
-    return accumulate_triangles(fine.normals, fine.object_ids, pieces, between, common(context, antennas, grids))
+    pieces = TrianglePieces(leaves, owner, np.zeros(len(owner), np.int64))
+    return accumulate_triangles(context, pieces, context.lit(antennas, fine), between, grids)
 
 
 def _before(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -65,12 +64,6 @@ class PathSet:
         fields = np.repeat(radar.fields, len(self.weights[some]), 0)
         return radar._replace(origins=self.ends[some], frames=self.frames[some], fields=fields,
                               factor=radar.factor * self.weights[some])  # fmt: skip
-
-    def end(self, antennas: AntennaPair, told: tuple[Any, ...], of: Longs | None = None) -> tuple[Any, ...]:
-        """What kernels are told, as `common` gives it, with the radar as the ends of all or some (m) ways see it."""
-        some = slice(None) if of is None else of
-        fields = np.repeat(antennas.fields[None], len(self.weights[some]), 0)
-        return (self.ends[some], self.frames[some], fields, *told[3:5], told[5] * self.weights[some], *told[6:])
 
 
 def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, most: int, look: Floats) -> PathSet:

@@ -21,7 +21,7 @@ from ullage.errors import InputError
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
-from ullage.kernels.facets import EchoSums, Transmission
+from ullage.kernels.facets import EchoSums, Transmission, TrianglePieces
 from ullage.kernels.near import LEAST_M
 from ullage.radar.arcs import accumulate_arcs
 from ullage.radar.ball_bounces import accumulate_inside
@@ -32,7 +32,6 @@ from ullage.radar.context import (
     RadarContext,
     accumulate_triangles,
     antenna_pair,
-    common,
     grown,
     radar_context,
     transmission_to,
@@ -229,8 +228,8 @@ def _accumulate_small(
 ) -> EchoSet:
     leaves, owner = triangles(context, part, antennas, done)
     between = transmission_to(context, parts, antennas, centroids(leaves))
-    pieces = leaves, owner, np.zeros(len(owner), np.int64)
-    return accumulate_triangles(part.normals, part.object_ids, pieces, between, common(context, antennas, grids))
+    pieces = TrianglePieces(leaves, owner, np.zeros(len(owner), np.int64))
+    return accumulate_triangles(context, pieces, context.lit(antennas, part), between, grids)
 
 
 @lru_cache(maxsize=8)

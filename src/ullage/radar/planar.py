@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,8 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import edges as kernel
 from ullage.kernels import outlines as draw
-from ullage.kernels.facets import EchoSums, Transmission
-from ullage.radar.context import AntennaPair, RadarContext, common, transmission_to
+from ullage.kernels.facets import EchoSums, LitFaces, PulseGrid, Transmission
+from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.folding import limits_of
@@ -92,7 +91,7 @@ def accumulate_planar(
     grids: Complexes,
     done: Bools | None = None,
 ) -> list[EchoSet]:
-    """Adds the echoes of flat faces within the frame, and of those beyond that fold back into it.
+    """Add the echoes of flat faces within the frame, and of those beyond that fold back into it.
 
     Those that are `done` (p) otherwise are left out.
     """
@@ -104,12 +103,12 @@ def accumulate_planar(
         return []
     limits = limits_of(planar, antennas, context.gate[1], context.fold_s)
     outline = outlines(context, planar, antennas, which, limits)
-    told = planar.normals, planar.object_ids, *common(context, antennas, grids)
-    return [
-        accumulate_parted(
-            context, planar, which, outline, limits, lambda at, _: transmission_to(context, parts, antennas, at), told
-        )[0]
-    ]
+
+    def shading_of(points: Floats, _: NDArray[np.integer]) -> Transmission:
+        return transmission_to(context, parts, antennas, points)
+
+    lit = context.lit(antennas, planar)
+    return [accumulate_parted(context, planar, which, outline, limits, shading_of, lit, grids)[0]]
 
 
 Shading = Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
@@ -136,14 +135,18 @@ def accumulate_parted(
     outline: Outline,
     limits: Floats,
     shading_of: Shading,
-    told: tuple[Any, ...],
+    lit: LitFaces,
+    grids: Complexes,
 ) -> tuple[EchoSet, Longs]:
-    """Adds the echoes of some faces whose rims are parted: of their mirror points, pieces and ends.
+    """Add the echoes of some faces (k) whose outlines are cut: of their mirror points, pieces and ends.
 
-    `told` begins with normals, object ids and origins. Gives the face of each echo too.
+    Returns:
+        The echoes (m), and the face of each (m).
     """
     points = np.empty((len(which), 9))
-    count = draw.crossings(which, outline.windings, planar.normals, planar.offsets, told[2], limits, points)
+    count = draw.crossings(
+        which, outline.windings, planar.normals, planar.offsets, lit.antennas.origins, limits, points
+    )
     points, which = points[:count], which[:count]
     looks, owner, seats, open_ = _looks(context, planar, outline, points, which)
     transmission, extra = shading_of(looks, owner)
@@ -152,43 +155,45 @@ def accumulate_parted(
         transmission, extra = np.concatenate([transmission[seats], factor]), np.concatenate([extra[seats], late])
     else:
         transmission, extra = transmission[seats], extra[seats]
-    echoes = accumulate_outline(outline, points, which, transmission, extra, told)
+    between = Transmission(transmission, extra)
+    echoes = accumulate_outline(outline, points, which, between, lit, context.pulse_grid, grids)
     return echoes, np.concatenate([outline.owner, outline.holders, which])
 
 
 def accumulate_outline(
-    outline: Outline, points: Floats, which: Longs, transmission: Complexes, extra: Floats, told: tuple[Any, ...], /,
-    object_ids: Ints | None = None, via: Longs | None = None, before: Longs | None = None,
-) -> EchoSet:  # fmt: skip
-    """Lays rims and mirror points (k, 9) with factor and delay [s] of what stands before pieces, ends and points.
+    outline: Outline,
+    points: Floats,
+    which: Longs,
+    between: Transmission,
+    lit: LitFaces,
+    pulse: PulseGrid,
+    grids: Complexes,
+) -> EchoSet:
+    """Add the echoes of outlines and of mirror points to the delay grids.
 
-    The object ids (m) of what is laid are those of faces that `told` gives, if none are named.
+    Args:
+        outline: pieces (m) and ends (n) of outlines.
+        points: (k, 9) mirror points, as `outlines.crossings` gives them.
+        which: (k) face of each mirror point.
+        between: what lies before the pieces, then the ends, then the mirror points (m + n + k).
+        lit: the faces, and the radars that see them.
+        pulse: carrier and delay grid.
+        grids: (3, g) delay grids, added to.
     """
     owner = np.concatenate([outline.owner, outline.holders, which.astype(np.int32)])
     ends = np.concatenate([outline.tips, points])
+    echoes = draw.OutlineEchoes(outline.pieces, ends, len(outline.tips), owner)
+    known = draw.KnownEnd(np.empty(TAPS, complex), np.empty(TAPS))
 
     def put(between: Transmission, sums: EchoSums) -> None:
-        draw.accumulate_outlines(
-            outline.pieces,
-            ends,
-            len(outline.tips),
-            owner,
-            *between,
-            *told[:-1],
-            *sums,
-            np.empty(TAPS, complex),
-            np.empty(TAPS),
-        )
+        draw.accumulate_outlines(echoes, lit, between, pulse, sums, known)
 
     def places() -> Floats:
         return np.concatenate([0.5 * (outline.pieces[:, :3] + outline.pieces[:, 3:6]), ends[:, :3]])
 
     rays = np.zeros(len(owner), np.bool_)
     rays[len(owner) - len(points) :] = True
-    object_ids = told[1][owner] if object_ids is None else object_ids
-    return echo_set(
-        put, Transmission(transmission, extra), told[-1], object_ids, places, via=via, before=before, rays=rays
-    )
+    return echo_set(put, between, grids, lit.materials[owner], places, rays=rays)
 
 
 def _looks(

@@ -336,13 +336,13 @@ def _outlines() -> None:
 
 
 def _echoes() -> None:
-    from ullage.radar.context import common, transmission_to
+    from ullage.radar.context import transmission_to
     from ullage.radar.planar import Outline, accumulate_parted
 
     context, antennas, planar = _bench(_room())
-    told = planar.normals, planar.object_ids, *common(context, antennas, np.zeros((3, context.places), complex))
     accumulate_parted(context, planar, np.arange(len(planar)), Outline.none(len(planar)), np.full(len(planar), 9.0),
-               lambda at, _: transmission_to(context, context.world.parts(), antennas, at), told)  # fmt: skip
+                      lambda at, _: transmission_to(context, context.world.parts(), antennas, at),
+                      context.lit(antennas, planar), np.zeros((3, context.places), complex))  # fmt: skip
 
 
 def _beams() -> None:
