@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,9 +91,8 @@ def fly(
         InputError: a value is out of bounds, or the start or a waypoint lies inside something or too near to it.
         Collision: something was hit, with on_contact="raise".
     """
-    flown, log = _fly(
-        waypoints, vehicle, scene, wind_m_s, gust_m_s, rate_hz, seed, start, on_contact, progress
-    )  # fmt: skip
+    conditions = _Conditions(scene, wind_m_s, gust_m_s, rate_hz, seed, start, on_contact, progress)
+    flown, log = _fly(waypoints, vehicle, conditions)
     _warn(log)
     return flown
 
@@ -120,9 +119,8 @@ def fly_log(
         InputError: as `fly`.
         Collision: as `fly`.
     """
-    flown, log = _fly(
-        waypoints, vehicle, scene, wind_m_s, gust_m_s, rate_hz, seed, start, on_contact, progress
-    )  # fmt: skip
+    conditions = _Conditions(scene, wind_m_s, gust_m_s, rate_hz, seed, start, on_contact, progress)
+    flown, log = _fly(waypoints, vehicle, conditions)
     _warn(log)
     return flown, log
 
@@ -133,23 +131,33 @@ def _warn(log: FlightLog) -> None:
         warnings.warn(f"the vehicle hit {log.contacts[0]}{more}", UllageWarning, stacklevel=3)
 
 
-def _fly(
-    waypoints: Waypoints | ArrayLike, vehicle: str | Airframe, scene: Scene | None, wind_m_s: Sequence[float],
-    gust_m_s: float, rate_hz: float, seed: int, start: ArrayLike | None, on_contact: str, progress: Progress | None,
-) -> tuple[Trajectory, FlightLog]:  # fmt: skip
+class _Conditions(NamedTuple):
+    """The options of `fly`."""
+
+    scene: Scene | None
+    wind_m_s: Sequence[float]  # (3)
+    gust_m_s: float
+    rate_hz: float
+    seed: int
+    start: ArrayLike | None  # x, y, z [m], and yaw [deg] or not
+    on_contact: str
+    progress: Progress | None
+
+
+def _fly(waypoints: Waypoints | ArrayLike, vehicle: str | Airframe, given: _Conditions) -> tuple[Trajectory, FlightLog]:
     mission = waypoints if isinstance(waypoints, Waypoints) else Waypoints(np.asarray(waypoints))
-    frame = airframe(vehicle)
-    wind = _checked(wind_m_s, gust_m_s, rate_hz, on_contact)
-    place, yaw_deg = _start(start)
+    frame, scene = airframe(vehicle), given.scene
+    wind = _checked(given.wind_m_s, given.gust_m_s, given.rate_hz, given.on_contact)
+    place, yaw_deg = _start(given.start)
     parts = bodies(scene) if scene is not None else []
     if scene is not None:
         _clear(mission, place, frame, scene, parts)
     reference = plan(mission, rate_hz=CONTROL_HZ, start=place, start_yaw_deg=yaw_deg)
-    blowing = air(wind, gust_m_s, count=len(reference.track), rate_hz=CONTROL_HZ, seed=seed)
+    blowing = air(wind, given.gust_m_s, count=len(reference.track), rate_hz=CONTROL_HZ, seed=given.seed)
     around = Surroundings(frame, parts, len(reference.track))
-    table = _steps(frame, reference, blowing, around, scene, on_contact, progress)
+    table = _steps(frame, reference, blowing, around, scene, given.on_contact, given.progress)
     contacts = tuple(_contact(touch, scene) for touch in around.touches) if scene is not None else ()
-    return _result(table, reference, contacts, rate_hz)
+    return _result(table, reference, contacts, given.rate_hz)
 
 
 def _steps(
