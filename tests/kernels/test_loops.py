@@ -13,12 +13,10 @@ import numba
 import numpy as np
 import pytest
 from numba.core.errors import NumbaError
-from numba.core.types.functions import BaseFunction
 
 import ullage
 from ullage.kernels import loops
 from ullage.kernels.loops import lean, loop
-from ullage.kernels.resolution import remembered
 
 
 def bent(points, order, out):  # type: ignore[no-untyped-def]
@@ -37,26 +35,10 @@ def bent(points, order, out):  # type: ignore[no-untyped-def]
         out[i] = total * math.sqrt(nearest)
 
 
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """What Numba is asked for in earnest."""
-    questions: list[object] = []
-    real = BaseFunction.get_call_type
-
-    def get_call_type(function: object, context: object, args: object, kws: object) -> object:
-        questions.append((function.typing_key, args))  # type: ignore[attr-defined]
-        return real(function, context, args, kws)
-
-    monkeypatch.setattr("ullage.kernels.resolution.ASKED", get_call_type)
-    monkeypatch.setattr(BaseFunction, "get_call_type", get_call_type)
-    return questions
-
-
 def test_a_loop_gives_what_numba_alone_makes_of_it() -> None:
     points, one, other = np.random.default_rng(1).normal(size=(50, 2)), np.empty(50, complex), np.empty(50, complex)
     numba.njit(bent)(points, 2, one)
-    with remembered():
-        loop(cache=False)(bent)(points, 2, other)
+    loop(cache=False)(bent)(points, 2, other)
     assert np.array_equal(one, other)
     twin = np.empty(50, complex)
     bent(points, 2, twin)
@@ -80,38 +62,6 @@ def test_a_lean_loop_that_makes_an_array_is_refused() -> None:
 
     with pytest.raises(NumbaError, match="empty"):
         lean(cache=False)(made)(np.zeros(1))
-
-
-def test_numba_is_asked_once_for_the_same_types_while_they_are_remembered(asked: list[object]) -> None:
-    points, out = np.zeros((3, 2)), np.empty(3, complex)
-    loop(cache=False)(bent)(points, 2, out)
-    plainly = len(asked)
-    asked.clear()
-    with remembered():
-        loop(cache=False)(bent)(points, 2, out)
-        first = len(asked)
-        loop(cache=False)(bent)(points, 2, out)
-    assert len(set(map(str, asked))) == first == len(asked)
-    assert first < 0.6 * plainly
-    asked.clear()
-    loop(cache=False)(bent)(points, 2, out)
-    assert len(asked) == plainly
-
-
-def test_what_numba_cannot_type_it_still_refuses_and_is_itself_again_afterwards() -> None:
-    real = BaseFunction.get_call_type
-
-    def wrong(a):  # type: ignore[no-untyped-def]
-        return a @ 1.5
-
-    def compile_wrong() -> None:
-        with remembered():
-            assert BaseFunction.get_call_type is not real
-            loop(cache=False)(wrong)(2.0)
-
-    with pytest.raises(numba.TypingError, match="No implementation of function"):
-        compile_wrong()
-    assert BaseFunction.get_call_type is real
 
 
 def test_a_change_of_one_kernel_file_recompiles_the_kernels_of_the_others_that_call_it(tmp_path: Path) -> None:

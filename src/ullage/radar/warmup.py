@@ -2,7 +2,7 @@
 
 Numba compiles one function at a time in a process, so half of the work is done in a process of its own beside this
 one. While either compiles, the garbage of a compiler is not swept: there is little, and looking for it takes a tenth
-of the time; and what Numba finds out about types it does not find out again, which takes a quarter.
+of the time.
 """
 
 from __future__ import annotations
@@ -134,15 +134,6 @@ def unswept() -> Iterator[None]:
         gc.enable()
 
 
-@contextmanager
-def in_haste() -> Iterator[None]:
-    """While it lasts, kernels are compiled with as little ado as can be."""
-    from ullage.kernels.resolution import remembered
-
-    with unswept(), remembered():
-        yield
-
-
 @dataclass(slots=True)
 class Compiling:
     """Jobs under way: those of now in this process and the one beside it, those of later in that one.
@@ -185,7 +176,7 @@ class Compiling:
             self._start([job.name for job in (*others, *self.later)])
         self._mine = mine
         try:
-            with in_haste():
+            with unswept():
                 for job in tuple(mine):
                     self._await([other for other in others if other.name in job.needs])
                     self._say([job.name, *self._open[:1]])
@@ -237,7 +228,7 @@ class Compiling:
         for job in jobs:
             if self._beside is None or job.name in self._open:
                 self._say([job.name])
-                with in_haste():
+                with unswept():
                     self._run(job)
 
     def _run(self, job: Job) -> None:
@@ -287,7 +278,7 @@ def beside(jobs: Sequence[Job]) -> None:
     """What the process beside does: the jobs whose names it is told line by line, each told back when done."""
     from ullage.radar import physical  # noqa: F401  while nothing is asked yet
 
-    with in_haste():
+    with unswept():
         for line in sys.stdin:
             next(job for job in jobs if job.name == line.strip()).run()
             print(line.strip(), flush=True)
