@@ -14,7 +14,7 @@ import ullage as ul
 pytest.importorskip("zmq")
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.cosimulation import CosimulationSource, opened
+from ullage.ports.cosimulation import CosimulationSource, resolved
 from ullage.ports.gazebo import wire
 from ullage.ports.gazebo.peer import Peer, ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.scene import ask_scene, sdf_of
@@ -185,7 +185,7 @@ def test_a_flood_of_a_real_publisher_loses_nothing_silently(server):
     reported = []
     with Peer() as peer:
         world = ask_scene(peer, "", where="gazebo:")
-    options, scene, rig = opened(GazeboOptions(model="x3", fidelity="thesis", rig="single"), "gazebo:", world)
+    options, scene, rig = resolved(GazeboOptions(model="x3", fidelity="thesis", rig="single"), "gazebo:", world)
 
     def join():
         return PoseFeed(Peer(most_waiting=300), options, "", {}, frozenset(scene.models))

@@ -390,10 +390,10 @@ def _controls(by: str, scenario: Scenario, say: Callable[[str], None]) -> Contro
         say(HELP)
         return keyboard
     address = Address.of(by)
-    door = None if address is None else address.door("open_controls")
-    if address is None or door is None:
+    open_controls = None if address is None else address.function("open_controls")
+    if address is None or open_controls is None:
         raise InputError(f"no commands come from {by!r}", where="--by", allowed="keys, ros2:NAMESPACE?key=value")
-    controls: Controls = door(address.place, address.options)
+    controls: Controls = open_controls(address.place, address.options)
     return controls
 
 

@@ -1,4 +1,4 @@
-"""Live doors: `scheme:address?key=value` names a port, where it reaches, and how it is set."""
+"""Live ports: `scheme:address?key=value` names a port, its peer and its options."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ LIVE = {
 }
 """Scheme to the module with `open_source(address, options)` and `open_sink(address, options)`."""
 ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")
-"""Groups in which other packages add live ports: each a function of the place and the options."""
+"""Entry point groups for live ports of other packages: each a function of the place and the options."""
 LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
 
 
 @runtime_checkable
 class LiveSource(Protocol):
-    """A peer that goes on measuring: it can be listened to once, and not be asked what was before."""
+    """A peer that goes on measuring: its stream can be read once, and the past is not available."""
 
-    scene: Scene | None  # the world, where the port knows it
+    scene: Scene | None  # the world, if the port knows it
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the radars known so far."""
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames with poses as they arrive, until the peer ends, the asked duration is over, or Ctrl-C."""
+        """Give frames with poses as they arrive, until the peer ends, the duration is over, or Ctrl-C."""
 
     def close(self) -> None:
-        """Let go of sockets and nodes."""
+        """Close sockets and nodes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a live port reaches."""
+    """Scheme, place and options of a live port."""
 
     scheme: str
     place: str
@@ -58,11 +58,11 @@ class Address:
 
     @classmethod
     def of(cls, target: object, **options: Any) -> Self | None:
-        """The parts of `scheme:place?key=value&key=value`; None where it is not of that form.
+        """Split `scheme:place?key=value&key=value`; return None for another form.
 
         Args:
-            target: what the user wrote.
-            **options: laid over those of the target.
+            target: text of the user.
+            **options: override those of the target.
 
         Raises:
             InputError: an option is not key=value, or comes twice.
@@ -87,7 +87,7 @@ class Address:
         return self.scheme in LIVE or any(self.scheme in plugins.names(group) for group in ADDED)
 
     def port(self) -> ModuleType:
-        """The port's module.
+        """Import the module of the port.
 
         Raises:
             InputError: it is not part of this version.
@@ -98,19 +98,19 @@ class Address:
             )
         return importlib.import_module(LIVE[self.scheme])
 
-    def door(self, name: str) -> Callable[..., Any] | None:
-        """What the port offers beyond a source and a sink, such as `open_drone`; None where it does not."""
+    def function(self, name: str) -> Callable[..., Any] | None:
+        """Return another function of the port, such as `open_drone`; None if it has none."""
         found: Callable[..., Any] | None = getattr(self.port(), name, None) if self.scheme in LIVE else None
         return found
 
     def source(self) -> Source:
-        """Open it to listen."""
+        """Open the port as a source."""
         added = None if self.scheme in LIVE else plugins.load("ullage.sources", self.scheme)
         source: Source = (added or self.port().open_source)(self.place, self.options)
         return source
 
     def sink(self) -> Sink:
-        """Open it to speak."""
+        """Open the port as a sink."""
         added = None if self.scheme in LIVE else plugins.load("ullage.sinks", self.scheme)
         sink: Sink = (added or self.port().open_sink)(self.place, self.options)
         return sink

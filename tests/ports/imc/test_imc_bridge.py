@@ -14,8 +14,8 @@ from imc_peer import Peer
 
 import ullage as ul
 from ullage.ports.imc import radars
+from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, make
-from ullage.ports.imc.gather import Gatherer, Track
 
 
 def told(folder: Path, frames: dict[str, ul.Frames]) -> bytes:
@@ -48,7 +48,7 @@ def test_frames_go_from_imc_to_ros_messages_and_back_without_losing_a_bit(tmp_pa
         while sum(p.name == "DevDataBinary" for p in peer.heard) < 82 and time.monotonic() < end:
             time.sleep(0.02)
         heard = list(peer.heard)
-    gather = Gatherer(Track())
+    gather = FrameAssembler(Track())
     for packet in heard:
         gather.take(packet)
     back = gather.give(final=True)
@@ -76,7 +76,7 @@ GOOD = bytes_of_frames()
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, len(GOOD) - 1), st.integers(0, 4000), st.binary(min_size=1, max_size=8), st.booleans())
 def test_damaged_frames_of_a_stranger_do_no_harm(which: int, at: int, new: bytes, cut: bool) -> None:
-    gather = Gatherer(Track())
+    gather = FrameAssembler(Track())
     hurt = list(GOOD)
     at %= len(hurt[which])
     hurt[which] = hurt[which][:at] + (b"" if cut else new + hurt[which][at + len(new) :])
@@ -94,7 +94,7 @@ def test_damaged_frames_of_a_stranger_do_no_harm(which: int, at: int, new: bytes
 @given(st.data())
 def test_senseless_numbers_of_a_stranger_do_no_harm(data: st.DataObject) -> None:
     track = Track()
-    gather = Gatherer(track)
+    gather = FrameAssembler(track)
     numbers = st.floats(width=32)
     for name in data.draw(st.lists(st.sampled_from(["EstimatedState", "Distance", "SonarData"]), max_size=8)):
         blank = make(name).values

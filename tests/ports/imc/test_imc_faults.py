@@ -22,8 +22,8 @@ from imc_bus import HEIGHT, LAT, LON, VEHICLE, announce, estimated_state, heartb
 from imc_peer import Peer
 
 import ullage as ul
+from ullage.ports.imc.assemble import MOST_PARTS, FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
-from ullage.ports.imc.gather import MOST_PARTS, Gatherer, Track
 from ullage.ports.imc.link import OUTBOX_BYTES, Identity, Link, Outbox
 from ullage.ports.imc.table import own
 from ullage.ports.imc.tcp import TcpWire
@@ -287,7 +287,7 @@ def test_a_thousand_peers_cost_no_memory_and_are_counted() -> None:
 
 def test_radars_and_labels_without_end_are_bounded() -> None:
     track = Track()
-    gather = Gatherer(track)
+    gather = FrameAssembler(track)
     profile = make("SonarData", type=1, max_range=9, bits_per_point=8, scale_factor=1.0, data=bytes(16))
     many = ";".join(f"\x1b[31m{k}={'9' * 500}" for k in range(300))  # more than are read of one message
     count = 3 * MOST_PARTS

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import ullage as ul
+from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
-from ullage.ports.imc.gather import Gatherer, Track
-from ullage.ports.imc.places import Geodetic
+from ullage.ports.imc.encode import BODY
+from ullage.ports.imc.geodetic import Geodetic
 from ullage.ports.imc.relay import LOCAL
 from ullage.ports.imc.table import own
-from ullage.ports.imc.teller import BODY
 
 from .network import ROOT, Network, result_of
 
@@ -68,7 +68,7 @@ def test_a_vehicle_goes_to_ros_and_from_ros_to_a_bus_without_losing_a_bit(networ
     assert heard["last"]["/dune/odom"]["pose"]["pose"]["position"]["x"] == pytest.approx(0.0, abs=1e-6)
     assert heard["last"]["/tf"]["transforms"][0]["child_frame_id"] == "base_link"
 
-    gather = Gatherer(Track(origin=Geodetic.degrees(63.4185, 10.4009, 40.0)))
+    gather = FrameAssembler(Track(origin=Geodetic.degrees(63.4185, 10.4009, 40.0)))
     for packet in heard(tmp_path / "ground.bin"):
         gather.take(packet)
     got = gather.give(final=True)

@@ -1,4 +1,4 @@
-"""A mission of ours at the wheel of a DUNE vehicle: FollowReference is started, and References lead it along."""
+"""Lead a DUNE vehicle along a mission: start FollowReference and send References."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.flight.missions import Waypoints
 from ullage.ports.imc.codec import Packet, make, readable
+from ullage.ports.imc.geodetic import Geodetic, Pose
 from ullage.ports.imc.link import Link
-from ullage.ports.imc.places import Geodetic, Pose
 from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
 
@@ -25,15 +25,15 @@ LOITERS, XY_NEAR, Z_NEAR = (3, 4), 0x02, 0x04
 """FollowRefState: the states of loitering and hovering, and the proximity that DUNE finds."""
 EVERY_S, ANSWER_S, CALIBRATION_S, RELEASE_S = 0.5, 5.0, 60.0, 3.0
 NEAR_Z_M = 1.0
-"""Heights and depths are held better than places: a vehicle that circles a point is no farther above or below."""
+"""Greatest height error [m] of a vehicle that circles a point: heights and depths are held better than places."""
 TURN = 2.0
-"""A vehicle that has travelled so many times its least distance from a point, and is no nearer, circles it."""
+"""A vehicle circles a point if it travels this many times its least distance and comes no nearer."""
 SAME_PLACE_RAD = 1e-7
 PLAN = "ullage"
 
 
 class Backseat:
-    """Leads a vehicle from waypoint to waypoint.
+    """Lead a vehicle from waypoint to waypoint.
 
     A waypoint is reached within `near_m`. A vehicle that cannot stop, such as DUNE's lauv-simulator, circles a point on
     its own loiter radius (7.5 m there) instead. So a waypoint is also reached when DUNE reports that it loiters at it
@@ -41,10 +41,10 @@ class Backseat:
 
     Args:
         link: to the vehicle's bus.
-        mission: where to go, and how fast.
-        z: how heights are told: "height" over the ellipsoid, "altitude" over the ground, "depth" under the origin.
+        mission: waypoints and speed.
+        z: kind of height sent: "height" over the ellipsoid, "altitude" over the ground, "depth" under the origin.
         near_m: a waypoint this near is reached [m].
-        log: told of what happens.
+        log: takes lines for the user.
     """
 
     def __init__(
@@ -55,27 +55,27 @@ class Backseat:
         self.done = self.refused = False
         self._accepted = self._loiters = False
         self._vehicle: int | None = None
-        self._place: Geodetic | None = None  # that it was last told
-        self._request, self._asked, self._told = 0, -math.inf, -math.inf
+        self._place: Geodetic | None = None  # of the last Reference
+        self._request, self._asked, self._sent_s = 0, -math.inf, -math.inf
         self._patience_s = ANSWER_S
         self._stop: tuple[int, float] | None = None  # request to stop, and when it was first sent [s]
         self._stopped = False
-        self._last: Floats | None = None  # where the vehicle was
-        self._least_m, self._travelled_m = math.inf, 0.0  # least distance from the target, and the way since then
+        self._last: Floats | None = None  # last position of the vehicle
+        self._least_m, self._travelled_m = math.inf, 0.0  # least distance from the target, and path length since then
 
     @property
     def finished(self) -> bool:
-        """Whether the vehicle is led no longer: it refused, or it has stopped the plan or does not answer."""
+        """Whether the mission is over: the vehicle refused, stopped the plan, or does not answer."""
         if self.refused or self._stopped:
             return True
         return self._stop is not None and time.monotonic() - self._stop[1] > RELEASE_S
 
     def take(self, packet: Packet) -> None:
-        """Heed the vehicle's answers."""
+        """Handle the vehicle's answers."""
         if packet.src != self._vehicle:
             return
         if packet.name == "FollowRefState":
-            self._loiters = self._loiters or self._says_it_loiters(packet)
+            self._loiters = self._loiters or self._loiters_there(packet)
         elif packet.name == "PlanControl" and packet["type"] != REQUEST:
             self._answered(packet)
 
@@ -95,24 +95,26 @@ class Backseat:
             why = readable(packet["info"], 200) or "it does not say why"
             self._log(f"system {packet.src:#06x} does not follow: {why}")
 
-    def _says_it_loiters(self, packet: Packet) -> bool:
-        """Whether DUNE reports that the vehicle loiters at the point that it was last told."""
-        place, told = packet["reference"], self._place
-        if packet["control_src"] != self._link.me.system_id or place is None or place.name != "Reference":
+    def _loiters_there(self, packet: Packet) -> bool:
+        """Whether DUNE reports that the vehicle loiters at the point of the last Reference."""
+        reported, sent = packet["reference"], self._place
+        if packet["control_src"] != self._link.me.system_id or reported is None or reported.name != "Reference":
             return False
-        if told is None or max(abs(place["lat"] - told.lat_rad), abs(place["lon"] - told.lon_rad)) > SAME_PLACE_RAD:
+        if sent is None:
+            return False
+        if max(abs(reported["lat"] - sent.lat_rad), abs(reported["lon"] - sent.lon_rad)) > SAME_PLACE_RAD:
             return False
         return packet["state"] in LOITERS and packet["proximity"] & (XY_NEAR | Z_NEAR) == XY_NEAR | Z_NEAR
 
     def lead(self, vehicle: int, pose: Pose, origin: Geodetic) -> None:
-        """Send what is due, now that the vehicle is there."""
+        """Send the messages that are due at this pose of the vehicle."""
         self._vehicle = vehicle
         if self.refused:
             return
         now = time.monotonic()
         if self.done:
-            if now - self._told >= EVERY_S and not self.finished:
-                self._told = now
+            if now - self._sent_s >= EVERY_S and not self.finished:
+                self._sent_s = now
                 self._ask_stop(vehicle)
             return
         if not self._accepted and now - self._asked > self._patience_s:
@@ -123,8 +125,8 @@ class Backseat:
             self._loiters, self._least_m, self._travelled_m = False, math.inf, 0.0
         if self.target >= len(self._mission):
             self._end(vehicle, origin)
-        elif now - self._told >= EVERY_S:
-            self._told = now
+        elif now - self._sent_s >= EVERY_S:
+            self._sent_s = now
             self._refer(vehicle, origin, self.target, LOCATION | SPEED | HEIGHT_FLAG)
 
     def _reached(self, pose: Pose) -> bool:
@@ -166,7 +168,7 @@ class Backseat:
         )  # fmt: skip
 
     def _end(self, vehicle: int, origin: Geodetic) -> None:
-        self.done, self._told = True, time.monotonic()
+        self.done, self._sent_s = True, time.monotonic()
         self._refer(vehicle, origin, len(self._mission) - 1, LOCATION | SPEED | HEIGHT_FLAG | DONE)
         self._ask_stop(vehicle)
         self._log("the mission is flown")
@@ -178,7 +180,7 @@ class Backseat:
         self._send(vehicle, "PlanControl", type=REQUEST, op=STOP, request_id=self._stop[0], plan_id=PLAN)
 
     def release(self) -> None:
-        """Stop the plan at the end of a run, however it ended."""
+        """Stop the plan at the end of a run."""
         if self._vehicle is not None and self._request and not (self.refused or self._stopped):
             self._ask_stop(self._vehicle)
 

@@ -1,4 +1,4 @@
-"""What messages of an IMC controller ask of a multirotor, as requests to it: the thesis' interpreter_quadcopter.
+"""Convert messages of an IMC controller to requests for a multirotor: the thesis' interpreter_quadcopter.
 
 Set-points of DUNE's controllers, references, and maneuvers that a multirotor can fly: by a velocity, to a place, along
 a straight path, or hovering [Billdal2018, 3.5.2].
@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from ullage.arrays import Floats
 from ullage.flight.live import Wish
 from ullage.ports.imc.codec import Message, Packet, make
-from ullage.ports.imc.places import Geodetic
+from ullage.ports.imc.geodetic import Geodetic
 from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
 
@@ -34,30 +34,30 @@ HOVERS = ("IdleManeuver", "StopManeuver", "Teleoperation")
 MANEUVERS = (*PLACES, *HOVERS, "FollowReference")
 
 
-class Obedient(Protocol):
-    """A vehicle that can be asked."""
+class Requested(Protocol):
+    """A vehicle that takes requests."""
 
     @property
     def wish(self) -> Wish:
-        """What it was asked for."""
+        """The last request."""
 
     @property
     def position(self) -> Floats | None:
-        """Where it is (3) [m]; None: not known yet."""
+        """Its position (3) [m]; None: not known yet."""
 
 
 class Commands:
-    """Reads commands.
+    """Convert commands to requests.
 
     Args:
-        vehicle: that is asked; its place and the last request complete some commands.
-        origin: where the world lies.
-        log: told of what cannot be done.
+        vehicle: its position and last request complete some commands.
+        origin: geodetic place of the world's origin.
+        log: takes a line for a command that is not possible.
     """
 
-    def __init__(self, vehicle: Obedient, origin: Geodetic, log: Log) -> None:
+    def __init__(self, vehicle: Requested, origin: Geodetic, log: Log) -> None:
         self._vehicle, self._origin, self._log = vehicle, origin, log
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         self._known: dict[str, Callable[[Mapping[str, Any]], Wish | None]] = {
             "DesiredZ": self._height, "DesiredSpeed": self._speed, "DesiredVelocity": self._velocity,
             "DesiredHeading": lambda m: Wish(heading_rad=math.pi / 2 - m["value"]),
@@ -69,13 +69,13 @@ class Commands:
         } | dict.fromkeys(PLACES, self._place) | dict.fromkeys(HOVERS, lambda m: self.hover())  # fmt: skip
 
     def wish(self, packet: Packet) -> Wish | None:
-        """What a message asks for; None where it is no command, or makes no sense."""
+        """Return the request of a message, or None if it is no valid command."""
         if packet.name == "Abort":
             self._log(f"system {packet.src:#06x} says abort: hovering")
         return self._of(packet.message)
 
     def answer(self, packet: Packet) -> tuple[Wish | None, Message] | None:
-        """What a request asks for, and the answer to it; None where the packet is no request."""
+        """Return the request and the answer of a packet, or None if it is no request."""
         if packet.name == "VehicleCommand" and packet["type"] == REQUEST:
             stops = packet["command"] == STOP_MANEUVER
             known = stops or packet["command"] == EXECUTE
@@ -91,7 +91,7 @@ class Commands:
         return None
 
     def _started(self, maneuver: Message | None) -> tuple[Wish | None, str]:
-        """What a maneuver asks for, and why it cannot be flown; none: hover."""
+        """Return the request of a maneuver (None: hover), and why it is not possible."""
         if maneuver is None or maneuver.name == "FollowReference":
             return self.hover(), ""
         if maneuver.name not in MANEUVERS:
@@ -112,14 +112,14 @@ class Commands:
 
     def _metres_a_second(self, m: Mapping[str, Any], key: str) -> float | None:
         if m["speed_units"] != METRES_A_SECOND:
-            if key not in self._said:
-                self._said.add(key)
+            if key not in self._reported:
+                self._reported.add(key)
                 self._log(f"{key} is taken in m/s only")
             return None
         return float(m["value" if key == "DesiredSpeed" else "speed"])
 
     def _speed(self, m: Mapping[str, Any]) -> Wish | None:
-        """A speed ahead; on the way to a place, the greatest speed there."""
+        """Read a forward speed, or the greatest speed towards a goal."""
         speed = self._metres_a_second(m, "DesiredSpeed")
         if speed is None:
             return None
@@ -148,7 +148,7 @@ class Commands:
         return {HEIGHT: value - self._origin.height_m, ALTITUDE: value, DEPTH: -value}.get(units)
 
     def _height(self, m: Mapping[str, Any]) -> Wish | None:
-        """A height; on the way to a place, the height of that place."""
+        """Read a height, or the height of the present goal."""
         up, goal = self._metres_up(m["value"], m["z_units"]), self._vehicle.wish.position_m
         if up is None or goal is None:
             return None if up is None else Wish(height_m=up)
@@ -160,8 +160,8 @@ class Commands:
         east, north, _ = (float(v) for v in SWAP @ self._origin.earth_from_ned.T @ there)
         if up is None:
             wish, here = self._vehicle.wish, self._vehicle.position
-            kept = wish.position_m[2] if wish.position_m is not None else wish.height_m
-            up = kept if kept is not None else 0.0 if here is None else float(here[2])
+            last = wish.position_m[2] if wish.position_m is not None else wish.height_m
+            up = last if last is not None else 0.0 if here is None else float(here[2])
         return east, north, up
 
     def _place(self, m: Mapping[str, Any]) -> Wish:

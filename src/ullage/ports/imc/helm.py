@@ -1,4 +1,4 @@
-"""A DUNE controller at the helm of a multirotor, ours or another's: EstimatedState goes out, its commands come in."""
+"""A DUNE controller flies a multirotor, simulated or external: EstimatedState goes out, commands come in."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from ullage.flight.live import Steered, Wish
 from ullage.ports.drone import Guided
 from ullage.ports.imc.codec import NOBODY, Packet, make
 from ullage.ports.imc.commands import Commands
+from ullage.ports.imc.geodetic import Geodetic, Pose, state_of
 from ullage.ports.imc.link import Link
-from ullage.ports.imc.places import Geodetic, Pose, state_of
 from ullage.ports.intake import Log
 
 
 class Vehicle(Protocol):
-    """What a controller can stand at the helm of."""
+    """A vehicle that a controller can fly."""
 
     @property
     def wish(self) -> Wish:
-        """What it was asked for."""
+        """The last request."""
 
     @property
     def position(self) -> Floats | None:
-        """Where it is (3) [m]; None: not known yet."""
+        """Its position (3) [m]; None: not known yet."""
 
     def ask(self, wish: Wish) -> None:
-        """Change what is asked for."""
+        """Change the request."""
 
     def fly(self) -> list[Pose]:
-        """Fly until now; the poses since the last call."""
+        """Fly until now, and return the poses since the last call."""
 
     def close(self) -> None:
-        """Hover, and let go of it."""
+        """Hover, and release it."""
 
 
 class Simulated:
-    """Our own multirotor, flown in the wall's time from the first call on.
+    """Our own multirotor, flown in wall time from the first call on.
 
     Args:
         vehicle: in the air.
         rate_hz: poses a second of flight.
         pace: times real time.
-        log: told when it hits something.
+        log: takes a line when it hits something.
     """
 
     def __init__(self, vehicle: Steered, *, rate_hz: float, pace: float, log: Log) -> None:
@@ -57,20 +57,20 @@ class Simulated:
 
     @property
     def wish(self) -> Wish:
-        """What it was asked for."""
+        """The last request."""
         return self._vehicle.wish
 
     @property
     def position(self) -> Floats | None:
-        """Where it is (3) [m]."""
+        """Its position (3) [m]."""
         return self._vehicle.position
 
     def ask(self, wish: Wish) -> None:
-        """Change what is asked for."""
+        """Change the request."""
         self._vehicle.ask(wish)
 
     def fly(self) -> list[Pose]:
-        """Fly until now; the poses since the last call."""
+        """Fly until now, and return the poses since the last call."""
         now = time.monotonic()
         if self._begun is None:
             self._begun = now
@@ -81,7 +81,7 @@ class Simulated:
             self._count += 1
             v.advance(self._count * self._period_ns)
             out.append(Pose(self._epoch_ns + v.t_ns, v.position, v.quat_xyzw, v.velocity, v.spin))
-            if len(out) >= 50:  # commands that came meanwhile are taken before the flight goes on
+            if len(out) >= 50:  # first handle commands that came meanwhile
                 break
         if v.touched and not self._touched:
             self._touched = True
@@ -89,15 +89,15 @@ class Simulated:
         return out
 
     def close(self) -> None:
-        """Nothing is left to do."""
+        """Do nothing."""
 
 
-class Foreign:
-    """A drone of others.
+class ExternalDrone:
+    """A drone outside of ullage.
 
     Args:
-        drone: that is commanded.
-        rate_hz: most poses a second.
+        drone: the commanded drone.
+        rate_hz: greatest number of poses a second.
     """
 
     def __init__(self, drone: Guided, *, rate_hz: float) -> None:
@@ -105,20 +105,20 @@ class Foreign:
 
     @property
     def wish(self) -> Wish:
-        """What it was asked for."""
+        """The last request."""
         return self._drone.wish
 
     @property
     def position(self) -> Floats | None:
-        """Where it was last (3) [m]; None before it was heard."""
+        """Its last position (3) [m]; None before the first state."""
         return self._drone.position
 
     def ask(self, wish: Wish) -> None:
-        """Change what is asked for."""
+        """Change the request."""
         self._drone.ask(wish)
 
     def fly(self) -> list[Pose]:
-        """The poses since the last call, no more than asked for."""
+        """Return the poses since the last call, at most at the given rate."""
         out = []
         for state in self._drone.fly():
             if state.t_ns - self._last_ns >= 0.9 * self._period_ns:
@@ -127,35 +127,35 @@ class Foreign:
         return out
 
     def close(self) -> None:
-        """Hover, and let go of it."""
+        """Hover, and release it."""
         self._drone.close()
 
 
 class Helm:
-    """Flies a vehicle as a controller on the bus asks.
+    """Fly a vehicle as a controller on the bus commands.
 
-    The multirotor is the vehicle: it takes the address of the first peer that speaks, for DUNE's controllers listen to
-    the EstimatedState of their own system alone. When the controller falls silent, the vehicle hovers.
+    The multirotor takes the address of the first peer that sends a message, because DUNE's controllers use only the
+    EstimatedState of their own system. When the controller falls silent, the vehicle hovers.
 
     Args:
         vehicle: the multirotor.
         link: to the controller.
-        origin: where the world lies.
+        origin: geodetic place of the world's origin.
         timeout_s: silence after which the vehicle hovers [s].
-        log: told of what cannot be done.
+        log: takes a line for a command that is not possible.
     """
 
     def __init__(self, vehicle: Vehicle, link: Link, *, origin: Geodetic, timeout_s: float, log: Log) -> None:
         self._vehicle, self._link, self._origin, self._log = vehicle, link, origin, log
         self._commands = Commands(vehicle, origin, log)
-        self._timeout_s, self._heard_s = timeout_s, 0.0
+        self._timeout_s, self._received_s = timeout_s, 0.0
         self._commanded = self._adopted = False
 
     def take(self, packet: Packet) -> None:
-        """Do what this message asks for."""
+        """Carry out the command of a message."""
         if not self._adopted and packet.name in ("Heartbeat", "Announce"):
             self._adopted, self._link.me.system_id, self._link.me.shared = True, packet.src, True
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         if packet.dst not in (NOBODY, self._link.me.system_id):
             return
         answered = self._commands.answer(packet)
@@ -169,10 +169,10 @@ class Helm:
             self._vehicle.ask(wish)
 
     def fly(self) -> list[Pose]:
-        """The poses until now, each told to the controller as well; none before there is a controller."""
-        if not self._heard_s and not self._link.connected:
+        """Fly until now, send each pose to the controller and return the poses; none before a controller comes."""
+        if not self._received_s and not self._link.connected:
             return []
-        if self._commanded and time.monotonic() - self._heard_s > self._timeout_s:
+        if self._commanded and time.monotonic() - self._received_s > self._timeout_s:
             self._commanded = False
             self._log(f"the controller has said nothing for {self._timeout_s:g} s: hovering")
             self._vehicle.ask(self._commands.hover())
@@ -189,10 +189,10 @@ class Helm:
 
 
 class Flight:
-    """Keeps the helm going in the background, so that no simulation of radars holds up the flight.
+    """Run the helm in a thread, so that the simulation of radars does not delay the flight.
 
     Args:
-        helm: at which the controller stands.
+        helm: carries out the commands of the controller.
         link: to the controller.
     """
 
@@ -206,7 +206,7 @@ class Flight:
         self._thread.start()
 
     def poses(self, timeout_s: float) -> list[Pose]:
-        """The poses since the last call; waits for one at most so long."""
+        """Return the poses since the last call; wait for one until the timeout."""
         with self._lock:
             if not self._poses:
                 self._lock.wait(timeout_s)
@@ -225,11 +225,11 @@ class Flight:
                     self._poses += fresh
                     if fresh:
                         self._lock.notify_all()
-        except BaseException as error:  # whoever asks for poses is told
+        except BaseException as error:  # `poses` raises it
             self._error = error
 
     def close(self) -> None:
-        """End the thread, and let go of the vehicle."""
+        """End the thread, and release the vehicle."""
         self._ending = True
         self._thread.join(3.0)
         self._helm.close()

@@ -1,4 +1,4 @@
-"""A live link: a thread that keeps the connection, says who we are, and holds no more than it should."""
+"""A live link: a thread that keeps the connection, announces us, and bounds the queues."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ class Entity:
 
 @dataclass(slots=True)
 class Identity:
-    """Who we are on the wire."""
+    """Our identity on the wire."""
 
     system_id: int
     name: str
     sys_type: int = MOBILE_SENSOR
     entities: list[Entity] = field(default_factory=list)
-    shared: bool = False  # somebody else on the bus has our address, and is meant to
+    shared: bool = False  # another system on the bus has our address on purpose
     uid: str = field(default_factory=lambda: uuid.uuid4().hex[:16])
     lat_rad: float = 0.0
     lon_rad: float = 0.0
     height_m: float = 0.0
 
     def announce(self, services: Sequence[str], table: Table) -> Message:
-        """The message by which others learn of us."""
+        """Return the message that announces us."""
         known = [f"ullage://0.0.0.0/uid/{self.uid}", "imc+info://0.0.0.0/version/5.4.31", *services]
         return make(
             "Announce", table=table, sys_name=self.name, sys_type=self.sys_type, owner=NOBODY, lat=self.lat_rad,
@@ -55,13 +55,13 @@ class Identity:
         )  # fmt: skip
 
     def entity_list(self, table: Table) -> Message:
-        """Labels and numbers of our parts."""
+        """Return the labels and numbers of our parts."""
         text = ";".join(f"{e.label}={e.id}" for e in self.entities)
         return make("EntityList", table=table, op=REPORT, list=text)
 
 
 class Outbox:
-    """Packets that wait to be sent; when they are too many the oldest go."""
+    """Packets that wait to be sent; if there are too many, the oldest are dropped."""
 
     def __init__(self) -> None:
         self._waiting: deque[bytes] = deque()
@@ -83,7 +83,7 @@ class Outbox:
         return self._size
 
     def take(self) -> bytes | None:
-        """The oldest one; None where none waits."""
+        """Return the oldest one, or None if none waits."""
         with self._lock:
             if not self._waiting:
                 return None
@@ -102,43 +102,43 @@ class Outbox:
 
 
 class Wire(Protocol):
-    """Carries bytes to a peer or peers; every call returns at once or within the time given."""
+    """Carry bytes to one or more peers; every call returns at once or within its timeout."""
 
     @property
     def services(self) -> Sequence[str]:
-        """What we offer others, as URIs."""
+        """Our services, as URIs."""
 
     @property
     def connected(self) -> bool:
-        """Whether somebody is there."""
+        """Whether a peer is connected."""
 
     @property
     def finished(self) -> bool:
-        """Whether the peer has gone and will not be waited for."""
+        """Whether the peer has gone for good."""
 
     def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
-        """Send what can be sent, and give what has come; wait for either at most so long."""
+        """Send and receive what is possible; wait until the timeout if nothing is."""
 
     def greet(self, announce: bytes) -> None:
-        """Let whoever listens know of us."""
+        """Announce us to all listeners."""
 
     def wake(self) -> None:
         """End a running `exchange` early."""
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
 
 
 class Link:
-    """Sends and receives messages in the background.
+    """Send and receive messages in the background.
 
     Args:
         wire: carries the bytes.
-        me: who we are.
+        me: our identity.
         table: the messages.
-        log: told of what others should know: that we wait, that a peer has gone.
-        listens: whether anybody here will `receive`.
-        counters: count what is damaged or finds no room.
+        log: takes lines for the user: that the link waits, that a peer has gone.
+        listens: whether the caller uses `receive`.
+        counters: count damaged and dropped messages.
         most_waiting: messages that may wait to be received; beyond that the oldest are lost.
     """
 
@@ -155,7 +155,7 @@ class Link:
         self._in_bytes = 0
         self._lock = threading.Condition()
         self._ending = False
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._error: BaseException | None = None
         compile_kernels()
         self._thread = threading.Thread(target=self._run, name="imc", daemon=True)
@@ -164,7 +164,7 @@ class Link:
     def send(
         self, message: Message, *, entity: int = 255, t_s: float | None = None, dst: int = NOBODY, dst_ent: int = 255
     ) -> None:
-        """Queue a message; the oldest are dropped where the peer does not take them.
+        """Queue a message; drop the oldest if the peer does not take them.
 
         Raises:
             InputError: a value does not fit its field.
@@ -177,13 +177,13 @@ class Link:
         self.wire.wake()
 
     def enter(self, entity: Entity) -> None:
-        """Make a part of us known."""
+        """Announce a part of us."""
         self.me.entities = [*self.me.entities, entity]
         for data in (self._pack(self.me.entity_list(self.table)), self._info(entity), self._state(entity)):
             self.out.put(data)
 
     def join(self, me: Identity, *, listens: bool) -> None:
-        """Somebody else of this program uses the link too, under the same name and number."""
+        """Let another part of this program use the link under the same name and number."""
         if (me.lat_rad, me.lon_rad, me.height_m) != (0.0, 0.0, 0.0):
             self.me.lat_rad, self.me.lon_rad, self.me.height_m = me.lat_rad, me.lon_rad, me.height_m
         for entity in me.entities:
@@ -192,7 +192,7 @@ class Link:
         self.listens = self.listens or listens
 
     def receive(self, timeout_s: float = 0.25) -> list[Packet]:
-        """What has come since the last call; waits for something at most so long."""
+        """Return the packets since the last call; wait for one until the timeout."""
         with self._lock:
             if not self._in and not self._ending:
                 self._lock.wait(timeout_s)
@@ -205,16 +205,16 @@ class Link:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether no more messages can come."""
         return self.wire.finished or self._ending
 
     @property
     def connected(self) -> bool:
-        """Whether somebody is there."""
+        """Whether a peer is connected."""
         return self.wire.connected
 
     def flush(self, timeout_s: float = 2.0) -> bool:
-        """Wait until everything queued has been handed to the network; false where it was not in time."""
+        """Wait until the network has every queued packet; return false after the timeout."""
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
             if not len(self.out):
@@ -223,7 +223,7 @@ class Link:
         return False
 
     def close(self) -> None:
-        """End the thread and let go of the sockets; what is queued is sent if the peer takes it soon."""
+        """End the thread and close the sockets; queued packets are sent if the peer takes them soon."""
         if self._ending:
             return
         if self.wire.connected:
@@ -234,14 +234,14 @@ class Link:
         self.wire.close()
 
     def _once(self, key: str, text: str) -> None:
-        if key not in self._told:
-            self._told.add(key)
+        if key not in self._reported:
+            self._reported.add(key)
             self._log(text)
 
     def _run(self) -> None:
         try:
             self._loop()
-        except BaseException as error:  # the thread that uses the link is told
+        except BaseException as error:  # `receive` raises it
             self._error = error
         finally:
             with self._lock:
@@ -278,10 +278,10 @@ class Link:
         with self._lock:
             for packet in packets:
                 self._in.append(packet)
-                self._in_bytes += held_bytes(packet)
+                self._in_bytes += memory_bytes(packet)
                 while len(self._in) > self._most_waiting or self._in_bytes > INBOX_BYTES:
                     oldest, full = self._in.popleft(), True
-                    self._in_bytes -= held_bytes(oldest)
+                    self._in_bytes -= memory_bytes(oldest)
                     self.counters.drop(oldest.name or f"message {oldest.id}", "lost", "messages come too fast")
             if packets:
                 self._lock.notify_all()
@@ -311,7 +311,7 @@ class Link:
             self.out.put(data)
 
     def _answer(self, packet: Packet) -> None:
-        """What any system is expected to answer."""
+        """Answer the requests that every system must answer."""
         if packet.src == self.me.system_id:
             if packet.name == "Announce" and not self.me.shared and self.me.uid not in packet["services"]:
                 other = f"{readable(packet['sys_name'])!r} also uses the address {packet.src:#06x}"
@@ -330,18 +330,18 @@ class Link:
             self.out.put(data)
 
 
-def held_bytes(packet: Packet) -> int:
-    """About how much memory a packet takes [bytes]: its texts and raw data, and what every packet takes."""
-    held = packet.message.values.values()
-    return 500 + sum(len(value) for value in held if isinstance(value, (str, bytes)))
+def memory_bytes(packet: Packet) -> int:
+    """Estimate the memory of a packet [bytes]: its texts and raw data, and a constant."""
+    values = packet.message.values.values()
+    return 500 + sum(len(value) for value in values if isinstance(value, (str, bytes)))
 
 
-def strangers(parser: Parser, where: str, log: Log, told: set[str]) -> None:
-    """Say once where a peer speaks another version, or no IMC at all."""
-    if parser.strange > 1 and parser.version and "version" not in told:
-        told.add("version")
+def report_foreign_bytes(parser: Parser, where: str, log: Log, reported: set[str]) -> None:
+    """Log once that a peer speaks another version, or no IMC at all."""
+    if parser.strange > 1 and parser.version and "version" not in reported:
+        reported.add("version")
         major, minor = parser.version
         log(f"{where} speaks IMC {major}.{minor}; this port speaks 5.4")
-    elif parser.garbage > 4096 and "garbage" not in told:
-        told.add("garbage")
+    elif parser.garbage > 4096 and "garbage" not in reported:
+        reported.add("garbage")
         log(f"{where} sends bytes that are no IMC; they are passed over")

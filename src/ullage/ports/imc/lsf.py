@@ -13,14 +13,14 @@ from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.files import write_whole
 from ullage.grids import OccupancyMap
+from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet, Parser, encode, make
 from ullage.ports.imc.definition import to_xml
-from ullage.ports.imc.gather import Gatherer, Track
+from ullage.ports.imc.encode import BODY, MessageEncoder
 from ullage.ports.imc.link import Entity
 from ullage.ports.imc.options import LogOptions, LogSourceOptions, origin_of
 from ullage.ports.imc.source import pieces
 from ullage.ports.imc.table import from_xml, own
-from ullage.ports.imc.teller import BODY, Teller
 from ullage.ports.intake import Counters, warn
 from ullage.ports.protocol import Item, one_or_all
 
@@ -136,7 +136,7 @@ class LsfSource:
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
         track = self._track(4096)
-        gather = Gatherer(track, self._warn)
+        gather = FrameAssembler(track, self._warn)
         waiting = 0
         for packet in self.packets():
             track.take(packet)
@@ -186,7 +186,7 @@ class LsfSink:
         if not beside.exists():
             write_whole(beside, lambda out: out.write(gzip.compress(to_xml(own()))))
         self._entities: list[Entity] = [Entity(BODY, self._options.name, "ullage")]
-        self._teller = Teller(self._options, self._options.home(), self._enter)
+        self._encoder = MessageEncoder(self._options, self._options.home(), self._enter)
         self._shift_ns: int | None = None  # added to times that do not count from 1970
         self._last_ns, self._flushed_s = 0, time.monotonic()
         self._new: list[Entity] = []
@@ -199,7 +199,7 @@ class LsfSink:
         """
         if self._file is None:
             raise InputError("the log is closed", where=self.path)
-        notes = self._teller.notes(item)
+        notes = self._encoder.messages(item)
         if notes and self._shift_ns is None:
             self._shift_ns = 0 if notes[0].t_ns > EPOCH_NS else time.time_ns() - notes[0].t_ns
             self._last_ns = notes[0].t_ns

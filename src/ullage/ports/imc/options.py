@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ullage.config import Fidelity
 from ullage.errors import InputError, shown
-from ullage.ports.imc.places import TRONDHEIM, Geodetic
+from ullage.ports.imc.geodetic import TRONDHEIM, Geodetic
 from ullage.ports.imc.table import Table, from_xml, own
 from ullage.specs import RadarSpec, Rig, Spec
 
@@ -73,7 +73,7 @@ class PlaceOptions(LinkOptions):
 
 
 class SourceOptions(PlaceOptions):
-    """What to take from the bus."""
+    """Options of a source on the bus."""
 
     vehicle: str = Field(
         "", description="name or number of the system to follow; none: the first that says where it is"
@@ -132,8 +132,8 @@ class SourceOptions(PlaceOptions):
         return Rig.preset(self.rig)
 
 
-class TellOptions(PlaceOptions):
-    """Which messages are made of frames."""
+class MessageOptions(PlaceOptions):
+    """Options that select the messages for frames."""
 
     distance: Literal["first_peak", "off"] = "first_peak"
     profile: bool = Field(True, description="SonarData")
@@ -146,14 +146,14 @@ class TellOptions(PlaceOptions):
         return self.place() or TRONDHEIM
 
 
-class SinkOptions(TellOptions):
-    """What to give to the bus."""
+class SinkOptions(MessageOptions):
+    """Options of a sink on the bus."""
 
     pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as it comes")
 
 
-class LogOptions(TellOptions):
-    """What to write to a log."""
+class LogOptions(MessageOptions):
+    """Options of a log that is written."""
 
     state: bool = Field(True, description="the body's poses as EstimatedState")
     truth: bool = Field(True, description="true poses too: in exact frames, and as SimulatedState")
@@ -161,7 +161,7 @@ class LogOptions(TellOptions):
 
 
 class LogSourceOptions(Spec):
-    """What to take from a log."""
+    """Options of a log that is read."""
 
     vehicle: str = Field("", description="name or number of the system to follow; none: the one that logged")
     state: Literal["EstimatedState", "SimulatedState"] = "EstimatedState"

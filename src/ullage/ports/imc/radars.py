@@ -30,7 +30,7 @@ CARRIED = (ros.FRAME, ros.SETTINGS)
 
 
 def device_state(mount: MountSpec) -> Message:
-    """Where a sensor sits on the body, forward-right-down."""
+    """Return the mount of a sensor on the body, forward-right-down."""
     body_from_sensor = mount.body_from_sensor()
     x, y, z = FLIP @ body_from_sensor[:3, 3]
     phi, theta, psi = quat_rpy(matrix_quat(FLIP @ body_from_sensor[:3, :3] @ FLIP))
@@ -38,7 +38,7 @@ def device_state(mount: MountSpec) -> Message:
 
 
 def mount_of(state: Mapping[str, Any]) -> MountSpec:
-    """The mount that a DeviceState tells."""
+    """Return the mount of a DeviceState."""
     rot = FLIP @ transform((0, 0, 0), (state["phi"], state["theta"], state["psi"]))[:3, :3] @ FLIP
     roll, pitch, yaw = (math.degrees(a) for a in quat_rpy(matrix_quat(rot)))
     x, y, z = (float(v) for v in FLIP @ np.array([state["x"], state["y"], state["z"]], float))
@@ -46,7 +46,7 @@ def mount_of(state: Mapping[str, Any]) -> MountSpec:
 
 
 def beam_config(spec: RadarSpec) -> Message:
-    """How wide a radar looks, between half-power directions of one way."""
+    """Return the one-way half-power beam width of a radar."""
     wide = 180.0 if spec.antenna.kind == "isotropic" else min(spec.antenna.azimuth_deg, 180.0)
     high = 180.0 if spec.antenna.kind == "isotropic" else min(spec.antenna.elevation_deg, 180.0)
     return make("BeamConfig", beam_width=math.radians(wide), beam_height=math.radians(high))
@@ -66,7 +66,7 @@ def distances(frames: Frames) -> list[Message]:
 
 
 def profiles(frames: Frames) -> list[Message]:
-    """SonarData of each frame: amplitudes over whole metres, for that is how its range is told.
+    """Return SonarData of each frame: amplitudes between whole metres, as its range fields require.
 
     Point i of n lies at min_range + i (max_range - min_range) / n; beyond the frame's own bins there is nothing.
     """
@@ -106,12 +106,12 @@ def profile_of(message: Mapping[str, Any]) -> tuple[Floats, Floats] | None:
 
 
 def exact(frames: Frames, start: int, *, truth: bool) -> list[Message]:
-    """DevDataBinary of each frame, numbered from `start`; none where a frame is too long for a packet."""
+    """Return DevDataBinary of each frame, numbered from `start`; none if a frame is too long for a packet."""
     bare = frames if truth else replace(frames, truth=None)
-    notes = conversions.frame_notes(bare, start)
-    if not notes or len(notes[0]) + 64 > MOST:
+    messages = conversions.frame_notes(bare, start)
+    if not messages or len(messages[0]) + 64 > MOST:
         return []
-    return [make("DevDataBinary", value=ros.FRAME.encode() + b"\0" + note) for note in notes]
+    return [make("DevDataBinary", value=ros.FRAME.encode() + b"\0" + data) for data in messages]
 
 
 def settings(frames: Frames) -> Message:
@@ -122,5 +122,5 @@ def settings(frames: Frames) -> Message:
 def carried(value: bytes) -> tuple[str, bytes] | None:
     """Name and bytes of the ROS 2 message that a DevDataBinary of ours carries."""
     name, zero, rest = value[:64].partition(b"\0")
-    known = name.decode("ascii", "replace")
-    return (known, value[len(name) + 1 :]) if zero and known in CARRIED and rest else None
+    kind = name.decode("ascii", "replace")
+    return (kind, value[len(name) + 1 :]) if zero and kind in CARRIED and rest else None

@@ -1,7 +1,7 @@
-"""Messages of a bus that are no frames, carried to ROS and from there to a bus: the thesis' broker and interpreter.
+"""Relay of bus messages that are no frames to ROS and from there to a bus: the thesis' broker and interpreter.
 
-What is said on a bus goes out under `imc/`: the ROS messages of the table (interpreter.py), and the whole packet as
-`imc_msgs/Raw` on `imc/packet`, which is what another bus is given. What ROS nodes send to a bus they publish under
+Messages of a bus go out under `imc/`: the ROS messages of the table (interpreter.py), and the whole packet as
+`imc_msgs/Raw` on `imc/packet`, which another bus receives. ROS nodes publish messages for a bus under
 `to_imc/`: the same topics as under `imc/`, `imc_msgs/Raw` on `to_imc/packet`, or any message of `imc_msgs`. Set-points
 under `desired/` are taken without `to_imc/` too.
 """
@@ -25,9 +25,9 @@ from ullage.ports.protocol import Passed
 FROM_IMC, TO_IMC, WANTED = "imc", "to_imc", "desired"
 PACKET = "packet"
 LOCAL = {"Heartbeat", "Announce", "EntityInfo", "EntityList", "QueryEntityInfo", "QueryEntityState"}
-"""What every system says of itself or asks a system directly: it is shown to ROS and not said on another bus."""
+"""Messages about a system itself or between two systems: ROS gets them, another bus does not."""
 FRAMES = (b"ullage_msgs/",)
-"""How DevDataBinary begins whose frames go as frames."""
+"""First bytes of a DevDataBinary that holds a frame."""
 LATEST_NS = 2**31 * 10**9
 UNREADABLE = (
     AttributeError,
@@ -42,21 +42,21 @@ UNREADABLE = (
 
 
 class Outgoing(NamedTuple):
-    """A message to send, and what the packet was that it came in, where it came in one."""
+    """A message to send, with the header fields of its packet if it came in one."""
 
     message: Message
     t_s: float | None
-    part: str  # of the system that said it; empty where ROS did
+    part: str  # of the sending system; empty for ROS
     dst: int = NOBODY
     dst_ent: int = 255
 
 
 def passed(packet: Packet, at_ns: int, *, typed: bool = False) -> Iterator[Passed]:
-    """A packet in ROS' words, and last the packet itself; nothing for frames of ours, which go as frames.
+    """Give a packet as ROS messages, and last as a raw packet; give nothing for our own frames.
 
     Args:
-        packet: whoever said it; its time goes into the headers.
-        at_ns: when that was by the clock of those whose poses are followed: a stranger's may be anywhere.
+        packet: of any system; its time goes into the headers.
+        at_ns: its time on the clock of the poses; the clock of another system may be anywhere.
         typed: also as the message of `imc_msgs` that has its fields.
     """
     if packet.name == "DevDataBinary" and bytes(packet["value"]).startswith(FRAMES):
@@ -64,12 +64,12 @@ def passed(packet: Packet, at_ns: int, *, typed: bool = False) -> Iterator[Passe
     t_ns = round(packet.t_s * 1e9) if math.isfinite(packet.t_s) else 0
     t_ns = t_ns if 0 <= t_ns < LATEST_NS else 0
     frame_id = f"imc_{packet.src:04x}"
-    for topic, fields in _notes(packet.message).items():
+    for topic, fields in _interpreted(packet.message).items():
         kind = _full(PAIRS[packet.name].ros[topic])
         try:
             data = encoded(kind, fields, t_ns=t_ns, frame_id=frame_id)
         except InputError:
-            continue  # a stranger's number that the ROS type cannot hold; the packet has it
+            continue  # the ROS type cannot hold this number; the raw packet has it
         yield Passed(at_ns, f"{FROM_IMC}/{topic}", kind, data)
     if typed and packet.name in own().by_name:
         try:
@@ -81,11 +81,11 @@ def passed(packet: Packet, at_ns: int, *, typed: bool = False) -> Iterator[Passe
     yield Passed(at_ns, f"{FROM_IMC}/{PACKET}", ros.RAW, data)
 
 
-def _notes(message: Message) -> Ros:
+def _interpreted(message: Message) -> Ros:
     try:
         return interpreted(message) or {}
     except UNREADABLE:
-        return {}  # numbers of a stranger that say nothing; the packet has them
+        return {}  # numbers without a meaning; the raw packet has them
 
 
 def _head(t_ns: int, frame_id: str) -> dict[str, Any]:
@@ -97,20 +97,20 @@ def _full(kind: str) -> str:
 
 
 class RosToImc:
-    """Makes IMC messages of ROS messages.
+    """Convert ROS messages to IMC messages.
 
     Args:
-        own_id: our number on the bus; what we said ourselves is not said again.
-        log: told of what cannot be used.
+        own_id: our number on the bus; our own messages are not repeated.
+        log: takes a line for a message that is not valid.
     """
 
     def __init__(self, own_id: int, log: Log) -> None:
         self._own, self._log = own_id, log
         self._latest: Ros = {}  # parts of messages that are made of several
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def take(self, item: Passed) -> list[Outgoing]:
-        """The messages to send for this one."""
+        """Return the messages to send for a ROS message."""
         area, _, topic = item.topic.partition("/")
         try:
             found = self._made(area, topic, item)
@@ -128,10 +128,10 @@ class RosToImc:
             name = item.kind.rpartition("/")[2]
             broker.register(name)
             return [_outgoing(broker.to_imc(name, decoded(item.kind, item.data)), "")]
-        return self._words(item.topic if area == WANTED else topic, item) if area in (TO_IMC, WANTED) else []
+        return self._from_topic(item.topic if area == WANTED else topic, item) if area in (TO_IMC, WANTED) else []
 
     def _packet(self, item: Passed, *, checked: bool) -> list[Outgoing]:
-        """The packet in an envelope; from a bus, not what each system says for itself, nor what was ours."""
+        """Read a raw packet; ignore messages in `LOCAL` and our own if it came from a bus."""
         if item.kind != ros.RAW:
             raise InputError(f"it carries {item.kind}", where=item.topic, allowed=ros.RAW)
         packet = broker.of_raw(decoded(item.kind, item.data))
@@ -141,8 +141,8 @@ class RosToImc:
             return []
         return [_outgoing(packet, f"{packet.src:#06x}/{packet.src_ent}")]
 
-    def _words(self, topic: str, item: Passed) -> list[Outgoing]:
-        """The IMC message that a topic of the table says; other topics of the same message are kept until then."""
+    def _from_topic(self, topic: str, item: Passed) -> list[Outgoing]:
+        """Return the IMC message of a topic in the table; keep other topics of the same message until then."""
         row = rows_of(topic)
         if row is None:
             raise InputError(f"no IMC message has the topic {topic!r}", allowed="see docs/dune.md")
@@ -159,8 +159,8 @@ class RosToImc:
         return [Outgoing(imc_of(row.name, there), None, "")]
 
     def _once(self, text: str) -> None:
-        if text not in self._told and len(self._told) < 100:
-            self._told.add(text)
+        if text not in self._reported and len(self._reported) < 100:
+            self._reported.add(text)
             self._log(text)
 
 

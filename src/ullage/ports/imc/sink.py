@@ -1,4 +1,4 @@
-"""Frames given to the bus, so that DUNE's tasks and Neptus see each radar like any other sensor."""
+"""Send frames on the bus, so that DUNE's tasks and Neptus see each radar like any other sensor."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import time
 from typing import Self
 
 from ullage.ports.imc.codec import readable
+from ullage.ports.imc.encode import BODY, MessageEncoder, TimedMessage
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SinkOptions
-from ullage.ports.imc.reach import leave, open_link
 from ullage.ports.imc.relay import Outgoing, RosToImc
-from ullage.ports.imc.teller import BODY, Note, Teller
+from ullage.ports.imc.shared_links import leave, open_link
 from ullage.ports.intake import Log, warn
 from ullage.ports.protocol import Item, Passed
 
 FIRST_RELAYED, LAST_RELAYED = 100, 254
-"""Numbers of the entities for whom we speak; radars have those from 10."""
+"""Entity numbers of relayed systems; radars have numbers from 10."""
 EPOCH_S = 1e9
 """Times earlier than 2001 count from the start of a flight, not from 1970."""
 
 
 class ImcSink:
-    """Speaks on an IMC bus.
+    """Send frames, paths and passed-on messages on an IMC bus.
 
     Args:
         place: `tcp://host:port`, `udp://host:port`, or nothing.
-        options: what to give.
-        log: told of waiting and of peers that go.
+        options: select what is sent.
+        log: takes lines for the user.
 
     Raises:
-        InputError: the place cannot be used.
+        InputError: the place is not valid.
     """
 
     def __init__(self, place: str, options: SinkOptions, *, log: Log = warn) -> None:
@@ -40,23 +40,23 @@ class ImcSink:
         )  # fmt: skip
         self._pace = options.pace
         self._link: Link = open_link(place, options, me, role="sink", log=log)
-        self._teller = Teller(options, home, self._link.enter)
+        self._encoder = MessageEncoder(options, home, self._link.enter)
         self._from_ros, self._relayed = RosToImc(options.system_id, log), dict[str, int]()
         self._shares = False  # the last entity stands for several parts
         self._start: tuple[float, float] | None = None  # wall clock and stream clock of the first message [s]
         self._epoch_s = 0.0
 
     def write(self, item: Item) -> None:
-        """Give frames, chunks of them, the body's path, or messages in ROS' words; everything else passes by."""
-        if isinstance(item, Passed) and not self._link.listens:  # else it was said on this very bus
+        """Send frames, chunks of frames, the body's path, or ROS messages; ignore everything else."""
+        if isinstance(item, Passed) and not self._link.listens:  # else it came from this bus
             for one in self._from_ros.take(item):
                 self._relay(one)
-        for note in self._teller.notes(item):
-            self._send(note)
+        for timed in self._encoder.messages(item):
+            self._send(timed)
 
-    def _send(self, note: Note) -> None:
-        """Send when its time has come: stream time runs `pace` times as fast as the wall's."""
-        t_s = note.t_ns * 1e-9
+    def _send(self, timed: TimedMessage) -> None:
+        """Send a message when it is due: stream time runs `pace` times as fast as wall time."""
+        t_s = timed.t_ns * 1e-9
         if self._start is None:
             self._start = (time.monotonic(), t_s)
             self._epoch_s = 0.0 if t_s > EPOCH_S else time.time() - t_s
@@ -64,10 +64,10 @@ class ImcSink:
             due = self._start[0] + (t_s - self._start[1]) / self._pace
             if (wait := due - time.monotonic()) > 0:
                 time.sleep(min(wait, 60.0))
-        self._link.send(note.message, entity=note.entity, t_s=self._epoch_s + t_s)
+        self._link.send(timed.message, entity=timed.entity, t_s=self._epoch_s + t_s)
 
     def _relay(self, one: Outgoing) -> None:
-        """Send at once; each part of another system that we speak for is an entity of ours."""
+        """Send at once; each relayed part of another system is an entity of ours."""
         entity = self._relayed.get(one.part)
         if entity is None:
             entity = BODY if not one.part else min(FIRST_RELAYED + len(self._relayed), LAST_RELAYED)
@@ -79,7 +79,7 @@ class ImcSink:
         self._link.send(one.message, entity=entity, t_s=one.t_s, dst=one.dst, dst_ent=one.dst_ent)
 
     def close(self) -> None:
-        """Send what is queued, if the peer takes it, and let go of the sockets."""
+        """Send the queued messages, if the peer takes them, and close the sockets."""
         leave(self._link, "sink")
 
     def __enter__(self) -> Self:

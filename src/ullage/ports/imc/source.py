@@ -1,4 +1,4 @@
-"""A vehicle on the bus as a source of frames: radars simulated along its way, or those it carries."""
+"""A vehicle on the bus as a source of frames: radars simulated along its path, or radars that it carries."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.grids import OccupancyMap
+from ullage.ports.imc.assemble import FrameAssembler, Track
 from ullage.ports.imc.codec import Packet
-from ullage.ports.imc.gather import Gatherer, Track
+from ullage.ports.imc.geodetic import TRONDHEIM, Pose
 from ullage.ports.imc.link import Entity, Identity, Link
 from ullage.ports.imc.options import SourceOptions, scene_path
-from ullage.ports.imc.places import TRONDHEIM, Pose
-from ullage.ports.imc.reach import Role, leave, open_link
 from ullage.ports.imc.relay import passed
+from ullage.ports.imc.shared_links import Role, leave, open_link
 from ullage.ports.intake import Covered, Log, warn
 from ullage.ports.live import Address
 from ullage.ports.protocol import Passing, one_or_all
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 
 
 class ImcSource:
-    """Listens to an IMC bus.
+    """Receive frames from an IMC bus.
 
-    With a world, radars are simulated along the vehicle's poses; without, the frames on the bus are taken. With a
-    mission the vehicle is led along it, and with `fly` we are the vehicle.
+    With a world, the source simulates radars along the vehicle's poses. Without one, it takes the frames on the bus.
+    With a mission, it leads the vehicle along the waypoints. With `fly`, it is the vehicle.
 
     Args:
         place: `tcp://host:port`, `udp://host:port`, or nothing.
-        options: what to take.
-        log: told of waiting, of peers that go, of clocks that jump.
+        options: select what is received.
+        log: takes lines for the user.
 
     Raises:
-        InputError: the place or the world cannot be used.
+        InputError: the place or the world is not valid.
     """
 
     def __init__(self, place: str, options: SourceOptions, *, log: Log = warn) -> None:
@@ -64,12 +64,12 @@ class ImcSource:
         self.counters = self._link.counters
         self.counters.log = log
         self._track = Track(self.counters, state=options.state, origin=options.place(), vehicle=options.vehicle)
-        self._gather = Gatherer(self._track, log)
+        self._assembler = FrameAssembler(self._track, log)
         self._flight = self._take_off(vehicle) if vehicle is not None else None
-        self._backseat = self._take_wheel(points) if points else None
+        self._backseat = self._lead_vehicle(points) if points else None
 
     def _build(self) -> None:
-        """The world and its radars."""
+        """Load the world and its radars."""
         from ullage.radar.live import LiveRadars
         from ullage.world.load import load_scene
 
@@ -86,14 +86,14 @@ class ImcSource:
         return tuple(self._seen)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames with poses as they arrive, until the peer ends, the asked duration is over, or Ctrl-C."""
+        """Give frames with poses as they arrive, until the peer ends, the duration is over, or Ctrl-C."""
         for ready in self._arriving():
             out = self._within(ready)
             self._seen += [name for name in out if name not in self._seen]
             yield from pieces(out, chunk)
 
     def _within(self, ready: dict[str, Frames]) -> dict[str, Frames]:
-        """The frames that lie within the asked duration, of which the time between two tracks is no part."""
+        """Return the frames within the duration; the time between two tracks does not count."""
         limit = self._options.duration_s
         if limit is None or not ready:
             return ready
@@ -105,31 +105,31 @@ class ImcSource:
         return {name: f[f.t_ns <= last[-1]] for name, f in ready.items() if f.t_ns[0] <= last[-1]}
 
     def _over(self) -> bool:
-        """Whether the asked duration is over, by the clock of the poses."""
+        """Whether the duration is over, by the clock of the poses."""
         limit = self._options.duration_s
         return limit is not None and self._vehicle_s.total_s > limit
 
     def _vehicle(self, start: tuple[float, ...]) -> Vehicle:
-        """Our own multirotor, or a drone of others."""
+        """Open our own multirotor or an external drone."""
         from ullage.flight.live import Steered
-        from ullage.ports.imc.helm import Foreign, Simulated
+        from ullage.ports.imc.helm import ExternalDrone, Simulated
 
         o = self._options
         address = Address.of(o.fly)
         if address is None:
             vehicle = Steered(o.fly, scene=self.scene, start=start)
             return Simulated(vehicle, rate_hz=o.state_hz, pace=o.pace, log=self._log)
-        return Foreign(self._guided(address), rate_hz=o.state_hz)
+        return ExternalDrone(self._guided(address), rate_hz=o.state_hz)
 
     def _guided(self, address: Address) -> Guided:
         from ullage.ports.drone import DroneOptions, Guided, Limits
 
         o = self._options
-        door = address.door("open_drone")
-        if door is None:
+        open_drone = address.function("open_drone")
+        if open_drone is None:
             raise InputError(f"no drone at {o.fly!r}", where="fly", allowed="a vehicle, ros2:NAMESPACE, gazebo:MODEL")
         topics = DroneOptions(odom=o.odom, cmd_vel=o.cmd_vel, setpoint=o.setpoint)
-        drone = door(address.place, topics, o.takes)
+        drone = open_drone(address.place, topics, o.takes)
         return Guided(drone, o.takes, Limits(level_m_s=o.limit_m_s), log=self._log)
 
     def _take_off(self, vehicle: Vehicle) -> Flight:
@@ -140,7 +140,7 @@ class ImcSource:
         helm = Helm(vehicle, self._link, origin=home, timeout_s=o.timeout_s, log=self._log)
         return Flight(helm, self._link)
 
-    def _take_wheel(self, points: list[tuple[float, ...]]) -> Backseat:
+    def _lead_vehicle(self, points: list[tuple[float, ...]]) -> Backseat:
         from ullage.flight.missions import Waypoints
         from ullage.ports.imc.backseat import Backseat
 
@@ -149,34 +149,33 @@ class ImcSource:
         return Backseat(self._link, mission, z=o.z, near_m=o.near_m, log=self._log)
 
     def _arriving(self) -> Iterator[dict[str, Frames]]:
-        told = time.monotonic()
+        reported_s = time.monotonic()
         try:
             while True:
-                tracks, heard = self._tracks()
-                yield from self._made(tracks, heard)
+                tracks, received = self._tracks()
+                yield from self._made(tracks, received)
                 self.counters.report()
                 now = time.monotonic()
-                if not self._track.poses and now - told > 5.0:
-                    told = now
+                if not self._track.poses and now - reported_s > 5.0:
+                    reported_s = now
                     what = f"{self._options.state} of " + (self._options.vehicle or "any vehicle")
                     flown = "the drone's odometry" if self._link.connected else "a controller"
                     self._log(f"waiting for {what if self._flight is None else flown}")
-                wheel = self._backseat
-                left = wheel is not None and wheel.finished
-                if left or self._over() or (self._link.finished and not heard):
+                finished = self._backseat is not None and self._backseat.finished
+                if finished or self._over() or (self._link.finished and not received):
                     if self._radars is None:
-                        yield self._gather.give(final=True)
+                        yield self._assembler.give(final=True)
                     return
         finally:
             self._track.finish()
             for line in self.counters.lines():
                 self._log(line)
 
-    def _made(self, tracks: list[list[Pose]], heard: bool) -> Iterator[dict[str, Frames]]:
-        """The frames that are ready: simulated along the poses, or those that came."""
+    def _made(self, tracks: list[list[Pose]], received: bool) -> Iterator[dict[str, Frames]]:
+        """Give the frames that are ready: simulated along the poses, or received."""
         if self._radars is None:
-            if heard:
-                yield self._gather.give()
+            if received:
+                yield self._assembler.give()
             return
         for number, poses in enumerate(tracks):
             if number:
@@ -185,7 +184,7 @@ class ImcSource:
                 yield self._simulated(poses)
 
     def _tracks(self) -> tuple[list[list[Pose]], bool]:
-        """The vehicle's next poses, those of each new track by themselves, and whether anything was heard."""
+        """Return the vehicle's next poses, one list for each track, and whether any message came."""
         if self._flight is not None:
             flown = self._flight.poses(0.25)
             self._track.poses.extend(flown)
@@ -200,19 +199,19 @@ class ImcSource:
                 tracks[-1].append(found.item)
                 self._vehicle_s.take(found.t_ns)
             self._pass_on(packet)
-        track, wheel = self._track, self._backseat
-        if wheel is not None and track.poses and track.followed is not None and track.origin is not None:
-            wheel.lead(track.followed, track.poses[-1], track.origin)
+        track, backseat = self._track, self._backseat
+        if backseat is not None and track.poses and track.followed is not None and track.origin is not None:
+            backseat.lead(track.followed, track.poses[-1], track.origin)
         return tracks, bool(packets)
 
     def _pass_on(self, packet: Packet) -> None:
-        """Give a packet to all who want to know of it."""
+        """Give a packet to the relay, the frame assembler and the backseat."""
         if self._options.relay and packet.src != self._options.system_id:
             known = self._track.poses
             at_ns = known[-1].t_ns if known else time.time_ns()
             self.passing.give(partial(passed, packet, at_ns, typed=self._options.typed))
         if self._radars is None:
-            self._gather.take(packet)
+            self._assembler.take(packet)
         if self._backseat is not None:
             self._backseat.take(packet)
 
@@ -228,26 +227,26 @@ class ImcSource:
         return out
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything until the peer ends or `duration_s` is over.
+        """Return all frames until the peer ends or `duration_s` is over.
 
         Raises:
             InputError: no frames came, or none of this sensor.
         """
-        whole = gathered(self.stream())
-        if not whole:
+        frames = gathered(self.stream())
+        if not frames:
             raise InputError("no frames came", where="imc")
-        return one_or_all(whole, sensor)
+        return one_or_all(frames, sensor)
 
     def trajectory(self) -> Trajectory | None:
-        """The vehicle's way, as far as it is remembered."""
+        """Return the vehicle's path, as far as it is kept."""
         return self._track.path()
 
     def map(self) -> OccupancyMap | None:
-        """None: nobody sends maps."""
+        """None: the bus carries no maps."""
         return None
 
     def close(self) -> None:
-        """Let go of sockets and threads; a vehicle that is led is released."""
+        """Close sockets, end threads, and release a led vehicle."""
         if self._backseat is not None:
             self._backseat.release()
         if self._flight is not None:
@@ -264,7 +263,7 @@ class ImcSource:
 
 
 def pieces(frames: dict[str, Frames], chunk: int) -> Iterator[dict[str, Frames]]:
-    """The frames in pieces of at most `chunk` of each sensor."""
+    """Give the frames in pieces of at most `chunk` of each sensor."""
     start = 0
     while part := {name: f[start : start + chunk] for name, f in frames.items() if len(f) > start}:
         yield part

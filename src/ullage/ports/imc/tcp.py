@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from ullage.ports.imc.codec import Packet, Parser
-from ullage.ports.imc.link import Outbox, strangers
+from ullage.ports.imc.link import Outbox, report_foreign_bytes
 from ullage.ports.imc.table import Table
 from ullage.ports.intake import Counters, Log
 
@@ -17,7 +17,7 @@ AT_ONCE = 65536
 
 
 class Waker:
-    """Ends a wait on sockets from another thread."""
+    """End a wait on sockets from another thread."""
 
     def __init__(self) -> None:
         self.reading, self._writing = socket.socketpair()
@@ -30,27 +30,27 @@ class Waker:
             self._writing.send(b"!")
 
     def drain(self) -> None:
-        """Forget what woke us."""
+        """Discard the wake-up bytes."""
         with suppress(OSError):
             while self.reading.recv(4096):
                 pass
 
     def close(self) -> None:
-        """Let go of both ends."""
+        """Close both ends."""
         self.reading.close()
         self._writing.close()
 
 
 class TcpWire:
-    """Keeps a connection to one server, and tries again when it is lost.
+    """Keep a connection to one server, and connect again when it is lost.
 
     Args:
         host: of the server.
         port: of the server.
         table: the messages.
-        silence_s: a server that says nothing for so long is taken for dead [s].
-        reconnect: try again after the connection was lost.
-        log: told of what others should know.
+        silence_s: longest silence of the server before the connection is dropped [s].
+        reconnect: connect again after the connection is lost.
+        log: takes lines for the user.
         counters: count damaged packets.
     """
 
@@ -66,24 +66,24 @@ class TcpWire:
         self._waker = Waker()
         self._sock: socket.socket | None = None
         self._was_there = False
-        self._next_try = self._heard = 0.0
+        self._next_try = self._received_s = 0.0
         self._wait_s = 0.25
         self._rest = memoryview(b"")
         self._parser = Parser(table)
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     @property
     def connected(self) -> bool:
-        """Whether the connection stands."""
+        """Whether the connection is open."""
         return self._sock is not None
 
     @property
     def finished(self) -> bool:
-        """Whether it was lost and is not to be made again."""
+        """Whether it is lost for good."""
         return self._was_there and self._sock is None and not self._again
 
     def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
-        """Send what can be sent, and give what has come; wait for either at most so long."""
+        """Send and receive what is possible; wait until the timeout if nothing is."""
         if self._sock is None and not self._connect(timeout_s):
             return []
         sock = self._sock
@@ -98,7 +98,7 @@ class TcpWire:
         if writable:
             self._write(sock, out)
         packets = self._read(sock) if sock in ready else []
-        if self._sock is not None and time.monotonic() - self._heard > self._silence:
+        if self._sock is not None and time.monotonic() - self._received_s > self._silence:
             self._log(f"{self._where} has said nothing for {self._silence:g} s; connecting anew")
             self._drop()
         return packets
@@ -112,20 +112,20 @@ class TcpWire:
         try:
             sock = socket.create_connection(self._place, timeout=2.0)
         except OSError as error:
-            if "waiting" not in self._told:
-                self._told.add("waiting")
+            if "waiting" not in self._reported:
+                self._reported.add("waiting")
                 self._log(f"waiting for {self._where} ({error.strerror or error})")
             self._next_try, self._wait_s = now + self._wait_s, min(2 * self._wait_s, 2.0)
             return False
-        if sock.getsockname() == sock.getpeername():  # a port of ours that met itself: nobody listens there
+        if sock.getsockname() == sock.getpeername():  # the socket connected to itself: nobody listens there
             sock.close()
             self._next_try = now + self._wait_s
             return False
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self._sock, self._was_there, self._wait_s, self._heard = sock, True, 0.25, time.monotonic()
-        self._told.discard("waiting")
+        self._sock, self._was_there, self._wait_s, self._received_s = sock, True, 0.25, time.monotonic()
+        self._reported.discard("waiting")
         self._parser, self._damaged = Parser(self._table), 0
         return True
 
@@ -150,11 +150,11 @@ class TcpWire:
         if not data:
             self._drop()
             return []
-        self._heard = time.monotonic()
+        self._received_s = time.monotonic()
         packets = list(self._parser.feed(data))
         fresh, self._damaged = self._parser.damaged - self._damaged, self._parser.damaged
         self._counters.drop(self._where, "bad", "a packet is damaged or cut", count=fresh)
-        strangers(self._parser, self._where, self._log, self._told)
+        report_foreign_bytes(self._parser, self._where, self._log, self._reported)
         return packets
 
     def _drop(self) -> None:
@@ -164,13 +164,13 @@ class TcpWire:
         self._next_try = time.monotonic() + self._wait_s
 
     def greet(self, announce: bytes) -> None:
-        """Nobody but the server hears us."""
+        """Do nothing: only the server receives."""
 
     def wake(self) -> None:
         """End a running `exchange` early."""
         self._waker.wake()
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._drop()
         self._waker.close()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from ullage.errors import InputError
 from ullage.ports.imc.codec import Malformed, Packet, Parser, decode, readable
-from ullage.ports.imc.link import Identity, Outbox, strangers
+from ullage.ports.imc.link import Identity, Outbox, report_foreign_bytes
 from ullage.ports.imc.table import Table
 from ullage.ports.imc.tcp import Waker
 from ullage.ports.intake import Counters, Log
@@ -21,7 +21,7 @@ GROUP = "224.0.75.69"
 ANNOUNCE_PORTS = range(30100, 30105)
 SERVICE = re.compile(r"imc\+udp://([\d.]{7,15}):(\d{1,5})(?!\d)/?", re.ASCII)
 MOST_PEERS = 64
-MOST_TOLD = 100
+MOST_REPORTED = 100
 TRIES = 16
 Place = tuple[str, int]
 
@@ -33,22 +33,22 @@ class Peer:
     name: str
     place: Place
     uid: str = ""
-    heard: float = field(default_factory=time.monotonic)
+    received_s: float = field(default_factory=time.monotonic)
 
 
 class UdpWire:
-    """Speaks to every peer that has announced itself, and to one place named beforehand.
+    """Exchange packets with every peer that announces itself, and with one fixed place.
 
     Args:
-        place: a peer that is there without announcing itself.
+        place: a peer that does not announce itself.
         table: the messages.
-        own: who we are; what we announced ourselves is passed over.
+        own: our identity; our own announcements are ignored.
         interface: address of the interface to use; on 127.0.0.1 nothing leaves this machine.
-        port: where we listen; the next free one is taken.
-        silence_s: a peer that says nothing for so long is taken for dead [s].
+        port: our port; if it is taken, the next free one.
+        silence_s: longest silence of a peer before it is dropped [s].
         reconnect: wait for it to come back.
-        log: told of what others should know.
-        counters: count damaged packets, and peers beyond those that are remembered.
+        log: takes lines for the user.
+        counters: count damaged packets and peers above the limit.
 
     Raises:
         InputError: no port is free, or the interface is not there.
@@ -65,35 +65,35 @@ class UdpWire:
         self._local = ipaddress.ip_address(_address(interface)).is_loopback
         self._waker = Waker()
         self._sock = _bound(interface, range(port, port + TRIES) if port else range(1))
-        self._ears = _ears(interface)
+        self._announce_sockets = _announce_sockets(interface)
         self._peers: dict[int, Peer] = {}
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._there = False
         self._parser = Parser(table)
 
     @property
     def services(self) -> Sequence[str]:
-        """Where we can be reached."""
+        """Our address, as a URI."""
         return (f"imc+udp://{self._interface}:{self._sock.getsockname()[1]}/",)
 
     @property
     def connected(self) -> bool:
-        """Whether a peer has been heard lately, or one is named beforehand."""
+        """Whether a peer sent something lately, or the place is fixed."""
         return bool(self._peers) or self._fixed is not None
 
     @property
     def finished(self) -> bool:
-        """Whether every peer has gone and none will be waited for."""
+        """Whether every peer has gone for good."""
         return self._there and not self._peers and not self._again
 
     def exchange(self, out: Outbox, timeout_s: float) -> list[Packet]:
-        """Send what can be sent, and give what has come; wait for the latter at most so long."""
+        """Send what is possible, and receive packets until the timeout."""
         self._write(out)
-        ready, _, _ = select.select([self._sock, *self._ears, self._waker.reading], [], [], timeout_s)
+        ready, _, _ = select.select([self._sock, *self._announce_sockets, self._waker.reading], [], [], timeout_s)
         if self._waker.reading in ready:
             self._waker.drain()
         packets = [packet for sock in ready if sock is not self._waker.reading for packet in self._read(sock)]
-        self._bury()
+        self._drop_silent()
         return packets
 
     def _write(self, out: Outbox) -> None:
@@ -125,7 +125,7 @@ class UdpWire:
                 self._counters.drop(f"udp://{host}", "bad", str(error))
                 list(self._parser.feed(data))
                 list(self._parser.finish())
-                strangers(self._parser, f"udp://{host}:{port}", self._log, self._told)
+                report_foreign_bytes(self._parser, f"udp://{host}:{port}", self._log, self._reported)
                 continue
             if self._known(packet, host, port):
                 found.append(packet)
@@ -147,14 +147,14 @@ class UdpWire:
         if host != peer.place[0]:
             self._twins(packet.src, peer.name, host)
             return False
-        peer.heard = time.monotonic()
+        peer.received_s = time.monotonic()
         return True
 
     def _announced(self, packet: Packet, host: str, peer: Peer | None) -> bool:
         services, name = packet["services"], readable(packet["sys_name"])
         places = [(a, int(p)) for a, p in SERVICE.findall(services) if 0 < int(p) < 65536]
         uid = next((s for s in services.split(";") if "/uid/" in s), "")
-        lately = peer is not None and time.monotonic() - peer.heard < 3.0
+        lately = peer is not None and time.monotonic() - peer.received_s < 3.0
         if peer is not None and lately and uid and peer.uid and uid[:200] != peer.uid:
             self._twins(packet.src, peer.name, name)
             return False
@@ -164,7 +164,7 @@ class UdpWire:
         if peer is None:
             self._enter(packet.src, Peer(name, reachable, uid[:200]))
             return packet.src in self._peers
-        peer.place, peer.uid, peer.name, peer.heard = reachable, uid[:200], name, time.monotonic()
+        peer.place, peer.uid, peer.name, peer.received_s = reachable, uid[:200], name, time.monotonic()
         return True
 
     def _enter(self, number: int, peer: Peer) -> None:
@@ -176,14 +176,14 @@ class UdpWire:
 
     def _twins(self, number: int, one: str, other: str) -> None:
         key = f"twins {number}"
-        if key not in self._told and len(self._told) < MOST_TOLD:
-            self._told.add(key)
+        if key not in self._reported and len(self._reported) < MOST_REPORTED:
+            self._reported.add(key)
             self._log(f"{one!r} and {other!r} both use the address {number:#06x}; only the first is listened to")
 
-    def _bury(self) -> None:
+    def _drop_silent(self) -> None:
         now = time.monotonic()
         for number, peer in list(self._peers.items()):
-            if now - peer.heard > self._silence:
+            if now - peer.received_s > self._silence:
                 del self._peers[number]
                 self._log(f"{peer.name!r} has said nothing for {self._silence:g} s")
 
@@ -203,7 +203,7 @@ class UdpWire:
     def close(self) -> None:
         """Let go of the sockets."""
         self._sock.close()
-        for sock in self._ears:
+        for sock in self._announce_sockets:
             sock.close()
         self._waker.close()
 
@@ -235,7 +235,7 @@ def _bound(interface: str, ports: range) -> socket.socket:
     )
 
 
-def _ears(interface: str) -> list[socket.socket]:
+def _announce_sockets(interface: str) -> list[socket.socket]:
     """Where announcements arrive: one of the known ports on this address, and the same port of the group."""
     for port in ANNOUNCE_PORTS:
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,6 +1,6 @@
-"""Opens links by their place; a source and a sink of one program that name one place share one link.
+"""Open links by place; a source and a sink of one program at one place share one link.
 
-To others a system has one address: of two that announce the same one with different ports, they hear the last.
+Other systems know one address per system. If two links announce it with different ports, peers use the last one.
 """
 
 from __future__ import annotations
@@ -19,54 +19,54 @@ Role = Literal["source", "sink", "vehicle"]
 
 
 @dataclass(slots=True)
-class _Held:
-    """An open link, and who uses it."""
+class _SharedLink:
+    """An open link and the roles that use it."""
 
     link: Link
     roles: set[Role] = field(default_factory=set)
 
 
-_open: dict[Hashable, _Held] = {}
+_open: dict[Hashable, _SharedLink] = {}
 _lock = threading.Lock()
 
 
 def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log: Log) -> Link:
-    """A link to a place; to be left by `leave`.
+    """Open a link to a place; `leave` closes it.
 
     Args:
         place: `tcp://host:port`, `udp://host:port`, or nothing.
-        options: how; where the link is open already they stand as it was opened.
-        me: who we are.
-        role: a source and a sink share a link; a vehicle, which takes another's address, has its own.
-        log: told of waiting and of peers that go.
+        options: options of the link; an open link keeps the options that it was opened with.
+        me: our identity.
+        role: a source and a sink share a link; a vehicle has its own, since it takes another address.
+        log: takes lines for the user.
 
     Raises:
-        InputError: the place cannot be understood.
+        InputError: the place is not valid.
     """
     where = endpoint(place)
     key = (where, me.system_id, me.name, options.interface, options.port, options.xml)
     with _lock:
-        held = _open.get(key)
-        if held is not None and role != "vehicle" and role not in held.roles and not held.link.finished:
-            held.roles.add(role)
-            held.link.join(me, listens=role == "source")
-            return held.link
+        shared = _open.get(key)
+        if shared is not None and role != "vehicle" and role not in shared.roles and not shared.link.finished:
+            shared.roles.add(role)
+            shared.link.join(me, listens=role == "source")
+            return shared.link
     counters = Counters(log)
     wire = _wire(where, options, me, log, counters)
     link = Link(wire, me, table=options.table(), log=log, listens=role != "sink", counters=counters)
     with _lock:
         if role != "vehicle":
-            _open[key] = _Held(link, {role})
+            _open[key] = _SharedLink(link, {role})
     return link
 
 
 def leave(link: Link, role: Role) -> None:
-    """Close the link, unless the other one of a source and a sink uses it still."""
+    """Close the link, unless the other role still uses it."""
     with _lock:
-        for key, held in list(_open.items()):
-            if held.link is link:
-                held.roles.discard(role)
-                if held.roles:
+        for key, shared in list(_open.items()):
+            if shared.link is link:
+                shared.roles.discard(role)
+                if shared.roles:
                     return
                 del _open[key]
     link.close()

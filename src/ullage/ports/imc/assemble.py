@@ -1,4 +1,4 @@
-"""Radar frames out of the messages of a bus or a log: exact ones, else the profiles of echo sounders."""
+"""Assemble radar frames from the messages of a bus or a log: exact frames, else echo-sounder profiles."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from ullage.geometry import C0
 from ullage.ports import conversions
 from ullage.ports import messages as ros
 from ullage.ports.imc.codec import Packet, readable
-from ullage.ports.imc.places import Geodetic, Pose, path_along, pose_of
+from ullage.ports.imc.geodetic import Geodetic, Pose, path_along, pose_of
 from ullage.ports.imc.radars import carried, mount_of, profile_of
 from ullage.ports.intake import Clock, Counters, Log, Place, PoseQueue, Stamped, Stream
 from ullage.specs import MountSpec, RadarSpec
 
-HELD = 4096  # messages of one sensor that wait for a pose or for their settings
+MOST_WAITING = 4096  # messages of one sensor that wait for a pose or for their settings
 MOST_PARTS = 256  # radars, and names of parts of systems; further ones are counted as bad
 FARTHEST_M = 1e6  # from the reference of a state
 LATEST_S = 9e9
@@ -33,7 +33,7 @@ Part = tuple[int, int]
 
 
 def wrong_state(values: Mapping[str, float]) -> str:
-    """What makes an EstimatedState or SimulatedState unusable; empty where nothing does."""
+    """Return why an EstimatedState or SimulatedState is not valid; empty if it is valid."""
     if not all(map(math.isfinite, values.values())):
         return next(f"{name} is not finite" for name, value in values.items() if not math.isfinite(value))
     if abs(values["lat"]) > math.pi / 2 or abs(values["lon"]) > 2 * math.pi:
@@ -45,14 +45,14 @@ def wrong_state(values: Mapping[str, float]) -> str:
 
 @dataclass(slots=True)
 class Track:
-    """The poses of one vehicle, in order of time, over every step of its clock.
+    """The poses of one vehicle, in order of time, across steps of its clock.
 
     Args:
-        counters: count states that cannot be used, and report steps of the clock.
-        state: which message holds the poses.
-        origin: of the world; None: where the first one has its reference.
+        counters: count invalid states and report steps of the clock.
+        state: name of the message with the poses.
+        origin: origin of the world; None: the reference of the first state.
         vehicle: name or number of the vehicle; empty: the first that sends a pose.
-        keep: how many are kept.
+        keep: greatest number of poses; None: all.
     """
 
     counters: Counters = field(default_factory=Counters)
@@ -62,12 +62,12 @@ class Track:
     keep: int | None = 4096
     poses: deque[Pose] = field(default_factory=deque)
     followed: int | None = None
-    started_ns: int = 0  # when the track of now began
-    offset_ns: int = 0  # from the vehicle's clock to the times of the poses
+    started_ns: int = 0  # begin of the present track
+    offset_ns: int = 0  # time of the poses minus the vehicle's clock
     _stream: Stream[Packet] | None = None
 
     def take(self, packet: Packet) -> list[Stamped[Pose]]:
-        """The poses that are known by this message: none, its own, or one that waited and its own."""
+        """Return the poses that a message completes: none, its own, or a waiting one and its own."""
         if packet.name == "Announce" and self.vehicle and packet["sys_name"] == self.vehicle:
             self.followed = packet.src
         if packet.name != self.state:
@@ -100,7 +100,7 @@ class Track:
         return Stamped(pose, *found[1:])
 
     def place(self, stamp_ns: int) -> Place[int]:
-        """The time on the poses' clock of a moment on the vehicle's, once it lies between two poses of one track."""
+        """Convert a time of the vehicle's clock to the clock of the poses, once poses before and after it are known."""
         if not self.poses:
             return Place("wait", missing=f"no {self.state} yet")
         t_ns = stamp_ns + self.offset_ns
@@ -111,23 +111,23 @@ class Track:
         return Place("known", t_ns)
 
     def finish(self) -> None:
-        """Nothing more will come."""
+        """End the stream of states."""
         if self._stream is not None:
             self._stream.finish()
 
     def path(self) -> Trajectory | None:
-        """All that is kept."""
+        """Return the path of the kept poses."""
         return path_along(list(self.poses)) if self.poses else None
 
 
 @dataclass(slots=True)
 class _Sensor:
-    """What has come of one part of a system and is not yet given on."""
+    """Waiting data of one part of a system."""
 
-    stream: Stream[bytes]  # of exact frames, by their own clock
+    stream: Stream[bytes]  # exact frames, on their own clock
     profiles: PoseQueue[tuple[int, Floats, Floats]]  # stamp, ranges, amplitudes
     settings: dict[str, Any] = field(default_factory=dict)
-    notes: list[tuple[int, bytes]] = field(default_factory=list)  # time and CDR of exact frames
+    exact_frames: list[tuple[int, bytes]] = field(default_factory=list)  # time and CDR
     axis: Floats | None = None
     exact: bool = False
     name: str = ""
@@ -135,24 +135,24 @@ class _Sensor:
     last_ns: int = -1
 
 
-class Gatherer:
-    """Takes messages and gives the frames they make.
+class FrameAssembler:
+    """Collect messages and return the frames that they make up.
 
     Args:
-        track: of the vehicle, for the poses of profiles.
-        log: told once of each radar that gives profiles only; None: the reporter of the track's counters.
-        labels: names of parts of systems; learned from EntityInfo and EntityList as well.
+        track: the vehicle's poses, for profiles.
+        log: takes one line for each radar with profiles only; None: the log of the track's counters.
+        labels: names of parts of systems; EntityInfo and EntityList add to them.
     """
 
     def __init__(self, track: Track, log: Log | None = None, *, labels: dict[Part, str] | None = None) -> None:
         self._track, self._log, self._labels = track, log or track.counters.log, labels or {}
         self._counters = track.counters
         self._sensors: dict[Part, _Sensor] = {}
-        self._clocks: dict[int, Clock] = {}  # of exact frames, by system
-        self._told: set[Part] = set()
+        self._clocks: dict[int, Clock] = {}  # clocks of exact frames, by system
+        self._reported: set[Part] = set()
 
     def take(self, packet: Packet) -> bool:
-        """Keep what this message tells of a radar; true where it is a frame."""
+        """Store the radar data of a message; return whether it is a frame."""
         part = (packet.src, packet.src_ent)
         if packet.name == "EntityInfo":
             self._name((packet.src, packet["id"]), packet["label"])
@@ -167,10 +167,10 @@ class Gatherer:
         return packet.name in ("DevDataBinary", "SonarData")
 
     def give(self, *, final: bool = False) -> dict[str, Frames]:
-        """The frames that are ready, by sensor; with `final` those whose poses will not come are left out."""
+        """Return the complete frames by sensor; `final` drops frames whose poses will not come."""
         out: dict[str, Frames] = {}
         for part, sensor in self._sensors.items():
-            found = self._whole(sensor) if sensor.exact else self._placed(part, sensor)
+            found = self._exact_frames(sensor) if sensor.exact else self._profiles_with_poses(part, sensor)
             if final:
                 sensor.profiles.clear()
                 sensor.stream.finish()
@@ -180,14 +180,14 @@ class Gatherer:
         return out
 
     def _of(self, part: Part) -> _Sensor | None:
-        """What is kept of a part; None where there are too many."""
+        """Return the data of a part, or None if there are too many parts."""
         if part not in self._sensors:
             if len(self._sensors) >= MOST_PARTS:
                 self._counters.drop("radars", "bad", f"more than {MOST_PARTS} of them")
                 return None
             clock = self._clocks.setdefault(part[0], Clock(self._counters))
             topic = self._topic(part)
-            self._sensors[part] = _Sensor(clock.stream(topic), PoseQueue(self._counters, topic, most=HELD))
+            self._sensors[part] = _Sensor(clock.stream(topic), PoseQueue(self._counters, topic, most=MOST_WAITING))
         return self._sensors[part]
 
     def _topic(self, part: Part) -> str:
@@ -219,43 +219,43 @@ class Gatherer:
                 self._counters.drop(sensor.stream.topic, "lost", "frames came before their settings")
             else:
                 stamp_ns = int(conversions.times_in([data])[0])
-                sensor.notes += [(one.t_ns, one.item) for one in sensor.stream.take(stamp_ns, data)]
-        except Exception as error:  # bytes of a stranger: whatever they do to those who read them, the rest goes on
+                sensor.exact_frames += [(one.t_ns, one.item) for one in sensor.stream.take(stamp_ns, data)]
+        except Exception as error:  # bytes of another system may cause any error
             self._bad(sensor, error)
             return
         sensor.exact = True
-        over = len(sensor.notes) - HELD
-        self._counters.drop(sensor.stream.topic, "lost", f"more than {HELD} frames wait", count=over)
-        del sensor.notes[:-HELD]
+        over = len(sensor.exact_frames) - MOST_WAITING
+        self._counters.drop(sensor.stream.topic, "lost", f"more than {MOST_WAITING} frames wait", count=over)
+        del sensor.exact_frames[:-MOST_WAITING]
 
     def _bad(self, sensor: _Sensor, error: Exception) -> None:
         cause = str(error).partition("\n")[0] or type(error).__name__
         self._counters.drop(sensor.stream.topic, "bad", f"cannot be read: {cause}")
 
-    def _whole(self, sensor: _Sensor) -> Frames | None:
+    def _exact_frames(self, sensor: _Sensor) -> Frames | None:
         if "spec" not in sensor.settings:
             return None
-        notes, sensor.notes = sensor.notes, []
-        if not notes:
+        waiting, sensor.exact_frames = sensor.exact_frames, []
+        if not waiting:
             return None
-        with suppress(Exception):  # one of them may be damaged: then each is read by itself
-            whole = self._made(sensor, notes)
-            if whole.poses is not None or len(notes) == 1:
-                return whole
-        parts = [made for note in notes if (made := self._one(sensor, note)) is not None]
+        with suppress(Exception):  # if one is damaged, each is read separately
+            frames = self._made(sensor, waiting)
+            if frames.poses is not None or len(waiting) == 1:
+                return frames
+        parts = [made for one in waiting if (made := self._one(sensor, one)) is not None]
         posed = [made for made in parts if made.poses is not None]
         if posed:
             self._counters.drop(sensor.stream.topic, "no pose", "frames without one", count=len(parts) - len(posed))
         return joined(posed or parts) if parts else None
 
-    def _made(self, sensor: _Sensor, notes: list[tuple[int, bytes]]) -> Frames:
-        times = np.array([t_ns for t_ns, _ in notes], np.int64)
-        return conversions.frames_of([data for _, data in notes], sensor.name, sensor.settings, times)
+    def _made(self, sensor: _Sensor, stamped: list[tuple[int, bytes]]) -> Frames:
+        times = np.array([t_ns for t_ns, _ in stamped], np.int64)
+        return conversions.frames_of([data for _, data in stamped], sensor.name, sensor.settings, times)
 
-    def _one(self, sensor: _Sensor, note: tuple[int, bytes]) -> Frames | None:
-        """A frame by itself; None where it is damaged."""
+    def _one(self, sensor: _Sensor, stamped: tuple[int, bytes]) -> Frames | None:
+        """Return one frame, or None if it is damaged."""
         try:
-            made = self._made(sensor, [note])
+            made = self._made(sensor, [stamped])
             wanted = sensor.settings["range_m"]
             if len(made.range_m) != len(wanted):
                 raise InputError(f"{len(made.range_m)} bins instead of {len(wanted)}")
@@ -288,16 +288,16 @@ class Gatherer:
             sensor.profiles.clear("the range was changed")
         sensor.axis = axis
         sensor.profiles.put((round(packet.t_s * 1e9), axis, values), time.monotonic())
-        if part not in self._told:
-            self._told.add(part)
+        if part not in self._reported:
+            self._reported.add(part)
             self._log(f"{self.label(part)}: only profiles come of it, without phase: detections and maps, no images")
 
     def label(self, part: Part) -> str:
-        """The name of a part of a system, as far as it is known."""
+        """Return the name of a part of a system, or `entityN`."""
         return self._labels.get(part) or f"entity{part[1]}"
 
-    def _placed(self, part: Part, sensor: _Sensor) -> Frames | None:
-        """Profiles whose time lies between two poses; later ones wait."""
+    def _profiles_with_poses(self, part: Part, sensor: _Sensor) -> Frames | None:
+        """Return the profiles whose time lies between two poses; later ones wait."""
         times: list[int] = []
         rows: list[Floats] = []
         for (_, _, values), t_ns in sensor.profiles.ready(lambda one: self._track.place(one[0]), time.monotonic()):
@@ -308,7 +308,7 @@ class Gatherer:
             rows.append(values)
         if not times or sensor.axis is None:
             return None
-        samples = np.array(rows, np.complex64)  # as if all had phase zero
+        samples = np.array(rows, np.complex64)  # with phase zero
         poses = [pose for pose in self._track.poses if pose.t_ns >= self._track.started_ns]
         path = path_along(poses).at(np.array(times, np.int64)).mounted(sensor.mount.body_from_sensor())
         spec = profile_spec(sensor.axis, sensor.mount)
@@ -316,7 +316,7 @@ class Gatherer:
 
 
 def profile_spec(axis: Floats, mount: MountSpec) -> RadarSpec:
-    """A radar for a profile that came without one: an X4M05's antenna, and as much band as the bins can hold."""
+    """Return a radar for a profile: the antenna of an X4M05, and the greatest bandwidth that the bins hold."""
     rate_hz = float(np.clip(C0 / (2 * (axis[1] - axis[0])), 1.3e7, 1e11))
     return RadarSpec.preset(
         "x4m05",

@@ -57,7 +57,7 @@ class Geodetic:
         ])  # fmt: skip
 
     def moved(self, ned_m: Floats) -> Geodetic:
-        """The point that lies so far north, east and down of here [m]."""
+        """Return the point at this offset north, east and down [m]."""
         x, y, z = self.earth_centred + self.earth_from_ned @ np.asarray(ned_m, float)
         side = math.hypot(x, y)
         lat, height = math.atan2(z, side * (1 - ECCENTRICITY2)), 0.0
@@ -70,12 +70,12 @@ class Geodetic:
 
 
 TRONDHEIM = Geodetic.degrees(63.4185, 10.4009)
-"""Where a world without a place on earth is put: the campus of the thesis."""
+"""Origin of a world without a geodetic place: the campus of the thesis."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a vehicle is and how it moves: world ENU, body FLU."""
+    """Pose and rates of a vehicle: world ENU, body FLU."""
 
     t_ns: int
     position: Floats  # (3) [m]
@@ -85,7 +85,7 @@ class Pose:
 
 
 def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> Pose:
-    """The pose that an EstimatedState or SimulatedState tells, in the world whose origin lies there."""
+    """Return the pose of an EstimatedState or SimulatedState in the world with this origin."""
     here = Geodetic(state["lat"], state["lon"], state["height"])
     offset = np.array([state["x"], state["y"], state["z"]], float)
     if here == origin:
@@ -108,7 +108,7 @@ def pose_of(state: Mapping[str, Any], t_ns: int, origin: Geodetic) -> Pose:
 
 
 def state_of(pose: Pose, origin: Geodetic) -> dict[str, float]:
-    """The fields of an EstimatedState for this pose; altitude is the height over the world's z = 0."""
+    """Return the fields of an EstimatedState for a pose; altitude is the height over the world's z = 0."""
     ned_from_frd = SWAP @ quat_matrix(pose.quat_xyzw) @ FLIP
     phi, theta, psi = (float(a) for a in quat_rpy(matrix_quat(ned_from_frd)))
     x, y, z = (float(v) for v in SWAP @ pose.position)
@@ -123,14 +123,14 @@ def state_of(pose: Pose, origin: Geodetic) -> dict[str, float]:
 
 
 def poses_along(path: Trajectory) -> list[Pose]:
-    """Each sample of a trajectory by itself."""
+    """Return each sample of a trajectory as a pose."""
     velocity, spin = path.rates
     columns = zip(path.t_ns, path.position, path.quat_xyzw, velocity, spin, strict=True)
     return [Pose(int(t), *rest) for t, *rest in columns]
 
 
 def path_along(poses: list[Pose]) -> Trajectory:
-    """The trajectory of poses whose times rise."""
+    """Return the trajectory of poses with rising times."""
     return Trajectory(
         np.array([p.t_ns for p in poses]),
         np.array([p.position for p in poses]),
