@@ -32,14 +32,14 @@ def payload(kind: str) -> bytes:
     if kind == ros.FRAME:
         spec = ul.RadarSpec.preset("x4m05")
         frames = ul.Frames(np.ones((1, 188), np.complex64), spec.range_m, np.array([0]), spec, sensor="front")
-        return conversions.frame_notes(frames, 0)[0]
+        return conversions.frame_messages(frames, 0)[0]
     if kind == ros.GRID:
-        return conversions.grid_note(
+        return conversions.grid_message(
             OccupancyMap(ul.Grid((0.0, 0.0, 0.0), 0.1, (1000, 1000)), np.zeros((1000, 1000), np.int8)), 0
         )
-    from ullage.ports.encode import update_note
+    from ullage.ports.encode import update_message
 
-    return update_note(0, 0, 0, np.zeros((100, 100), np.int8))
+    return update_message(0, 0, 0, np.zeros((100, 100), np.int8))
 
 
 def stamped(data: bytearray) -> bytes:

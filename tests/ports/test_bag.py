@@ -148,13 +148,13 @@ def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:
     frames = ul.Frames(samples, spec.range_m, body.t_ns, spec, body.mounted(mount.body_from_sensor()), sensor="left")
     record(tmp_path / "run", frames)
     with AnyReader([tmp_path / "run"]) as reader:
-        notes = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()}
+        messages = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()}
         tree = {
             (c.topic, tf.header.frame_id, tf.child_frame_id)
             for c, _, raw in reader.messages() if c.topic in ("/tf", "/tf_static")
             for tf in reader.deserialize(raw, c.msgtype).transforms
         }  # fmt: skip
-    at, twist = notes["/odom"].pose.pose.position, notes["/odom"].twist.twist.linear
+    at, twist = messages["/odom"].pose.pose.position, messages["/odom"].twist.twist.linear
     np.testing.assert_allclose((at.x, at.y, at.z), body.position[-1], atol=1e-12)
     np.testing.assert_allclose((twist.x, twist.y), 0.5 * np.array([np.cos(np.pi / 6), -np.sin(np.pi / 6)]), atol=1e-12)
     assert tree == {
@@ -180,10 +180,10 @@ def test_maps_as_ros_has_them(tmp_path: Path) -> None:
     grid = ul.Grid((-1.0, -2.0, 0.5), 0.1, (6, 5))
     percent = np.random.default_rng(2).integers(-2, 101, grid.shape).astype(np.int8)
     percent[0, :3] = -2, -1, 100
-    data = conversions.grid_note(ul.OccupancyMap(grid, percent), 5_000_000_007)
-    note = ros.from_bytes(ros.GRID, data)
-    np.testing.assert_array_equal(note.data, np.maximum(percent, -1).ravel())
-    assert (note.info.width, note.info.height, note.header.stamp.nanosec) == (5, 6, 7)
+    data = conversions.grid_message(ul.OccupancyMap(grid, percent), 5_000_000_007)
+    message = ros.from_bytes(ros.GRID, data)
+    np.testing.assert_array_equal(message.data, np.maximum(percent, -1).ravel())
+    assert (message.info.width, message.info.height, message.header.stamp.nanosec) == (5, 6, 7)
     path = tmp_path / "other.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
@@ -240,15 +240,15 @@ def test_unwritable_places_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_damaged_message_costs_only_itself(tmp_path: Path, frames: ul.Frames) -> None:
-    notes = conversions.frame_notes(frames, 0)
+    messages = conversions.frame_messages(frames, 0)
     size = ros.frame_layout(b"front", b"front", 48).dtype.fields["believed"][1]  # type: ignore[index]
-    notes[7] = notes[7][: size + 24] + bytes(32) + notes[7][size + 56 :]  # a quaternion of length 0
-    notes[20] = notes[20][:4] + (10**9).to_bytes(4, "little") + notes[20][8:]  # a stamp of another year
+    messages[7] = messages[7][: size + 24] + bytes(32) + messages[7][size + 56 :]  # a quaternion of length 0
+    messages[20] = messages[20][:4] + (10**9).to_bytes(4, "little") + messages[20][8:]  # a stamp of another year
     path = tmp_path / "a.mcap"
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")
-        for kind, data in [(ros.SETTINGS, conversions.settings_note(frames)), *((ros.FRAME, n) for n in notes)]:
+        for kind, data in [(ros.SETTINGS, conversions.settings_message(frames)), *((ros.FRAME, n) for n in messages)]:
             schema = writer.register_schema(kind, "ros2msg", ros.schema_text(kind).encode())
             writer.add_message(writer.register_channel(f"/{kind}", "cdr", schema), 0, data, 0)
         writer.finish()
@@ -270,7 +270,7 @@ def test_frames_without_settings_are_read_as_assumed(tmp_path: Path, frames: ul.
         writer.start(profile="ros2")
         schema = writer.register_schema(ros.FRAME, "ros2msg", ros.schema_text(ros.FRAME).encode())
         channel = writer.register_channel("/somewhere", "cdr", schema)
-        for t_ns, data in zip(frames.t_ns.tolist(), conversions.frame_notes(frames, 0), strict=True):
+        for t_ns, data in zip(frames.t_ns.tolist(), conversions.frame_messages(frames, 0), strict=True):
             writer.add_message(channel, t_ns, data, t_ns)
         writer.finish()
     with pytest.warns(ul.UllageWarning, match="no settings were recorded"):

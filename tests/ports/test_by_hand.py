@@ -89,24 +89,26 @@ def test_the_sonar_gives_the_height_and_infinity_beyond_its_reach() -> None:
 
 
 def test_frames_imu_and_sonar_come_out_and_the_controls_are_let_go() -> None:
-    controls, notes = Script((0.0, Velocity(0.3))), list[Passed]()
+    controls, messages = Script((0.0, Velocity(0.3))), list[Passed]()
     room = ul.scenes.room(size_m=(6, 4, 3))
     source = HandFlownSource(
         room, ul.Rig.preset("thesis-4"), FlyOptions(fidelity="thesis", duration_s=1.0), controls, start=(0, 0, 0)
     )
-    source.passing.to(notes.append)
+    source.passing.to(messages.append)
     pieces = list(source.stream())
     front = [piece["front"] for piece in pieces if "front" in piece]
     assert sum(map(len, front)) >= 17
     t_ns = np.concatenate([part.t_ns for part in front])
     assert (np.diff(t_ns) > 0).all()
     assert front[-1].believed.position[-1, 0] > 0.05
-    topics = [note.topic for note in notes]
-    status = next(ros.from_bytes(note.kind, note.data) for note in notes if note.topic == "/diagnostics").status[0]
+    topics = [message.topic for message in messages]
+    status = next(
+        ros.from_bytes(message.kind, message.data) for message in messages if message.topic == "/diagnostics"
+    ).status[0]
     assert {"frames simulated", "late frames", "dropped", "contacts"} <= {pair.key for pair in status.values}
     assert topics.count(IMU_TOPIC) >= 50
     assert topics.count(SONAR_TOPIC) >= 10
-    imu = ros.from_bytes(notes[0].kind, next(note.data for note in notes if note.topic == IMU_TOPIC))
+    imu = ros.from_bytes(messages[0].kind, next(message.data for message in messages if message.topic == IMU_TOPIC))
     assert imu.header.frame_id == "base_link"
     assert imu.linear_acceleration.z == pytest.approx(9.81, abs=0.5)
     assert controls.closed
@@ -175,12 +177,12 @@ def test_a_flight_that_cannot_be_is_refused_in_one_line(words, said, monkeypatch
 
 def imu_readings(**options) -> np.ndarray:
     """Turn rate and acceleration of a vehicle that hovers (n, 6)."""
-    notes, room = list[Passed](), ul.scenes.room(size_m=(6, 4, 3))
+    messages, room = list[Passed](), ul.scenes.room(size_m=(6, 4, 3))
     chosen = FlyOptions(fidelity="thesis", duration_s=1.0, rate_hz=5, **options)
     source = HandFlownSource(room, ul.Rig.preset("single"), chosen, Script(), start=(0, 0, 0))
-    source.passing.to(notes.append)
+    source.passing.to(messages.append)
     list(source.stream())
-    read = [ros.from_bytes(one.kind, one.data) for one in notes if one.topic == IMU_TOPIC]
+    read = [ros.from_bytes(one.kind, one.data) for one in messages if one.topic == IMU_TOPIC]
     return np.array(
         [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z, m.linear_acceleration.x,
           m.linear_acceleration.y, m.linear_acceleration.z] for m in read[:40]]

@@ -250,8 +250,8 @@ def test_a_sink_is_given_frames_in_order_of_time():
 
 
 def status_of(message):
-    note = ros.from_bytes(message.kind, message.data).status[0]
-    return note, {pair.key: pair.value for pair in note.values}
+    message = ros.from_bytes(message.kind, message.data).status[0]
+    return message, {pair.key: pair.value for pair in message.values}
 
 
 def test_diagnostics_count_the_frames_that_were_simulated_and_the_poses_that_were_dropped():
@@ -264,8 +264,8 @@ def test_diagnostics_count_the_frames_that_were_simulated_and_the_poses_that_wer
     with contextlib.suppress(KeyboardInterrupt):
         list(source.stream(8))
     assert {(one.topic, one.kind) for one in found} == {("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")}
-    note, values = status_of(found[0])  # a second later there would be a next one
-    assert note.name == "radars"
+    message, values = status_of(found[0])  # a second later there would be a next one
+    assert message.name == "radars"
     assert int(values["frames simulated"]) == int(values["front: frames simulated"]) + int(
         values["left: frames simulated"]
     )
@@ -277,12 +277,12 @@ def test_late_frames_drops_and_contacts_make_the_status_a_warning_once():
     status, counters = RadarStatus("radars", late_s=1.0, now=lambda: next(wall_s)), Counters()
     piece = followed(line())[0][0]
     status.add(piece, 0.1)
-    note, values = status_of(status.message(0, counters))
-    assert (note.level, note.message, values["late frames"]) == (0, "simulating", "0")
+    message, values = status_of(status.message(0, counters))
+    assert (message.level, message.message, values["late frames"]) == (0, "simulating", "0")
     status.add(piece, 1.5)
     counters.drop("pose", "bad", "not finite")
-    note, values = status_of(status.message(1, counters, contacts=2))
-    assert (note.level, note.message) == (1, "late frames, dropped messages, contacts")
+    message, values = status_of(status.message(1, counters, contacts=2))
+    assert (message.level, message.message) == (1, "late frames, dropped messages, contacts")
     frames = sum(map(len, piece.values()))
     assert (int(values["frames simulated"]), int(values["late frames"])) == (2 * frames, frames)
     assert (values["dropped"], values["contacts"], values["pose: bad"]) == ("1", "2", "1")

@@ -102,13 +102,13 @@ def test_what_is_passed_on_has_no_pace():
     peer = Notebook()
     sink = Ros2Sink("", SinkOptions(), peer=peer)
     sink.write(old_frames(2, step_s=3600.0)[:1])
-    notes = [Passed(n * 10**12, "imc/x", "std_msgs/msg/String", b"") for n in range(3)]
-    for note in notes:
-        sink.write(note)
+    messages = [Passed(n * 10**12, "imc/x", "std_msgs/msg/String", b"") for n in range(3)]
+    for message in messages:
+        sink.write(message)
     limit = time.monotonic() + 60
     while len(peer.sent) < 3 and time.monotonic() < limit:
         time.sleep(0.01)
-    assert [message.t_ns for message, _ in peer.sent if message.quality == "relayed"] == [n.t_ns for n in notes]
+    assert [message.t_ns for message, _ in peer.sent if message.quality == "relayed"] == [n.t_ns for n in messages]
     sink.close()
 
 
@@ -182,8 +182,8 @@ def test_a_peer_behind_its_pace_says_so():
     with Ros2Sink("", SinkOptions(pace=100.0, clock="off"), peer=peer) as sink:
         for n in range(3):
             sink.write(old_frames(5, start_s=1000.0 + 5.0 * n, step_s=1.0))
-    notes = [message.data for message, _ in peer.sent if message.topic == "/diagnostics"]
-    found = [ros.from_bytes("diagnostic_msgs/msg/DiagnosticArray", note).status[0] for note in notes]
+    messages = [message.data for message, _ in peer.sent if message.topic == "/diagnostics"]
+    found = [ros.from_bytes("diagnostic_msgs/msg/DiagnosticArray", message).status[0] for message in messages]
     assert any("behind its pace" in status.message for status in found)
     for status in found:
         values = {value.key: float(value.value) for value in status.values}

@@ -112,43 +112,43 @@ def read_npz(path: str | Path, *, preset: str | None = None) -> Arrays:
         InputError: a key is missing, or shapes and values do not fit together.
     """
     path = Path(path)
-    held = load(path, KEYS)
-    if missing := [name for name in ("samples", "ranges_m") if name not in held]:
+    entries = load(path, KEYS)
+    if missing := [name for name in ("samples", "ranges_m") if name not in entries]:
         raise InputError(f"no {', '.join(missing)}", where=path, allowed=WANTED)
-    t_ns = _times(held, "", path)
-    samples, range_m = _profiles(held, len(t_ns), path)
-    spec = _spec(samples, range_m, t_ns, *_band(held, preset, path), path)
+    t_ns = _times(entries, "", path)
+    samples, range_m = _profiles(entries, len(t_ns), path)
+    spec = _spec(samples, range_m, t_ns, *_band(entries, preset, path), path)
     t_ns = mend_clock(t_ns, where=path)
     warn_of_saturation(samples, path)
-    poses = _poses(held, "", t_ns, path)
+    poses = _poses(entries, "", t_ns, path)
     track = None
-    if "track_positions_m" in held:
-        track = _poses(held, "track_", mend_clock(_times(held, "track_", path), where=path), path)
+    if "track_positions_m" in entries:
+        track = _poses(entries, "track_", mend_clock(_times(entries, "track_", path), where=path), path)
     if poses is not None and track is not None:
         raise InputError("both positions_m and track_positions_m", where=path, allowed="one of them")
     return Arrays(samples, range_m, t_ns, spec, poses, track)
 
 
-def _times(held: dict[str, NDArray[Any]], prefix: str, path: Path) -> Longs:
+def _times(entries: dict[str, NDArray[Any]], prefix: str, path: Path) -> Longs:
     """Longs under `times_s` or `times_ns`, as they stand in the file."""
     either = [f"{prefix}times_s", f"{prefix}times_ns"]
-    names = [name for name in either if name in held]
+    names = [name for name in either if name in entries]
     if len(names) != 1:
         what = f"both {' and '.join(either)}" if names else f"no {' or '.join(either)}"
         raise InputError(what, where=path, allowed=f"one of {', '.join(either)}" if prefix else WANTED)
-    value, whole = held[names[0]], names[0].endswith("_ns")
+    value, nanoseconds = entries[names[0]], names[0].endswith("_ns")
     if value.ndim != 1 or not value.size or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
         raise InputError(f"{names[0]} is {_kind(value)}", where=path, allowed="a row of finite numbers")
-    if float(np.abs(value.astype(float)).max()) > MOST_S * (1e9 if whole else 1):
+    if float(np.abs(value.astype(float)).max()) > MOST_S * (1e9 if nanoseconds else 1):
         raise InputError(f"{names[0]} is absurd", where=path, allowed=f"within {MOST_S:g} s of zero")
-    if whole and value.dtype.kind in "iu":
+    if nanoseconds and value.dtype.kind in "iu":
         return value.astype(np.int64)
-    return np.rint(value.astype(float) * (1 if whole else 1e9)).astype(np.int64)
+    return np.rint(value.astype(float) * (1 if nanoseconds else 1e9)).astype(np.int64)
 
 
-def _profiles(held: dict[str, NDArray[Any]], rows: int, path: Path) -> tuple[NDArray[Any], Floats]:
+def _profiles(entries: dict[str, NDArray[Any]], rows: int, path: Path) -> tuple[NDArray[Any], Floats]:
     """Samples and the range axis, checked against each other and the number of times."""
-    samples, range_m = held["samples"], held["ranges_m"]
+    samples, range_m = entries["samples"], entries["ranges_m"]
     if samples.ndim != 2 or samples.dtype.kind not in "iufc" or samples.shape != (rows, range_m.size):
         shapes = f"samples is {_kind(samples)}, with {rows} times and {range_m.size} ranges"
         raise InputError(shapes, where=path, allowed=WANTED)
@@ -164,22 +164,22 @@ def _profiles(held: dict[str, NDArray[Any]], rows: int, path: Path) -> tuple[NDA
     return samples.astype(np.complex64 if samples.dtype.kind == "c" else np.float32), range_m
 
 
-def _band(held: dict[str, NDArray[Any]], preset: str | None, path: Path) -> tuple[RadarSpec, dict[str, float]]:
+def _band(entries: dict[str, NDArray[Any]], preset: str | None, path: Path) -> tuple[RadarSpec, dict[str, float]]:
     """The radar's preset, stated or assumed, and what the file says of its band."""
-    stated: dict[str, float] = {key: _scalar(held, key, path) for key in BAND if key in held}
+    stated: dict[str, float] = {key: _scalar(entries, key, path) for key in BAND if key in entries}
     if preset is not None:
         return RadarSpec.preset(preset), stated
     if len(stated) == 2:
         return RadarSpec(name="npz"), stated
-    base = RadarSpec.preset(LIKE[held["samples"].dtype.kind == "c"], range_zero_m=None)
+    base = RadarSpec.preset(LIKE[entries["samples"].dtype.kind == "c"], range_zero_m=None)
     rest = " and ".join(f"{name} {getattr(base, name):g}" for name in BAND if name not in stated)
     what = f"{path}: {rest} of the preset {base.name} assumed; the file does not say (give preset=)"
     warnings.warn(what, UllageWarning, stacklevel=5)
     return base, stated
 
 
-def _scalar(held: dict[str, NDArray[Any]], name: str, path: Path) -> float:
-    value = held[name]
+def _scalar(entries: dict[str, NDArray[Any]], name: str, path: Path) -> float:
+    value = entries[name]
     if value.size != 1 or value.dtype.kind not in "iuf":
         raise InputError(f"{name} is {_kind(value)}", where=path, allowed="one number [Hz]")
     return float(value.ravel()[0])
@@ -203,15 +203,15 @@ def _spec(
         raise InputError(f"its values make no radar: {error}", where=path) from None
 
 
-def _poses(held: dict[str, NDArray[Any]], prefix: str, t_ns: Longs, path: Path) -> Trajectory | None:
+def _poses(entries: dict[str, NDArray[Any]], prefix: str, t_ns: Longs, path: Path) -> Trajectory | None:
     """Poses under `positions_m` and `quaternions_xyzw`, where there are any."""
     place, turn = f"{prefix}positions_m", f"{prefix}quaternions_xyzw"
-    if place not in held:
-        if turn in held:
+    if place not in entries:
+        if turn in entries:
             raise InputError(f"{turn} without {place}", where=path, allowed=place)
         return None
-    position = held[place]
-    quat = held.get(turn, np.tile([0.0, 0, 0, 1], (len(t_ns), 1)))
+    position = entries[place]
+    quat = entries.get(turn, np.tile([0.0, 0, 0, 1], (len(t_ns), 1)))
     for name, value, width in ((place, position, 3), (turn, quat, 4)):
         if value.shape != (len(t_ns), width) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
             raise InputError(f"{name} is {_kind(value)}", where=path, allowed=f"({len(t_ns)}, {width}) finite numbers")

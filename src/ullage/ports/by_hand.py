@@ -153,7 +153,7 @@ class HandFlownSource(UnboundedSource):
         options: how.
         controls: where commands come from; closed with the source.
         start: x, y, z [m] and, if given, yaw [deg].
-        log: takes what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
         frame_prefix: goes before the names of frames of reference.
 
     Raises:
@@ -214,7 +214,7 @@ class HandFlownSource(UnboundedSource):
 
     def _made(self, states: list[State]) -> Iterator[dict[str, Frames]]:
         """The frames along some states; the readings of the other sensors go on."""
-        self.passing.give(lambda: [note for state in states for note in self._readings(state)])
+        self.passing.give(lambda: [message for state in states for message in self._readings(state)])
         found = self._radars.advance(
             [self._epoch_ns + state.t_ns for state in states],
             [state.position for state in states],
@@ -239,11 +239,11 @@ class HandFlownSource(UnboundedSource):
             number = round(state.t_ns * 1e-9 * self._options.state_hz)
             spin, force = self._imu.add(number, spin, force)
             variances = self._imu.rate_sigma**2, self._imu.force_sigma**2
-        imu = encode.imu_note(t_ns, state.quat_xyzw, spin, force, frame_id=self._body, variances=variances)
+        imu = encode.imu_message(t_ns, state.quat_xyzw, spin, force, frame_id=self._body, variances=variances)
         yield Passed(t_ns, IMU_TOPIC, encode.IMU, imu)
         if (range_m := self._sonar.reading(state)) is not None:
-            note = encode.range_note(t_ns, range_m, SONAR_M, SONAR_FOV_RAD, frame_id=self._body + "_sonar")
-            yield Passed(t_ns, SONAR_TOPIC, encode.RANGE, note)
+            message = encode.range_message(t_ns, range_m, SONAR_M, SONAR_FOV_RAD, frame_id=self._body + "_sonar")
+            yield Passed(t_ns, SONAR_TOPIC, encode.RANGE, message)
 
     def _warm_up(self) -> None:
         """Load and compile while nobody flies."""

@@ -44,7 +44,7 @@ def path_of(t_ns: Longs, states: Floats) -> Trajectory:
     return Trajectory(t_ns, states[:, :3], states[:, 3:7], states[:, 7:10], states[:, 10:])
 
 
-def frame_notes(frames: Frames, start: int, *, frame_id: str = "") -> list[bytes]:
+def frame_messages(frames: Frames, start: int, *, frame_id: str = "") -> list[bytes]:
     """RadarFrame of each frame, counted from `start`; an empty `frame_id` is the sensor's name."""
     floats = frames.samples.view(np.float32)
     layout = ros.frame_layout((frame_id or frames.sensor).encode(), frames.sensor.encode(), floats.shape[1])
@@ -63,9 +63,9 @@ def frame_notes(frames: Frames, start: int, *, frame_id: str = "") -> list[bytes
     return layout.fill(len(frames), **columns)
 
 
-def times_in(notes: Sequence[bytes]) -> Longs:
+def times_in(messages: Sequence[bytes]) -> Longs:
     """Longs of messages that begin with a header."""
-    stamps = np.frombuffer(b"".join(note[4:12] for note in notes), [("sec", "<i4"), ("nanosec", "<u4")])
+    stamps = np.frombuffer(b"".join(message[4:12] for message in messages), [("sec", "<i4"), ("nanosec", "<u4")])
     return np.asarray(stamps["sec"].astype(np.int64) * 1_000_000_000 + stamps["nanosec"])
 
 
@@ -81,15 +81,15 @@ def time_in(data: bytes) -> int:
     return int(sec) * 1_000_000_000 + int(nanosec)
 
 
-def frames_of(notes: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Longs) -> Frames:
+def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Longs) -> Frames:
     """Frames of RadarFrame messages of one size, with the fields that `settings_of` gave, at these times.
 
     Raises:
         InputError: the messages are no frames after all.
     """
-    frame_id, name = text_in(notes[0], 0).encode(), sensor.encode()
-    floats = (len(notes[0]) - ros.frame_layout(frame_id, name, 0).dtype.itemsize) // 4
-    records = np.frombuffer(b"".join(notes), ros.frame_layout(frame_id, name, floats).dtype)
+    frame_id, name = text_in(messages[0], 0).encode(), sensor.encode()
+    floats = (len(messages[0]) - ros.frame_layout(frame_id, name, 0).dtype.itemsize) // 4
+    records = np.frombuffer(b"".join(messages), ros.frame_layout(frame_id, name, floats).dtype)
     samples: Any = np.ascontiguousarray(records["samples"])
     if (records["count"] != floats).any() or (records["kind"] != records["kind"][0]).any():
         raise InputError("a frame's length or kind does not fit", where=sensor)
@@ -131,7 +131,7 @@ def index_in(data: bytes) -> int:
     return int.from_bytes(data[at : at + 4], "little")
 
 
-def settings_note(frames: Frames, *, frame_id: str = "") -> bytes:
+def settings_message(frames: Frames, *, frame_id: str = "") -> bytes:
     """RadarSettings of these frames; an empty `frame_id` is the sensor's name."""
     calibration = "" if frames.calibration is None else json.dumps(asdict(frames.calibration))
     head = ros.header(int(frames.t_ns[0]), frame_id or frames.sensor)
@@ -141,10 +141,10 @@ def settings_note(frames: Frames, *, frame_id: str = "") -> bytes:
 
 def settings_of(data: bytes) -> dict[str, Any]:
     """Fields of Frames that a RadarSettings message holds."""
-    note = ros.from_bytes(ros.SETTINGS, data)
-    calibration = Calibration(**json.loads(note.calibration)) if note.calibration else None
-    spec = spec_of(json.loads(note.settings), note.sensor)
-    return {"unit": note.unit, "range_m": np.array(note.range), "spec": spec, "calibration": calibration}
+    message = ros.from_bytes(ros.SETTINGS, data)
+    calibration = Calibration(**json.loads(message.calibration)) if message.calibration else None
+    spec = spec_of(json.loads(message.settings), message.sensor)
+    return {"unit": message.unit, "range_m": np.array(message.range), "spec": spec, "calibration": calibration}
 
 
 def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
@@ -156,7 +156,7 @@ def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
     return RadarSpec(**{key: value for key, value in values.items() if key not in unknown})
 
 
-def track_note(track: Trajectory, sensor: str, t_ns: int) -> bytes:
+def track_message(track: Trajectory, sensor: str, t_ns: int) -> bytes:
     """Track of one sensor."""
     values = (ros.header(t_ns, WORLD), sensor, track.t_ns, state_columns(track).ravel())
     return ros.to_bytes(ros.TRACK, ros.make(ros.TRACK, *values))
@@ -164,11 +164,11 @@ def track_note(track: Trajectory, sensor: str, t_ns: int) -> bytes:
 
 def track_of(data: bytes) -> Trajectory:
     """The trajectory that a Track message holds."""
-    note = ros.from_bytes(ros.TRACK, data)
-    return path_of(np.array(note.time), np.array(note.state).reshape(-1, 13))
+    message = ros.from_bytes(ros.TRACK, data)
+    return path_of(np.array(message.time), np.array(message.state).reshape(-1, 13))
 
 
-def transform_notes(paths: dict[str, Trajectory], *, parent: str = WORLD) -> list[bytes]:
+def transform_messages(paths: dict[str, Trajectory], *, parent: str = WORLD) -> list[bytes]:
     """TFMessage at each time: the parent's children, which share their times."""
     first = next(iter(paths.values()))
     layout = ros.transform_layout(parent.encode(), tuple(name.encode() for name in paths))
@@ -180,7 +180,7 @@ def transform_notes(paths: dict[str, Trajectory], *, parent: str = WORLD) -> lis
     return layout.fill(len(first), **columns)
 
 
-def odometry_notes(path: Trajectory, *, parent: str = WORLD, child: str = BODY) -> list[bytes]:
+def odometry_messages(path: Trajectory, *, parent: str = WORLD, child: str = BODY) -> list[bytes]:
     """Odometry at each time; rates in the body's frame, as ROS has it."""
     velocity, spin = path.rates
     in_body = np.einsum("nij,ni->nj", quat_matrix(path.quat_xyzw), velocity)
@@ -192,23 +192,23 @@ def odometry_notes(path: Trajectory, *, parent: str = WORLD, child: str = BODY) 
     )
 
 
-def odometry_path(notes: Sequence[bytes]) -> Trajectory:
+def odometry_path(messages: Sequence[bytes]) -> Trajectory:
     """The trajectory of Odometry messages, each time once.
 
     Raises:
         InputError: the messages are of another frame of reference or length.
     """
-    layout = ros.odometry_layout(text_in(notes[0], 0).encode(), text_in(notes[0], 1).encode())
-    if any(len(note) != layout.dtype.itemsize for note in notes):
+    layout = ros.odometry_layout(text_in(messages[0], 0).encode(), text_in(messages[0], 1).encode())
+    if any(len(message) != layout.dtype.itemsize for message in messages):
         raise InputError("odometry changes its frames of reference", where="odom")
-    records = np.frombuffer(b"".join(notes), layout.dtype)
-    t_ns, row = np.unique(times_in(notes), return_index=True)
+    records = np.frombuffer(b"".join(messages), layout.dtype)
+    t_ns, row = np.unique(times_in(messages), return_index=True)
     pose, twist = records["pose"][row], records["twist"][row]
     velocity = np.einsum("nij,nj->ni", quat_matrix(pose[:, 3:]), twist[:, :3])
     return Trajectory(t_ns, pose[:, :3], pose[:, 3:], velocity, twist[:, 3:])
 
 
-def profile_notes(frames: Frames, *, frame_id: str = "") -> list[bytes]:
+def profile_messages(frames: Frames, *, frame_id: str = "") -> list[bytes]:
     """PointCloud2 of each frame's profile along the boresight; an empty `frame_id` is the sensor's name."""
     bins = len(frames.range_m)
     points = np.zeros((len(frames), bins), np.dtype(list(PROFILE)))
@@ -218,7 +218,7 @@ def profile_notes(frames: Frames, *, frame_id: str = "") -> list[bytes]:
     return layout.fill(len(frames), data=points, dense=1, **columns)
 
 
-def detection_notes(found: Detections) -> list[tuple[int, bytes]]:
+def detection_messages(found: Detections) -> list[tuple[int, bytes]]:
     """PointCloud2 of the detections at each time, in the world; points whose bearing is unknown are NaN."""
     out = []
     order = np.argsort(found.t_ns, kind="stable")
@@ -237,7 +237,7 @@ def detection_notes(found: Detections) -> list[tuple[int, bytes]]:
     return out
 
 
-def grid_note(omap: OccupancyMap, t_ns: int) -> bytes:
+def grid_message(omap: OccupancyMap, t_ns: int) -> bytes:
     """OccupancyGrid of a plane; what is ambiguous is unknown there."""
     x, y, z = omap.grid.origin_m
     pose = _pose((x, y, z if np.isfinite(z) else 0.0))
@@ -254,11 +254,11 @@ def grid_of(data: bytes) -> OccupancyMap:
     Raises:
         InputError: it is turned, or its size does not fit.
     """
-    note = ros.from_bytes(ros.GRID, data)
-    at, turn, info = note.info.origin.position, note.info.origin.orientation, note.info
+    message = ros.from_bytes(ros.GRID, data)
+    at, turn, info = message.info.origin.position, message.info.origin.orientation, message.info
     if abs(turn.x) + abs(turn.y) + abs(turn.z) > 1e-9:
         raise InputError("the map is turned", where="OccupancyGrid", allowed="an origin along the axes of the world")
-    percent = np.array(note.data, np.int8)
+    percent = np.array(message.data, np.int8)
     if percent.size and (percent.min() < UNKNOWN or percent.max() > 100):
         raise InputError("a cell is out of range", where="OccupancyGrid", allowed="-1 (unknown), 0 to 100 percent")
     if len(percent) != info.width * info.height:
@@ -267,7 +267,7 @@ def grid_of(data: bytes) -> OccupancyMap:
     return OccupancyMap(Grid((at.x, at.y, at.z), step, (info.height, info.width)), percent.reshape(info.height, -1))
 
 
-def cells_note(omap: OccupancyMap, t_ns: int) -> bytes:
+def cells_message(omap: OccupancyMap, t_ns: int) -> bytes:
     """CellMap of any map."""
     grid = omap.grid
     values = (np.array(grid.origin_m), float(grid.step_m), np.array(grid.shape, np.uint32))
@@ -277,14 +277,14 @@ def cells_note(omap: OccupancyMap, t_ns: int) -> bytes:
 
 def cells_of(data: bytes) -> OccupancyMap:
     """The map that a CellMap message holds."""
-    note = ros.from_bytes(ros.CELLS, data)
-    x, y, z = (float(k) for k in note.origin)
-    grid = Grid((x, y, z), note.step, tuple(int(k) for k in note.shape))
-    percent = np.array(note.percent, np.int8).reshape(grid.shape)
-    return OccupancyMap(grid, percent, note.method, note.occupied_from, note.free_to)
+    message = ros.from_bytes(ros.CELLS, data)
+    x, y, z = (float(k) for k in message.origin)
+    grid = Grid((x, y, z), message.step, tuple(int(k) for k in message.shape))
+    percent = np.array(message.percent, np.int8).reshape(grid.shape)
+    return OccupancyMap(grid, percent, message.method, message.occupied_from, message.free_to)
 
 
-def occupied_note(omap: OccupancyMap, t_ns: int) -> bytes:
+def occupied_message(omap: OccupancyMap, t_ns: int) -> bytes:
     """PointCloud2 of the occupied cells of a volume."""
     cells = np.argwhere(omap.occupied)
     points = np.zeros((1, len(cells)), np.dtype(list(PROFILE)))
@@ -296,7 +296,7 @@ def occupied_note(omap: OccupancyMap, t_ns: int) -> bytes:
     return layout.fill(1, data=points, dense=1, **columns)[0]
 
 
-def scene_note(scene: Scene, t_ns: int) -> bytes:
+def scene_message(scene: Scene, t_ns: int) -> bytes:
     """MarkerArray of a scene: triangles of each object, and its wires as lines; the largest if there are too many."""
     corners = scene.corners()
     owner = scene.face_object
@@ -321,7 +321,7 @@ def scene_note(scene: Scene, t_ns: int) -> bytes:
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, found))
 
 
-def rays_note(frames: Frames, *, frame_id: str = "") -> bytes:
+def rays_message(frames: Frames, *, frame_id: str = "") -> bytes:
     """MarkerArray of the ray model's fan, as lines in the frame of the sensor, which moves them."""
     t_ns, ends = int(frames.t_ns[0]), drawn_rays(frames.spec)
     lines = np.stack([np.zeros_like(ends), ends], axis=1).reshape(-1, 3)

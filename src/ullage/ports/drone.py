@@ -105,7 +105,7 @@ class Guided:
         drone: to command.
         takes: velocities or poses.
         limits: of the velocities.
-        log: takes what a person should know.
+        log: takes lines for the user.
         now: gives the time [s].
     """
 
@@ -124,7 +124,7 @@ class Guided:
 
     @property
     def position(self) -> Floats | None:
-        """Where the drone was last (3) [m]; None before it was heard."""
+        """Its last position (3) [m]; None before the first state."""
         return None if self._state is None else self._state.position
 
     def ask(self, wish: Wish) -> None:

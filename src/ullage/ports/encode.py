@@ -39,7 +39,7 @@ def range_layout(frame_id: bytes) -> ros.Layout:
     )  # fmt: skip
 
 
-def range_notes(frames: Frames, found: Detections, *, frame_id: str = "") -> list[bytes]:
+def range_messages(frames: Frames, found: Detections, *, frame_id: str = "") -> list[bytes]:
     """Range of the nearest detection in each frame; +inf where there is none (REP-117).
 
     ROS knows ultrasound and infrared only; the field of view is the antenna's.
@@ -63,7 +63,7 @@ def range_notes(frames: Frames, found: Detections, *, frame_id: str = "") -> lis
     )
 
 
-def range_note(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad: float, *, frame_id: str) -> bytes:
+def range_message(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad: float, *, frame_id: str) -> bytes:
     """One Range that is no radar's, as of a sonar."""
     low, high = limits_m
     return range_layout(frame_id.encode()).fill(
@@ -71,7 +71,7 @@ def range_note(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad
     )[0]
 
 
-def scan_note(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
+def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
     """LaserScan of the nearest obstacle in 72 level directions of the body; +inf: nothing there, NaN: unknown."""
     angles = -np.pi + 2 * np.pi / SCAN_DIRECTIONS * np.arange(SCAN_DIRECTIONS)
     ranges = np.full(SCAN_DIRECTIONS, np.nan, np.float32)
@@ -99,7 +99,7 @@ def imu_layout(frame_id: bytes) -> ros.Layout:
     )  # fmt: skip
 
 
-def imu_note(
+def imu_message(
     t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str,
     variances: tuple[float, float] = (0.0, 0.0),
 ) -> bytes:  # fmt: skip
@@ -123,13 +123,13 @@ def imu_note(
     )[0]  # fmt: skip
 
 
-def clock_note(t_ns: int) -> bytes:
+def clock_message(t_ns: int) -> bytes:
     """Clock."""
     sec, nanosec = divmod(t_ns, 1_000_000_000)
     return b"\0\1\0\0" + sec.to_bytes(4, "little", signed=True) + nanosec.to_bytes(4, "little")
 
 
-def fixed_note(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
+def fixed_message(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
     """TFMessage of transforms that do not change: (parent, child) to parent_from_child (4, 4)."""
     listed = []
     for (parent, child), matrix in fixed.items():
@@ -140,7 +140,7 @@ def fixed_note(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
     return ros.to_bytes(ros.TRANSFORMS, ros.make(ros.TRANSFORMS, listed))
 
 
-def path_note(path: Trajectory, frame_id: str = WORLD) -> bytes:
+def path_message(path: Trajectory, frame_id: str = WORLD) -> bytes:
     """Path."""
     poses = []
     for t_ns, place, turn in zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True):
@@ -155,14 +155,14 @@ def known_percent(omap: OccupancyMap) -> NDArray[np.int8]:
     return np.where(omap.percent == AMBIGUOUS, UNKNOWN, omap.percent).astype(np.int8)
 
 
-def update_note(t_ns: int, x: int, y: int, cells: NDArray[np.int8]) -> bytes:
+def update_message(t_ns: int, x: int, y: int, cells: NDArray[np.int8]) -> bytes:
     """OccupancyGridUpdate: these cells (rows, columns) from column x and row y on."""
     rows, columns = cells.shape
     values = (ros.header(t_ns, WORLD), x, y, columns, rows, np.ascontiguousarray(cells).ravel())
     return ros.to_bytes(ros.UPDATE, ros.make(ros.UPDATE, *values))
 
 
-def cubes_note(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
+def cubes_message(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
     """MarkerArray of the occupied cells of a volume as cubes, coloured by height; at most `most`, the likeliest."""
     cells = np.argwhere(omap.occupied)
     if len(cells) > most:
@@ -179,7 +179,7 @@ def cubes_note(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, [shown]))
 
 
-def picture_notes(image: Image, t_ns: int) -> tuple[bytes, bytes]:
+def picture_messages(image: Image, t_ns: int) -> tuple[bytes, bytes]:
     """A plane image twice: as mono8 in decibels below its brightest cell, and as 32FC1 amplitudes.
 
     The first row is the one with the greatest y, as pictures have it; a volume shows its brightest layer.
@@ -202,7 +202,7 @@ def _picture(pixels: NDArray[Any], encoding: str, t_ns: int) -> bytes:
     )
 
 
-def diagnostics_note(t_ns: int, level: int, name: str, text: str, values: Sequence[tuple[str, str]]) -> bytes:
+def diagnostics_message(t_ns: int, level: int, name: str, text: str, values: Sequence[tuple[str, str]]) -> bytes:
     """DiagnosticArray with one status: level 0 well, 1 warning, 2 error, 3 stale."""
     pairs = [ros.make("diagnostic_msgs/msg/KeyValue", key, value) for key, value in values]
     status = ros.make("diagnostic_msgs/msg/DiagnosticStatus", level, name, text, "ullage", pairs)

@@ -207,13 +207,13 @@ def _times(count: int) -> str:
     return "twice" if count == 2 else f"{count:,} times"
 
 
-Held = TypeVar("Held")
+ItemT = TypeVar("ItemT")
 
 
-class Stamped(NamedTuple, Generic[Held]):
+class Stamped(NamedTuple, Generic[ItemT]):
     """A message with its time on a clock that rises."""
 
-    item: Held
+    item: ItemT
     t_ns: int
     """Time given on [ns]; later than that of every message before it in this stream."""
     stamp_ns: int
@@ -251,7 +251,7 @@ class Clock:
         self.counters = counters
         self.gap_ns, self.late_ns, self._pause_ns = gap_ns, late_ns, pause_ns
         self._epoch: _Epoch | None = None
-        self._given_ns: int | None = None  # newest time given on, of all streams
+        self._last_given_ns: int | None = None  # newest time given on, of all streams
 
     def stream(self, topic: str) -> Stream[Any]:
         """A stream of messages with stamps of this clock."""
@@ -278,8 +278,8 @@ class Clock:
         if epoch is not None and self.near(stamp_ns) and not falls:
             return epoch  # only this stream paused, or another one has met the step before
         offset_ns = 0
-        if self._given_ns is not None and stamp_ns <= self._given_ns:
-            offset_ns = self._given_ns + self._pause_ns - stamp_ns
+        if self._last_given_ns is not None and stamp_ns <= self._last_given_ns:
+            offset_ns = self._last_given_ns + self._pause_ns - stamp_ns
         if epoch is not None:
             step_s = (stamp_ns - (epoch.newest_ns if before_ns is None else before_ns)) * 1e-9
             step = f"back {-step_s:.3g} s" if step_s < 0 else f"ahead {step_s:.3g} s"
@@ -290,11 +290,11 @@ class Clock:
     def _advance(self, epoch: _Epoch, stamp_ns: int) -> int:
         epoch.newest_ns = max(epoch.newest_ns, stamp_ns)
         t_ns = stamp_ns + epoch.offset_ns
-        self._given_ns = t_ns if self._given_ns is None else max(self._given_ns, t_ns)
+        self._last_given_ns = t_ns if self._last_given_ns is None else max(self._last_given_ns, t_ns)
         return t_ns
 
 
-class Stream(Generic[Held]):
+class Stream(Generic[ItemT]):
     """Messages of one topic, whose stamps should rise.
 
     A stamp that does not follow on the one before waits for the next message. If that one repeats it or follows on it,
@@ -311,13 +311,13 @@ class Stream(Generic[Held]):
         self._clock, self._counters = clock, clock.counters
         self.epoch: _Epoch | None = None
         self.last_ns: int | None = None  # the last stamp used
-        self._given_ns: int | None = None  # the last time given on
-        self._waiting: tuple[int, Held] | None = None
+        self._last_given_ns: int | None = None  # the last time given on
+        self._waiting: tuple[int, ItemT] | None = None
         self.track = -1
         self.elapsed_ns = 0
         """Time covered by the tracks so far, without what lies between them [ns]."""
 
-    def take(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+    def take(self, stamp_ns: int, item: ItemT) -> list[Stamped[ItemT]]:
         """Take one message and give those that can be used now: none, itself, or one that waited and itself.
 
         Args:
@@ -349,16 +349,16 @@ class Stream(Generic[Held]):
         """Drop what still waits, since no message will confirm it."""
         self._discard()
 
-    def _resolve(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+    def _resolve(self, stamp_ns: int, item: ItemT) -> list[Stamped[ItemT]]:
         """Decide on the message that waits, by the one after it."""
         assert self._waiting is not None
-        held_ns, held = self._waiting
+        waiting_ns, waiting = self._waiting
         before_ns = self._before_ns()
         goes_on = 0 < stamp_ns - before_ns <= self._clock.gap_ns
-        nearer = 0 <= stamp_ns - held_ns < max(self._clock.gap_ns + 1, abs(stamp_ns - before_ns))
+        nearer = 0 <= stamp_ns - waiting_ns < max(self._clock.gap_ns + 1, abs(stamp_ns - before_ns))
         if nearer and not goes_on:
             self._waiting = None
-            return self._begin(held_ns, held) + self.take(stamp_ns, item)
+            return self._begin(waiting_ns, waiting) + self.take(stamp_ns, item)
         self._discard()
         return self.take(stamp_ns, item)
 
@@ -374,24 +374,24 @@ class Stream(Generic[Held]):
         self._counters.drop(self.topic, reason, f"a single stamp {away_ns * 1e-9:+.6g} s away")
         self._waiting = None
 
-    def _begin(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+    def _begin(self, stamp_ns: int, item: ItemT) -> list[Stamped[ItemT]]:
         self.epoch = self._clock._enter(self, stamp_ns)
         return self._give(stamp_ns, item, starts=True)
 
-    def _go_on(self, stamp_ns: int, item: Held) -> list[Stamped[Held]]:
+    def _go_on(self, stamp_ns: int, item: ItemT) -> list[Stamped[ItemT]]:
         assert self.last_ns is not None
         self.elapsed_ns += stamp_ns - self.last_ns
         return self._give(stamp_ns, item, starts=False)
 
-    def _give(self, stamp_ns: int, item: Held, *, starts: bool) -> list[Stamped[Held]]:
+    def _give(self, stamp_ns: int, item: ItemT, *, starts: bool) -> list[Stamped[ItemT]]:
         assert self.epoch is not None
         self.last_ns = stamp_ns
-        if self._given_ns is not None and stamp_ns + self.epoch.offset_ns <= self._given_ns:
+        if self._last_given_ns is not None and stamp_ns + self.epoch.offset_ns <= self._last_given_ns:
             # another stream began this span of the clock; this one had already gone on beyond that
-            self.epoch = _Epoch(self._given_ns + self._clock._pause_ns - stamp_ns, stamp_ns)
+            self.epoch = _Epoch(self._last_given_ns + self._clock._pause_ns - stamp_ns, stamp_ns)
         self.track += starts
-        self._given_ns = self._clock._advance(self.epoch, stamp_ns)
-        return [Stamped(item, self._given_ns, stamp_ns, self.track, starts)]
+        self._last_given_ns = self._clock._advance(self.epoch, stamp_ns)
+        return [Stamped(item, self._last_given_ns, stamp_ns, self.track, starts)]
 
 
 class Covered:
@@ -441,7 +441,7 @@ def checked_pose(position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Floats, Flo
     return at, turn / np.sqrt(square)
 
 
-class Inbox(Generic[Held]):
+class Inbox(Generic[ItemT]):
     """Messages that one thread takes off the network and another one uses; bounded in number and in bytes.
 
     Args:
@@ -452,11 +452,11 @@ class Inbox(Generic[Held]):
 
     def __init__(self, counters: Counters, *, most: int = 200_000, most_bytes: int = 256 * 2**20) -> None:
         self._counters, self._most, self._most_bytes = counters, most, most_bytes
-        self._waiting: deque[tuple[Held, int]] = deque()
+        self._waiting: deque[tuple[ItemT, int]] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
 
-    def put(self, item: Held, *, topic: str = "", size: int = 0) -> None:
+    def put(self, item: ItemT, *, topic: str = "", size: int = 0) -> None:
         """Add a message; it is lost where no room is left.
 
         Args:
@@ -474,7 +474,7 @@ class Inbox(Generic[Held]):
             self._bytes += size
             self._changed.notify()
 
-    def get(self, timeout_s: float) -> Held | None:
+    def get(self, timeout_s: float) -> ItemT | None:
         """The oldest message; None where none comes for so long."""
         with self._changed:
             if not self._waiting:
@@ -502,7 +502,7 @@ class Place(NamedTuple, Generic[Placed]):
 
 
 @dataclass(slots=True)
-class PoseQueue(Generic[Held]):
+class PoseQueue(Generic[ItemT]):
     """Frames of one sensor that wait for their poses, oldest first.
 
     Args:
@@ -518,19 +518,19 @@ class PoseQueue(Generic[Held]):
     most: int = 4096
     waits_for: str = ""
     """What the oldest frame waits for; empty: nothing waits."""
-    _frames: deque[tuple[float, Held]] = field(default_factory=deque)  # when it came [s]
+    _frames: deque[tuple[float, ItemT]] = field(default_factory=deque)  # when it came [s]
 
     def __len__(self) -> int:
         return len(self._frames)
 
-    def put(self, frame: Held, now_s: float) -> None:
+    def put(self, frame: ItemT, now_s: float) -> None:
         """Add a frame that came at `now_s`."""
         self._frames.append((now_s, frame))
         if len(self._frames) > self.most:
             self._frames.popleft()
             self.counters.drop(self.topic, "no pose", f"more than {self.most} frames wait")
 
-    def ready(self, place: Callable[[Held], Place[Any]], now_s: float) -> Iterator[tuple[Held, Any]]:
+    def ready(self, place: Callable[[ItemT], Place[Any]], now_s: float) -> Iterator[tuple[ItemT, Any]]:
         """Frames whose pose is known, in order, each with its pose; those whose pose will not come are dropped.
 
         Args:

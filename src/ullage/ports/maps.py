@@ -110,8 +110,8 @@ def read_map_server(path: str | Path) -> OccupancyMap:
     x, y = _origin(about, path)
     image, negate = _beside(path, str(about["image"])), bool(about.get("negate", 0))
     percent = _read_image(image, lambda grey, opaque: _percent(grey, opaque, mode, negate, low, high))[::-1]
-    said = about.get("ullage")
-    own: dict[str, Any] = said if isinstance(said, dict) else {}
+    entry = about.get("ullage")
+    own: dict[str, Any] = entry if isinstance(entry, dict) else {}
     z = own.get("height_m")
     height = float(z) if isinstance(z, int | float) and abs(z) <= LARGEST else math.nan
     grid = Grid((x, y, height), step, percent.shape)

@@ -1,4 +1,4 @@
-"""What every door to the outside offers: a source of frames, a sink for whatever flows, and how clocks are mended."""
+"""Interfaces of every port: a source of frames, a sink for all data, and the repair of clocks."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ Chunk = Mapping[str, Frames]
 
 @dataclass(frozen=True, slots=True)
 class Passed:
-    """A ROS message that one port heard and another may say: nothing that a radar measured."""
+    """A ROS message that one port receives and another may publish; it holds no radar data."""
 
-    t_ns: int  # of what it tells
+    t_ns: int  # time of its content
     topic: str  # without the namespace
     kind: str  # `package/msg/Name`
     data: bytes  # CDR
 
 
 class Passing:
-    """What a live source hears beside frames, given on as it comes once somebody takes it."""
+    """Messages that a live source receives besides frames, passed on to a taker as they come."""
 
     def __init__(self) -> None:
         self._take: Callable[[Passed], None] | None = None
         self._waiting: deque[Callable[[], Iterable[Passed]]] = deque(maxlen=1000)
 
     def to(self, take: Callable[[Passed], None]) -> None:
-        """From now on to this one; first what waits."""
+        """Pass messages to this taker from now on; the waiting ones go first."""
         self._take = take
         while self._waiting:
             self.give(self._waiting.popleft())
 
     def give(self, make: Callable[[], Iterable[Passed]]) -> None:
-        """Pass on what this makes; it is not made where nobody takes it."""
+        """Pass on the messages that `make` returns; it is called only once there is a taker."""
         if self._take is None:
             self._waiting.append(make)
             return
@@ -55,7 +55,7 @@ class Passing:
 
 
 Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors | Scene | Image | Passed
-"""Whatever a sink may be handed; what it has no place for, it passes over."""
+"""Types that a sink accepts; it ignores those that it cannot use."""
 
 
 @runtime_checkable

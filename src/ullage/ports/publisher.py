@@ -94,7 +94,7 @@ class Clock:
             first = (last_ns - self._origin_ns) // self._step_ns + 1
             times = list(range(self._origin_ns + first * self._step_ns, t_ns, self._step_ns))
         self._last_ns = t_ns
-        return [Message(at, "/clock", encode.CLOCK, "stream", encode.clock_note(at)) for at in [*times, t_ns]]
+        return [Message(at, "/clock", encode.CLOCK, "stream", encode.clock_message(at)) for at in [*times, t_ns]]
 
 
 @dataclass
@@ -114,11 +114,11 @@ class MapChanges:
         self.last = omap
         if box is None or due or 2 * (box[1] - box[0]) * (box[3] - box[2]) > cells.size:
             self.sent_ns, self.wanted = t_ns, False
-            yield Message(t_ns, "map", ros.GRID, "latched", conversions.grid_note(omap, t_ns))
-            yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_note(omap, t_ns))
+            yield Message(t_ns, "map", ros.GRID, "latched", conversions.grid_message(omap, t_ns))
+            yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_message(omap, t_ns))
         elif box[1] > box[0]:
             y0, y1, x0, x1 = box
-            update = encode.update_note(t_ns, x0, y0, cells[y0:y1, x0:x1])
+            update = encode.update_message(t_ns, x0, y0, cells[y0:y1, x0:x1])
             yield Message(t_ns, "map_updates", ros.UPDATE, "stream", update)
 
 
@@ -156,7 +156,7 @@ class PathFlown:
         due = self._sent_ns is None or abs(t_ns - self._sent_ns) >= wait_s * 1e9 or final
         if due and t_ns != self._sent_ns and self._points and (flown := strung(self._points)) is not None:
             self._sent_ns = t_ns
-            yield Message(t_ns, "path", encode.PATH, "latched", encode.path_note(flown))
+            yield Message(t_ns, "path", encode.PATH, "latched", encode.path_message(flown))
 
 
 class Publisher:
@@ -228,7 +228,7 @@ class Publisher:
         if self._volume is not None and self._volume_ns != self._last_ns:
             out += self._whole_volume(self._volume, self._last_ns)
         if self._image is not None:
-            exact = encode.picture_notes(self._image, self._last_ns)[1]
+            exact = encode.picture_messages(self._image, self._last_ns)[1]
             out.append(Message(self._last_ns, "image/amplitude", encode.PICTURE, "latched", exact))
         return [*out, *self._path.messages(self._last_ns, final=True)]
 
@@ -267,7 +267,7 @@ class Publisher:
         if self._begun and same:
             return
         self._fixed |= mounts
-        yield Message(t_ns, "/tf_static", ros.TRANSFORMS, "latched", encode.fixed_note(t_ns, self._fixed))
+        yield Message(t_ns, "/tf_static", ros.TRANSFORMS, "latched", encode.fixed_message(t_ns, self._fixed))
 
     def _of_radar(self, frames: Frames) -> Iterator[Message]:
         from ullage.processing.detect import detect
@@ -277,39 +277,39 @@ class Publisher:
         start = self.counts.get(topic, 0)
         self.counts[topic] = start + len(frames)
         found = [
-            ("frame", ros.FRAME, conversions.frame_notes(frames, start, frame_id=frame_id)),
-            ("range", encode.RANGE, encode.range_notes(frames, detect(frames), frame_id=frame_id)),
+            ("frame", ros.FRAME, conversions.frame_messages(frames, start, frame_id=frame_id)),
+            ("range", encode.RANGE, encode.range_messages(frames, detect(frames), frame_id=frame_id)),
         ]
         if self._profile:
-            found.append(("profile", ros.CLOUD, conversions.profile_notes(frames, frame_id=frame_id)))
-        for name, kind, notes in found:
-            for t_ns, note in zip(frames.t_ns.tolist(), notes, strict=True):
-                yield Message(t_ns, f"{topic}/{name}", kind, "sensor", note)
+            found.append(("profile", ros.CLOUD, conversions.profile_messages(frames, frame_id=frame_id)))
+        for name, kind, messages in found:
+            for t_ns, message in zip(frames.t_ns.tolist(), messages, strict=True):
+                yield Message(t_ns, f"{topic}/{name}", kind, "sensor", message)
 
     def _settings_messages(self, frames: Frames, topic: str, frame_id: str) -> Iterator[Message]:
         """Settings and track of a radar, where they are new."""
         known = (frames.spec, frames.unit, frames.calibration, frames.range_m.tobytes())
         before, t_ns = self._settings.get(topic, (None, None)), int(frames.t_ns[0])
         if before[0] != known:
-            note = conversions.settings_note(frames, frame_id=frame_id)
-            yield Message(t_ns, f"{topic}/settings", ros.SETTINGS, "latched", note)
+            message = conversions.settings_message(frames, frame_id=frame_id)
+            yield Message(t_ns, f"{topic}/settings", ros.SETTINGS, "latched", message)
             if self._rays:
-                drawn = conversions.rays_note(frames, frame_id=frame_id)
+                drawn = conversions.rays_message(frames, frame_id=frame_id)
                 yield Message(t_ns, f"{topic}/rays", ros.MARKERS, "latched", drawn)
         if frames.track is not None and before[1] is not frames.track:
-            note = conversions.track_note(frames.track, frames.sensor, t_ns)
-            yield Message(t_ns, f"{topic}/track", ros.TRACK, "latched", note)
+            message = conversions.track_message(frames.track, frames.sensor, t_ns)
+            yield Message(t_ns, f"{topic}/track", ros.TRACK, "latched", message)
         self._settings[topic] = (known, frames.track)
 
     def _of_body(self, body: Trajectory, role: Role) -> Iterator[Message]:
         """Odometry of the body; of what is believed also its transforms and its path."""
         parent, topic = (self._odom, "odom") if role == "believed" else (WORLD, "truth/odom")
-        for t_ns, note in _timed(body, conversions.odometry_notes(body, parent=parent, child=self._body)):
-            yield Message(t_ns, topic, ros.ODOMETRY, "stream", note)
+        for t_ns, message in _timed(body, conversions.odometry_messages(body, parent=parent, child=self._body)):
+            yield Message(t_ns, topic, ros.ODOMETRY, "stream", message)
         if role != "believed":
             return
-        for t_ns, note in _timed(body, conversions.transform_notes({self._body: body}, parent=self._odom)):
-            yield Message(t_ns, "/tf", ros.TRANSFORMS, "transforms", note)
+        for t_ns, message in _timed(body, conversions.transform_messages({self._body: body}, parent=self._odom)):
+            yield Message(t_ns, "/tf", ros.TRANSFORMS, "transforms", message)
         self._path.add(body)
         yield from self._path.messages(int(body.t_ns[-1]))
 
@@ -321,18 +321,18 @@ class Publisher:
             yield from self._volume_messages(item, t_ns)
         elif isinstance(item, Detections):
             topic = f"radar/{topic_name(item.sensor)}/detections"
-            for at, data in conversions.detection_notes(item):
+            for at, data in conversions.detection_messages(item):
                 yield Message(at, topic, ros.CLOUD, "sensor", data)
         elif isinstance(item, ObstacleSectors):
-            yield Message(item.t_ns, "obstacles", encode.SCAN, "sensor", encode.scan_note(item, frame_id=self._body))
+            yield Message(item.t_ns, "obstacles", encode.SCAN, "sensor", encode.scan_message(item, frame_id=self._body))
         elif isinstance(item, Scene):
-            yield Message(t_ns, "world", ros.MARKERS, "latched", conversions.scene_note(item, t_ns))
+            yield Message(t_ns, "world", ros.MARKERS, "latched", conversions.scene_message(item, t_ns))
         elif isinstance(item, Image):
             yield from self._image_messages(item, t_ns)
 
     def _image_messages(self, image: Image, t_ns: int) -> Iterator[Message]:
         """The picture; the amplitudes, four times as large, as often as whole maps."""
-        grey, exact = encode.picture_notes(image, t_ns)
+        grey, exact = encode.picture_messages(image, t_ns)
         yield Message(t_ns, "image", encode.PICTURE, "latched", grey)
         self._image = image
         if self._image_ns is None or abs(t_ns - self._image_ns) >= self.map_changes.full_ns:
@@ -345,13 +345,13 @@ class Publisher:
         if self._volume_ns is None or abs(t_ns - self._volume_ns) >= self.map_changes.full_ns:
             yield from self._whole_volume(omap, t_ns)
         else:
-            yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_note(omap, t_ns))
+            yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_message(omap, t_ns))
 
     def _whole_volume(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
         self._volume_ns = t_ns
-        yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_note(omap, t_ns))
-        yield Message(t_ns, "map/cubes", ros.MARKERS, "latched", encode.cubes_note(omap, t_ns))
-        yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_note(omap, t_ns))
+        yield Message(t_ns, "map/occupied", ros.CLOUD, "latched", conversions.occupied_message(omap, t_ns))
+        yield Message(t_ns, "map/cubes", ros.MARKERS, "latched", encode.cubes_message(omap, t_ns))
+        yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_message(omap, t_ns))
 
 
 def body_path(frames: Frames, path: Trajectory) -> Trajectory:
@@ -368,8 +368,8 @@ def merged(paths: list[Trajectory]) -> Trajectory | None:
     return conversions.path_of(t_ns, columns)
 
 
-def _timed(path: Trajectory, notes: list[bytes]) -> Iterator[tuple[int, bytes]]:
-    return zip(path.t_ns.tolist(), notes, strict=True)
+def _timed(path: Trajectory, messages: list[bytes]) -> Iterator[tuple[int, bytes]]:
+    return zip(path.t_ns.tolist(), messages, strict=True)
 
 
 def shifted(frames: Frames, by_ns: int) -> Frames:

@@ -71,5 +71,8 @@ class RadarStatus:
         self._most_behind_s = 0.0
         text = ", ".join(causes) or "simulating"
         return Passed(
-            t_ns, TOPIC, encode.DIAGNOSTICS, encode.diagnostics_note(t_ns, int(bool(causes)), self._name, text, values)
+            t_ns,
+            TOPIC,
+            encode.DIAGNOSTICS,
+            encode.diagnostics_message(t_ns, int(bool(causes)), self._name, text, values),
         )

@@ -34,7 +34,7 @@ class Waiting:
 
     stream: Stream[bytes]
     settings: dict[str, Any] = field(default_factory=dict)
-    notes: list[Stamped[bytes]] = field(default_factory=list)
+    messages: list[Stamped[bytes]] = field(default_factory=list)
 
 
 class McapSource:
@@ -91,11 +91,11 @@ class McapSource:
             if mine is None:
                 counters.drop("messages", "bad", "they name no sensor")
                 continue
-            full = len(mine.notes) >= chunk or (mine.notes and len(mine.notes[0].item) != len(data))
-            if mine.notes and (full or kind != ros.FRAME):
+            full = len(mine.messages) >= chunk or (mine.messages and len(mine.messages[0].item) != len(data))
+            if mine.messages and (full or kind != ros.FRAME):
                 yield from self._made(waiting, counters)
             if kind == ros.FRAME:
-                mine.notes += mine.stream.take(conversions.time_in(data), data)
+                mine.messages += mine.stream.take(conversions.time_in(data), data)
             else:
                 self._set(mine, kind, data, counters)
         for mine in waiting.values():
@@ -131,17 +131,17 @@ class McapSource:
         """One piece of the frames that wait, if there are any."""
         out = {}
         for name, mine in waiting.items():
-            notes, mine.notes = mine.notes, []
-            counters.receive(name, len(notes))
-            if notes and (frames := _frames(name, mine.settings, notes, counters)) is not None:
+            messages, mine.messages = mine.messages, []
+            counters.receive(name, len(messages))
+            if messages and (frames := _frames(name, mine.settings, messages, counters)) is not None:
                 out[name] = frames
         if out:
             yield out
 
     def trajectory(self) -> Trajectory | None:
         """The path of the body as it was believed, where it is known."""
-        notes = [data for _, data in self._messages(ros.ODOMETRY, topic="/odom")]
-        return conversions.odometry_path(notes) if notes else None
+        messages = [data for _, data in self._messages(ros.ODOMETRY, topic="/odom")]
+        return conversions.odometry_path(messages) if messages else None
 
     def map(self) -> OccupancyMap | None:
         """The last map recorded, where there is one."""
@@ -222,17 +222,17 @@ class McapSource:
 
 
 def _frames(
-    name: str, settings: dict[str, Any], notes: list[Stamped[bytes]], counters: Counters
+    name: str, settings: dict[str, Any], messages: list[Stamped[bytes]], counters: Counters
 ) -> Frames | None:  # fmt: skip
     """Frames of messages; those that cannot be read are counted and left out."""
     try:
-        t_ns = np.array([note.t_ns for note in notes])
-        return conversions.frames_of([note.item for note in notes], name, settings, t_ns)
+        t_ns = np.array([message.t_ns for message in messages])
+        return conversions.frames_of([message.item for message in messages], name, settings, t_ns)
     except Exception as error:  # whatever damaged messages make the decoders raise
-        if len(notes) == 1:
+        if len(messages) == 1:
             counters.drop(name, "bad", str(error).partition("\n")[0] or type(error).__name__)
             return None
-    parts = [frames for note in notes if (frames := _frames(name, settings, [note], counters)) is not None]
+    parts = [frames for message in messages if (frames := _frames(name, settings, [message], counters)) is not None]
     return joined(parts) if parts else None
 
 

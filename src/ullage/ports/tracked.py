@@ -58,9 +58,9 @@ def open_arrays(path: Path, *, preset: str | None = None, mount: MountSpec | Non
     Raises:
         InputError: as `read_npz` and `read_arrays`.
     """
-    held = _arrays(path, preset)
-    frames = _frames(held, held.track, mount, path)
-    return WholeSource({frames.sensor: frames}, path=held.track or held.poses)
+    arrays = _arrays(path, preset)
+    frames = _frames(arrays, arrays.track, mount, path)
+    return WholeSource({frames.sensor: frames}, path=arrays.track or arrays.poses)
 
 
 def open_tracked(folder: Path, *, preset: str | None = None, mount: MountSpec | None = None) -> RailSource:
@@ -79,9 +79,9 @@ def open_tracked(folder: Path, *, preset: str | None = None, mount: MountSpec | 
     both = [name for name in LOGS if (folder / name).exists()]
     if len(both) > 1:
         raise InputError("two radar recordings", where=folder, allowed="radar.out or radar.npz, not both")
-    held = _log(folder / "radar.out") if both == ["radar.out"] else _arrays(folder / "radar.npz", preset)
+    arrays = _log(folder / "radar.out") if both == ["radar.out"] else _arrays(folder / "radar.npz", preset)
     there = [name for name in TRACKS if (folder / name).exists()]
-    inside = held.track or held.poses
+    inside = arrays.track or arrays.poses
     if inside is not None:
         there.append("radar.npz")
     if len(there) > 1:
@@ -89,7 +89,7 @@ def open_tracked(folder: Path, *, preset: str | None = None, mount: MountSpec | 
     survey = read_survey(folder / "reflectors.csv") if (folder / "reflectors.csv").exists() else None
     tracks = {"radar": inside} if inside is not None else read_bodies(folder / (there[0] if there else TRACKS[0]))
     name = _radar_body(tracks)
-    frames = _frames(held, held.track if held.poses is not None else tracks[name], mount, folder)
+    frames = _frames(arrays, arrays.track if arrays.poses is not None else tracks[name], mount, folder)
     marks = read_tracks(folder / "reflector.csv") if (folder / "reflector.csv").exists() else {}
     points = [np.median(track.position, axis=0) for key, track in marks.items() if key != name]
     floor_z_m = 0.0 if there == ["mocap.csv"] else None  # Motive's ground plane is set on the floor
@@ -112,17 +112,17 @@ def _arrays(path: Path, preset: str | None) -> Arrays:
     return Arrays(log.scans.astype(np.float32), log.range_m, log.t_ns, log.spec, None, None)
 
 
-def _frames(held: Arrays, track: Trajectory | None, mount: MountSpec | None, where: Path) -> Frames:
+def _frames(arrays: Arrays, track: Trajectory | None, mount: MountSpec | None, where: Path) -> Frames:
     """Frames with the poses of the arrays, or with a track of another clock, as if both clocks had started together."""
-    spec = held.spec.but(mount=mount) if mount else held.spec
+    spec = arrays.spec.but(mount=mount) if mount else arrays.spec
     name, turn = "pulson" if spec.name == "pulson440" else "radar", spec.mount.body_from_sensor()
-    t_ns, poses, sensor = held.t_ns, None, None
+    t_ns, poses, sensor = arrays.t_ns, None, None
     if track is not None:
         t_ns, sensor = t_ns - t_ns[0] + track.t_ns[0], track.mounted(turn)
         poses = _held(sensor, t_ns, where)
-    elif held.poses is not None:
-        poses = held.poses.mounted(turn)
-    return Frames(held.samples, held.range_m, t_ns, spec, poses, sensor=name, unit="normalised", track=sensor)
+    elif arrays.poses is not None:
+        poses = arrays.poses.mounted(turn)
+    return Frames(arrays.samples, arrays.range_m, t_ns, spec, poses, sensor=name, unit="normalised", track=sensor)
 
 
 def _held(track: Trajectory, t_ns: Longs, where: Path) -> Trajectory:

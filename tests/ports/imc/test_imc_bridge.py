@@ -66,7 +66,7 @@ class _Given:
 
 def bytes_of_frames() -> list[bytes]:
     frames = some_frames(3)
-    return [radars.settings(frames)["value"], *(note["value"] for note in radars.exact(frames, 0, truth=True))]
+    return [radars.settings(frames)["value"], *(message["value"] for message in radars.exact(frames, 0, truth=True))]
 
 
 GOOD = bytes_of_frames()

@@ -36,8 +36,8 @@ ROOT = Path(__file__).parents[3]
 @settings(max_examples=100, deadline=None)
 @given(PACKETS)
 def test_the_broker_loses_no_field_of_any_message(packet: Packet) -> None:
-    note = to_ros(packet)
-    back = to_imc(packet.name, note)
+    message = to_ros(packet)
+    back = to_imc(packet.name, message)
     assert back.message == packet.message
     assert back.t_s == pytest.approx(packet.t_s, abs=1e-9)
     assert (back.src, back.src_ent, back.dst, back.dst_ent) == (packet.src, packet.src_ent, packet.dst, packet.dst_ent)
@@ -236,13 +236,13 @@ def test_the_interpreter_loses_no_field(name: str) -> None:
     @settings(max_examples=40, deadline=None)
     @given(sensible(name))
     def check(message: Message) -> None:
-        notes = interpreted(message)
-        assert notes is not None
+        messages = interpreted(message)
+        assert messages is not None
         kinds = PAIRS[name].ros
         heard = {
-            topic: over_ros(topic, kinds.get(topic) or next(iter(kinds.values())), n) for topic, n in notes.items()
+            topic: over_ros(topic, kinds.get(topic) or next(iter(kinds.values())), n) for topic, n in messages.items()
         }
-        assert set(notes) <= kinds.keys() or "Desired" in name
+        assert set(messages) <= kinds.keys() or "Desired" in name
         back = imc_of(name, heard)
         same_message(message, back)
         same_message(back, imc_of(name, interpreted(back)))
@@ -257,19 +257,19 @@ def test_every_field_that_the_table_names_comes_back(name: str) -> None:
     @settings(max_examples=20, deadline=None)
     @given(sensible(name))
     def check(message: Message) -> None:
-        notes = {}
+        messages = {}
         for topic, fields in pair.to_ros(message.values).items():
             kind = pair.ros[topic].replace("/", "/msg/")
-            notes[topic] = decoded(kind, encoded(kind, fields))
+            messages[topic] = decoded(kind, encoded(kind, fields))
         if not pair.both:
             with pytest.raises(InputError, match="from IMC to ROS only"):
-                imc_of(name, notes)
+                imc_of(name, messages)
             return
-        if not notes:
+        if not messages:
             assert not any(row.matches(message.values) for row in pair.rows)
             return
         row = next(row for row in pair.rows if row.matches(message.values))
-        back = pair.to_imc(notes)
+        back = pair.to_imc(messages)
         assert row.values.keys() <= back.keys()
         assert back.keys() - row.values.keys() or not message.values
         for key in back.keys() - row.values.keys() - DISCRETE.get(name, set()):
@@ -318,21 +318,21 @@ def test_units_and_axes(name: str, fields: dict[str, Any], topic: str, path: str
 
 
 def test_a_message_of_two_topics_needs_both() -> None:
-    notes = interpreted(make("EstimatedState", x=1.0))
-    del notes["origin"]
+    messages = interpreted(make("EstimatedState", x=1.0))
+    del messages["origin"]
     with pytest.raises(InputError, match="EstimatedState also needs origin"):
-        imc_of("EstimatedState", notes)
+        imc_of("EstimatedState", messages)
 
 
 def test_the_interpreter_turns_the_axes() -> None:
     state = make("EstimatedState", x=1.0, y=2.0, z=-3.0, psi=math.pi / 2, u=0.5, vy=0.5, q=0.1)
-    notes = interpreted(state)
-    assert notes["odom"]["pose"]["pose"]["position"] == {"x": 2.0, "y": 1.0, "z": 3.0}
-    assert [notes["odom"]["pose"]["pose"]["orientation"][k] for k in "xyzw"] == pytest.approx(
+    messages = interpreted(state)
+    assert messages["odom"]["pose"]["pose"]["position"] == {"x": 2.0, "y": 1.0, "z": 3.0}
+    assert [messages["odom"]["pose"]["pose"]["orientation"][k] for k in "xyzw"] == pytest.approx(
         [0, 0, 0, 1]
     )  # east is forward
-    assert notes["velocity"]["twist"]["linear"] == {"x": 0.5, "y": 0.0, "z": 0.0}
-    assert notes["odom"]["twist"]["twist"]["angular"]["y"] == -0.1
+    assert messages["velocity"]["twist"]["linear"] == {"x": 0.5, "y": 0.0, "z": 0.0}
+    assert messages["odom"]["twist"]["twist"]["angular"]["y"] == -0.1
     assert interpreted(make("DesiredZ", value=4.0, z_units=2)) == {"desired/altitude": {"data": 4.0}}
     assert interpreted(make("DesiredHeading", value=0.0))["desired/heading"]["data"] == pytest.approx(math.pi / 2)
     force = interpreted(make("DesiredControl", z=-2.0, flags=4))

@@ -33,7 +33,7 @@ def flight() -> ul.Frames:
 
 
 def notes_of(frames: ul.Frames, *endings: str) -> list[Message]:
-    return [note for note in Publisher().messages({"left": frames}) if note.topic.endswith(endings)]
+    return [loaded for loaded in Publisher().messages({"left": frames}) if loaded.topic.endswith(endings)]
 
 
 def write_ros1(path: Path, notes: list[Message]) -> Path:
@@ -46,13 +46,13 @@ def write_ros1(path: Path, notes: list[Message]) -> Path:
             store.register(get_types_from_msg(text, name))
     with Writer(path) as writer:
         connections: dict[str, Any] = {}
-        for note in notes:
-            if note.topic not in connections:
-                connections[note.topic] = writer.add_connection(
-                    "/" + note.topic.lstrip("/"), note.kind, typestore=store
+        for loaded in notes:
+            if loaded.topic not in connections:
+                connections[loaded.topic] = writer.add_connection(
+                    "/" + loaded.topic.lstrip("/"), loaded.kind, typestore=store
                 )
-            message = old(store, ros.from_bytes(note.kind, note.data))
-            writer.write(connections[note.topic], note.t_ns, store.serialize_ros1(message, note.kind))
+            message = old(store, ros.from_bytes(loaded.kind, loaded.data))
+            writer.write(connections[loaded.topic], loaded.t_ns, store.serialize_ros1(message, loaded.kind))
     return path
 
 
@@ -71,12 +71,12 @@ def write_sqlite(path: Path, notes: list[Message]) -> Path:
 
     with Writer(path, version=9) as writer:
         connections: dict[str, Any] = {}
-        for note in notes:
-            if note.topic not in connections:
-                connections[note.topic] = writer.add_connection(
-                    "/" + note.topic.lstrip("/"), note.kind, typestore=ros.typestore()
+        for loaded in notes:
+            if loaded.topic not in connections:
+                connections[loaded.topic] = writer.add_connection(
+                    "/" + loaded.topic.lstrip("/"), loaded.kind, typestore=ros.typestore()
                 )
-            writer.write(connections[note.topic], note.t_ns, note.data)
+            writer.write(connections[loaded.topic], loaded.t_ns, loaded.data)
     return path
 
 
@@ -84,10 +84,10 @@ def write_sqlite(path: Path, notes: list[Message]) -> Path:
 def test_frames_without_poses_get_those_of_the_transforms(tmp_path: Path, flight: ul.Frames, write: Any) -> None:
     notes = notes_of(flight, "/frame", "/settings", "/tf", "/tf_static")
     bare = {
-        note.t_ns: data
-        for note, data in zip(
+        loaded.t_ns: data
+        for loaded, data in zip(
             [n for n in notes if n.topic.endswith("/frame")],
-            conversions.frame_notes(
+            conversions.frame_messages(
                 ul.Frames(flight.samples, flight.range_m, flight.t_ns, flight.spec, sensor="left"), 0
             ),
             strict=True,
@@ -110,9 +110,9 @@ def test_a_ros1_bag_of_profiles_and_odometry_can_be_mapped(tmp_path: Path, fligh
     body = body_path(flight, flight.poses)  # type: ignore[arg-type]
     odometry = [
         Message(int(t), "/odom", ros.ODOMETRY, "stream", data)
-        for t, data in zip(body.t_ns, conversions.odometry_notes(body), strict=True)
+        for t, data in zip(body.t_ns, conversions.odometry_messages(body), strict=True)
     ]
-    notes = sorted(notes_of(flight, "/profile") + odometry, key=lambda note: note.t_ns)
+    notes = sorted(notes_of(flight, "/profile") + odometry, key=lambda loaded: loaded.t_ns)
     frames = ul.open(write_ros1(tmp_path / "a.bag", notes), radar="x4m05").frames()
     np.testing.assert_allclose(frames.amplitude, flight.amplitude, atol=1e-6)
     np.testing.assert_allclose(frames.poses.position, body.position, atol=1e-9)  # the radar's mount is not told
@@ -129,11 +129,11 @@ def write_mcap(path: Path, notes: list[Message]) -> Path:
 
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[str, Any] = {}
-        for note in notes:
-            if note.topic not in connections:
-                topic = "/" + note.topic.lstrip("/")
-                connections[note.topic] = writer.add_connection(topic, note.kind, typestore=ros.typestore())
-            writer.write(connections[note.topic], note.t_ns, note.data)
+        for loaded in notes:
+            if loaded.topic not in connections:
+                topic = "/" + loaded.topic.lstrip("/")
+                connections[loaded.topic] = writer.add_connection(topic, loaded.kind, typestore=ros.typestore())
+            writer.write(connections[loaded.topic], loaded.t_ns, loaded.data)
     return path
 
 

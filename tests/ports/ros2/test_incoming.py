@@ -10,7 +10,7 @@ from ullage.errors import InputError
 from ullage.geometry import rpy_quat
 from ullage.ports import conversions
 from ullage.ports import messages as ros
-from ullage.ports.encode import fixed_note, range_layout
+from ullage.ports.encode import fixed_message, range_layout
 from ullage.ports.publisher import Publisher, body_path, shifted
 from ullage.ports.ros2.incoming import SETTINGS_S, Incoming
 from ullage.ports.ros2.options import SourceOptions
@@ -40,18 +40,18 @@ def incoming(**options: object) -> tuple[Incoming, list[str]]:
 
 def hear(into: Incoming, frames: ul.Frames, *, settings: bool = True) -> None:
     if settings:
-        into.take_settings("/radar/left/settings", conversions.settings_note(frames))
-    for note in conversions.frame_notes(frames, 0):
-        into.take_frame("/radar/left/frame", note)
+        into.take_settings("/radar/left/settings", conversions.settings_message(frames))
+    for message in conversions.frame_messages(frames, 0):
+        into.take_frame("/radar/left/frame", message)
 
 
 def posed(into: Incoming, frames: ul.Frames, *, every: int = 1, fixed: bool = True) -> None:
     body = body_path(frames, frames.poses)[np.arange(0, len(frames), every)]
-    for note in conversions.transform_notes({"base_link": body}):
-        into.take_transforms(note)
+    for message in conversions.transform_messages({"base_link": body}):
+        into.take_transforms(message)
     if fixed:
         mount = {("base_link", "left"): frames.spec.mount.body_from_sensor()}
-        into.take_transforms(fixed_note(0, mount), fixed=True)
+        into.take_transforms(fixed_message(0, mount), fixed=True)
 
 
 @pytest.mark.parametrize("fixed", [True, False])
@@ -104,8 +104,8 @@ def test_frames_without_settings_are_taken_for_an_x4m05_after_a_while(flight: ul
 
 def test_odometry_stands_in_for_transforms(flight: ul.Frames) -> None:
     into, said = incoming(poses="tf")
-    for note in conversions.odometry_notes(body_path(flight, flight.poses), parent="odom"):
-        into.take_odometry(note)
+    for message in conversions.odometry_messages(body_path(flight, flight.poses), parent="odom"):
+        into.take_odometry(message)
     hear(into, flight)
     frames = into.ready()["left"]
     np.testing.assert_allclose(frames.poses.position, flight.poses.position, atol=1e-9)
@@ -114,8 +114,8 @@ def test_odometry_stands_in_for_transforms(flight: ul.Frames) -> None:
 
 def test_a_profile_of_points_gives_the_same_ranges(flight: ul.Frames) -> None:
     into, _ = incoming(poses="none")
-    for note in conversions.profile_notes(flight):
-        into.take_profile("/radar/left/profile", note)
+    for message in conversions.profile_messages(flight):
+        into.take_profile("/radar/left/profile", message)
     frames = into.ready()["left"]
     assert frames.poses is None
     np.testing.assert_allclose(frames.amplitude, flight.amplitude, atol=1e-6)
@@ -126,8 +126,8 @@ def test_a_range_becomes_one_echo_there(flight: ul.Frames) -> None:
     into, _ = incoming(poses="none")
     ranges = np.array([1.0, 2.345, np.inf, 4.0])
     layout = range_layout(b"left")
-    for note in layout.fill(4, sec=np.arange(4), min=0.1, max=6.0, range=ranges):
-        into.take_range("/sonar/range", note)
+    for message in layout.fill(4, sec=np.arange(4), min=0.1, max=6.0, range=ranges):
+        into.take_range("/sonar/range", message)
     frames = into.ready()["sonar"]
     found = ul.detect(frames)
     assert found.frame.tolist() == [0, 1, 3]
@@ -148,18 +148,18 @@ def test_a_clock_that_jumps_back_starts_anew_and_time_goes_on(flight: ul.Frames)
 
 def test_frames_that_overtook_each_other_are_left_out(flight: ul.Frames) -> None:
     into, _ = incoming()
-    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
-    notes = conversions.frame_notes(flight, 0)
+    into.take_settings("/radar/left/settings", conversions.settings_message(flight))
+    messages = conversions.frame_messages(flight, 0)
     for k in (0, 2, 1, 3):
-        into.take_frame("/radar/left/frame", notes[k])
+        into.take_frame("/radar/left/frame", messages[k])
     assert into.ready()["left"].t_ns.tolist() == flight.t_ns[[0, 2, 3]].tolist()
     assert into.counters.dropped("late") == 1
 
 
 def test_a_broken_transform_changes_nothing() -> None:
     into, _ = incoming()
-    into.take_transforms(fixed_note(0, {("map", "b"): np.eye(4)}))
-    record = bytearray(fixed_note(0, {("map", "b"): np.eye(4)}))
+    into.take_transforms(fixed_message(0, {("map", "b"): np.eye(4)}))
+    record = bytearray(fixed_message(0, {("map", "b"): np.eye(4)}))
     record[-32:] = np.full(4, np.nan).tobytes()
     into.take_transforms(bytes(record))
     assert into.counters.dropped("bad") == 1
@@ -167,30 +167,30 @@ def test_a_broken_transform_changes_nothing() -> None:
 
 def test_a_cloud_without_intensity_is_refused(flight: ul.Frames) -> None:
     into, _ = incoming()
-    note = ros.cloud_layout(b"left", (("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
+    message = ros.cloud_layout(b"left", (("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
     columns = ros.cloud_columns((("x", "float32"), ("y", "float32"), ("z", "float32")), 9)
     with pytest.raises(InputError, match=r"without intensity.*x, y, z and intensity"):
-        into.take_profile("/p/profile", note.fill(1, **columns)[0])
+        into.take_profile("/p/profile", message.fill(1, **columns)[0])
 
 
 def test_what_goes_out_comes_in_again(flight: ul.Frames) -> None:
     into, _ = incoming(poses="tf")
-    for note in Publisher().messages({"left": flight}):
-        if note.topic in ("/tf", "/tf_static"):
-            into.take_transforms(note.data, fixed=note.topic == "/tf_static")
-        elif note.topic.endswith("/settings"):
-            into.take_settings("/" + note.topic, note.data)
-        elif note.topic.endswith("/frame"):
-            into.take_frame("/" + note.topic, note.data)
+    for message in Publisher().messages({"left": flight}):
+        if message.topic in ("/tf", "/tf_static"):
+            into.take_transforms(message.data, fixed=message.topic == "/tf_static")
+        elif message.topic.endswith("/settings"):
+            into.take_settings("/" + message.topic, message.data)
+        elif message.topic.endswith("/frame"):
+            into.take_frame("/" + message.topic, message.data)
     frames = into.ready()["left"]
     assert np.array_equal(frames.samples, flight.samples)
     np.testing.assert_allclose(frames.poses.world_from_body, flight.poses.world_from_body, atol=1e-9)
 
 
-def broken(note: bytes, sensor: str, what: str) -> bytes:
+def broken(message: bytes, sensor: str, what: str) -> bytes:
     """A RadarFrame with a pose or samples that cannot be."""
     layout = ros.frame_layout(sensor.encode(), sensor.encode(), 376)
-    record = np.frombuffer(bytearray(note), layout.dtype)
+    record = np.frombuffer(bytearray(message), layout.dtype)
     if what == "quaternion":
         record["believed"][0, 3:7] = 0.3, 0, 0, 0
     elif what == "position":
@@ -203,9 +203,9 @@ def broken(note: bytes, sensor: str, what: str) -> bytes:
 @pytest.mark.parametrize("what", ["quaternion", "position", "samples"])
 def test_a_frame_that_cannot_be_is_counted_and_the_others_go_on(flight: ul.Frames, what: str) -> None:
     into, _ = incoming()
-    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
-    for k, note in enumerate(conversions.frame_notes(flight, 0)):
-        into.take_frame("/radar/left/frame", broken(note, "left", what) if k == 7 else note)
+    into.take_settings("/radar/left/settings", conversions.settings_message(flight))
+    for k, message in enumerate(conversions.frame_messages(flight, 0)):
+        into.take_frame("/radar/left/frame", broken(message, "left", what) if k == 7 else message)
     frames = into.ready()["left"]
     assert np.array_equal(frames.t_ns, np.delete(flight.t_ns, 7))
     assert into.counters.dropped("bad") == 1
@@ -230,34 +230,34 @@ def test_transforms_that_are_not_numbers_give_no_frozen_pose(flight: ul.Frames) 
     body = body_path(flight, flight.poses)
     layout = ros.transform_layout(b"odom", (b"base_link",))
     mount = {("base_link", "left"): flight.spec.mount.body_from_sensor()}
-    into.take_transforms(fixed_note(0, mount), fixed=True)
-    for note in conversions.transform_notes({"base_link": body}, parent="odom"):
-        record = np.frombuffer(bytearray(note), layout.dtype)
+    into.take_transforms(fixed_message(0, mount), fixed=True)
+    for message in conversions.transform_messages({"base_link": body}, parent="odom"):
+        record = np.frombuffer(bytearray(message), layout.dtype)
         record["pose0"][0, 0] = np.nan
         into.take_transforms(record.tobytes())
     hear(into, flight)
     assert into.ready() == {}
     assert "nothing tells where base_link is" in into.waits_for
     assert into.counters.dropped("bad", topic="pose of base_link") == len(flight)
-    for note in conversions.transform_notes({"base_link": body}, parent="odom"):
-        into.take_transforms(note)
+    for message in conversions.transform_messages({"base_link": body}, parent="odom"):
+        into.take_transforms(message)
     np.testing.assert_allclose(into.ready()["left"].poses.position, flight.poses.position, atol=1e-9)
 
 
 @pytest.mark.parametrize("away_s", [1000, -3, 3600])
 def test_one_stamp_far_off_is_dropped_and_a_step_of_the_clock_begins_a_track(flight: ul.Frames, away_s: int) -> None:
     into, said = incoming()
-    notes = conversions.frame_notes(flight, 0)
-    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
-    stepped = conversions.frame_notes(shifted(flight, away_s * S), 0)
-    for note in [*notes[:10], stepped[10], *notes[11:]]:
-        into.take_frame("/radar/left/frame", note)
+    messages = conversions.frame_messages(flight, 0)
+    into.take_settings("/radar/left/settings", conversions.settings_message(flight))
+    stepped = conversions.frame_messages(shifted(flight, away_s * S), 0)
+    for message in [*messages[:10], stepped[10], *messages[11:]]:
+        into.take_frame("/radar/left/frame", message)
     frames = into.ready()["left"]
     assert np.array_equal(frames.t_ns, np.delete(flight.t_ns, 10))
     assert into.counters.dropped("bad") + into.counters.dropped("late") == 1
     assert into.counters.steps == 0
-    for note in stepped:
-        into.take_frame("/radar/left/frame", note)
+    for message in stepped:
+        into.take_frame("/radar/left/frame", message)
     later = into.ready()["left"]
     assert np.array_equal(later.samples, flight.samples)
     assert later.t_ns[0] > frames.t_ns[-1]
@@ -267,19 +267,19 @@ def test_one_stamp_far_off_is_dropped_and_a_step_of_the_clock_begins_a_track(fli
 
 def test_frames_that_never_came_are_counted_by_their_numbers(flight: ul.Frames) -> None:
     into, _ = incoming()
-    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
-    for k, note in enumerate(conversions.frame_notes(flight, 0)):
+    into.take_settings("/radar/left/settings", conversions.settings_message(flight))
+    for k, message in enumerate(conversions.frame_messages(flight, 0)):
         if not 5 <= k < 12:
-            into.take_frame("/radar/left/frame", note)
+            into.take_frame("/radar/left/frame", message)
     assert into.counters.dropped("lost") == 7
 
 
 def test_a_vehicle_with_a_prefix_is_found(flight: ul.Frames) -> None:
     into, _ = incoming(poses="tf", frame_prefix="drone2/")
     body = body_path(flight, flight.poses)
-    for note in conversions.transform_notes({"drone2/base_link": body}):
-        into.take_transforms(note)
-    into.take_settings("/radar/left/settings", conversions.settings_note(flight))
-    for note in conversions.frame_notes(flight, 0, frame_id="drone2/left"):
-        into.take_frame("/radar/left/frame", note)
+    for message in conversions.transform_messages({"drone2/base_link": body}):
+        into.take_transforms(message)
+    into.take_settings("/radar/left/settings", conversions.settings_message(flight))
+    for message in conversions.frame_messages(flight, 0, frame_id="drone2/left"):
+        into.take_frame("/radar/left/frame", message)
     np.testing.assert_allclose(into.ready()["left"].poses.position, flight.poses.position, atol=1e-9)

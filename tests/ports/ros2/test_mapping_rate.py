@@ -36,7 +36,7 @@ def test_maps_and_images_come_at_the_asked_rate(method: str, every_s: float) -> 
     for piece in batches(parts, options.batch_s):
         stages = stages or mapping_stages(piece, options)
         items = [item for stage in stages for item in stage.update(piece)]
-        for message in [note for item in (piece, *items) for note in publisher.messages(item)]:
+        for message in [message for item in (piece, *items) for message in publisher.messages(item)]:
             stamps.setdefault(message.topic, set()).add(message.t_ns)
     for topics in (MAPS, IMAGES):
         came = np.array(sorted(set().union(*(stamps.get(topic, set()) for topic in topics)))) * 1e-9

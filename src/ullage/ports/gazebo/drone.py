@@ -66,13 +66,13 @@ class GazeboDrone:
             self._peer.advertise(self._cmd_vel, f"{kind.rpartition('.')[0]}.Twist")
 
     def _state(self, data: bytes) -> DroneState | str:
-        note: Any = gz().Odometry()
+        message: Any = gz().Odometry()
         try:
-            note.ParseFromString(data)
+            message.ParseFromString(data)
         except Exception as error:  # protobuf raises kinds of its own, by implementation
             return f"cannot be read: {type(error).__name__}"
-        stamp, at, turn = note.header.stamp, note.pose.position, note.pose.orientation
-        linear, angular = note.twist.linear, note.twist.angular
+        stamp, at, turn = message.header.stamp, message.pose.position, message.pose.orientation
+        linear, angular = message.twist.linear, message.twist.angular
         t_ns = stamp.sec * 10**9 + stamp.nsec
         return state_of(
             t_ns if is_present(t_ns) else time.time_ns(),  # Gazebo's clock is none of IMC's

@@ -135,13 +135,13 @@ def _bytes(packet: Packet, table: Table) -> bytes:
         return encode(packet, table=table, big=True)
 
 
-def of_raw(note: Mapping[str, Any], *, table: Table | None = None) -> Packet:
+def of_raw(message: Mapping[str, Any], *, table: Table | None = None) -> Packet:
     """The packet in an `imc_msgs/Raw`.
 
     Raises:
         Malformed: its data are no packet.
     """
-    return decode(bytes(note["data"]), table=table)
+    return decode(bytes(message["data"]), table=table)
 
 
 def to_ros(packet: Packet, *, table: Table | None = None) -> dict[str, Any]:
@@ -175,20 +175,20 @@ def _held_out(part: Field, one: Message | None, table: Table) -> dict[str, Any]:
     return {"id": table.named(one.name).id, "data": encode(Packet(one), table=table)[20:-2]}
 
 
-def to_imc(name: str, note: Mapping[str, Any], *, table: Table | None = None) -> Packet:
+def to_imc(name: str, message: Mapping[str, Any], *, table: Table | None = None) -> Packet:
     """The packet of a broker's message."""
     table = table or own()
-    stamp = note["header"]["stamp"]
+    stamp = message["header"]["stamp"]
     return Packet(
-        _fields_in(table.named(name), note, table), stamp["sec"] + stamp["nanosec"] * 1e-9, note["src"],
-        note["src_ent"], note["dst"], note["dst_ent"],
+        _fields_in(table.named(name), message, table), stamp["sec"] + stamp["nanosec"] * 1e-9, message["src"],
+        message["src_ent"], message["dst"], message["dst_ent"],
     )  # fmt: skip
 
 
-def _fields_in(kind: Kind, note: Mapping[str, Any], table: Table) -> Message:
+def _fields_in(kind: Kind, message: Mapping[str, Any], table: Table) -> Message:
     values: dict[str, Any] = {}
     for part in kind.fields:
-        value = note[ros_name(part.name)]
+        value = message[ros_name(part.name)]
         if part.kind in TYPES:
             values[part.name] = value
             continue

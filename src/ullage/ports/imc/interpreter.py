@@ -85,22 +85,22 @@ class Pair:
         row = next((row for row in self.rows if row.matches(values)), None)
         return {} if row is None else {part.topic: _fields_out(part.entries, values) for part in row.parts}
 
-    def to_imc(self, notes: Ros) -> dict[str, Any]:
+    def to_imc(self, messages: Ros) -> dict[str, Any]:
         """The values of the IMC message that these ROS messages say.
 
         Raises:
             InputError: a ROS message that is needed is missing, or the row is for the other direction only.
         """
-        row = next((row for row in self.rows if row.parts[0].topic in notes), self.rows[0])
+        row = next((row for row in self.rows if row.parts[0].topic in messages), self.rows[0])
         if not row.both:
             raise InputError(f"{row.name} goes from IMC to ROS only", where=row.parts[0].topic, allowed=row.note or "-")
-        missing = [part.topic for part in row.parts if part.needed and part.topic not in notes]
+        missing = [part.topic for part in row.parts if part.needed and part.topic not in messages]
         if missing:
             raise InputError(f"{row.name} also needs {missing[0]}", where=row.parts[0].topic)
         out: dict[str, Any] = dict(row.values)
         for part in row.parts:
-            if part.topic in notes:
-                out |= _fields_in(part.entries, notes[part.topic])
+            if part.topic in messages:
+                out |= _fields_in(part.entries, messages[part.topic])
         return out | row.where
 
 
@@ -214,13 +214,13 @@ def interpreted(message: Message) -> Ros | None:
     return None if pair is None else pair.to_ros(message.values)
 
 
-def imc_of(kind: str, notes: Ros) -> Message:
+def imc_of(kind: str, messages: Ros) -> Message:
     """The IMC message of this kind that these ROS messages say.
 
     Raises:
         InputError: a ROS message that is needed is missing, or the kind goes to ROS only.
     """
-    return make(kind, **PAIRS[kind].to_imc(notes))
+    return make(kind, **PAIRS[kind].to_imc(messages))
 
 
 def rows_of(topic: str) -> Row | None:

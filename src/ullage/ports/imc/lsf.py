@@ -199,19 +199,19 @@ class LsfSink:
         """
         if self._file is None:
             raise InputError("the log is closed", where=self.path)
-        notes = self._encoder.messages(item)
-        if notes and self._shift_ns is None:
-            self._shift_ns = 0 if notes[0].t_ns > EPOCH_NS else time.time_ns() - notes[0].t_ns
-            self._last_ns = notes[0].t_ns
+        messages = self._encoder.messages(item)
+        if messages and self._shift_ns is None:
+            self._shift_ns = 0 if messages[0].t_ns > EPOCH_NS else time.time_ns() - messages[0].t_ns
+            self._last_ns = messages[0].t_ns
             self._put(make("LoggingControl", op=STARTED, name=self.path.parent.name or "log"), BODY)
             self._enter(self._entities[0])
         for entity in self._new:
             info = make("EntityInfo", id=entity.id, label=entity.label, component=entity.component)
             self._put(info, entity.id)
         self._new.clear()
-        for note in notes:
-            self._last_ns = note.t_ns
-            self._put(note.message, note.entity)
+        for message in messages:
+            self._last_ns = message.t_ns
+            self._put(message.message, message.entity)
         if time.monotonic() - self._flushed_s > FLUSH_EVERY_S:
             self._flush()
 

@@ -44,7 +44,7 @@ class Autopilot:
 
     system: int
     component: int
-    heard_s: float  # last HEARTBEAT
+    last_heartbeat_s: float  # last HEARTBEAT
     there: bool = True
 
 
@@ -56,7 +56,7 @@ class Link:
     Args:
         wire: carries the bytes.
         options: ids and limits.
-        log: takes what a person should know.
+        log: takes lines for the user.
     """
 
     def __init__(self, wire: Wire, options: LinkOptions, log: Log) -> None:
@@ -77,7 +77,7 @@ class Link:
         self._inbox: Inbox[PoseMessage] = Inbox(self.counters, most=20_000)
         self._decoders: dict[Sender, Decoder] = {}
         self._questions: list[int] = []
-        self._strangers: set[int] = set()  # systems with an autopilot that is not ours
+        self._other_systems: set[int] = set()  # systems with an autopilot that is not ours
         self._reported: set[str] = set()
         self._due_s = {"heartbeat": 0.0, "question": 0.0, "request": 0.0}
         self._lock = threading.Lock()
@@ -114,10 +114,12 @@ class Link:
             raise self.missing(timeout_s)
 
     def missing(self, waited_s: float) -> InputError:
-        """The error for an autopilot that was not heard of."""
+        """The error for an autopilot that sends no HEARTBEAT."""
         who = f"system {self.options.vehicle}" if self.options.vehicle else "an autopilot"
-        heard = ", ".join(str(number) for number in sorted(self._strangers))
-        what = f"no HEARTBEAT of {who} within {waited_s:g} s" + (f"; HEARTBEAT of system {heard} came" if heard else "")
+        systems = ", ".join(str(number) for number in sorted(self._other_systems))
+        what = f"no HEARTBEAT of {who} within {waited_s:g} s" + (
+            f"; HEARTBEAT of system {systems} came" if systems else ""
+        )
         return InputError(what, where=f"mavlink:{self.name}", allowed="vehicle=ID of an autopilot that sends there")
 
     def local_ns(self, boot_ns: int) -> int | None:
@@ -203,13 +205,13 @@ class Link:
             self._log(f"{self.name}: autopilot {name}, system {system}, component {component}")
             self._met.set()
         if known is None or (system, component) != (known.system, known.component):
-            self._strangers.add(system)
+            self._other_systems.add(system)
             wanted = known.system if known else self.options.vehicle
             self.counters.drop(
                 "HEARTBEAT", "bad", f"of system {system}, component {component}; system {wanted} is used"
             )
             return
-        known.heard_s = now
+        known.last_heartbeat_s = now
         if not known.there:
             known.there = True
             self._requested = False  # it may have been started again, with its own rates
@@ -256,7 +258,7 @@ class Link:
         if self.request_hz and (not self.poses_come or not self._requested) and self._is_due("request", now, REQUEST_S):
             self._requested = True
             self._request(there, self.request_hz)
-        if there.there and now - there.heard_s > self.options.heartbeat_s:
+        if there.there and now - there.last_heartbeat_s > self.options.heartbeat_s:
             there.there = False
             self._log(
                 f"{self.name}: no HEARTBEAT of system {there.system} for {self.options.heartbeat_s:g} s; "
@@ -300,7 +302,7 @@ def open_link(text: str, options: LinkOptions, *, role: Role, log: Log) -> Link:
         text: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
         options: where the link is open already, they stay as it was opened.
         role: who asks.
-        log: takes what a person should know.
+        log: takes lines for the user.
 
     Raises:
         InputError: the place cannot be understood or opened.

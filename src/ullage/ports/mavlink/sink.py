@@ -36,7 +36,7 @@ class MavlinkSink:
     Args:
         place: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
         options: what is sent, and how.
-        log: takes what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
 
     Raises:
         InputError: the place cannot be opened, or no autopilot is there where one is waited for.

@@ -112,7 +112,7 @@ def source_of(address: str, options: dict[str, Any], *, log: Log | None = None) 
     Args:
         address: the place.
         options: as `SourceOptions` lists them.
-        log: takes what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
 
     Raises:
         InputError: an option cannot be used, no world is named, or the place cannot be opened.

@@ -73,13 +73,13 @@ class UdpWire:
         else:
             self._peer = (host, place.port)
             mine = (options.interface or ("127.0.0.1" if local else ""), options.port)
-        self._heard: dict[Sender, float] = {}  # who sent, and when
+        self._senders: dict[Sender, float] = {}  # who sent, and when
         self._socket = _bound(mine, self.name)
 
     def send(self, data: bytes) -> None:
         """Send one packet; it is lost where nobody takes it."""
         now = time.monotonic()
-        recent = [sender for sender, heard in self._heard.items() if now - heard < FORGET_S]
+        recent = [sender for sender, last_s in self._senders.items() if now - last_s < FORGET_S]
         for there in [self._peer] if self._peer else recent:
             try:
                 self._socket.sendto(data, there)
@@ -106,10 +106,10 @@ class UdpWire:
         if self._peer is not None:
             return sender[0] == self._peer[0]
         now = time.monotonic()
-        self._heard = {one: heard for one, heard in self._heard.items() if now - heard < FORGET_S}
-        if sender not in self._heard and len(self._heard) >= MOST_SENDERS:
+        self._senders = {one: last_s for one, last_s in self._senders.items() if now - last_s < FORGET_S}
+        if sender not in self._senders and len(self._senders) >= MOST_SENDERS:
             return False
-        self._heard[sender] = now
+        self._senders[sender] = now
         return True
 
     def close(self) -> None:

@@ -150,8 +150,8 @@ class RosbagSource:
 
     def trajectory(self) -> Trajectory | None:
         """The path of the body, where odometry tells it."""
-        notes = [data for topic, data in self._messages([self._odom]) if topic] if self._odom else []
-        return conversions.odometry_path(notes) if notes else None
+        messages = [data for topic, data in self._messages([self._odom]) if topic] if self._odom else []
+        return conversions.odometry_path(messages) if messages else None
 
     def map(self) -> OccupancyMap | None:
         """The last map in it, where there is one."""

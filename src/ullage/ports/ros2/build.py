@@ -102,7 +102,7 @@ def build(packages: list[str], *, prefix: Path | None = None) -> None:
 
     Raises:
         MissingExtra: a tool or wheel that building needs is not there.
-        UllageError: cmake failed; the end of what it said is told.
+        UllageError: cmake failed; the message ends with its last lines.
     """
     prefix = prefix or Path(sys.prefix)
     if not (prefix / "share/rosidl_default_generators").exists():
@@ -127,8 +127,8 @@ def build(packages: list[str], *, prefix: Path | None = None) -> None:
 def _call(command: list[str], there: dict[str, str]) -> None:
     done = subprocess.run(command, env=os.environ | there, text=True, capture_output=True, check=False)
     if done.returncode:
-        said = "\n".join((done.stdout + done.stderr).splitlines()[-30:])
-        raise UllageError(f"{' '.join(command[:2])} failed:\n{said}")
+        output = "\n".join((done.stdout + done.stderr).splitlines()[-30:])
+        raise UllageError(f"{' '.join(command[:2])} failed:\n{output}")
 
 
 def main(words: list[str] | None = None) -> int:

@@ -102,24 +102,26 @@ class PoseFeed:
 
     def _add(self, data: bytes, *, fixed: bool = False) -> list[int]:
         stamps = []
-        for note in ros.from_bytes(ros.TRANSFORMS, data).transforms:
-            at, turn = note.transform.translation, note.transform.rotation
+        for message in ros.from_bytes(ros.TRANSFORMS, data).transforms:
+            at, turn = message.transform.translation, message.transform.rotation
             pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
             if isinstance(pose, str):
-                self.counters.drop(f"pose of {note.child_frame_id}", "bad", pose)
+                self.counters.drop(f"pose of {message.child_frame_id}", "bad", pose)
                 continue
-            self._transforms.add(note.header.frame_id, note.child_frame_id, stamp_ns(note.header), *pose, fixed=fixed)
-            stamps.append(stamp_ns(note.header))
+            self._transforms.add(
+                message.header.frame_id, message.child_frame_id, stamp_ns(message.header), *pose, fixed=fixed
+            )
+            stamps.append(stamp_ns(message.header))
         return stamps
 
     def _read(self, data: bytes) -> list[ModelPose]:
         """Return the poses of the body in a message."""
         if self._kind == ros.TRANSFORMS:
             return self._from_transforms(self._add(data))
-        note = ros.from_bytes(self._kind, data)
-        pose = note.pose if self._kind == POSE else note.pose.pose
+        message = ros.from_bytes(self._kind, data)
+        pose = message.pose if self._kind == POSE else message.pose.pose
         at, turn = pose.position, pose.orientation
-        return self._valid_pose(stamp_ns(note.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+        return self._valid_pose(stamp_ns(message.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
 
     def _from_transforms(self, stamps: list[int]) -> list[ModelPose]:
         out = []
@@ -156,18 +158,18 @@ class PoseFeed:
         items: list[Any] = [parts] if self._scene is None else [parts, self._scene]
         self._scene = None
         for item in items:
-            for note in self._publisher.messages(item):
-                if note.topic in ("odom", "truth/odom", "path") or (note.topic == "/tf" and not self._moves()):
+            for message in self._publisher.messages(item):
+                if message.topic in ("odom", "truth/odom", "path") or (message.topic == "/tf" and not self._moves()):
                     continue  # the robot publishes these itself
-                if self._peer.send(note):
+                if self._peer.send(message):
                     self._peer.claim(
-                        self._peer.resolved(note.topic)
+                        self._peer.resolved(message.topic)
                     )  # a `--to ros2:` sink then does not publish it again
 
     def pass_on(self, item: Passed) -> None:
         """Publish a message as it is."""
-        for note in self._publisher.messages(item):
-            self._peer.send(note)
+        for message in self._publisher.messages(item):
+            self._peer.send(message)
 
     def _moves(self) -> bool:
         """Whether to publish the transform of the body."""

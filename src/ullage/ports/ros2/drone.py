@@ -67,12 +67,12 @@ class RosDrone:
                 out.append(found)
         return out
 
-    def _state(self, note: Any) -> DroneState | str:
-        self._frame = note.header.frame_id or "odom"
-        stamp = note.header.stamp
+    def _state(self, message: Any) -> DroneState | str:
+        self._frame = message.header.frame_id or "odom"
+        stamp = message.header.stamp
         t_ns = stamp.sec * 10**9 + stamp.nanosec
-        at, turn = note.pose.pose.position, note.pose.pose.orientation
-        linear, angular = note.twist.twist.linear, note.twist.twist.angular
+        at, turn = message.pose.pose.position, message.pose.pose.orientation
+        linear, angular = message.twist.twist.linear, message.twist.twist.angular
         return state_of(
             t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is none of IMC's
             (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),

@@ -19,7 +19,7 @@ from ullage.ports.ros2.options import NodeOptions
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE, JOY = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Joy"
-LOOK_S = 0.2
+SEARCH_S = 0.2
 """How often the graph is asked for topics that somebody has begun to publish [s]."""
 
 
@@ -57,7 +57,7 @@ class TopicControls:
     Args:
         peer: the node.
         options: which topics.
-        log: takes what a person should know.
+        log: takes lines for the user; None: they become warnings.
 
     Raises:
         InputError: an option cannot be used.
@@ -74,14 +74,14 @@ class TopicControls:
             )
             if name
         }  # fmt: skip
-        self._heard: set[str] = set()
-        self._looked_s = 0.0
+        self._subscribed: set[str] = set()
+        self._searched_s = 0.0
         self._button_held = False
         self._peer.spin()
 
     def update(self, pilot: Pilot, now_s: float) -> None:
         """Hand the commands since the last call to the pilot."""
-        self._look()
+        self._find_topics()
         while (found := self._inbox.get(0.0)) is not None:
             topic, kind, data = found
             try:
@@ -95,17 +95,17 @@ class TopicControls:
         """Leave the network."""
         self._peer.close()
 
-    def _look(self) -> None:
+    def _find_topics(self) -> None:
         """Listen to the topics that somebody publishes now."""
-        if time.monotonic() - self._looked_s < LOOK_S:
+        if time.monotonic() - self._searched_s < SEARCH_S:
             return
-        self._looked_s = time.monotonic()
+        self._searched_s = time.monotonic()
         there = self._peer.topics()
         for topic, kinds in self._topics.items():
             kind = there.get(topic)
-            if kind is None or topic in self._heard:
+            if kind is None or topic in self._subscribed:
                 continue
-            self._heard.add(topic)
+            self._subscribed.add(topic)
             if kind not in kinds:
                 self._log(f"{topic} carries {kind}, which is no command (allowed: {', '.join(kinds)})")
                 continue
@@ -115,36 +115,36 @@ class TopicControls:
     def _taker(self, topic: str, kind: str) -> Any:
         return lambda data: self._inbox.put((topic, kind, data), topic=topic, size=len(data))
 
-    def _take(self, kind: str, note: Any, pilot: Pilot, now_s: float) -> str:
+    def _take(self, kind: str, message: Any, pilot: Pilot, now_s: float) -> str:
         """Hand one message to the pilot; what is wrong with it, or nothing."""
         if kind == POSE:
-            return self._go_to(note, pilot)
+            return self._go_to(message, pilot)
         if kind == JOY:
-            velocity = self._of_joystick(note)
+            velocity = self._of_joystick(message)
         else:
-            twist = note.twist if kind == TWIST_STAMPED else note
+            twist = message.twist if kind == TWIST_STAMPED else message
             velocity = Velocity(twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z)
         return "" if velocity is None or pilot.command(velocity, now_s) else "not finite"
 
-    def _go_to(self, note: Any, pilot: Pilot) -> str:
+    def _go_to(self, message: Any, pilot: Pilot) -> str:
         prefix = self._options.frame_prefix
-        frame = note.header.frame_id
+        frame = message.header.frame_id
         if frame not in ("", "map", prefix + "odom"):
             return f"in frame {frame!r}, not map or {prefix}odom"
-        at, turn = note.pose.position, note.pose.orientation
+        at, turn = message.pose.position, message.pose.orientation
         pose = checked_pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
         if isinstance(pose, str):
             return pose
         pilot.go_to((at.x, at.y, at.z), float(quat_rpy(pose[1])[2]))
         return ""
 
-    def _of_joystick(self, note: Any) -> Velocity | None:
+    def _of_joystick(self, message: Any) -> Velocity | None:
         """The velocity that the sticks ask for; a hover where the button is let go, and None after that."""
         button, before = self._options.joy_button, self._button_held
-        self._button_held = button < 0 or (button < len(note.buttons) and bool(note.buttons[button]))
+        self._button_held = button < 0 or (button < len(message.buttons) and bool(message.buttons[button]))
         if not self._button_held:
             return HOVER if before else None
-        values = [float(note.axes[k]) if 0 <= k < len(note.axes) else 0.0 for k in self._axes]
+        values = [float(message.axes[k]) if 0 <= k < len(message.axes) else 0.0 for k in self._axes]
         v = self._options.joy_speed_m_s
         return Velocity(values[0] * v, values[1] * v, values[2] * v, values[3] * self._options.joy_turn_rad_s)
 

@@ -26,7 +26,7 @@ from ullage.ports.ros2.options import SourceOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.specs import RadarSpec
 
-Held = TypeVar("Held")
+ItemT = TypeVar("ItemT")
 SETTINGS_S = 2.0
 """How long frames wait for their radar's settings [s]."""
 MOST_WAITING = 4096
@@ -73,7 +73,7 @@ class Incoming:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the radars heard so far."""
+        """Names of the radars found so far."""
         return tuple(radar.sensor for radar in self._radars.values())
 
     def take(self, topic: str, take: Callable[..., None], *what: Any) -> None:
@@ -132,21 +132,21 @@ class Incoming:
 
         It has no phase, so it is taken as a baseband of phase zero: ranges and maps are right, images are not.
         """
-        note = ros.from_bytes(ros.CLOUD, data)
-        points = cloud_points(note)
+        message = ros.from_bytes(ros.CLOUD, data)
+        points = cloud_points(message)
         distance = np.sqrt(sum(points[axis].astype(float) ** 2 for axis in "xyz"))
         range_m, first = np.unique(distance, return_index=True)
-        self._profile(topic, note.header, range_m, points["intensity"][first])
+        self._profile(topic, message.header, range_m, points["intensity"][first])
 
     def take_range(self, topic: str, data: bytes) -> None:
         """Range: one echo of the radar's own pulse there, or none."""
         short = range_layout(conversions.text_in(data, 0).encode()).dtype.itemsize - len(data)
-        note = ros.from_bytes(RANGE, data + bytes(4 if 0 < short <= 4 else 0))  # ROS 1 and Humble know no variance
-        bins = np.arange(max(int(note.max_range / self._spec.bin_m) + 8, 16))
+        message = ros.from_bytes(RANGE, data + bytes(4 if 0 < short <= 4 else 0))  # ROS 1 and Humble know no variance
+        bins = np.arange(max(int(message.max_range / self._spec.bin_m) + 8, 16))
         range_m: Floats = np.asarray(self._spec.bin_m * bins, np.float64)
         width = C0 / 2 * self._spec.pulse_sigma_s
-        away = (range_m - note.range) / width if np.isfinite(note.range) else np.full(len(range_m), np.inf)
-        self._profile(topic, note.header, range_m, np.exp(-(away**2) / 2))
+        away = (range_m - message.range) / width if np.isfinite(message.range) else np.full(len(range_m), np.inf)
+        self._profile(topic, message.header, range_m, np.exp(-(away**2) / 2))
 
     def _profile(self, topic: str, header: Any, range_m: Floats, level: Any) -> None:
         if len(range_m) < 8 or not np.isfinite(range_m).all():
@@ -163,20 +163,20 @@ class Incoming:
 
     def take_transforms(self, data: bytes, *, fixed: bool = False) -> None:
         """TFMessage."""
-        for note in ros.from_bytes(ros.TRANSFORMS, data).transforms:
-            at, turn = note.transform.translation, note.transform.rotation
-            self._place(note.header, note.child_frame_id, at, turn, fixed=fixed)
+        for message in ros.from_bytes(ros.TRANSFORMS, data).transforms:
+            at, turn = message.transform.translation, message.transform.rotation
+            self._place(message.header, message.child_frame_id, at, turn, fixed=fixed)
 
     def take_odometry(self, data: bytes) -> None:
         """Odometry."""
-        note = ros.from_bytes(ros.ODOMETRY, data)
-        pose = note.pose.pose
-        self._place(note.header, note.child_frame_id or self._body, pose.position, pose.orientation)
+        message = ros.from_bytes(ros.ODOMETRY, data)
+        pose = message.pose.pose
+        self._place(message.header, message.child_frame_id or self._body, pose.position, pose.orientation)
 
     def take_pose(self, data: bytes) -> None:
         """PoseStamped of the body."""
-        note = ros.from_bytes("geometry_msgs/msg/PoseStamped", data)
-        self._place(note.header, self._body, note.pose.position, note.pose.orientation)
+        message = ros.from_bytes("geometry_msgs/msg/PoseStamped", data)
+        self._place(message.header, self._body, message.pose.position, message.pose.orientation)
 
     def _place(self, header: Any, child: str, at: Any, turn: Any, *, fixed: bool = False) -> None:
         child, parent = child.lstrip("/"), (header.frame_id or self._options.map).lstrip("/")
@@ -218,8 +218,8 @@ class Incoming:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             made = conversions.frames_of([data], radar.sensor, radar.fields, conversions.times_in([data]))
-        for note in caught:
-            self._log(str(note.message))
+        for warning in caught:
+            self._log(str(warning.message))
         radar.fields = {"spec": made.spec, "range_m": made.range_m, "unit": made.unit} | radar.fields
         radar.frame_id = conversions.text_in(data, 0).lstrip("/")
         self._queue(radar, with_item(stamped, replace(made, truth=None)), came_s)
@@ -302,7 +302,7 @@ class Incoming:
         return path[int(before is not None) :]
 
 
-def with_item(stamped: Stamped[Any], item: Held) -> Stamped[Held]:
+def with_item(stamped: Stamped[Any], item: ItemT) -> Stamped[ItemT]:
     """The same time with something else."""
     return Stamped(item, stamped.t_ns, stamped.stamp_ns, stamped.track, stamped.starts)
 
@@ -331,19 +331,21 @@ def stamp_ns(header: Any) -> int:
 CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
-def cloud_points(note: Any) -> np.ndarray:
+def cloud_points(message: Any) -> np.ndarray:
     """The points of a PointCloud2 with x, y, z and intensity.
 
     Raises:
         InputError: a field is missing.
     """
-    order = ">" if note.is_bigendian else "<"
-    fields = {f.name: (f.offset, order + CODES[f.datatype]) for f in note.fields if f.datatype in CODES}
+    order = ">" if message.is_bigendian else "<"
+    fields = {f.name: (f.offset, order + CODES[f.datatype]) for f in message.fields if f.datatype in CODES}
     if missing := [name for name in ("x", "y", "z", "intensity") if name not in fields]:
         raise InputError(f"a PointCloud2 without {missing[0]}", where="profile", allowed="x, y, z and intensity")
     dtype = np.dtype({
         "names": list(fields), "offsets": [at for at, _ in fields.values()],
-        "formats": [kind for _, kind in fields.values()], "itemsize": note.point_step,
+        "formats": [kind for _, kind in fields.values()], "itemsize": message.point_step,
     })  # fmt: skip
-    rows = np.asarray(note.data, np.uint8).reshape(note.height, note.row_step)[:, : note.width * note.point_step]
+    rows = np.asarray(message.data, np.uint8).reshape(message.height, message.row_step)[
+        :, : message.width * message.point_step
+    ]
     return np.ascontiguousarray(rows).reshape(-1).view(dtype)

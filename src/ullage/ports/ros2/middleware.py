@@ -1,7 +1,7 @@
 """A node of ullage in rclpy: publishers and subscriptions of messages as bytes.
 
 Messages are made and read as CDR by `ports.messages`, which takes microseconds; rclpy passes the bytes on and needs
-only the type's support library, whose absence is said once.
+only the type's support library; a missing one is reported once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HOW = {
     "stream": (50, True, False),
     "transforms": (100, True, False),  # as tf2_ros' DynamicBroadcasterQoS
     "latched": (1, True, True),  # as nav2's and map_server's maps, and tf2_ros' StaticBroadcasterQoS
-    "relayed": (1000, True, False),  # several messages say one thing together: none may be missing
+    "relayed": (1000, True, False),  # several messages belong together: none may be missing
 }
 TAKEN: set[str] = set()
 """Topics that something in this program listens to: what came in there must not go out there again."""
@@ -139,7 +139,7 @@ class Peer:
         return topic if topic.startswith("/") else self._prefix + topic
 
     def class_of(self, kind: str, topic: str) -> Any:
-        """The class of a message; None, said once, where its package is missing."""
+        """Return the class of a message, or None if its package is missing, which is reported once."""
         found = message_class(kind)
         package = kind.partition("/")[0]
         if found is None and package not in self._reported:
@@ -206,8 +206,10 @@ class Peer:
             message_lost=None if lost is None else lambda event: lost(event.total_count_change),
             use_default_callbacks=False,
         )
-        heard = self.node.create_subscription(found, self._named(topic), take, how, raw=True, event_callbacks=events)
-        self._subscriptions.append(heard)
+        subscription = self.node.create_subscription(
+            found, self._named(topic), take, how, raw=True, event_callbacks=events
+        )
+        self._subscriptions.append(subscription)
 
     def settle(self, timeout_s: float) -> None:
         """Wait until what was sent reliably has arrived; not where whoever made the node has ended its context."""
@@ -227,8 +229,8 @@ class Peer:
         if self._context is None:
             for out in filter(None, self._publishers.values()):
                 self.node.destroy_publisher(out)
-            for heard in self._subscriptions:
-                self.node.destroy_subscription(heard)
+            for subscription in self._subscriptions:
+                self.node.destroy_subscription(subscription)
             self._publishers, self._subscriptions = {}, []
             return
         if not self._context.ok():

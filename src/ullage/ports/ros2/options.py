@@ -1,4 +1,4 @@
-"""What `ros2:NAMESPACE?key=value` can be told."""
+"""Options of `ros2:NAMESPACE?key=value`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ullage.specs import Spec
 
 
 class NodeOptions(Spec):
-    """What every node of ullage is told."""
+    """Options of every node of ullage."""
 
     domain: int | None = Field(None, ge=0, le=232, description="ROS domain; none: ROS_DOMAIN_ID")
     node: str = Field("ullage", pattern=r"^[A-Za-z_]\w*$", description="name of the node")
@@ -22,7 +22,7 @@ class NodeOptions(Spec):
 
 
 class SinkOptions(NodeOptions):
-    """What `--to ros2:` is told."""
+    """Options of `--to ros2:`."""
 
     pace: float = Field(1.0, ge=0, le=1000, description="times real time; 0: as fast as it comes")
     clock: Literal["auto", "on", "off"] = Field(
@@ -37,7 +37,7 @@ class SinkOptions(NodeOptions):
 
 
 class SourceOptions(NodeOptions):
-    """What `ullage run ros2:` is told."""
+    """Options of `ullage run ros2:`."""
 
     topics: str = Field("", description="RadarFrame, profile or Range topics, with commas; none: found by type")
     poses: Literal["auto", "tf", "message", "none"] = Field(
@@ -55,7 +55,7 @@ class SourceOptions(NodeOptions):
 
 
 class SimulateOptions(CosimulationOptions, NodeOptions):
-    """What `ullage run ros2:?simulate=WORLD` is told beside what every simulator port is told."""
+    """Options of `ullage run ros2:?simulate=WORLD`, besides those of every simulator port."""
 
     simulate: str = Field("", description="library world or file that the vehicle moves in")
     pose: str = Field("odom", description="topic of its pose: Odometry, PoseStamped, with covariance, or TFMessage")

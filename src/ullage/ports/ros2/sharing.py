@@ -97,17 +97,17 @@ class Sharing:
         return found
 
     def _watch(self, topic: str) -> None:
-        """Note which frames others place, from when there are others until they are gone."""
+        """Track the frames that other publishers place, while there are other publishers."""
         if not self._others_on(topic):
             if topic in self._foreign:
                 self._foreign[topic] = set()
         elif topic not in self._foreign:
             self._foreign[topic] = set()
             self._node.listen(
-                topic, ros.TRANSFORMS, TRANSFORMS[topic], lambda data: self._note(topic, data), depth=100
+                topic, ros.TRANSFORMS, TRANSFORMS[topic], lambda data: self._read_transforms(topic, data), depth=100
             )  # fmt: skip
 
-    def _note(self, topic: str, data: bytes) -> None:
+    def _read_transforms(self, topic: str, data: bytes) -> None:
         """Take a message of /tf or /tf_static by whomever."""
         if hash(data) in SENT:
             return

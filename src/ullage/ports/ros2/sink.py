@@ -152,7 +152,7 @@ class Ros2Sink:
         values = [("messages a second", f"{rate:.1f}"), ("most behind [s]", f"{late:.3f}")]
         values += [("waiting messages", str(self._messages.qsize()))]
         values += [(f"{topic}: frames", str(count)) for topic, count in self._publisher.counts.items()]
-        data = encode.diagnostics_note(t_ns, int(late >= LATE_S), f"{self._options.node}: sink", text, values)
+        data = encode.diagnostics_message(t_ns, int(late >= LATE_S), f"{self._options.node}: sink", text, values)
         self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
         self._sent, self._late_s, self._reported_s = 0, 0.0, now
 

@@ -19,7 +19,7 @@ from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import SourceOptions
 from ullage.world.scene import Scene
 
-LOOK_S = 0.5
+SEARCH_S = 0.5
 """How often the graph is asked for new topics [s]."""
 DEPTH = 2000
 """Messages that rclpy keeps of a radar, so that a burst finds room."""
@@ -34,9 +34,9 @@ class Ros2Source:
     """Listens to the radars on a ROS 2 network.
 
     Args:
-        namespace: where their topics are looked for; none: anywhere.
+        namespace: namespace of their topics; empty: any.
         options: which, and where poses come from.
-        log: told what a person should know; None: it becomes a warning.
+        log: takes lines for the user; None: they become warnings.
         peer: the node to use; None: one of its own.
 
     Raises:
@@ -54,11 +54,11 @@ class Ros2Source:
         self._peer = peer or Peer(namespace, options)
         self._namespace = "/" + namespace.strip("/")
         self._inbox: Inbox[tuple[str, Callable[..., None], tuple[Any, ...]]] = Inbox(self._incoming.counters)
-        self._heard: set[str] = set()
+        self._subscribed: set[str] = set()
         self._closed = self._passed = False
         self._first_ns: int | None = None
         self._last_ns = 0
-        self._looked_s = self._reported_s = 0.0
+        self._searched_s = self._reported_s = 0.0
         self._given_s = time.monotonic()
         self._peer.listen("/tf", ros.TRANSFORMS, "transforms", self._taker("/tf", self._incoming.take_transforms))
         fixed = partial(self._incoming.take_transforms, fixed=True)
@@ -67,14 +67,14 @@ class Ros2Source:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Names of the radars heard so far."""
+        """Names of the radars found so far."""
         return self._incoming.sensors
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """Frames as they come, at most `chunk` of each radar at a time, until Ctrl-C, the asked end, or `stop`."""
         try:
             while not (self._closed or self._over()):
-                self._look()
+                self._find_topics()
                 end = time.monotonic() + self._options.batch_s
                 while (left := end - time.monotonic()) > 0 and not self._closed:
                     self._take(min(left, 0.1))
@@ -139,24 +139,24 @@ class Ros2Source:
             self._incoming.take(topic, take, *what)
             found = self._inbox.get(0.0)
 
-    def _look(self) -> None:
+    def _find_topics(self) -> None:
         """Find topics that were not there before."""
-        if time.monotonic() - self._looked_s < LOOK_S:
+        if time.monotonic() - self._searched_s < SEARCH_S:
             return
-        self._looked_s = time.monotonic()
+        self._searched_s = time.monotonic()
         there = self._peer.topics()
         for topic in self._wanted(there):
-            if topic not in self._heard:
+            if topic not in self._subscribed:
                 self._listen(topic, there[topic])
         above = self._namespace.rstrip("/") + "/"
         for topic in there if self._options.relay else ():
-            if topic.startswith(above) and topic[len(above) :].startswith(RELAYED) and topic not in self._heard:
-                self._heard.add(topic)
+            if topic.startswith(above) and topic[len(above) :].startswith(RELAYED) and topic not in self._subscribed:
+                self._subscribed.add(topic)
                 taker = self._taker(topic, self._pass, topic[len(above) :], there[topic])
                 self._peer.listen(topic, there[topic], "relayed", taker)
         odom = self._options.odom and self._peer.resolved(self._options.odom)
-        if odom in there and odom not in self._heard:
-            self._heard.add(odom)
+        if odom in there and odom not in self._subscribed:
+            self._subscribed.add(odom)
             self._peer.claim(odom)
             takers = {ros.ODOMETRY: self._incoming.take_odometry, POSE: self._incoming.take_pose}
             if there[odom] not in takers:
@@ -180,7 +180,7 @@ class Ros2Source:
         return frames + [name for name in profiles if name.rpartition("/")[0] not in has_frames]
 
     def _listen(self, topic: str, kind: str) -> None:
-        self._heard.add(topic)
+        self._subscribed.add(topic)
         base = topic.rpartition("/")[0]
         self._peer.claim(*(f"{base}/{name}" for name in ("frame", "settings", "profile", "range")))
         takers = {
@@ -217,7 +217,7 @@ class Ros2Source:
         self._last_ns = max(self._last_ns, *(int(part.t_ns[-1]) for part in found.values()))
 
     def _why_nothing(self) -> str:
-        if not (self._heard - {self._options.odom}):
+        if not (self._subscribed - {self._options.odom}):
             return f"no radar topics under {self._namespace} (of {ros.FRAME}, or */profile of {ros.CLOUD}); waiting"
         if self._incoming.waits_for:
             return f"frames wait for poses: {self._incoming.waits_for}"
@@ -236,11 +236,11 @@ class Ros2Source:
         values += self._incoming.counters.values()
         self._incoming.counters.report()
         t_ns = time.time_ns()
-        data = encode.diagnostics_note(t_ns, level, f"{self._options.node}: source", text, values)
+        data = encode.diagnostics_message(t_ns, level, f"{self._options.node}: source", text, values)
         self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
 
     def _log_throttled(self, text: str) -> None:
-        """Say it, but the same no more often than every few seconds."""
+        """Log a line, but the same one at most once every few seconds."""
         now = time.monotonic()
         if now - self._logged_s.get(text, -PATIENCE_S) >= PATIENCE_S:
             self._logged_s[text] = now
