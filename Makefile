@@ -30,7 +30,7 @@ thesis: $(VENV)/.run
 	$(BIN)/ullage run cargo-hold --force
 
 test: $(VENV)/.dev
-	@$(BIN)/python -c "from ullage.experiments import warmup; warmup.compiled() or warmup.compile_kernels(tell=print)"
+	@$(BIN)/python -c "from ullage.experiments import warmup; warmup.compiled() or warmup.compile_kernels(log=print)"
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 slow: $(VENV)/.dev

@@ -157,8 +157,8 @@ def test_a_recording_replays_to_the_same_map(place: Path) -> None:
 def test_brackets_in_names_are_names(tmp_path, capsys):
     from ullage.view import progress
 
-    progress.say(" pip install 'ullage[view]'", mark="none", style="yellow")
-    progress.say_report(tmp_path / "odd[red]" / "report.html")
+    progress.log(" pip install 'ullage[view]'", mark="none", style="yellow")
+    progress.log_report(tmp_path / "odd[red]" / "report.html")
     assert capsys.readouterr().out == f"none pip install 'ullage[view]'\nreport: {tmp_path}/odd[red]/report.html\n"
 
 
@@ -169,7 +169,7 @@ def test_a_job_that_is_retitled_often_tells_little_without_a_terminal(capsys):
         for k in range(500):
             bar.retitle(f"hold: {k / 5:.0f} %")
             bar(0.0)
-        bar.say("the first frames are recorded")
+        bar.log("the first frames are recorded")
     assert capsys.readouterr().out == "reproducing\nthe first frames are recorded\n"
 
 

@@ -166,7 +166,7 @@ def run(
     from ullage.experiments.runner import execute
     from ullage.experiments.source_resolution import make_run, record, tasks_of
     from ullage.pipeline import check_sink
-    from ullage.view.progress import open_page, progress_bar, say
+    from ullage.view.progress import log, open_page, progress_bar
     from ullage.view.viewer_output import keep_serving
 
     tasks, options, sinks = tasks_of(do), option or [], to or []
@@ -175,14 +175,14 @@ def run(
         check_sink(target)
     rival = rival_scenario(source, compare, options=options) if compare is not None else None
     under_way = warm_up(source, options, tasks)
-    with progress_bar("getting ready", total=1.0) as tell:
-        job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=tell, say=say, to=sinks)
+    with progress_bar("getting ready", total=1.0) as bar:
+        job = make_run(source, tasks=tasks, options=options, out=out, force=force, progress=bar, log=log, to=sinks)
     if rival is not None and compare is not None:
         job.rival = partial(fly_again, rival, compare)
     recording = record(job)
     total = job.flown.duration_s if job.flown is not None and not job.live else None
-    with progress_bar("receiving and mapping", total=total, unit="s of flight") as tell:
-        report = execute(job, sinks=[recording], progress=tell, say=tell.say, under_way=under_way)
+    with progress_bar("receiving and mapping", total=total, unit="s of flight") as bar:
+        report = execute(job, sinks=[recording], progress=bar, log=bar.log, under_way=under_way)
     _tell(report)
     if open_report:
         open_page(report.folder / "report.html")
@@ -210,7 +210,7 @@ def fly(
     from ullage.experiments.runner import execute
     from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of
     from ullage.experiments.warmup import compile_kernels, compiled, parts_of
-    from ullage.view.progress import console, progress_bar, say
+    from ullage.view.progress import console, log, progress_bar
     from ullage.view.viewer_output import keep_serving
 
     scenario = flight_scenario(variant_name(target, law=law), tasks=tasks_of(do), options=option or [])
@@ -218,10 +218,10 @@ def fly(
     if not compiled(parts):
         with console.status("compiling kernels (once after installation)"):
             compile_kernels(parts)
-    job = make_flight(scenario, by=by, duration_s=duration_s, out=out, say=say, to=to or [])
+    job = make_flight(scenario, by=by, duration_s=duration_s, out=out, log=log, to=to or [])
     recording = record(job)
-    with progress_bar("flying", total=duration_s, unit="s of flight") as tell:
-        report = execute(job, sinks=[recording], progress=tell, say=tell.say)
+    with progress_bar("flying", total=duration_s, unit="s of flight") as bar:
+        report = execute(job, sinks=[recording], progress=bar, log=bar.log)
     _tell(report)
     if not report.outcome.interrupted:
         keep_serving(job.sinks)
@@ -230,10 +230,10 @@ def fly(
 def repair(source: str) -> bool:
     """Finish a recording that a kill left unfinished; whether there was one."""
     from ullage.ports.repair import repair_bag
-    from ullage.view.progress import say
+    from ullage.view.progress import log
 
     if done := repair_bag(source):
-        say(done)
+        log(done)
     return bool(done)
 
 
@@ -244,7 +244,7 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
     from ullage.experiments.warmup import NEEDED, ahead, begin, compiled, estimated_s, parts_of
     from ullage.ports.live import Address
     from ullage.radar.warmup import radar_parts
-    from ullage.view.progress import console, say
+    from ullage.view.progress import console, log
 
     address, patient, work = Address.of(source), True, None
     if address and address.scheme.startswith("gazebo"):
@@ -267,9 +267,9 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
         if work is not None:
             work.close()
         return None
-    say(f"compiling kernels for {', '.join(parts)} (once after installation, about {estimated_s(parts):.0f} s)")
+    log(f"compiling kernels for {', '.join(parts)} (once after installation, about {estimated_s(parts):.0f} s)")
     with console.status("compiling") as line:
-        work = begin(parts, tell=lambda what: line.update(f"compiling {what}"), work=work)
+        work = begin(parts, log=lambda what: line.update(f"compiling {what}"), work=work)
         if not patient:
             work.wait_later()
         return work
@@ -278,23 +278,23 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
 def _tell(report: Report) -> None:
     from ullage.experiments.folder import final_of
     from ullage.experiments.inspection import found_line
-    from ullage.view.progress import say, say_report
+    from ullage.view.progress import log, log_report
 
     outcome = report.outcome
     if outcome.interrupted:
-        say(": everything received by then is written", mark="interrupted", style="yellow")
+        log(": everything received by then is written", mark="interrupted", style="yellow")
     if (kept := final_of(report.folder)) != report.folder:
-        say(f"the complete run in {kept} stays; this one is in {report.folder}")
+        log(f"the complete run in {kept} stays; this one is in {report.folder}")
     factor = report.metrics["real_time_factor"].value
-    say(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
+    log(f"{outcome.frames} frames of {outcome.duration_s:.0f} s, {factor:.1f} times real time")
     for key in MAP_SCORES:
         if key in report.metrics:
-            say(f"  map {key}: {report.metrics[key].value:.3f}")
-    say_report(report.folder / "report.html")
+            log(f"  map {key}: {report.metrics[key].value:.3f}")
+    log_report(report.folder / "report.html")
     if report.objects:
-        say(found_line(report.objects, report.metrics))
+        log(found_line(report.objects, report.metrics))
     if report.compared is not None:
-        say(report.compared.line)
+        log(report.compared.line)
 
 
 @app.command("list")
@@ -309,7 +309,7 @@ def list_(
     from ullage.experiments.catalog import suggestion
     from ullage.experiments.folder import RUNS
     from ullage.specs import RadarSpec, Rig
-    from ullage.view.progress import say
+    from ullage.view.progress import log
     from ullage.world.library import WORLDS
 
     match what:
@@ -322,7 +322,7 @@ def list_(
         case "":
             _list_families()
             rigs = f"Radars: {', '.join(RadarSpec.names())}\nRigs: {', '.join(Rig.presets)}"
-            say(f"\nWorlds: {', '.join(WORLDS)}\n{rigs}")
+            log(f"\nWorlds: {', '.join(WORLDS)}\n{rigs}")
             _list_runs(out or RUNS, most=NEWEST)
         case _:
             tables = ("scenarios", "worlds", "runs")
@@ -332,15 +332,15 @@ def list_(
 def _list_families() -> None:
     """Print each family of scenarios on one line."""
     from ullage.experiments.catalog import families, find_scenario
-    from ullage.view.progress import console, say
+    from ullage.view.progress import console, log
 
-    say("Scenarios: ullage run NAME")
+    log("Scenarios: ullage run NAME")
     width = 3 + max(map(len, families()))
     for family, variants in families().items():
         mark = "*" if any(one.by_hand for one in variants) else ""
         line = f" {family + mark:<{width}}{find_scenario(family).title}"
-        say(line if len(line) <= console.width else f"{line[: console.width - 3]}...")
-    say(" --law physical: physical echoes. *: --by-hand too. ullage list scenarios: all")
+        log(line if len(line) <= console.width else f"{line[: console.width - 3]}...")
+    log(" --law physical: physical echoes. *: --by-hand too. ullage list scenarios: all")
 
 
 def _list_scenarios() -> None:
@@ -376,7 +376,7 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
     from rich.table import Table
 
     from ullage.experiments.folder import describe, runs_in
-    from ullage.view.progress import console, say
+    from ullage.view.progress import console, log
 
     runs = runs_in(root)
     newest = sorted(runs, key=lambda place: (place / "provenance.json").stat().st_mtime, reverse=True)
@@ -388,7 +388,7 @@ def _list_runs(root: Path, *, most: int | None = None) -> None:
         table.add_row(escape(str(place)), describe(place))
     console.print(table)
     if len(shown) < len(runs):
-        say(f"and {len(runs) - len(shown)} more: ullage list runs")
+        log(f"and {len(runs) - len(shown)} more: ullage list runs")
 
 
 @app.command()
@@ -398,11 +398,11 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
     from rich.table import Table
 
     from ullage.experiments.folder import describe, find_folder, read_json, state_of
-    from ullage.view.progress import console, say
+    from ullage.view.progress import console, log
 
     folder = find_folder(run)
     if (state := state_of(folder)) != "complete":
-        say(f": {folder}", mark=describe(folder), style="yellow")
+        log(f": {folder}", mark=describe(folder), style="yellow")
     table = Table("metric", "value", "unit", box=None, title=escape(str(folder)), title_justify="left")
     lacking = state in {"running", "unfinished"} and not (folder / "metrics.json").exists()
     for name, metric in () if lacking else read_json(folder / "metrics.json").items():
@@ -410,7 +410,7 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
         table.add_row(name, "unknown" if value is None else f"{value:.4g}", metric["unit"])
     console.print(table)
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")):
-        say(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes")
+        log(f"  {path.relative_to(folder)}  {path.stat().st_size:,} bytes")
 
 
 @app.command()
@@ -419,16 +419,16 @@ def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or la
     from ullage.errors import InputError
     from ullage.experiments.bounds import verdicts
     from ullage.experiments.folder import FINISHED, describe, find_folder, state_of
-    from ullage.view.progress import say
+    from ullage.view.progress import log
 
     folder = find_folder(run)
     if state_of(folder) not in FINISHED:
         raise InputError(f"this run is {describe(folder)}", where=folder, allowed="a run that ended")
     rows = verdicts(folder)
     for row in rows:
-        say(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
+        log(f" {row.text}", mark="ok  " if row.inside else "OUT ", style="" if row.inside else "red")
     if not rows:
-        say("this scenario sets no bounds")
+        log("this scenario sets no bounds")
     if not all(row.inside for row in rows):
         raise typer.Exit(1)
 
@@ -492,17 +492,17 @@ def validate(
     """Hold the physical radar against theory, or against recordings; exit 1 when a bound is broken."""
     from ullage.experiments.validation.validate import against_recordings
     from ullage.experiments.validation.validate import validate as hold_against
-    from ullage.view.progress import console, say
+    from ullage.view.progress import console, log
 
     if recordings is not None:
-        rows = against_recordings(recordings, out, report=say)
+        rows = against_recordings(recordings, out, report=log)
     else:
         with console.status("computing every oracle (about half a minute)"):
             rows = hold_against(out)
     for row in rows:
         text = f" {row.oracle}: {row.ours:.3f} {row.unit}, wanted {row.reference:.3f}"
-        say(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")
-    say(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}")
+        log(text, mark="ok  " if row.passed else "OUT ", style="" if row.passed else "red")
+    log(f"{sum(row.passed for row in rows)} of {len(rows)} within bounds; page in {out}")
     if not all(row.passed for row in rows):
         raise typer.Exit(1)
 
@@ -522,7 +522,7 @@ def reproduce(
     from ullage.experiments.warmup import compile_kernels, compiled
     from ullage.thesis.plan import wanted
     from ullage.thesis.reproduce import reproduce as run_all
-    from ullage.view.progress import console, progress_bar, say, say_report
+    from ullage.view.progress import console, log, log_report, progress_bar
 
     chosen = wanted(quick, only or [])
     if not compiled():
@@ -530,20 +530,26 @@ def reproduce(
             compile_kernels()
     with progress_bar("reproducing", total=float(len(chosen))) as bar:
 
-        def tell(done: int, text: str) -> None:
+        def report_progress(done: int, text: str) -> None:
             bar.retitle(text)
             bar(done)
 
         done = run_all(
-            out, chosen, recordings=recordings, quick=quick, fresh=force, jobs=local_workers(jobs), tell=tell
+            out,
+            chosen,
+            recordings=recordings,
+            quick=quick,
+            fresh=force,
+            jobs=local_workers(jobs),
+            report_progress=report_progress,
         )
     for line in done.broken:
-        say(f"  {line}", mark="OUT", style="red")
+        log(f"  {line}", mark="OUT", style="red")
     holding, total = done.counts
-    say(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
-    say_report(done.report)
+    log(f"{holding} of {total} statements and bounds hold; {len(done.chapters)} of {len(chosen)} experiments")
+    log_report(done.report)
     if done.interrupted:
-        say(": run the same command again to go on", mark="interrupted", style="yellow")
+        log(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130)
     if done.broken:
         raise typer.Exit(1)
@@ -571,7 +577,7 @@ def sweep(
     """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
     from ullage.experiments import sweep as sweeps
     from ullage.experiments.catalog import variant_name
-    from ullage.view.progress import progress_bar, say
+    from ullage.view.progress import log, progress_bar
 
     scenario = variant_name(scenario, law=law, by_hand=by_hand)
     axes = dict(sweeps.axis_of(text) for text in over or [])
@@ -580,21 +586,21 @@ def sweep(
     warm_up(scenario, list(points[0].options))
     with progress_bar(f"{len(points)} runs", total=float(len(points)), unit="runs", rated=True) as bar:
 
-        def tell(done: int, text: str) -> None:
-            (say if text.startswith("dashboard") else bar.retitle)(text)
+        def report_progress(done: int, text: str) -> None:
+            (log if text.startswith("dashboard") else bar.retitle)(text)
             bar(done)
 
-        done = sweeps.sweep(points, out=out, where=where, tell=tell, again=force)
+        done = sweeps.sweep(points, out=out, where=where, report_progress=report_progress, again=force)
     for name, why in done.failed.items():
-        say(f"  {name}: {why}", mark="FAIL", style="red")
+        log(f"  {name}: {why}", mark="FAIL", style="red")
     if done.done:
         shown: list[str] = [
             name for name in ("f1", "precision", "recall", "detections") if name in done.done[0].metrics
         ]
         _tabulate(done, metric or shown)
-    say(f"{len(done.done)} of {len(points)} runs; table: {done.table}")
+    log(f"{len(done.done)} of {len(points)} runs; table: {done.table}")
     if done.interrupted:
-        say(": run the same command again to go on", mark="interrupted", style="yellow")
+        log(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130)
     if done.failed:
         raise typer.Exit(2)
@@ -616,7 +622,7 @@ def dataset(
     from ullage.experiments import dataset as sets
     from ullage.experiments.warmup import compile_kernels, compiled
     from ullage.radar.warmup import radar_parts
-    from ullage.view.progress import console, progress_bar, say
+    from ullage.view.progress import console, log, progress_bar
 
     if not all(word in ("1", "2", "3") for word in bounces.split(",")):
         raise InputError(f"cannot read {bounces!r}", where="--bounces", allowed="1 to 3, with commas between")
@@ -628,19 +634,21 @@ def dataset(
     try:
         with progress_bar(f"{n} samples", total=float(n), unit="samples", rated=True) as bar:
 
-            def tell(done: int, total: int, text: str) -> None:
-                (say if text.startswith("dashboard") else bar.retitle)(text)
+            def report_progress(done: int, total: int, text: str) -> None:
+                (log if text.startswith("dashboard") else bar.retitle)(text)
                 bar(done)
 
-            made = sets.dataset(kinds, to, n=n, seed=seed, frames=frames, bounces=drawn, where=where, progress=tell)
+            made = sets.dataset(
+                kinds, to, n=n, seed=seed, frames=frames, bounces=drawn, where=where, progress=report_progress
+            )
     except KeyboardInterrupt:
-        say(": run the same command again to go on", mark="interrupted", style="yellow")
+        log(": run the same command again to go on", mark="interrupted", style="yellow")
         raise typer.Exit(130) from None
     rows = sets.read_index(made)
     failed = [row["failed"] for row in rows if row["failed"]]
-    say(f"{len(rows)} samples in {to}, described in {to.with_suffix('.md')}")
+    log(f"{len(rows)} samples in {to}, described in {to.with_suffix('.md')}")
     if failed:
-        say(f"{len(failed)} samples are empty; the first: {failed[0]}", mark="FAIL ", style="red")
+        log(f"{len(failed)} samples are empty; the first: {failed[0]}", mark="FAIL ", style="red")
 
 
 def _tabulate(done: Sweep, metrics: list[str]) -> None:
@@ -664,19 +672,19 @@ def doctor(
     """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong. Or repair a BAG."""
     from ullage.errors import InputError
     from ullage.experiments.doctor import checks
-    from ullage.view.progress import say
+    from ullage.view.progress import log
 
     if bag:
         if not Path(bag).exists():
             raise InputError("no such file or folder", where=bag, allowed="a recording, or its folder")
         if not repair(bag):
-            say(f"{bag}: nothing to repair")
+            log(f"{bag}: nothing to repair")
         return
     sound = True
     for check in checks():
         sound &= check.sound or check.optional
         style = "green" if check.sound else "yellow" if check.optional else "red"
         mark = {"green": "ok  ", "yellow": "none", "red": "BAD "}[style]
-        say(f" {check.name}: {check.found}", mark=mark, style=style)
+        log(f" {check.name}: {check.found}", mark=mark, style=style)
     if not sound:
         raise typer.Exit(1)

@@ -45,7 +45,7 @@ def outside(name, folder, ruin=None):
     simulated = prepare(find_scenario(name))
     job = of_scenario(folder, simulated)
     job.source = simulated if ruin is None else Ruined(simulated, ruin)
-    execute(job, draw=False, say=lambda text: None)
+    execute(job, draw=False, log=lambda text: None)
     return [one.text for one in verdicts(folder) if not one.inside]
 
 

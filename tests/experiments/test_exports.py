@@ -57,9 +57,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The folder of a run, and the recording that it wrote elsewhere by `--to`."""
     root = tmp_path_factory.mktemp("export")
     small = [*SMALL, "sensing.rate_hz=5"]
-    job = make_run("ntnu-plate", options=small, out=root / "runs", to=[str(root / "x.mcap")], say=lambda _: None)
+    job = make_run("ntnu-plate", options=small, out=root / "runs", to=[str(root / "x.mcap")], log=lambda _: None)
     assert not job.watched
-    report = execute(job, sinks=[record(job)], say=lambda _: None)
+    report = execute(job, sinks=[record(job)], log=lambda _: None)
     return report.folder, root / "x.mcap"
 
 
@@ -144,7 +144,7 @@ def test_a_run_that_is_watched_gives_its_image_while_it_flies(tmp_path: Path) ->
 
     small = [*SMALL, "sensing.rate_hz=20"]
     job = make_run("ntnu-plate", tasks=("image",), options=small, out=tmp_path, to=[f"viewer:{tmp_path / 'a.rrd'}"])
-    execute(job, sinks=[Taking()], say=lambda _: None, draw=False)
+    execute(job, sinks=[Taking()], log=lambda _: None, draw=False)
     assert job.watched
     assert len(images) >= 3
     filled = [int((np.abs(image.values) > 0).sum()) for image in images]

@@ -29,7 +29,7 @@ def test_the_map_holds_a_flight_that_stays_outside_the_world(tmp_path: Path) -> 
     }  # fmt: skip
     folder = tmp_path / "run"
     folder.mkdir()
-    report = execute(of_scenario(folder, prepare(make_scenario(tree))), say=lambda _: None)
+    report = execute(of_scenario(folder, prepare(make_scenario(tree))), log=lambda _: None)
     left, right, _, _ = report.outcome.results[0].grid.extent_m
     assert left <= 0
     assert right >= 4.05
@@ -47,8 +47,8 @@ def test_the_last_run_can_be_taken_up_again(tmp_path: Path, monkeypatch: pytest.
         taker.write(ul.simulate(ul.scenes.plate(1, 1, 3), path, ul.RadarSpec.preset("x4m05")))
     with pytest.raises(InputError, match="no run 'latest'"):
         find_folder("latest")
-    job = make_run("runs/latest", tasks=("detect",), say=lambda _: None)
-    assert execute(job, say=lambda _: None).outcome.frames == len(path)
+    job = make_run("runs/latest", tasks=("detect",), log=lambda _: None)
+    assert execute(job, log=lambda _: None).outcome.frames == len(path)
     assert find_folder("runs/latest") == job.folder.resolve()
 
 
@@ -76,6 +76,6 @@ def test_a_run_refused_under_way_says_how_far_it_came(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     with pytest.raises(InputError, match="no space left"):
-        execute(of_scenario(folder, prepare(make_scenario(tree))), sinks=[Full()], say=lambda _: None)
+        execute(of_scenario(folder, prepare(make_scenario(tree))), sinks=[Full()], log=lambda _: None)
     assert json.loads((folder / "metrics.json").read_text())["frames"]["value"] > 0
     assert "no space left" in json.loads((folder / "provenance.json").read_text())["refused"]

@@ -50,11 +50,11 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def made(*options: str, force: bool = False) -> Run:
-    return make_run("plan.yaml", options=options, force=force, say=lambda _: None)
+    return make_run("plan.yaml", options=options, force=force, log=lambda _: None)
 
 
 def done(*, force: bool = False) -> Report:
-    return execute(made(force=force), say=lambda _: None, draw=False)
+    return execute(made(force=force), log=lambda _: None, draw=False)
 
 
 def ullage(*words: str) -> int:
@@ -126,7 +126,7 @@ def test_the_old_run_lives_until_the_new_one_is_complete(place: Path) -> None:
 
     with pytest.raises(ul.InputError, match="this run exists"):
         made()
-    assert execute(made(force=True), sinks=[Probe()], say=lambda _: None, draw=False).folder == folder
+    assert execute(made(force=True), sinks=[Probe()], log=lambda _: None, draw=False).folder == folder
     assert len(seen) > 2
     assert all(seen)
     assert tree(folder) != before
@@ -149,7 +149,7 @@ class Cut:
 def test_an_interrupted_run_is_whole_but_replaces_no_complete_one(place: Path) -> None:
     job = made()
     job.source = Cut(job)
-    cut = execute(job, say=lambda _: None, draw=False)
+    cut = execute(job, log=lambda _: None, draw=False)
     assert state_of(cut.folder) == "interrupted"
     assert "interrupted" in (cut.folder / "report.html").read_text()
     whole = done(force=True)
@@ -157,7 +157,7 @@ def test_an_interrupted_run_is_whole_but_replaces_no_complete_one(place: Path) -
     before = tree(whole.folder)
     job = made(force=True)
     job.source = Cut(job)
-    beside = execute(job, say=lambda _: None, draw=False)
+    beside = execute(job, log=lambda _: None, draw=False)
     assert beside.folder != whole.folder
     assert tree(whole.folder) == before
     assert state_of(beside.folder) == "interrupted"
@@ -196,7 +196,7 @@ def test_a_full_disk_takes_one_line_and_leaves_no_half_a_file(
     job = made(rate, force=True)
     sinks = [record(job)] if limit == "recording" else []
     with files_up_to(size), pytest.raises(ul.InputError, match="cannot write: File too large"):
-        execute(job, sinks=sinks, say=lambda _: None)
+        execute(job, sinks=sinks, log=lambda _: None)
     assert tree(folder) == before
     assert state_of(job.folder) == "unfinished"
     assert not [p for p in job.folder.rglob(".*") if p.is_file()]

@@ -135,7 +135,7 @@ def test_what_the_other_process_leaves_undone_is_done_here() -> None:
     done: list[str] = []
     jobs = [Job(name, "", 3.0, lambda name=name: done.append(name)) for name in "abc"]
     late = Job("d", "", 1.0, lambda: done.append("d"))
-    work = Compiling(jobs, [late], module="ullage.no_such_module", tell=lambda what: None)
+    work = Compiling(jobs, [late], module="ullage.no_such_module", log=lambda what: None)
     work.wait()
     assert sorted(done) == ["a", "b", "c"]
     work.wait_later()
@@ -145,7 +145,7 @@ def test_what_the_other_process_leaves_undone_is_done_here() -> None:
 
 def test_compiling_announces_the_time_that_is_left() -> None:
     said: list[str] = []
-    work = Compiling([Job(name, "", 4.0, lambda: None, needs=("x",)) for name in "abc"], tell=said.append)
+    work = Compiling([Job(name, "", 4.0, lambda: None, needs=("x",)) for name in "abc"], log=said.append)
     assert estimated_s(work.now) == 12
     work.wait()
     assert said[0] == "a, about 12 s left"
@@ -172,7 +172,7 @@ def test_ctrl_c_while_the_map_is_compiled_leaves_the_frames_received_by_then(tmp
     options = ["sensing.fidelity=thesis", "flight.vehicle=ideal"]
     job = make_run("ntnu-plate", tasks=("map", "image"), options=options, out=tmp_path)
     work = _Watched(job.folder)
-    report = execute(job, sinks=[sink(str(job.folder / "frames.mcap"))], say=lambda text: None, draw=False,
+    report = execute(job, sinks=[sink(str(job.folder / "frames.mcap"))], log=lambda text: None, draw=False,
                      under_way=work)  # fmt: skip
     assert report.outcome.interrupted
     assert work.closed

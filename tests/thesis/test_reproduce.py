@@ -116,7 +116,7 @@ def test_experiments_are_done_in_processes_of_their_own(tmp_path):
     with pytest.raises(UllageError, match="Three: the radar is on fire"):
         reproduce(tmp_path, trio, jobs=2)
     seen: list[int] = []
-    done = reproduce(tmp_path, trio[:2], tell=lambda done, text: seen.append(done))
+    done = reproduce(tmp_path, trio[:2], report_progress=lambda done, text: seen.append(done))
     assert [c.experiment.name for c in done.chapters] == ["one", "two"]
     assert min(seen) == 2  # both were done before
 
@@ -127,7 +127,7 @@ def test_ctrl_c_ends_the_processes_and_keeps_what_is_done(tmp_path):
             raise KeyboardInterrupt
 
     pair = [Apart("one", "One", "6.1"), Apart("two", "Two", "6.2", how="waits")]
-    found = reproduce(tmp_path, pair, jobs=2, tell=pressed)
+    found = reproduce(tmp_path, pair, jobs=2, report_progress=pressed)
     assert found.interrupted
     assert [c.experiment.name for c in found.chapters] == ["one"]
     assert "Interrupted: 1 of 2" in found.report.read_text()

@@ -234,7 +234,7 @@ class Task(Protocol):
     def done(self) -> bool:
         """Whether its results are there."""
 
-    def do(self, say: Callable[[str], None]) -> None:
+    def do(self, log: Callable[[str], None]) -> None:
         """Do it anew and report progress."""
 
 
@@ -247,14 +247,14 @@ class Outcome:
 
 
 def carry_out(
-    tasks: Sequence[Task], *, where: Where = 1, tell: Report = lambda *_: None, again: bool = False
+    tasks: Sequence[Task], *, where: Where = 1, report_progress: Report = lambda *_: None, again: bool = False
 ) -> Outcome:
     """Do every task that is not done; on a cluster the longest first.
 
     Args:
         tasks: in the order of the report.
         where: number of worker processes here, or address of a scheduler whose workers see the same folders.
-        tell: called with the number done and what goes on.
+        report_progress: called with the number done and what goes on.
         again: do those that are done once more.
 
     Raises:
@@ -264,14 +264,14 @@ def carry_out(
     finished, failed = len(tasks) - len(left), dict[str, UllageError]()
     if where != 1:
         left.sort(key=lambda task: -task.cost)
-    tell(finished, "starting")
+    report_progress(finished, "starting")
     try:
-        with closing(each_done(_do, left, where=where, log=lambda text: tell(finished, text))) as results:
+        with closing(each_done(_do, left, where=where, log=lambda text: report_progress(finished, text))) as results:
             for task, _, error in results:
                 finished += 1
                 if error is not None:
                     failed[task.name] = error
-                tell(finished, f"{task.title}: {'done' if error is None else 'failed'}")
+                report_progress(finished, f"{task.title}: {'done' if error is None else 'failed'}")
     except KeyboardInterrupt:
         return Outcome(failed, interrupted=True)
     return Outcome(failed, interrupted=False)

@@ -40,5 +40,5 @@ def rival_scenario(source: str, law: str, *, options: Sequence[str] = ()) -> Sce
 def fly_again(rival: Scenario, law: str) -> Compared:
     """Run a scenario for its scores alone; nothing is kept on the disk."""
     with tempfile.TemporaryDirectory(prefix="ullage-") as folder:
-        report = execute(of_scenario(Path(folder), prepare(rival)), say=lambda _: None, draw=False)
+        report = execute(of_scenario(Path(folder), prepare(rival)), log=lambda _: None, draw=False)
     return Compared(NAMES[law], rival.name, report.metrics)

@@ -99,18 +99,18 @@ def map_frames(source: Any, peer: Peer, options: Spec) -> None:
     run(resumed, stages=stages, sinks=[sink])
 
 
-def open_radars(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
+def open_radars(peer: Peer, options: Any, log: Callable[[str], None]) -> Any:
     """Radars on whatever moves."""
     from ullage.ports.ros2.cosimulation import Ros2Radars
 
-    return Ros2Radars("", options, log=say, peer=peer)
+    return Ros2Radars("", options, log=log, peer=peer)
 
 
-def open_topics(peer: Peer, options: Any, say: Callable[[str], None]) -> Any:
+def open_topics(peer: Peer, options: Any, log: Callable[[str], None]) -> Any:
     """Frames from topics."""
     from ullage.ports.ros2.source import Ros2Source
 
-    return Ros2Source("", options, log=say, peer=peer)
+    return Ros2Source("", options, log=log, peer=peer)
 
 
 NODES: dict[str, tuple[type[NodeOptions], Callable[..., Any], Callable[..., None]]] = {

@@ -32,7 +32,7 @@ from ullage.processing.obstacles import ObstacleStage
 from ullage.radar.warmup import Compiling
 from ullage.world.scene import Scene
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 LIVE_S = 0.2
 """Between two maps or images of a live run: five a second, as the nodes of the thesis [Billdal2018, appendix B]."""
 WATCHED_S = 1.0
@@ -44,7 +44,7 @@ def execute(
     *,
     sinks: Sequence[Sink] = (),
     progress: Callable[[float], None] | None = None,
-    say: Say = print,
+    log: Log = print,
     draw: bool = True,
     under_way: Compiling | None = None,
 ) -> Report:
@@ -56,7 +56,7 @@ def execute(
         job: what to run.
         sinks: beside the folder's own recording.
         progress: told the seconds of recording done.
-        say: told each step in a few words.
+        log: called with each step in a few words.
         draw: figures too; without them the report holds numbers only.
         under_way: kernels that are still being compiled; maps and images wait for theirs.
     """
@@ -64,8 +64,8 @@ def execute(
     try:
         write_text(job.folder / "scenario.yaml", scenario_text(job.scenario))
         write_json(job.folder / "provenance.json", origin | running())
-        outcome = _receive(job, sinks, progress, say, under_way)
-        report = _finish(job, outcome, origin, say if draw else None)
+        outcome = _receive(job, sinks, progress, log, under_way)
+        report = _finish(job, outcome, origin, log if draw else None)
     except BaseException as error:
         _keep_what_came(job, origin, error)
         raise
@@ -79,11 +79,11 @@ def _receive(
     job: Run,
     sinks: Sequence[Sink],
     progress: Callable[[float], None] | None,
-    say: Say,
+    log: Log,
     under_way: Compiling | None,
 ) -> Outcome:
     """Run the loop; the map so far is saved every minute."""
-    stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, say)
+    stages = _stages(job) if under_way is None else _patient(_stages(job), under_way, log)
     wall, cpu = time.perf_counter(), time.process_time()
     keeping: list[Sink] = [MapSaver(job.folder), job.history]
     if job.obstacles is not None:
@@ -99,14 +99,14 @@ def _receive(
     return outcome
 
 
-def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say | None) -> Report:
+def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], log: Log | None) -> Report:
     """Write maps, metrics, figures and report; provenance.json comes last but one and marks the run as complete.
 
     Args:
         job: the run.
         outcome: what the loop gave.
         origin: its provenance.
-        say: told that figures are drawn; None: none are.
+        log: called when figures are drawn; None: none are.
     """
     from ullage.view.report import write_report
 
@@ -114,18 +114,18 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say |
         if isinstance(item, OccupancyMap):
             write_map_files(job.folder, item)
     metrics = _metrics(job, outcome)
-    compared = _compared(job, outcome, say)
+    compared = _compared(job, outcome, log)
     write_json(job.folder / "findings.json", _findings(job, compared))
     if job.findings:
         write_text(job.folder / "verdict.txt", "\n".join(job.findings) + "\n")
     write_json(job.folder / "metrics.json", metric_tree(metrics))
-    if say is not None:
+    if log is not None:
         for sentence in job.findings:
-            say(sentence)
-        say("drawing figures")
-    figures = _draw(job, outcome) if say is not None else ()
-    if say is not None:
-        say("gathering what the report replays")
+            log(sentence)
+        log("drawing figures")
+    figures = _draw(job, outcome) if log is not None else ()
+    if log is not None:
+        log("gathering what the report replays")
         keep_replay(job, outcome)
     state = "interrupted" if outcome.interrupted else "complete"
     done = {"state": state, "timing": job.timing, "interrupted": outcome.interrupted}
@@ -134,12 +134,12 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], say: Say |
     return Report(job.folder, outcome, metrics, figures, tuple(job.objects), compared)
 
 
-def _compared(job: Run, outcome: Outcome, say: Say | None) -> Compared | None:
+def _compared(job: Run, outcome: Outcome, log: Log | None) -> Compared | None:
     """Run the other method on the whole flight, if one was asked for."""
     if job.rival is None or outcome.interrupted:
         return None
-    if say is not None:
-        say("flying once more for the comparison")
+    if log is not None:
+        log("flying once more for the comparison")
     return job.rival()
 
 
@@ -173,13 +173,13 @@ class Patient:
 
     stage: Stage
     under_way: Compiling
-    say: Say
+    log: Log
 
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
         """What the stage makes of this piece."""
         if self.under_way.later:
             self.under_way.wait_later()
-            self.say("receiving and mapping")
+            self.log("receiving and mapping")
         return self.stage.update(chunk)
 
     def finish(self) -> Iterable[Any]:
@@ -187,9 +187,9 @@ class Patient:
         return self.stage.finish()
 
 
-def _patient(stages: list[Stage], under_way: Compiling, say: Say) -> list[Stage]:
-    under_way.tell = lambda what: say(f"the first frames are recorded; compiling {what} (once after installation)")
-    return [Patient(s, under_way, say) if isinstance(s, MapStage | ImageStage) else s for s in stages]
+def _patient(stages: list[Stage], under_way: Compiling, log: Log) -> list[Stage]:
+    under_way.log = lambda what: log(f"the first frames are recorded; compiling {what} (once after installation)")
+    return [Patient(s, under_way, log) if isinstance(s, MapStage | ImageStage) else s for s in stages]
 
 
 def _stages(job: Run) -> list[Stage]:
@@ -352,7 +352,7 @@ def _draw(job: Run, outcome: Outcome) -> tuple[Path, ...]:
 
 
 def _image_notes(job: Run, image: Image, frames: Mapping[str, Frames]) -> list[str]:
-    """What to say beneath an image: its plane, and what the track tells about heights."""
+    """Return the notes under an image: its plane, and what the track shows about heights."""
     seen = {name: part for name, part in frames.items() if job.scenario.image.sensor in ("", name)}
     plane = "" if job.plane is None else job.plane.text
     return [note for note in (plane, plane_findings(image, seen, marks=job.marks)) if note]

@@ -42,7 +42,7 @@ def make_run(
     out: Path | None = None,
     force: bool = False,
     progress: Callable[[float], None] | None = None,
-    say: Callable[[str], None] = print,
+    log: Callable[[str], None] = print,
     to: Sequence[str] = (),
 ) -> Run:
     """Get a run ready: read the scenario and fly it, or open the recording.
@@ -55,8 +55,8 @@ def make_run(
         options: `a.b=value` over the scenario.
         out: where run folders are made; None: ./runs.
         force: run again where the folder exists.
-        progress: told the share of the preparation done.
-        say: told what was found on the way.
+        progress: called with the share of the preparation done.
+        log: called with what was found.
         to: sinks beside the run's own files; see `ullage.sink`.
 
     Raises:
@@ -68,15 +68,15 @@ def make_run(
     address = Address.of(target)
     there = os.path.exists(path)  # false also of a name that no file can have
     if address and address.known and not there:
-        return _begin(_of_live(address, tasks, options, say), to, out)
+        return _begin(_of_live(address, tasks, options, log), to, out)
     if (scenario := simulated_scenario(target, tasks=tasks, options=options)) is not None:
-        scenario, scene = _with_flight(scenario, target, options, say) if is_world(target) else (scenario, None)
+        scenario, scene = _with_flight(scenario, target, options, log) if is_world(target) else (scenario, None)
         check_free(place_of(scenario.name, scenario.digest, root=out), force=force)
         return _begin(of_scenario(Path(), prepare(scenario, scene=scene, progress=progress)), to, out, force=force)
     if there:
         target = str(path.resolve())  # `latest` will point elsewhere before it is read
     if there or ":" in target:
-        return _begin(_of_recording(target, tasks, options, say), to, out, force=force)
+        return _begin(_of_recording(target, tasks, options, log), to, out, force=force)
     raise InputError(
         f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}",
         allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a world file, a recording, or a live port: "
@@ -118,7 +118,7 @@ def simulated_scenario(
 
 
 def _with_flight(
-    scenario: Scenario, target: str, options: Sequence[str], say: Callable[[str], None]
+    scenario: Scenario, target: str, options: Sequence[str], log: Callable[[str], None]
 ) -> tuple[Scenario, Scene]:
     """A world's default flight, planned and reported, and the world; radars that it declares are used."""
     from ullage.experiments.simulated import load_world, radars_and_world, waypoints_of
@@ -130,8 +130,8 @@ def _with_flight(
         return scenario, scene
     points = waypoints_of(scenario.flight, scenario.world, radars_and_world(scenario, scene)[1])
     length = float(np.linalg.norm(np.diff(np.array(points)[:, :3], axis=0), axis=1).sum())
-    say(f"default flight in {Path(target).name}: {length:.0f} m in {len(points) - 1} legs from {list(points[0])}")
-    say("to change it: -o 'flight.waypoints=[[x, y, z, yaw], ...]'; the run's scenario.yaml holds all settings")
+    log(f"default flight in {Path(target).name}: {length:.0f} m in {len(points) - 1} legs from {list(points[0])}")
+    log("to change it: -o 'flight.waypoints=[[x, y, z, yaw], ...]'; the run's scenario.yaml holds all settings")
     return scenario.but(flight=scenario.flight.but(waypoints=points)), scene
 
 
@@ -208,7 +208,7 @@ def _of_recording(
     target: str,
     tasks: tuple[Task, ...] | None,
     options: Sequence[str],
-    say: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> Run:
     from ullage.pipeline import Held
     from ullage.ports import RailSource
@@ -225,7 +225,7 @@ def _of_recording(
     tree: dict[str, Any] = {} if rail is None else {"map": known}
     if any(part.track is not None for part in first.values()):
         floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
-        source = Held(_on_one_clock(source, say, floor_z_m, None if survey is None else survey.places))
+        source = Held(_on_one_clock(source, log, floor_z_m, None if survey is None else survey.places))
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
     if tasks is None:
@@ -265,16 +265,16 @@ def _of_live(
     address: Address,
     tasks: tuple[Task, ...] | None,
     options: Sequence[str],
-    say: Callable[[str], None],
+    log: Callable[[str], None],
 ) -> Run:
-    """Listen until the first frames come: they say what radars there are and where the map should lie.
+    """Listen until the first frames come: they show which radars there are and where the map belongs.
 
     Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
     """
     check_options(options)
     source: Any = address.source()
     place = f"{address.scheme}:{address.place}"
-    say(f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {place} (Ctrl-C ends)")
+    log(f"{'passing on what comes from' if tasks == () else 'waiting for the first frames from'} {place} (Ctrl-C ends)")
 
     def plan(usual: tuple[Task, ...]) -> Scenario:
         tree: dict[str, Any] = {"name": _of_now(address.scheme), "do": usual, "title": f"Live from {place}"}
@@ -344,7 +344,7 @@ def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, optio
 
 def make_flight(
     scenario: Scenario, *, by: str = "keys", duration_s: float | None = None,
-    out: Path | None = None, say: Callable[[str], None] = print, to: Sequence[str] = (),
+    out: Path | None = None, log: Callable[[str], None] = print, to: Sequence[str] = (),
 ) -> Run:  # fmt: skip
     """Get a flight by hand ready: the vehicle hovers at the scenario's first waypoint and waits for commands.
 
@@ -353,7 +353,7 @@ def make_flight(
         by: keys, or a port that takes commands, as ros2:.
         duration_s: ends after so long [s]; None: with Ctrl-C.
         out: where run folders are made; None: ./runs.
-        say: takes what a person should know.
+        log: called with what a person should know.
         to: sinks beside the run's own files.
 
     Raises:
@@ -371,9 +371,9 @@ def make_flight(
         vehicle="hector" if vehicle == "ideal" else vehicle, fidelity=sensing.fidelity,
         max_bounces=sensing.max_bounces, seed=scenario.seed, rate_hz=sensing.rate_hz, duration_s=duration_s,
     )  # fmt: skip
-    controls = _controls(by, scenario, say)
+    controls = _controls(by, scenario, log)
     try:
-        source = HandFlownSource(scene, rig, chosen, controls, start=start, log=say)
+        source = HandFlownSource(scene, rig, chosen, controls, start=start, log=log)
         job = _begun(source, f"fly {scenario.name}", scenario.do, lambda _: scenario)
         return _begin(job, to, out)
     except BaseException:
@@ -381,13 +381,13 @@ def make_flight(
         raise
 
 
-def _controls(by: str, scenario: Scenario, say: Callable[[str], None]) -> Controls:
+def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Controls:
     """What gives commands."""
     from ullage.ports.keyboard import HELP, Keyboard
 
     if by == "keys":
         keyboard = Keyboard(speed_m_s=scenario.flight.speed_m_s)
-        say(HELP)
+        log(HELP)
         return keyboard
     address = Address.of(by)
     open_controls = None if address is None else address.function("open_controls")
@@ -443,7 +443,7 @@ def _report_offsets(frames: Frames, report: Callable[[str], None]) -> None:
         )
 
 
-def _every_tenth(say: Callable[[str], None]) -> Callable[[float], None]:
+def _every_tenth(log: Callable[[str], None]) -> Callable[[float], None]:
     """Reports a share of the work at every tenth."""
     last = 0
 
@@ -451,7 +451,7 @@ def _every_tenth(say: Callable[[str], None]) -> Callable[[float], None]:
         nonlocal last
         if int(10 * done) > last:
             last = int(10 * done)
-            say(f"finding clock and range offsets: {100 * done:.0f} %")
+            log(f"finding clock and range offsets: {100 * done:.0f} %")
 
     return report
 

@@ -54,7 +54,7 @@ class Point:
         """What it gave."""
         return {name: metric["value"] for name, metric in read_json(self.folder / "metrics.json").items()}
 
-    def do(self, say: Callable[[str], None]) -> None:
+    def do(self, log: Callable[[str], None]) -> None:
         """Run it, without pictures and without keeping the frames.
 
         Raises:
@@ -62,7 +62,7 @@ class Point:
         """
         job = make_run(self.scenario, options=self.options, out=self.folder.parent, force=True)
         seconds = job.flown.duration_s if job.flown is not None else 1.0
-        report = execute(job, draw=False, progress=lambda s: say(f"{100 * s / seconds:.0f} %"))
+        report = execute(job, draw=False, progress=lambda s: log(f"{100 * s / seconds:.0f} %"))
         if report.outcome.interrupted:
             raise KeyboardInterrupt
 
@@ -150,7 +150,7 @@ def sweep(
     *,
     out: Path,
     where: Where = 1,
-    tell: Report = lambda *_: None,
+    report_progress: Report = lambda *_: None,
     again: bool = False,
 ) -> Sweep:
     """Run what is not there yet, several at a time, and write `sweep.csv`, a row for each run or for why it failed.
@@ -159,7 +159,7 @@ def sweep(
         points: from `plan`.
         out: folder of the table.
         where: number of worker processes here, or address of a Dask scheduler whose workers see the same folders.
-        tell: called with the number done and what goes on.
+        report_progress: called with the number done and what goes on.
         again: run again what is there; each old run lives until its new one is complete.
 
     Raises:
@@ -167,7 +167,7 @@ def sweep(
     """
     outcome = Outcome({}, interrupted=False)
     try:
-        outcome = carry_out(points, where=where, tell=tell, again=again)
+        outcome = carry_out(points, where=where, report_progress=report_progress, again=again)
     finally:
         table = out / "sweep.csv"
         if ended := [point for point in points if point.done or point.name in outcome.failed]:

@@ -13,7 +13,7 @@ from ullage import kernels
 from ullage.config import MapMethod, Scenario
 from ullage.data import Frames
 from ullage.radar import warmup as radar
-from ullage.radar.warmup import Compiling, Job, Tell, radar_parts
+from ullage.radar.warmup import Compiling, Job, Log, radar_parts
 from ullage.world.scene import Scene
 
 FOLDER = Path(kernels.__path__[0])
@@ -57,12 +57,12 @@ def estimated_s(parts: Iterable[str]) -> float:
     return radar.estimated_s([job for job in JOBS if job.part in wanted])
 
 
-def begin(parts: Iterable[str], *, tell: Tell | None = None, work: Compiling | None = None) -> Compiling:
+def begin(parts: Iterable[str], *, log: Log | None = None, work: Compiling | None = None) -> Compiling:
     """Compile what a run of these parts cannot begin without, in two processes where there are two cores.
 
     Args:
         parts: keys of `NEEDED`.
-        tell: called with what is being compiled.
+        log: called with what is being compiled.
         work: one whose other process has started, as `ahead` gives it.
 
     Returns:
@@ -71,7 +71,7 @@ def begin(parts: Iterable[str], *, tell: Tell | None = None, work: Compiling | N
     wanted = [job for job in JOBS if job.part in set(parts)]
     now, later = ([job for job in wanted if (job.part in LATER) == late] for late in (False, True))
     work = work or Compiling(module=__name__)
-    work.now, work.later, work.tell = now, [job for job in later if not compiled((job.part,))], tell
+    work.now, work.later, work.log = now, [job for job in later if not compiled((job.part,))], log
     work.wait()
     return work
 
@@ -83,10 +83,10 @@ def ahead() -> Compiling:
     return work
 
 
-def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, tell: Tell | None = None) -> None:
+def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, log: Log | None = None) -> None:
     """As `begin`, but all that these parts need is compiled when it returns."""
     wanted = set(parts)
-    Compiling([job for job in JOBS if job.part in wanted], module=__name__, tell=tell).wait()
+    Compiling([job for job in JOBS if job.part in wanted], module=__name__, log=log).wait()
 
 
 def _flight() -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ullage.radar.context import AntennaPair, RadarContext
     from ullage.radar.facets import PlanarPatches
 
-Tell = Callable[[str], None]
+Log = Callable[[str], None]
 
 NEEDED: Mapping[str, tuple[str, ...]] = {
     "thesis": ("rays",),
@@ -142,13 +142,13 @@ class Compiling:
         now: what must be compiled before anything else begins.
         later: what may be compiled while other things go on.
         module: what Python runs beside this process; it takes names of jobs, and tells each that is done.
-        tell: called with what is being compiled, and about how long all of it still takes.
+        log: called with what is being compiled, and about how long all of it still takes.
     """
 
     now: Sequence[Job] = ()
     later: Sequence[Job] = ()
     module: str = ""
-    tell: Tell | None = None
+    log: Log | None = None
     _beside: subprocess.Popen[str] | None = field(default=None, init=False)
     _open: list[str] = field(default_factory=list, init=False)  # not yet done beside
     _mine: list[Job] = field(default_factory=list, init=False)  # not yet done in this process
@@ -247,9 +247,9 @@ class Compiling:
         return most * (took / planned if planned else 1.0)
 
     def _say(self, names: list[str]) -> None:
-        if self.tell is not None and names:
+        if self.log is not None and names:
             left = self.left_s
-            self.tell(", ".join(names) + (f", about {left:.0f} s left" if left >= 1 else ""))
+            self.log(", ".join(names) + (f", about {left:.0f} s left" if left >= 1 else ""))
 
 
 def shared(jobs: Sequence[Job]) -> tuple[list[Job], list[Job]]:

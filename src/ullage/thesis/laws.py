@@ -27,7 +27,7 @@ WALL_M = 6.2  # from the track to the wall behind the targets
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """What both laws say of one target."""
+    """What both laws give for one target."""
 
     world: str
     title: str

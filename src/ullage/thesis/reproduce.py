@@ -24,7 +24,7 @@ def reproduce(
     quick: bool = False,
     fresh: bool = False,
     jobs: int | None = 1,
-    tell: Report = lambda *_: None,
+    report_progress: Report = lambda *_: None,
 ) -> Reproduction:
     """Run every experiment that is not yet done, then write the report.
 
@@ -35,7 +35,7 @@ def reproduce(
         quick: small, in two minutes.
         fresh: do again what is done.
         jobs: worker processes on this machine; 1: this process; None: one for each core. More than one needs Dask.
-        tell: called with the number of experiments done and what goes on.
+        report_progress: called with the number of experiments done and what goes on.
 
     Raises:
         UllageError: an experiment failed; the others are done, and are kept.
@@ -46,7 +46,7 @@ def reproduce(
     if fresh:
         for task in tasks:
             task.forget()
-    outcome = carry_out(tasks, where=jobs, tell=tell)
+    outcome = carry_out(tasks, where=jobs, report_progress=report_progress)
     for task in tasks:
         if why := outcome.failed.get(task.name):
             raise UllageError(f"{task.title}: {why}")

@@ -113,7 +113,7 @@ class ExperimentTask:
         """Removes its results."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def do(self, say: Callable[[str], None]) -> None:
+    def do(self, log: Callable[[str], None]) -> None:
         """Do it anew.
 
         Raises:
@@ -124,7 +124,7 @@ class ExperimentTask:
             self.folder.mkdir(parents=True)
         except OSError as error:
             raise InputError(f"cannot write: {error.strerror}", where=self.folder, allowed="--out DIR") from None
-        work = Workspace(self.folder, self.quick, log=say, recordings=self.recordings)
+        work = Workspace(self.folder, self.quick, log=log, recordings=self.recordings)
         wall, cpu = time.monotonic(), time.process_time()
         self.experiment.run(work)
         spent = {"took_s": time.monotonic() - wall, "cpu_s": time.process_time() - cpu}

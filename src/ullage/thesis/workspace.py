@@ -114,7 +114,7 @@ class Workspace:
             self.log(f"{name}: {100 * min(done / total, 1):.0f} %, {time.monotonic() - started:.0f} s")
 
         report = execute(
-            of_scenario(draft, simulated), sinks=[collector], progress=report_progress, say=lambda _: None, draw=False
+            of_scenario(draft, simulated), sinks=[collector], progress=report_progress, log=lambda _: None, draw=False
         )
         if report.outcome.interrupted:
             raise Interrupted

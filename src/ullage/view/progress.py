@@ -19,7 +19,7 @@ console = Console(stderr=False, soft_wrap=True)
 PLAIN_EVERY_S = 5.0
 
 
-def say(text: str, *, mark: str = "", style: str = "") -> None:
+def log(text: str, *, mark: str = "", style: str = "") -> None:
     """One line, as it is: brackets in a name are no markup.
 
     Args:
@@ -30,7 +30,7 @@ def say(text: str, *, mark: str = "", style: str = "") -> None:
     console.print(Text.assemble((mark, style), text))
 
 
-def say_report(page: Path) -> None:
+def log_report(page: Path) -> None:
     """Where a report is, to be clicked on in terminals that can."""
     console.print(Text.assemble("report: ", (str(page), f"link {page.resolve().as_uri()}")))
 
@@ -44,7 +44,7 @@ def open_page(page: Path) -> None:
 
 
 @dataclass(slots=True)
-class Teller:
+class ProgressBar:
     """Takes how much is done; where there is no terminal it prints a line every few seconds."""
 
     bar: Progress
@@ -63,7 +63,7 @@ class Teller:
         if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
             self.last_s = time.monotonic()
             share = f"{100 * done / self.total:.0f} %" if self.total else f"{done:.0f} {self.unit}"
-            say(", ".join(filter(None, (f"{self.title}: {share}", forecast))))
+            log(", ".join(filter(None, (f"{self.title}: {share}", forecast))))
 
     def _forecast(self, done: float) -> str:
         """Rate since the start and remaining time in words; nothing before the first unit is done."""
@@ -81,15 +81,15 @@ class Teller:
         self.title = text
         self.bar.update(self.task, description=text)
 
-    def say(self, text: str) -> None:
+    def log(self, text: str) -> None:
         """The same, in a line of its own where there is no terminal."""
         self.retitle(text)
         if not console.is_terminal:
-            say(text)
+            log(text)
 
 
 @contextmanager
-def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool = False) -> Iterator[Teller]:
+def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool = False) -> Iterator[ProgressBar]:
     """A progress bar for one job; call what it yields with the amount done.
 
     Args:
@@ -99,7 +99,7 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
         rated: show the rate since the first call, and the remaining time at that rate; for jobs with few long steps.
     """
     if not console.is_terminal:
-        say(title)
+        log(title)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -108,4 +108,4 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, forecast="")
-        yield Teller(bar, task, title, total, unit, time.monotonic(), rated)
+        yield ProgressBar(bar, task, title, total, unit, time.monotonic(), rated)

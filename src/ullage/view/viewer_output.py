@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 from urllib.parse import urlsplit
 
 from ullage.errors import InputError
-from ullage.view.progress import say
+from ullage.view.progress import log
 
 WEB = "web"
 WEB_PORT = 9090
@@ -136,7 +136,7 @@ def _serve(rr: Any, rec: Any, output: ViewerOutput) -> str:
     except Exception as error:  # rerun raises kinds of its own
         raise InputError(f"the page is not served: {error}", where="viewer:web", allowed=USAGE) from None
     address = f"http://127.0.0.1:{output.port}/?url={data.replace('+', '%2B')}"
-    say(f"viewer: {address}")
+    log(f"viewer: {address}")
     return address
 
 
@@ -144,7 +144,7 @@ def keep_serving(sinks: Iterable[object]) -> None:
     """Wait for Ctrl-C where a sink serves a page, since the page ends with the process."""
     pages = [sink.address for sink in sinks if isinstance(sink, Page) and sink.address]
     for address in pages:
-        say(f"viewer: {address} is served until Ctrl-C")
+        log(f"viewer: {address} is served until Ctrl-C")
     if pages:
         with suppress(KeyboardInterrupt):
             Event().wait()
