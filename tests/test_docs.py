@@ -19,6 +19,7 @@ import ullage as ul
 from code_map import BOXES
 from reference_pages import references_page, scenario_page
 from ullage.config import Scenario
+from ullage.errors import InputError
 from ullage.specs import RadarSpec
 
 ROOT = Path(__file__).parents[1]
@@ -244,3 +245,9 @@ def test_sentences_are_short(name: str) -> None:
 def test_the_first_screen_of_a_page_shows_something(name: str) -> None:
     first = (DOCS / name).read_text(encoding="utf-8").splitlines()[:40]
     assert any(line.startswith(("|", "![")) for line in first), "a figure or a table in the first 40 lines"
+
+
+def test_the_page_of_the_reproduction_is_not_written_without_results(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no experiment here .*a folder of `ullage reproduce`"):
+        tool("reproduce_page").write_docs(tmp_path, tmp_path)
+    assert not (tmp_path / "reproduce.md").exists()

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from ullage.errors import InputError
 from ullage.experiments.folder import read_json, write_text
 from ullage.thesis.plan import EXPERIMENTS
 from ullage.thesis.report import opening
@@ -54,8 +55,14 @@ PICTURES = {
 
 
 def write_docs(root: Path, docs: Path) -> Path:
-    """The page and its pictures, from a folder of results."""
+    """Write the page and its pictures from a folder of results.
+
+    Raises:
+        InputError: the folder holds no experiment.
+    """
     done = [experiment for experiment in EXPERIMENTS if (root / experiment.name / "results.json").is_file()]
+    if not done:
+        raise InputError("no experiment here", where=root, allowed="a folder of `ullage reproduce`, whole or quick")
     lines = [HEAD, *_opening([(e.title, read_results(root / e.name / "results.json")) for e in done])]
     for experiment in done:
         tree = read_json(root / experiment.name / "results.json")
