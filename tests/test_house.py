@@ -1,4 +1,4 @@
-"""The rules of the house, checked: quick import, layers, short files, sources that exist."""
+"""The rules of the house, checked: quick import, layers, docstrings, sources that exist."""
 
 from __future__ import annotations
 

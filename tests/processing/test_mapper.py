@@ -204,7 +204,7 @@ def test_work_that_is_spread_over_frames_changes_nothing_of_a_volume(flight):
     grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
     spread, at_once = Mapper(grid), Mapper(grid)
     waited = 0
-    for start in range(0, 240):
+    for start in range(0, 120):
         piece = {name: f[start : start + 1] for name, f in flight.items()}
         spread.update(piece)
         at_once.update(piece)

@@ -206,10 +206,11 @@ def odd_state(**changed: float) -> bytes:
         (odd_state(z=1e30), "EstimatedState of 0x0803", "more than 1000 km from its reference"),
         (odd_state()[:-1] + b"\0", "tcp://", "a packet is damaged or cut"),
         (odd_state()[:50], "tcp://", "a packet is damaged or cut"),
-        (odd_state()[:4] + b"\xff\xff" + odd_state()[6:], "tcp://", "a packet is damaged or cut"),
+        (odd_state()[:4] + b"\xff\xff" + odd_state()[6:] + heartbeat(1.7e9) * 3000,  # as many bytes as it announces
+         "tcp://", "a packet is damaged or cut"),
         (packed(350, b"abc", t_s=1.7e9), "EstimatedState", "its bytes do not fit its fields"),
     ],
-)
+)  # fmt: skip
 def test_what_is_damaged_is_dropped_counted_and_reported(damaged: bytes, topic: str, words: str) -> None:
     sent = [0]
 

@@ -37,6 +37,7 @@ def heard(kept: Path) -> list[Packet]:
     return found
 
 
+@pytest.mark.slow
 def test_a_vehicle_goes_to_ros_and_from_ros_to_a_bus_without_losing_a_bit(network: Network, tmp_path: Path) -> None:
     listener = network.ready(
         "hear.py",
@@ -108,6 +109,7 @@ def every_message(count: int) -> list[Packet]:
     return out
 
 
+@pytest.mark.slow
 def test_what_is_said_on_a_bus_is_said_on_ros_and_on_another_bus_and_what_ros_wants_too(
     network: Network, tmp_path: Path
 ) -> None:
