@@ -9,7 +9,7 @@ from ullage.flight.airframe import airframe
 from ullage.flight.control import Tables
 from ullage.flight.physics import CONTROL_HZ, Surroundings
 from ullage.flight.reference import Reference
-from ullage.flight.vehicle import _steps
+from ullage.flight.vehicle import integrate
 from ullage.kernels.flight import command
 
 pytest.importorskip("rotorpy")
@@ -52,7 +52,7 @@ def _theirs(frame, track, control, wind):
 
 def _ours(frame, track, wind=(0, 0, 0)):
     blowing = np.tile(np.asarray(wind, float), (len(track), 1))
-    return _steps(
+    return integrate(
         frame, Reference(CONTROL_HZ, track), blowing, Surroundings(frame, [], len(track)), None, "record", None
     )
 

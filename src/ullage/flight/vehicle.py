@@ -155,16 +155,20 @@ def _fly(waypoints: Waypoints | ArrayLike, vehicle: str | Airframe, given: _Cond
     reference = plan(mission, rate_hz=CONTROL_HZ, start=place, start_yaw_deg=yaw_deg)
     blowing = air(wind, given.gust_m_s, count=len(reference.track), rate_hz=CONTROL_HZ, seed=given.seed)
     around = Surroundings(frame, parts, len(reference.track))
-    table = _steps(frame, reference, blowing, around, scene, given.on_contact, given.progress)
+    table = integrate(frame, reference, blowing, around, scene, given.on_contact, given.progress)
     contacts = tuple(_contact(touch, scene) for touch in around.touches) if scene is not None else ()
     return _result(table, reference, contacts, given.rate_hz)
 
 
-def _steps(
+def integrate(
     frame: Airframe, reference: Reference, wind: Floats, around: Surroundings, scene: Scene | None,
     on_contact: str, progress: Progress | None,
 ) -> Floats:  # fmt: skip
-    """The loop: look around, control, push, integrate. Returns the state at each control step."""
+    """Fly along a reference: sense, control, push, integrate. Return the state (n, 13 + rotors) at each control step.
+
+    Raises:
+        Collision: the vehicle hits something of the scene, and `on_contact` is "raise".
+    """
     import mujoco
 
     tables, first, dt = Tables.of(frame), reference.track[0], 1 / PHYSICS_HZ
