@@ -5,8 +5,8 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import C0
-from ullage.kernels import edges
 from ullage.kernels import outlines as kernel
+from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar import physical, planar
 
@@ -23,9 +23,8 @@ def by_rim(size, one, other):
     normal, offset, first, limit = np.array([[0, 0, 1.0]]), np.zeros(1), np.array([0, 4], np.int32), np.array([50.0])
     sphere, pair = np.array([[0, 0, 0, np.hypot(*size) / 2]]), np.stack([one, other])[None]
     face, still = np.array([0]), physical.antenna_pair(RADAR, one, np.eye(3))
-    rim = planar.parted(1, 4, lambda *room: edges.cut(
-        face, sphere, normal, offset, first, corners, np.roll(corners, -1, 0), pair, still.aside, limit, 1e9,
-        READY.pulse.omega, False, *room))  # fmt: skip
+    faces = FaceOutlines(sphere, normal, offset, first, corners, np.roll(corners, -1, 0))
+    rim = planar.cut_outlines(face, faces, pair, still.aside, CutLimits(limit, 1e9, READY.pulse.omega, False))
     points = np.empty((1, 9))
     count = kernel.crossings(face, rim.windings, normal, offset, pair, limit, points)
     grids = np.zeros((3, READY.places), complex)

@@ -7,10 +7,10 @@ import ullage as ul
 from ullage.antenna import gain
 from ullage.kernels import lit
 from ullage.kernels import outlines as draw
+from ullage.kernels.edges import FaceOutlines, Outline
 from ullage.radar import curves, multipath, zones
 from ullage.radar.context import radar_context
 from ullage.radar.physical import echoes
-from ullage.radar.planar import Outline
 
 RADAR = ul.RadarSpec.preset("x4m05", noise=None)
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -53,9 +53,7 @@ def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
 def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():
     parted, gains = outline(np.random.default_rng(2)), np.arange(1.0, 6)
     louds, paths = np.empty((2, 80))
-    count = lit.outline_louds(
-        parted.pieces, parted.owner, parted.tips, parted.holders, parted.ties, gains, 2.0, louds, paths
-    )
+    count = lit.outline_louds(parted, gains, 2.0, louds, paths)
     lone = parted.ties < 0
     ends = 2 * np.hypot(parted.tips[:, 4], parted.tips[:, 5]) * gains[parted.holders]
     pieces = 2 * parted.pieces[:, 8:10].max(1) * abs(parted.pieces[:, 10]) * gains[parted.owner]
@@ -68,9 +66,7 @@ def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():
 def test_ends_are_seen_where_the_piece_is_that_goes_on_or_by_themselves():
     parted, normals = outline(np.random.default_rng(3)), np.tile([0.0, 0, 1], (5, 1))
     spots, faces, seats = np.empty((80, 3)), np.empty(80, np.int64), np.empty(80, np.int64)
-    count = draw.look_at(
-        parted.pieces, parted.owner, parted.tips, parted.holders, parted.ties, normals, 0.0, spots, faces, seats
-    )
+    count = draw.look_at(parted, normals, 0.0, draw.Spots(spots, faces), seats)
     lone = np.flatnonzero(parted.ties < 0)
     assert count == 40 + len(lone)
     assert spots[:40] == pytest.approx((parted.pieces[:, :3] + parted.pieces[:, 3:6]) / 2)
@@ -87,7 +83,8 @@ def test_a_zone_about_a_mirror_point_is_looked_at_where_it_lies_on_the_face():
     out, faces, within = np.empty((4, 3)), np.empty(4, np.int64), np.empty((1, 4), np.bool_)
     starts, ends = SQUARE, np.roll(SQUARE, -1, 0)
     first, normals = np.array([0, 4], np.int32), np.array([[0.0, 0, 1]])
-    draw.look_about(points, np.array([0]), across, zone, 0.04, normals, first, starts, ends, out, faces, within)
+    square = FaceOutlines(np.zeros((1, 4)), normals, np.zeros(1), first, starts, ends)
+    draw.look_about(points, np.array([0]), square, across, zone, 0.04, draw.Spots(out, faces), within)
     radius = np.sqrt(0.04 * 4.0 / 4)
     assert out == pytest.approx(points[:, :3] + radius * np.column_stack([zone, np.zeros(4)]))
     assert within.tolist() == [[True, True, False, True]]

@@ -1,7 +1,7 @@
 """Loops of physical optics on large flat faces, by the boundary: specular point plus integrals along the edges.
 
 The Kirchhoff integral over a plane face equals the mirror image's wave where the line from image to receiver crosses
-the face, less a line integral along its rim [MiyamotoWolf1962]. With phi the angle around that line,
+the face, less a line integral along its edge [MiyamotoWolf1962]. With phi the angle around that line,
 the rim's share is -(1 / 4 pi) of the integral of e^{-jk(r + s)} K / (r s) dphi, K = 2 L rho^2 / ((r + s)^2 - L^2),
 which is smooth even where the line meets the rim. A piece of edge whose delay is nearly linear in phi has a closed
 form. Far from where an edge's path is shortest the integrand turns so fast that only its ends count.
@@ -10,9 +10,11 @@ form. Far from where an edge's path is shortest the integrand turns so fast that
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from ullage.arrays import Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import height
 
@@ -20,7 +22,66 @@ C0 = 299_792_458.0
 START, STOP, BEGINS, STOPS, HERE, NEXT = (np.int64(i) for i in range(6))
 """Rows of spots: an edge's ends, those of its slow part, the piece being done; others wait behind. No literals."""
 NONE = np.int64(-1)
-FAR = 0.1  # a rim is done by its ends where the second term there is no more of the first than this
+FAR = 0.1  # an outline is done by its ends where the second term there is no more of the first than this
+
+
+class FaceOutlines(NamedTuple):
+    """Flat faces (p) and their edges (e)."""
+
+    spheres: Floats  # (p, 4) centre and radius of each face [m]
+    normals: Floats  # (p, 3) unit normals
+    offsets: Floats  # (p) planes normal . x = offset [m]
+    first: Ints  # (p + 1) first edge of each face
+    starts: Floats  # (e, 3) start of each edge, counter-clockwise about the normal [m]
+    ends: Floats  # (e, 3) end of each edge [m]
+
+
+class CutLimits(NamedTuple):
+    """How far the outlines of faces are followed."""
+
+    range_m: Floats  # (1 or p) greatest mean range, for all faces or for each [m]
+    excess_m: float  # edges whose path exceeds the mirror path by more are left out [m]
+    omega: float  # carrier [rad/s]
+    whole: bool  # whether all of the outline is cut into pieces
+
+
+class Outline(NamedTuple):
+    """Outlines of k faces: m pieces, and n ends of what is not cut into pieces."""
+
+    pieces: Floats  # (m, 12) start, end (6), path lengths (2) [m], weights (2), angle, early delay as length [m]
+    owner: Ints  # (m) face of each piece
+    tips: Floats  # (n, 9) place (3) and path length of each end [m], value (2), a vector into the face (3)
+    holders: Ints  # (n) face of each end
+    ties: Ints  # (n) piece that goes on from each end and is seen where the end is, -1 for none
+    windings: Floats  # (k) turns of the outline around the line from image to receiver, 0 where there is no echo
+
+    @staticmethod
+    def none(faces: int) -> Outline:
+        """No outlines, of so many faces that hold their mirror points."""
+        none = np.zeros(0, np.int32)
+        return Outline(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(faces))
+
+
+class CutScratch(NamedTuple):
+    """Scratch of `cut`."""
+
+    line: Floats  # (4, 3) the transmitter's image, the receiver, the unit axis between them, and along the edge
+    spots: Floats  # (69, 8) places on the edge, as `_spot` fills them
+    marks: Floats  # (69, 2) share along the edge, and turn from the spot before
+    counts: Longs  # (3) pieces, ends, and the first end of the face
+
+
+class FaceCut(NamedTuple):
+    """A face whose outline is being cut."""
+
+    faces: FaceOutlines
+    face: int  # which of them
+    sign: float  # of the side on which the axis leaves it
+    length: float  # of the axis [m]
+    limit: float  # greatest mean range [m]
+    most: float  # greatest excess over the mirror path [m]
+    wave: float  # wave number [1/m]
+    whole: bool  # whether all of the outline is cut into pieces
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -33,12 +94,12 @@ def mirror(point, normal, offset, out):  # type: ignore[no-untyped-def]
 
 @core(fastmath=True, nogil=True, error_model="numpy")
 def _spot(spots, i, line, length):  # type: ignore[no-untyped-def]
-    """Fills a spot, row i, whose place is known: path length, weight K / (r s) and offset from the axis follow it.
+    """Fill a spot, row i, whose place is known: path length, weight K / (r s) and offset from the axis follow it.
 
     Args:
         spots: (n, 8) place (3), path length, weight, offset from the axis (3).
         i: row.
-        line: (4, 3) the transmitter's image, the receiver, the unit axis from one to the other, and along the rim.
+        line: (4, 3) as in `CutScratch`.
         length: of the axis [m].
     """
     along, r2, s2 = 0.0, 0.0, 0.0
@@ -77,13 +138,13 @@ def _turn(spots, i, j, line):  # type: ignore[no-untyped-def]
 
 @core(fastmath=True, nogil=True, error_model="numpy")
 def _steep(spots, i, line, length, wave):  # type: ignore[no-untyped-def]
-    """What a rim that ends at spot i, far from where its path is shortest, adds there.
+    """What an edge that ends at spot i, far from where its path is shortest, adds there.
 
     The integral of F e^{-jkP} dP ends in e^{-jkP} (jF / k)(1 - jy - 3 y^2 ...), with y = F' / (k F) and F the
     integrand over the path's rate [BornWolf1999]; the third term is that of a path like a parabola.
 
     Returns:
-        The path's rate along the rim, F / k and y.
+        The path's rate along the edge, F / k and y.
     """
     r2, s2, r1, s1, swept, rho2 = 1e-12, 1e-12, 0.0, 0.0, 0.0, 1e-18
     for k in range(3):
@@ -141,17 +202,21 @@ def _slow_part(spots, size, line, length, wave):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _end(spots, i, line, strong, y, into, normals, p, sign, tie, ends, holders, ties, at):  # type: ignore[no-untyped-def]
-    """Writes the end of a rim at spot i, or adds it to the one at the same corner of the same face.
+def _end(job, i, strong, y, into, tie, outline, scratch):  # type: ignore[no-untyped-def]
+    """Write the end of an outline at spot i, or add it to the one at the same corner of the same face.
 
     Args:
-        spots, i, line: as in `_steep`, and strong, y: what that gives.
-        into: 1 where the rim begins there, -1 where it ends.
-        normals: (p, 3) of the faces; p: the face; sign: of its side.
+        job: `FaceCut`.
+        i: row of the spot.
+        strong: as `_steep` gives it.
+        y: as `_steep` gives it.
+        into: 1 where the outline begins there, -1 where it ends.
         tie: piece that goes on from there; negative: none.
-        ends, holders, ties: as in `cut`.
-        at: (3) how many ends there are in at[1], the face's first in at[2].
+        outline: `Outline`, written.
+        scratch: `CutScratch`.
     """
+    ends, ties, p = outline.tips, outline.ties, job.face
+    spots, line, at, normals = scratch.spots, scratch.line, scratch.counts, job.faces.normals
     row = at[1]
     if tie < 0 and row <= len(ends):
         known = at[1] - 1
@@ -164,10 +229,10 @@ def _end(spots, i, line, strong, y, into, normals, p, sign, tie, ends, holders, 
         at[1] += 1
         if row >= len(ends):
             return
-        holders[row], ties[row] = p, tie
+        outline.holders[row], ties[row] = p, tie
         for k in range(9):
             ends[row, k] = spots[i, k] if k < 4 else 0.0
-    value = -into * sign * strong
+    value = -into * job.sign * strong
     ends[row, 4], ends[row, 5] = ends[row, 4] + value * y, ends[row, 5] + value * (1 - 3 * y * y)
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
@@ -175,11 +240,13 @@ def _end(spots, i, line, strong, y, into, normals, p, sign, tie, ends, holders, 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _before(normals, offsets, spheres, p, origins, o, aside, limit, line):  # type: ignore[no-untyped-def]
-    """Whether face p can echo within the limit to radar o; its image, the receiver and the axis go to `line`.
+def _before(faces, p, origins, aside, limit, line):  # type: ignore[no-untyped-def]
+    """Set `line` to the transmitter's image in face p, the receiver and the axis from one to the other.
 
-    Gives the length of that axis, less than 0 where the face cannot echo.
+    Returns:
+        Length of that axis [m]; less than 0 where the face cannot echo within the limit.
     """
+    normals, offsets, spheres, o = faces.normals, faces.offsets, faces.spheres, p if len(origins) > 1 else 0
     ahead, behind, near, far = -offsets[p], -offsets[p], 0.0, 0.0
     for k in range(3):
         line[0, k], line[1, k] = origins[o, 0, k], origins[o, 1, k]
@@ -194,8 +261,8 @@ def _before(normals, offsets, spheres, p, origins, o, aside, limit, line):  # ty
     for k in range(3):
         line[0, k] -= (ahead + above) * normals[p, k]
         line[1, k] += (below - behind) * normals[p, k]
-    # a rim or corner exactly on the axis, as in every corner reflector, has no angle: stand a hair beside it, with the
-    # image alone, so that of both ways about a corner one goes over each of its faces
+    # an edge or corner exactly on the axis, as in every corner reflector, has no angle: the image alone is moved aside
+    # by a hair, so that of both paths about a corner one goes over each of its faces
     length = 0.0
     for k in range(3):
         line[0, k] += aside[k]
@@ -208,12 +275,24 @@ def _before(normals, offsets, spheres, p, origins, o, aside, limit, line):  # ty
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, sign, p, pieces, owner, at):  # type: ignore[no-untyped-def]
-    """Halves the rim from spot 4 to spot 5 until each piece's delay is nearly linear in phi.
+def _pieces(job, begins, stops, size, outline, scratch):  # type: ignore[no-untyped-def]
+    """Halve the edge from spot 4 to spot 5 until the delay along each piece is nearly linear in phi.
 
-    Spots from 6 on, with `marks` of where they are and how far they turn from the one before, wait on a stack.
-    Gives the turn of all pieces around the axis; at[0] counts them.
+    Spots from 6 on, with marks of where they are and how far they turn from the one before, wait on a stack.
+
+    Args:
+        job: `FaceCut`.
+        begins: share of the edge at which spot 4 lies.
+        stops: share of the edge at which spot 5 lies.
+        size: length of the edge [m].
+        outline: `Outline`, written.
+        scratch: `CutScratch`.
+
+    Returns:
+        The turn of all pieces around the axis [rad].
     """
+    spots, marks, line, at = scratch.spots, scratch.marks, scratch.line, scratch.counts
+    length, limit, most, wave, pieces = job.length, job.limit, job.most, job.wave, outline.pieces
     winding, top, s0 = 0.0, NEXT, begins
     marks[5, 0], marks[5, 1] = stops, _turn(spots, HERE, NEXT, line)
     while top > 4:
@@ -244,9 +323,9 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
                         pieces[count, k], pieces[count, 3 + k] = spots[4, k], spots[top, k]
                     for k in range(2):
                         pieces[count, 6 + 2 * k], pieces[count, 7 + 2 * k] = spots[4, 3 + k], spots[top, 3 + k]
-                    pieces[count, 10] = sign * turn
+                    pieces[count, 10] = job.sign * turn
                     pieces[count, 11] = bend / (6 * round_part) if round_part > 0.04 else 0.0
-                    owner[count] = p
+                    outline.owner[count] = job.face
         winding += turn
         s0 = marks[top, 0]
         for k in range(8):
@@ -256,14 +335,15 @@ def _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, 
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
-          ties, at):  # fmt: skip
-    """Parts one edge of a face, from spot 0 to 1; gives its turn around the axis."""
-    farthest = min(2 * limit, length + most)
+def _edge(job, size, outline, scratch):  # type: ignore[no-untyped-def]
+    """Cut one edge of a face, from spot 0 to 1, of so many metres; give its turn around the axis [rad]."""
+    spots, line, at = scratch.spots, scratch.line, scratch.counts
+    length, wave = job.length, job.wave
+    farthest = min(2 * job.limit, length + job.most)
     rate0, strong0, y0 = _steep(spots, START, line, length, wave)
     rate1, strong1, y1 = _steep(spots, STOP, line, length, wave)
     begins, stops = 0.0, 1.0
-    if not whole:
+    if not job.whole:
         if abs(y0) <= FAR and abs(y1) <= FAR and rate0 * rate1 > 0:
             begins = 1.0
         else:
@@ -274,8 +354,7 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
         first, last = BEGINS if begins > 0 else START, STOPS if stops < 1 else STOP
         for k in range(8):
             spots[4, k], spots[5, k] = spots[first, k], spots[last, k]
-        winding = _pieces(spots, marks, begins, stops, size, line, length, limit, most, wave, sign, p, pieces,
-                          owner, at)  # fmt: skip
+        winding = _pieces(job, begins, stops, size, outline, scratch)
         winding += _turn(spots, START, BEGINS, line) if first == BEGINS else 0.0
         winding += _turn(spots, STOPS, STOP, line) if last == STOPS else 0.0
     for step in range(4):  # the edge's start, both ends of its slow part, its end
@@ -290,14 +369,13 @@ def _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, norm
             continue
         if 0 < step < 3:
             _, strong, y = _steep(spots, i, line, length, wave)
-        _end(spots, i, line, strong, y, 1.0 if step % 2 == 0 else -1.0, normals, p, sign, tie, tips, holders, ties,
-             at)  # fmt: skip
+        _end(job, i, strong, y, 1.0 if step % 2 == 0 else -1.0, tie, outline, scratch)
     return winding
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
 def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
-    """Sign of the side on which the axis leaves face p, and whether it comes so near that the rim may go round it."""
+    """Sign of the side on which the axis leaves face p, and whether the outline may go round the axis."""
     facing, lead, square = 0.0, 0.0, 0.0
     for k in range(3):
         facing += line[2, k] * normals[p, k]
@@ -309,7 +387,7 @@ def _about(spheres, normals, p, line):  # type: ignore[no-untyped-def]
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
 def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-def]
-    """Sets the spots START and STOP to the ends of edge e and line[3] along it; gives its size [m].
+    """Set the spots START and STOP to the ends of edge e, and line[3] along it; give the length of the edge [m].
 
     Most edges start where the one before stops, so that its last spot is known. One shorter than 1e-9 m is none.
     """
@@ -335,63 +413,48 @@ def _step_on(starts, ends, e, line, length, spots):  # type: ignore[no-untyped-d
 
 
 @core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
-def _outline(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces, owner, tips, holders,  # type: ignore[no-untyped-def]
-         ties, line, spots, marks, at):  # fmt: skip
-    """Parts all edges of face p, as `cut` does; gives the turns of the rim around the axis."""
-    sign, round_axis = _about(spheres, normals, p, line)
+def _outline(faces, p, length, limit, limits, outline, scratch):  # type: ignore[no-untyped-def]
+    """Cut all edges of face p, as `cut` does; give the turns of the outline around the axis."""
+    spots, line, at = scratch.spots, scratch.line, scratch.counts
+    sign, round_axis = _about(faces.spheres, faces.normals, p, line)
+    job = FaceCut(faces, p, sign, length, limit, limits.excess_m, limits.omega / C0, limits.whole)
     winding, at[2] = 0.0, at[1]
     spots[1, 0] = 1e300
-    for e in range(first[p], first[p + 1]):
-        size = _step_on(starts, ends, e, line, length, spots)
+    for e in range(faces.first[p], faces.first[p + 1]):
+        size = _step_on(faces.starts, faces.ends, e, line, length, spots)
         if size < 1e-9:
             continue
         # the path over an edge is at least this: ends less half its length there and back
-        if 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + most):
+        if 0.5 * (spots[0, 3] + spots[1, 3]) - size > min(2 * limit, length + job.most):
             winding += _turn(spots, START, STOP, line) if round_axis else 0.0
             continue
-        winding += _edge(spots, marks, size, line, length, limit, most, wave, whole, sign, normals, p, pieces, owner,
-                         tips, holders, ties, at)  # fmt: skip
+        winding += _edge(job, size, outline, scratch)
     return sign * winding / (2 * math.pi)
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def cut(patches, spheres, normals, offsets, first, starts, ends, origins, aside, limits, most, omega, whole, pieces,  # type: ignore[no-untyped-def]
-        owner, tips, holders, ties, windings, line, spots, marks, at):  # fmt: skip
-    """Parts the rims of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
+def cut(patches, faces, origins, aside, limits, outline, scratch):  # type: ignore[no-untyped-def]
+    """Cut the outlines of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
 
     Args:
         patches: (k) the faces to do.
-        spheres: (p, 4) centre and radius of each face [m].
-        normals: (p, 3) unit normals.
-        offsets: (p) planes normal . x = offset [m].
-        first: (p + 1) index of each face's first edge.
-        starts: (e, 3) edge starts, counter-clockwise about the normal [m].
-        ends: (e, 3) edge ends [m].
+        faces: `FaceOutlines` (p).
         origins: (1 or p, 2, 3) transmitter and receiver, or their images, for all or for each face [m].
-        aside: (3) a hair by which images stand beside their places, so that no rim lies on the axis [m].
-        limits: (1 or p) greatest mean range, for all or for each face [m].
-        most: rim whose path exceeds the mirror path by more is left out [m].
-        omega: carrier [rad/s].
-        whole: whether to cut all of the rim into pieces.
-        pieces: (m, 12) gets start, end (6), path lengths (2), weights (2), angle, early delay as length.
-        owner: (m) gets the face of each piece.
-        tips: (n, 9) gets of each end: place (3), path length, value (2), a vector into the face (3).
-        holders: (n) gets the face of each end.
-        ties: (n) gets the piece that goes on from there, whose shade it has; -1: none.
-        windings: (k) gets the turns of the rim around the line image - receiver, 0 where there is no echo.
-        line, spots, marks, at: (4, 3), (69, 8), (69, 2) and whole numbers (3), scratch.
+        aside: (3) a hair by which images are moved, so that no edge lies on the axis [m].
+        limits: `CutLimits`.
+        outline: `Outline` (k), written; of pieces and ends those that fit.
+        scratch: `CutScratch`.
 
     Returns:
         How many pieces and ends there are; only those that fit are written.
     """
-    at[0], at[1], at[2] = 0, 0, 0  # pieces, ends, first end of the face
-    wave = omega / C0
+    at = scratch.counts
+    at[0], at[1], at[2] = 0, 0, 0
     for i in range(len(patches)):
         p = patches[i]
-        limit = limits[p] if len(limits) > 1 else limits[0]
-        windings[i] = 0.0
-        length = _before(normals, offsets, spheres, p, origins, p if len(origins) > 1 else 0, aside, limit, line)
+        limit = limits.range_m[p] if len(limits.range_m) > 1 else limits.range_m[0]
+        outline.windings[i] = 0.0
+        length = _before(faces, p, origins, aside, limit, scratch.line)
         if length >= 0:
-            windings[i] = _outline(spheres, normals, first, starts, ends, p, length, limit, most, wave, whole, pieces,
-                               owner, tips, holders, ties, line, spots, marks, at)  # fmt: skip
+            outline.windings[i] = _outline(faces, p, length, limit, limits, outline, scratch)
     return at[0], at[1]

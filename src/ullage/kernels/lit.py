@@ -204,24 +204,26 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
 
 
 @lean(nogil=True, error_model="numpy")
-def outline_louds(pieces, owner, tips, holders, ties, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
-    """How loud pieces of rims are and ends, at the most: those from which a piece goes on are told with that.
+def outline_louds(outline, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
+    """Bound the path gains of pieces and ends of outlines; an end from which a piece goes on counts with the piece.
 
     Args:
-        pieces, owner, tips, holders, ties: as `edges.cut` gives them.
+        outline: `edges.Outline` (m, n).
         gains: (k) of the faces.
         unit: wavelength over 16 pi squared [m].
-        louds: (m + n) gets path gain amplitudes of pieces, then of ends; paths: (m + n) their mean ranges [m].
+        louds: (m + n) gets path gain amplitudes of pieces, then of ends.
+        paths: (m + n) gets their mean ranges [m].
 
     Returns:
         How many there are.
     """
+    pieces, tips = outline.pieces, outline.tips
     count = len(pieces)
     for i in range(count):
-        louds[i] = unit * max(pieces[i, 8], pieces[i, 9]) * abs(pieces[i, 10]) * gains[owner[i]]
+        louds[i] = unit * max(pieces[i, 8], pieces[i, 9]) * abs(pieces[i, 10]) * gains[outline.owner[i]]
         paths[i] = 0.5 * pieces[i, 6]
     for i in range(len(tips)):
-        loud, tie = unit * math.hypot(tips[i, 4], tips[i, 5]) * gains[holders[i]], ties[i]
+        loud, tie = unit * math.hypot(tips[i, 4], tips[i, 5]) * gains[outline.holders[i]], outline.ties[i]
         if tie >= 0:
             louds[tie] = max(louds[tie], loud)
         else:

@@ -1,4 +1,4 @@
-"""Loops that lay the echoes of flat faces' rims and mirror images on the delay grids."""
+"""Loops that add the echoes of the outlines and mirror images of flat faces to the delay grids."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ullage.arrays import Complexes, Floats, Ints
+from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.kernels.facets import (
     EDGE,
     VERTEX,
@@ -42,6 +42,13 @@ class KnownEnd(NamedTuple):
     cosine: Floats  # (taps) cos(incidence)
 
 
+class Spots(NamedTuple):
+    """Points (m) at which faces are looked at."""
+
+    places: Floats  # (m, 3) [m]
+    faces: Longs  # (m) face of each
+
+
 class LineEcho(NamedTuple):
     """Echo of a line whose amplitude is linear along it, and whose phase nearly is."""
 
@@ -53,21 +60,23 @@ class LineEcho(NamedTuple):
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
-def look_at(pieces, owner, tips, holders, ties, normals, inward, out, faces, seats):  # type: ignore[no-untyped-def]
-    """Where to look for pieces and ends of rims: points on their faces, `inward` of them [m].
+def look_at(outline, normals, inward, spots, seats):  # type: ignore[no-untyped-def]
+    """Find points on faces from which pieces and ends of outlines are seen, `inward` of them [m].
 
-    Ends from which a piece goes on are seen where it is.
+    An end from which a piece goes on is seen where that piece is.
 
     Args:
-        pieces: (m, 12), owner: (m), tips: (n, 9), holders: (n), ties: (n) as `edges.cut` gives them.
+        outline: `edges.Outline` (m, n).
         normals: (p, 3) of the faces.
-        out: (m + n, 3) gets the points [m], as many as there are.
-        faces: (m + n) gets the face of each.
-        seats: (m + n) gets which of them each piece, then each end, is seen by.
+        inward: distance from the edge into the face [m].
+        spots: `Spots`, written.
+        seats: (m + n) gets which of the points each piece, then each end, is seen by.
 
     Returns:
         How many points there are.
     """
+    pieces, owner, tips, ties = outline.pieces, outline.owner, outline.tips, outline.ties
+    out, faces = spots.places, spots.faces
     count = len(pieces)
     for i in range(count):
         p = owner[i]
@@ -89,7 +98,7 @@ def look_at(pieces, owner, tips, holders, ties, normals, inward, out, faces, sea
         scale = math.sqrt(2) * inward / max(math.sqrt(square), 0.1)
         for k in range(3):
             out[count, k] = tips[i, k] + scale * tips[i, 6 + k]
-        faces[count], seats[len(pieces) + i] = holders[i], count
+        faces[count], seats[len(pieces) + i] = outline.holders[i], count
         count += 1
     return count
 
@@ -259,9 +268,9 @@ def accumulate_outlines(echoes, lit, between, pulse, sums, known):  # type: igno
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
 def crossings(patches, windings, normals, offsets, origins, limits, points):  # type: ignore[no-untyped-def]
-    """Where the lines from image to receiver cross the faces that hold them: (k, 9) rows as for ends of rims.
+    """Find where the lines from image to receiver cross the faces that hold them: (k, 9) rows as for ends of outlines.
 
-    Those whose mean range lies beyond the face's limit are left out, as their rims are.
+    Those whose mean range lies beyond the face's limit are left out, as their outlines are.
 
     Returns:
         How many there are; `patches` is compacted to match, in place.
@@ -288,21 +297,24 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
             points[count, k] += share * (origins[o, 1, k] + (ahead - front) * normals[p, k] - points[count, k])
             points[count, 6 + k] = 0.0
         points[count, 3] = math.sqrt(square)
-        points[count, 4], points[count, 5] = -4 * math.pi / points[count, 3], 0.0  # over what rims have in common
+        points[count, 4], points[count, 5] = -4 * math.pi / points[count, 3], 0.0  # over what outlines have in common
         patches[count] = p
         count += 1
     return count
 
 
 @lean(nogil=True, error_model="numpy")
-def look_about(points, which, across, zone, wavelength, normals, first, starts, ends, out, faces, within):  # type: ignore[no-untyped-def]
-    """Where to look about mirror points (k, 9): places (k z, 3) of their first Fresnel zones [m].
+def look_about(points, which, faces, across, zone, wavelength, spots, within):  # type: ignore[no-untyped-def]
+    """Find places in the first Fresnel zones of mirror points.
 
     Args:
-        points: (k, 9) as `crossings` gives them, on the faces `which`: (k).
-        across: (p, 2, 3), normals: (p, 3), first: (p + 1), starts: (e, 3), ends: (e, 3) of the faces.
-        zone: (z, 2) places over the zone's radius, the first in its middle; wavelength: [m].
-        out: gets the places; faces: (k z) the face of each.
+        points: (k, 9) mirror points, as `crossings` gives them.
+        which: (k) face of each.
+        faces: `edges.FaceOutlines` (p).
+        across: (p, 2, 3) unit vectors in the faces, at right angles.
+        zone: (z, 2) places over the zone's radius, the first in its middle.
+        wavelength: [m].
+        spots: `Spots` (k z), written.
         within: (k, z) gets which of them lie on their faces: those in the middle do.
     """
     row = 0
@@ -311,15 +323,15 @@ def look_about(points, which, across, zone, wavelength, normals, first, starts, 
         for j in range(len(zone)):
             for k in range(3):
                 away = zone[j, 0] * across[p, 0, k] + zone[j, 1] * across[p, 1, k]
-                out[row, k] = points[i, k] + radius * away
-            faces[row] = p
-            within[i, j] = j == 0 or held(out[row], p, normals, first, starts, ends)
+                spots.places[row, k] = points[i, k] + radius * away
+            spots.faces[row] = p
+            within[i, j] = j == 0 or held(spots.places[row], p, faces.normals, faces.first, faces.starts, faces.ends)
             row += 1
 
 
 @core(nogil=True, error_model="numpy")
 def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def]
-    """Whether a point lies within the rim of face p: a line from it crosses the rim an odd time."""
+    """Whether a point lies within face p: a line from it crosses the outline an odd number of times."""
     ax, ay, az = abs(normals[p, 0]), abs(normals[p, 1]), abs(normals[p, 2])
     u, v = np.int64(0), np.int64(1)  # the two axes across which the face is largest
     if ax >= ay and ax >= az:
@@ -340,7 +352,7 @@ def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def
 
 @lean(nogil=True, error_model="numpy")
 def held_by(centres, axes, halves, origins, clear, out):  # type: ignore[no-untyped-def]
-    """Which boxes (m) hold which places (k, 3) or have them no farther outside than `clear` [m]: out (m, k)."""
+    """Find which boxes (m) hold which places (k, 3), or have them no farther outside than `clear` [m]: out (m, k)."""
     for i in range(len(out)):
         for s in range(len(origins)):
             out[i, s] = True
@@ -353,7 +365,7 @@ def held_by(centres, axes, halves, origins, clear, out):  # type: ignore[no-unty
 
 @lean(nogil=True, error_model="numpy")
 def hidden(outward, body, inside, origins, opaque, out):  # type: ignore[no-untyped-def]
-    """Which faces turn their backs to all of some places outside their bodies.
+    """Find the faces that turn their backs to all of some places outside their bodies.
 
     Args:
         outward: (n, 4) and body: (n) as in `radar.solids.Backs`.

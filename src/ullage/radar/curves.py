@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
-from ullage.kernels import edges, lit
+from ullage.kernels import lit
 from ullage.kernels import paths as kernel
+from ullage.kernels.edges import CutLimits, Outline
 from ullage.kernels.facets import LitFaces, Transmission, TrianglePieces
 from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, split
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import unit
 from ullage.radar.paths import PathSet, reached
-from ullage.radar.planar import Outline, Outlined, accumulate_parted, parted
+from ullage.radar.planar import Outlined, accumulate_parted, cut_outlines, face_outlines
 from ullage.radar.solids import Backs
 
 NUDGE_M = 5e-3
@@ -167,9 +168,8 @@ def _accumulate_strips(
         return []
     faces = strips.faces
     limits, many, ends = np.array(context.gate[1:]), np.arange(len(strips.on)), paths.ends[strips.of]
-    outline = parted(len(many), len(faces.starts), lambda *room: edges.cut(
-        many, faces.spheres, faces.normals, faces.offsets, faces.first, faces.starts, faces.ends, ends,
-        antennas.aside, limits, 1e9, context.pulse.omega, context.whole_outlines, *room))  # fmt: skip
+    follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
+    outline = cut_outlines(many, face_outlines(faces), ends, antennas.aside, follow)
     if not (len(outline.pieces) or len(outline.tips) or (outline.windings > 0.5).any()):
         return []
 
@@ -194,8 +194,7 @@ def _accumulate_strips(
 def outlines_heard(context: RadarContext, outline: Outline, gains: Floats, rest: float) -> Bools:
     """Which pieces of rims and which ends without one count, of faces (k) with so much gain."""
     louds, lengths = np.empty((2, len(outline.pieces) + len(outline.tips)))
-    count = lit.outline_louds(outline.pieces, outline.owner, outline.tips, outline.holders, outline.ties, gains,
-                          context.spec.wavelength_m / (16 * np.pi**2), louds, lengths)  # fmt: skip
+    count = lit.outline_louds(outline, gains, context.spec.wavelength_m / (16 * np.pi**2), louds, lengths)
     return audible(context, louds[:count], lengths[:count], rest)
 
 

@@ -15,14 +15,15 @@ import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import beams as kernel
-from ullage.kernels import bounces, edges
+from ullage.kernels import bounces
 from ullage.kernels import outlines as draw
+from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import mirrored
-from ullage.radar.planar import accumulate_outline, parted
+from ullage.radar.planar import accumulate_outline, cut_outlines
 from ullage.radar.visibility import between
 from ullage.radar.zones import shares, strengths
 
@@ -190,9 +191,9 @@ def _accumulate(
                   context.spec.wavelength_m, np.empty(3), weights)  # fmt: skip
     weights = np.maximum(weights - FAINT, 0)
     which = np.flatnonzero(weights)
-    outline = parted(len(which), len(starts), lambda *room: edges.cut(
-        which, spheres, normals, offsets, beams.first, starts, ends, origins, antennas.aside, gate, EXCESS_M,
-        context.pulse.omega, context.whole_outlines, *room))  # fmt: skip
+    faces = FaceOutlines(spheres, normals, offsets, beams.first, starts, ends)
+    follow = CutLimits(gate, EXCESS_M, context.pulse.omega, context.whole_outlines)
+    outline = cut_outlines(which, faces, origins, antennas.aside, follow)
     points = np.empty((len(which), 9))
     count = draw.crossings(which, outline.windings, normals, offsets, origins, gate, points)
     points, which = points[:count], which[:count]
@@ -292,9 +293,9 @@ def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> F
         origins = _radars(antennas, beams)
     normals, offsets, spheres = planar.normals[on], planar.offsets[on], planar.spheres[on]
     which = np.flatnonzero(asked)
-    outline = parted(len(which), len(starts), lambda *room: edges.cut(
-        which, spheres, normals, offsets, first, starts, ends, origins, antennas.aside, gate, EXCESS_M,
-        context.pulse.omega, False, *room))  # fmt: skip
+    faces = FaceOutlines(spheres, normals, offsets, first, starts, ends)
+    follow = CutLimits(gate, EXCESS_M, context.pulse.omega, False)
+    outline = cut_outlines(which, faces, origins, antennas.aside, follow)
     points = np.empty((len(which), 9))
     count = draw.crossings(which, outline.windings, normals, offsets, origins, gate, points)
     return np.sort(points[:count, 3])

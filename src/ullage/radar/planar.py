@@ -1,4 +1,4 @@
-"""Echoes of large flat faces: their mirror images, less what runs along their rims."""
+"""Echoes of large flat faces: their mirror images, less what runs along their edges."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels import edges as kernel
 from ullage.kernels import outlines as draw
+from ullage.kernels.edges import CutLimits, FaceOutlines, Outline
 from ullage.kernels.facets import EchoSums, LitFaces, PulseGrid, Transmission
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet, echo_set
@@ -25,62 +26,39 @@ _ZONE = np.concatenate(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outline:
-    """The rims of faces as `edges.cut` parts them: pieces, and the ends of what is not cut."""
+def cut_outlines(which: Longs, faces: FaceOutlines, origins: Floats, aside: Floats, limits: CutLimits) -> Outline:
+    """Cut the outlines of some faces (k), with more room where there was too little.
 
-    pieces: Floats  # (m, 12)
-    owner: Ints  # (m) face of each piece
-    tips: Floats  # (n, 9)
-    holders: Ints  # (n) face of each end
-    ties: Ints  # (n) piece that goes on from each end, -1 for none
-    windings: Floats  # (k) turns of each face's rim around the axis
-
-    @staticmethod
-    def none(faces: int) -> Outline:
-        """No rims, of so many faces that hold their mirror points."""
-        none = np.zeros(0, np.int32)
-        return Outline(np.zeros((0, 12)), none, np.zeros((0, 9)), none, none, np.ones(faces))
-
-
-def parted(count: int, edges: int, fill: Callable[..., tuple[int, int]]) -> Outline:
-    """Runs the kernel that parts the rims of `count` faces of `edges` edges, again where there was too little room."""
-    rooms = [2048 + 4 * edges, 1024 + 2 * edges]
-    windings = np.empty(count)
-    scratch = np.empty((4, 3)), np.empty((69, 8)), np.empty((69, 2)), np.empty(3, np.int64)
+    Args:
+        which: (k) the faces.
+        faces: all faces (p).
+        origins: (1 or p, 2, 3) transmitter and receiver, for all faces or for each [m].
+        aside: (3) as `context.AntennaPair.aside` [m].
+        limits: how far outlines are followed.
+    """
+    rooms, windings = [2048 + 4 * len(faces.starts), 1024 + 2 * len(faces.starts)], np.empty(len(which))
+    scratch = kernel.CutScratch(np.empty((4, 3)), np.empty((69, 8)), np.empty((69, 2)), np.empty(3, np.int64))
     while True:
         pieces, owner = np.empty((rooms[0], 12)), np.empty(rooms[0], np.int32)
         tips, holders, ties = np.empty((rooms[1], 9)), np.empty(rooms[1], np.int32), np.empty(rooms[1], np.int32)
-        made, ends = fill(pieces, owner, tips, holders, ties, windings, *scratch)
+        outline = Outline(pieces, owner, tips, holders, ties, windings)
+        made, ends = kernel.cut(which, faces, origins, aside, limits, outline, scratch)
         if made <= rooms[0] and ends <= rooms[1]:
             return Outline(pieces[:made], owner[:made], tips[:ends], holders[:ends], ties[:ends], windings)
         rooms = [max(rooms[0], int(1.2 * made)), max(rooms[1], int(1.2 * ends))]
 
 
+def face_outlines(planar: PlanarPatches | Outlined) -> FaceOutlines:
+    """Flat faces as kernels take them."""
+    return FaceOutlines(planar.spheres, planar.normals, planar.offsets, planar.first, planar.starts, planar.ends)
+
+
 def outlines(
     context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, which: Longs, limits: Floats
 ) -> Outline:
-    """The rims of some faces, each as far as its limit (p) [m]."""
-    return parted(
-        len(which),
-        len(planar.starts),
-        lambda *room: kernel.cut(
-            which,
-            planar.spheres,
-            planar.normals,
-            planar.offsets,
-            planar.first,
-            planar.starts,
-            planar.ends,
-            antennas.origins[None],
-            antennas.aside,
-            limits,
-            1e9,
-            context.pulse.omega,
-            context.whole_outlines,
-            *room,
-        ),
-    )
+    """Cut the outlines of some faces, each as far as its limit (p) [m]."""
+    follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
+    return cut_outlines(which, face_outlines(planar), antennas.origins[None], antennas.aside, follow)
 
 
 def accumulate_planar(
@@ -207,20 +185,9 @@ def _looks(
     most, about = len(outline.pieces) + len(outline.tips), len(points) * len(_ZONE)
     spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
     seats, within = np.empty(most, np.int64), np.empty((len(points), len(_ZONE)), np.bool_)
-    count = draw.look_at(
-        outline.pieces,
-        outline.owner,
-        outline.tips,
-        outline.holders,
-        outline.ties,
-        planar.normals,
-        _NUDGE_M,
-        spots,
-        faces,
-        seats,
-    )
-    draw.look_about(points, which, planar.across, _ZONE, context.spec.wavelength_m, planar.normals, planar.first,
-                    planar.starts, planar.ends, spots[count:], faces[count:], within)  # fmt: skip
+    count = draw.look_at(outline, planar.normals, _NUDGE_M, draw.Spots(spots, faces), seats)
+    draw.look_about(points, which, face_outlines(planar), planar.across, _ZONE, context.spec.wavelength_m,
+                    draw.Spots(spots[count:], faces[count:]), within)  # fmt: skip
     return spots[: count + about], faces[: count + about], seats, within
 
 

@@ -327,8 +327,9 @@ def _outlines() -> None:
 
 
 def _echoes() -> None:
+    from ullage.kernels.edges import Outline
     from ullage.radar.context import transmission_to
-    from ullage.radar.planar import Outline, accumulate_parted
+    from ullage.radar.planar import accumulate_parted
 
     context, antennas, planar = _bench(_room())
     accumulate_parted(context, planar, np.arange(len(planar)), Outline.none(len(planar)), np.full(len(planar), 9.0),
@@ -375,10 +376,10 @@ def _paths() -> None:
 def _paths_over_faces() -> None:
     """The kernels of paths over flat faces, to no points, wires and facets at all."""
     from ullage.kernels import lit, paths
+    from ullage.kernels.edges import Outline
     from ullage.radar import curves
     from ullage.radar.multipath import looks
     from ullage.radar.paths import paths_of, reached
-    from ullage.radar.planar import Outline
 
     context, antennas, planar = _bench(_room())
     still, none, long, both = context.world.still, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 2), complex)
