@@ -7,8 +7,8 @@ Numba writes every function three times: itself, a wrapper that takes Python's o
 unpack every array argument, and cost a quarter of the time that compiling takes. Of its passes, those for closures,
 for contexts, for arguments that are None, for literal containers and for expressions of whole arrays find nothing here;
 with each of them the lives of all variables are followed anew. Leaving them out is Numba's documented option
-`pipeline_class`, and saves 5 to 13 % of the CPU time of the first call of `ullage.simulate`. Nothing of Numba is
-replaced.
+`pipeline_class`, and saves 5 to 13 % of the CPU time of the first call of `ullage.simulate`. Nothing of Numba itself
+is replaced.
 """
 
 from __future__ import annotations
