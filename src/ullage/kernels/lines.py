@@ -1,20 +1,32 @@
-"""Loops for straight lines that echo: which part of each must be integrated, and what the ends of the rest add."""
+"""Split straight lines that echo into the part to integrate and the ends of the rest."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from ullage.arrays import Bools, Floats, Ints
 from ullage.kernels.edges import FAR
 from ullage.kernels.loops import core, inner, loop
 
 C0 = 299_792_458.0
 
 
+class PartedLines(NamedTuple):
+    """Results of `part` for w lines: the part of each that must be integrated, and the ends of the rest."""
+
+    near: Floats  # (w, 2, 3) ends of the part to integrate [m]
+    held: Bools  # (w) whether there is such a part
+    tips: Floats  # (4 w, 2, 3) place [m] of each end, and value (real, imaginary, 0) for a unit strength
+    holders: Ints  # (4 w) line of each end
+    sides: Ints  # (4 w) 0 or 1 where the part to integrate starts or stops, -1 at the line's own ends
+
+
 @core(fastmath=True, nogil=True, error_model="numpy")
 def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-def]
-    """As `edges._steep`, at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
+    """Do as `edges._steep` at a distance from a line's start, for an integrand that falls as 1 / (r s)."""
     path, rate, bend, fade = 0.0, 0.0, 0.0, 0.0
     for s in range(2):
         square, run = 1e-8, 0.0
@@ -32,7 +44,7 @@ def _steep(start, along, place, origins, wave, out):  # type: ignore[no-untyped-
 
 @inner(fastmath=True, nogil=True, error_model="numpy")
 def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no-untyped-def]
-    """Between which distances from its start a line's path is too near to its shortest to be done by its ends."""
+    """Write to `out` (2) the distances from a line's start between which its ends cannot stand for the integral [m]."""
     foot, off = np.empty(2), np.empty(2)
     for s in range(2):
         run, square = 0.0, 0.0
@@ -66,23 +78,20 @@ def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no
 
 
 @loop(fastmath=True, nogil=True, error_model="numpy")
-def part(starts, ends, origins, gate, wave, near, held, tips, holders, sides):  # type: ignore[no-untyped-def]
-    """Parts lines: near where the path is shortest there is something to integrate, of the rest only ends count.
+def part(starts, ends, origins, gate, wave, out):  # type: ignore[no-untyped-def]
+    """Split lines: near the shortest path there is something to integrate, of the rest only the ends count.
 
     Args:
         starts: (w, 3) and ends: (w, 3) of the lines [m].
         origins: (2, 3) transmitter and receiver [m].
         gate: (2) least and greatest mean range [m].
         wave: wave number [1/m].
-        near: (w, 2, 3) gets the ends of the part to integrate [m].
-        held: (w) gets whether there is such a part.
-        tips: (4 w, 2, 3) gets place [m] and value (real, imaginary, 0) of each end, for an integrand of unit strength.
-        holders: (4 w) gets the line of each.
-        sides: (4 w) gets 0 or 1 where the part to integrate starts or stops there, -1 at the line's own ends.
+        out: `PartedLines` gets the results.
 
     Returns:
         How many ends there are.
     """
+    near, held, tips, holders, sides = out
     at = 0
     along, term, share = np.empty(3), np.empty(3), np.empty(2)
     for w in range(len(starts)):

@@ -113,25 +113,14 @@ def _parted(context: RadarContext, antennas: AntennaPair, starts: Floats, ends: 
         return Parted(
             pieces, which[owner].astype(np.int32), np.zeros((0, 2, 3)), np.zeros(0, np.int32), np.zeros(0, np.int64)
         )
-    near, held = np.empty((len(starts), 2, 3)), np.empty(len(starts), np.bool_)
-    tips, holders = np.empty((4 * len(starts), 2, 3)), np.empty(4 * len(starts), np.int32)
-    sides = np.empty(4 * len(starts), np.int32)
-    count = lines.part(
-        starts,
-        ends,
-        antennas.origins,
-        np.array(context.gate),
-        context.pulse.omega / C0,
-        near,
-        held,
-        tips,
-        holders,
-        sides,
-    )
-    tips, holders, sides = tips[:count], holders[:count], sides[:count]
-    some = np.flatnonzero(held)
-    pieces, owner = _cut(context, antennas, np.ascontiguousarray(near[some, 0]), np.ascontiguousarray(near[some, 1]),
-                         _COARSE * KAPPA)  # fmt: skip
+    many = len(starts)
+    out = lines.PartedLines(np.empty((many, 2, 3)), np.empty(many, np.bool_), np.empty((4 * many, 2, 3)),
+                            np.empty(4 * many, np.int32), np.empty(4 * many, np.int32))  # fmt: skip
+    count = lines.part(starts, ends, antennas.origins, np.array(context.gate), context.pulse.omega / C0, out)
+    tips, holders, sides = out.tips[:count], out.holders[:count], out.sides[:count]
+    some = np.flatnonzero(out.held)
+    near, far = (np.ascontiguousarray(out.near[some, end]) for end in range(2))
+    pieces, owner = _cut(context, antennas, near, far, _COARSE * KAPPA)
     owner = some[owner].astype(np.int32)
     # pieces of a line come from its end to its start
     ties = np.where(sides == 0, np.searchsorted(owner, holders, "right") - 1, np.searchsorted(owner, holders))
