@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ullage.kernels import beams, impulses, outlines
+from ullage.kernels.facets import PulseGrid
 
 C0 = 299_792_458.0
 
@@ -50,7 +51,7 @@ def test_impulses_are_splines_at_their_delays_and_land_again_where_frames_fold()
     omega, t0, dt, fold = 2 * np.pi * 7.29e9, -2e-9, 3e-11, 40e-9
     delays, values = np.array([10.013e-9, 41e-9, 55e-9]), np.array([1.0, 2j, 0.5 - 1j])
     grids, echo = np.zeros((3, 2000), complex), np.empty(3, complex)
-    impulses.impulses(delays, values, omega, t0, dt, fold, (0.25, 0.75), grids, echo)
+    impulses.impulses(delays, values, PulseGrid(omega, t0, dt, fold), (0.25, 0.75), grids, echo)
     places = t0 + dt * np.arange(2000)
     for delay, value, told in zip(delays, values, echo, strict=True):
         landed = delay - np.floor((delay - t0) / fold) * fold

@@ -1,59 +1,76 @@
-"""Loops over paths of geometrical optics over round things: what becomes of the field, and impulses on delay grids."""
+"""Field and echo of paths of geometrical optics over curved bodies."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels.bounces import reflect_field
 from ullage.kernels.facets import FROM, ONE, TO, toward, turned
 from ullage.kernels.loops import lean
 from ullage.kernels.vectors import dot, field_across, unit_to
 
 
+class ReflectedPaths(NamedTuple):
+    """Paths (n) from transmitter to receiver over s surfaces each."""
+
+    corners: Floats  # (s + 2, n, 3) [m]
+    normals: Floats  # (s, n, 3) unit normals where each is reflected
+    object_ids: Longs  # (s, n) objects there, which are rows of the materials
+
+
+class FieldScratch(NamedTuple):
+    """Scratch of `polarised`."""
+
+    units: Floats  # (2, 3)
+    field: Complexes  # (3)
+
+
 @lean(nogil=True, error_model="numpy")
-def polarised(corners, normals, object_ids, gamma, frames, fields, table, flat, units, field, out):  # type: ignore[no-untyped-def]
-    """What the antennas and all reflections make of waves.
+def polarised(paths, gamma, antennas, scratch, out):  # type: ignore[no-untyped-def]
+    """Compute the factor that the antennas and all reflections put on the wave of each path.
 
     Args:
-        corners: (s + 2, n, 3) of each path from transmitter to receiver [m].
-        normals: (s, n, 3) unit normals, and object ids: (s, n) materials, where it is reflected.
+        paths: `ReflectedPaths`.
         gamma: (m, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
-        frames: (1, 2, 3, 3) sensor_from_world and fields: (1, 2, 3) of transmitter and receiver.
-        table, flat: as in `facets.accumulate`.
-        units, field: (2, 3), (3) complex, scratch.
+        antennas: `facets.Antennas` of one radar.
+        scratch: `FieldScratch`.
         out: (n) gets the factors.
     """
-    way, taken = units[0], units[1]
+    corners, normals, object_ids = paths
+    frames, fields, table, flat = antennas.frames, antennas.fields, antennas.table, antennas.isotropic
+    direction, taken, field = scratch.units[0], scratch.units[1], scratch.field
     for i in range(len(out)):
-        unit_to(corners[0, i], corners[1, i], way)
-        gain = toward(table, flat, frames, ONE, FROM, way[0], way[1], way[2])
-        field_across(fields[0, 0], way, taken)
+        unit_to(corners[0, i], corners[1, i], direction)
+        gain = toward(table, flat, frames, ONE, FROM, direction[0], direction[1], direction[2])
+        field_across(fields[0, 0], direction, taken)
         for k in range(3):
             field[k] = taken[k]
         for s in range(len(normals)):
-            reflect_field(gamma, object_ids[s, i], normals[s, i], way, field)
-            unit_to(corners[s + 1, i], corners[s + 2, i], way)
-        gain *= toward(table, flat, frames, ONE, TO, -way[0], -way[1], -way[2])
-        field_across(fields[0, 1], way, taken)
+            reflect_field(gamma, object_ids[s, i], normals[s, i], direction, field)
+            unit_to(corners[s + 1, i], corners[s + 2, i], direction)
+        gain *= toward(table, flat, frames, ONE, TO, -direction[0], -direction[1], -direction[2])
+        field_across(fields[0, 1], direction, taken)
         out[i] = gain * dot(field, taken)
 
 
 @lean(nogil=True, error_model="numpy")
-def impulses(delays, values, omega, t0, dt, fold, shares, grids, echo):  # type: ignore[no-untyped-def]
-    """Lays impulses on the delay grids, with a cubic B-spline.
+def impulses(delays, values, pulse, shares, grids, echo):  # type: ignore[no-untyped-def]
+    """Add impulses to the delay grids, each spread by a cubic B-spline.
 
     Args:
         delays: (n) [s]; values: (n) complex.
-        omega: carrier [rad/s].
-        t0: delay of the first grid place, dt: grid step, fold: delay at which the frame folds [s].
-        shares: what of them falls as 1 and as 1 / f.
+        pulse: `facets.PulseGrid`.
+        shares: (2) of each value that fall as 1 and as 1 / f.
         grids: (3, g) complex, added to.
         echo: (n) gets the echoes at the carrier.
     """
+    omega, t0, dt, fold = pulse.omega, pulse.start_s, pulse.step_s, pulse.fold_s
     last = t0 + grids.shape[1] * dt
     for i in range(len(delays)):
         landed = delays[i] - math.floor((delays[i] - t0) / fold) * fold
-        echo[i] = values[i] * turned(omega * landed)  # what lands a pulse later is the same echo
+        echo[i] = values[i] * turned(omega * landed)  # an echo that arrives one pulse later is the same echo
         while landed < last and values[i] != 0:
             value = values[i] * turned(omega * landed)
             first = math.floor((landed - t0) / dt)

@@ -38,18 +38,9 @@ def free(parts: list[Surfaces], path: Real) -> Bools:
 
 def turned(context: RadarContext, antennas: AntennaPair, path: Real) -> Complexes:
     """What the antennas and all reflections make of the waves (n); the pattern is interpolated, to 3e-4."""
-    out, scratch = np.empty(len(path.there), complex), (np.empty((2, 3)), np.empty(3, complex))
+    out = np.empty(len(path.there), complex)
     corners, normals = (np.ascontiguousarray(row) for row in (path.corners, path.normals))
-    kernel.polarised(
-        corners,
-        normals,
-        path.object_ids.astype(np.int64),
-        context.gamma,
-        antennas.frames[None],
-        antennas.fields[None],
-        context.table,
-        context.spec.antenna.kind == "isotropic",
-        *scratch,
-        out,
-    )
+    paths = kernel.ReflectedPaths(corners, normals, path.object_ids.astype(np.int64))
+    scratch = kernel.FieldScratch(np.empty((2, 3)), np.empty(3, complex))
+    kernel.polarised(paths, context.gamma, context.antennas(antennas), scratch, out)
     return out

@@ -372,6 +372,5 @@ def accumulate(
     as its root, which is half of each.
     """
     echo = np.empty(len(value), complex)
-    kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), context.pulse.omega, context.first_m * 2 / C0,
-                    context.pulse.step_s, context.fold_s, shares, grids, echo)  # fmt: skip
+    kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), context.pulse_grid, shares, grids, echo)
     return echo

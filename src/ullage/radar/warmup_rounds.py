@@ -8,12 +8,16 @@ import numpy as np
 def rounds() -> None:
     """What all round things share, on no path at all."""
     from ullage.kernels import impulses as kernel
+    from ullage.kernels.facets import Antennas, PulseGrid
 
     none, long = np.zeros(0, complex), np.zeros((1, 0), np.int64)
-    kernel.impulses(none.real.copy(), none, 1.0, 0.0, 1.0, 1.0, (0.5, 0.5), np.zeros((3, 0), complex), none)
-    kernel.polarised(np.zeros((3, 0, 3)), np.zeros((1, 0, 3)), long, np.zeros((1, 1, 2, 2), complex),
-                     np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)), np.zeros((6, 2, 2)), False, np.zeros((2, 3)),
-                     none, none)  # fmt: skip
+    pulse = PulseGrid(1.0, 0.0, 1.0, 1.0)
+    kernel.impulses(none.real.copy(), none, pulse, (0.5, 0.5), np.zeros((3, 0), complex), none)
+    paths = kernel.ReflectedPaths(np.zeros((3, 0, 3)), np.zeros((1, 0, 3)), long)
+    antennas = Antennas(np.zeros((1, 2, 3)), np.zeros((1, 2, 3, 3)), np.zeros((1, 2, 3)), np.zeros((6, 2, 2)), False,
+                        np.ones(1, complex))  # fmt: skip
+    scratch = kernel.FieldScratch(np.zeros((2, 3)), np.zeros(3, complex))
+    kernel.polarised(paths, np.zeros((1, 1, 2, 2), complex), antennas, scratch, none)
 
 
 def pairs() -> None:
