@@ -1,13 +1,13 @@
-"""Loops of multipath: beams from mirror images of the transmitter through mirrors, clipped on the face they end on."""
+"""Beams from mirror images of the transmitter through mirrors, clipped on the face where they end."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ullage.arrays import Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import height
 
@@ -16,15 +16,67 @@ FACE, LIT, NONE = np.int64(0), np.int64(2), np.int64(-1)  # outlines of faces an
 SLIVER_M = 1e-7  # parts no wider than this are none: a face that touches a beam is not lit
 
 
-def scratch() -> tuple[NDArray[Any], ...]:
-    """Room for `trace`: two images, the planes of two beams, outlines, and counts."""
-    return (np.empty(3), np.empty(3), np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4)), np.empty((4, MOST, 3)),
-            np.empty(2, np.int64))  # fmt: skip
+class ConvexMirrors(NamedTuple):
+    """Convex parts (c) of flat faces that can mirror, and those to use."""
+
+    chosen: Longs  # (q) parts to use
+    outlines: Floats  # (c, 12, 3) corners [m]
+    sizes: Ints  # (c) corners of each
+    flat_of: Ints  # (c) flat face of each
+
+
+class EndFaces(NamedTuple):
+    """Flat faces (p), and those on which beams may end."""
+
+    targets: Longs  # (t) faces on which beams may end
+    normals: Floats  # (p, 3) unit normals
+    offsets: Floats  # (p) plane normal . x = offset [m]
+    spheres: Floats  # (p, 4) centre and radius [m]
+    loop_of: Ints  # (p + 1) first loop of each face
+    loops: Ints  # (l + 1) first edge of each loop
+    starts: Floats  # (e, 3) start of each edge [m]
+
+
+class BeamRows(NamedTuple):
+    """Beams (b) as `trace` writes them, with m edges in all."""
+
+    apexes: Floats  # (b, 3) the transmitter's last image [m]
+    chains: Longs  # (b, 2) convex mirrors, -1 for none
+    ends_on: Longs  # (b) face on which each ends
+    first: Ints  # (b + 1) first edge of each
+    edges: Floats  # (m, 2, 3) outlines of the lit parts [m]
+
+
+class BeamScratch(NamedTuple):
+    """Scratch of `trace`."""
+
+    one: Floats  # (3) image over the first mirror [m]
+    two: Floats  # (3) image over both mirrors [m]
+    planes1: Floats  # (MOST + 2, 4) of the beam over the first mirror
+    planes2: Floats  # (MOST + 2, 4) of the beam over both
+    outlines: Floats  # (4, MOST, 3) outlines while they are clipped [m]
+    counts: Longs  # (2) beams and edges so far
+
+
+class _Beam(NamedTuple):
+    """One beam from an image of the transmitter."""
+
+    apex: Floats  # (3) the image [m]
+    planes: Floats  # (made or more, 4) that bound it
+    made: int
+    over: tuple[np.int64, np.int64]  # convex mirrors, -1 for none
+    skip: np.int64  # face of the last mirror
+
+
+def scratch() -> BeamScratch:
+    """Allocate the scratch of `trace`."""
+    return BeamScratch(np.empty(3), np.empty(3), np.empty((MOST + 2, 4)), np.empty((MOST + 2, 4)),
+                       np.empty((4, MOST, 3)), np.empty(2, np.int64))  # fmt: skip
 
 
 @core(nogil=True, error_model="numpy")
 def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
-    """Keeps the part of a closed outline where plane . (x, 1) >= 0 for every plane (Sutherland-Hodgman).
+    """Keep the part of a closed outline where plane . (x, 1) >= 0 for every plane (Sutherland-Hodgman).
 
     The outline is outlines[at] or, as it goes to and fro between them, the one after an even `at`.
 
@@ -64,7 +116,7 @@ def _clipped(outlines, at, count, planes, made):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ignore[no-untyped-def]
-    """Planes of the beam from an image through outlines[at] in face p, on the side where it comes out; their count."""
+    """Write the planes of the beam that leaves face p from an image through outlines[at]; return their count."""
     cx, cy, cz = 0.0, 0.0, 0.0
     for i in range(count):
         cx, cy, cz = cx + outlines[at, i, 0], cy + outlines[at, i, 1], cz + outlines[at, i, 2]
@@ -93,7 +145,7 @@ def _walls(apex, outlines, at, count, normals, offsets, p, planes):  # type: ign
 
 @core(nogil=True, error_model="numpy")
 def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no-untyped-def]
-    """Whether the sphere of face p meets the beam and can echo within the gate."""
+    """Return whether the sphere of face p meets the beam and can echo within the gate."""
     x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
     for i in range(made):
         if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z + planes[i, 3] < -radius:
@@ -104,8 +156,9 @@ def _reached(spheres, p, planes, made, apex, receiver, gate):  # type: ignore[no
 
 
 @core(nogil=True, error_model="numpy")
-def _emit(target, planes, made, loop_of, loops, starts, outlines, edges, at):  # type: ignore[no-untyped-def]
-    """Writes the clipped outline of a face as edges (m, 2, 3) from `at` on; gives where it ends."""
+def _emit(target, planes, made, faces, outlines, edges, at):  # type: ignore[no-untyped-def]
+    """Write the clipped outline of a face as edges (m, 2, 3) from `at` on; return where it ends."""
+    loop_of, loops, starts = faces.loop_of, faces.loops, faces.starts
     for ring in range(loop_of[target], loop_of[target + 1]):
         count = np.int64(loops[ring + 1]) - loops[ring]
         if count > MOST - 2:
@@ -126,89 +179,80 @@ def _emit(target, planes, made, loop_of, loops, starts, outlines, edges, at):  #
 
 
 @core(nogil=True, error_model="numpy")
-def _ends(apex, planes, made, a, b, skip, receiver, gate, targets, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
-          outlines, apexes, chains, ends_on, first, edges, at):  # fmt: skip
-    """Writes the beams from an image through `made` planes to every face they may end on.
+def _ends(beam, receiver, gate, faces, out, scratch):  # type: ignore[no-untyped-def]
+    """Write the parts of a beam that light each of the faces on which beams may end.
 
     Args:
-        apex: (3) the transmitter's image [m].
-        planes: (made, 4) of the beam.
-        a, b: mirrors that it came over, -1 for none; skip: the face of the last.
-        outlines: (4, MOST, 3) scratch.
-        at: (2) how many beams and edges there are; the rest as in `trace`.
+        beam: `_Beam`.
+        receiver: (3) [m].
+        gate, faces, out, scratch: as in `trace`.
     """
-    for t in targets:
-        if t == skip:
+    at = scratch.counts
+    for t in faces.targets:
+        if t == beam.skip:
             continue
-        if not _reached(spheres, t, planes, made, apex, receiver, gate):
+        if not _reached(faces.spheres, t, beam.planes, beam.made, beam.apex, receiver, gate):
             continue
-        end = _emit(t, planes, made, loop_of, loops, starts, outlines, edges, at[1])
+        end = _emit(t, beam.planes, beam.made, faces, scratch.outlines, out.edges, at[1])
         if end == at[1]:
             continue
-        if at[0] < len(ends_on) and end <= len(edges):
+        if at[0] < len(out.ends_on) and end <= len(out.edges):
             for k in range(3):
-                apexes[at[0], k] = apex[k]
-            chains[at[0], 0], chains[at[0], 1] = a, b
-            ends_on[at[0]], first[at[0] + 1] = t, end
+                out.apexes[at[0], k] = beam.apex[k]
+            out.chains[at[0], 0], out.chains[at[0], 1] = beam.over
+            out.ends_on[at[0]], out.first[at[0] + 1] = t, end
         at[0], at[1] = at[0] + 1, end
 
 
 @lean(nogil=True, error_model="numpy")
-def trace(origins, most, gate, mirrors, outlines, sizes, flat_of, normals, offsets, spheres, loop_of, loops, starts,  # type: ignore[no-untyped-def]
-          targets, apexes, chains, ends_on, first, edges, one, two, planes1, planes2, clipped, at):  # fmt: skip
-    """Every beam of two or three bounces: over one or two mirrors, then on the face it ends on.
+def trace(origins, most, gate, mirrors, faces, out, scratch):  # type: ignore[no-untyped-def]
+    """Trace every beam of two or three bounces: over one or two mirrors, then on the face where it ends.
 
     Args:
         origins: (2, 3) transmitter and receiver [m].
         most: bounces, 2 or 3.
         gate: largest mean range [m].
-        mirrors: (q) convex mirrors to use.
-        outlines: (c, 12, 3) corners of each convex mirror [m].
-        sizes: (c) how many corners.
-        flat_of: (c) flat face each belongs to.
-        normals: (p, 3), offsets: (p), spheres: (p, 4) of the flat faces.
-        loop_of: (p + 1) first loop of each face; loops: (l + 1) first edge of each loop; starts: (e, 3) [m].
-        targets: (t) faces where beams may end.
-        apexes: (b, 3) gets the transmitter's images; chains: (b, 2) the mirrors, -1 for none; ends_on: (b) the face.
-        first: (b + 1) gets the first edge of each beam; edges: (m, 2, 3) the outlines.
-        one, two, planes1, planes2, clipped, at: as `scratch` gives them.
+        mirrors: `ConvexMirrors`.
+        faces: `EndFaces`.
+        out: `BeamRows` gets the beams.
+        scratch: `BeamScratch`.
 
     Returns:
         How many beams and edges there are; only those that fit are written.
     """
+    one, two, planes1, planes2, clipped, at = scratch
+    normals, offsets, sizes, flat_of = faces.normals, faces.offsets, mirrors.sizes, mirrors.flat_of
     at[0], at[1] = 0, 0
-    first[0] = 0
-    for a in mirrors:
+    out.first[0] = 0
+    for a in mirrors.chosen:
         p = np.int64(flat_of[a])
         _image(origins[0], normals[p], offsets[p], one)
         for i in range(sizes[a]):
             for k in range(3):
-                clipped[2, i, k] = outlines[a, i, k]
+                clipped[2, i, k] = mirrors.outlines[a, i, k]
         made = _walls(one, clipped, LIT, np.int64(sizes[a]), normals, offsets, p, planes1)
-        _ends(one, planes1, made, a, NONE, p, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
-              starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
-        for b in mirrors:
+        _ends(_Beam(one, planes1, made, (a, NONE), p), origins[1], gate, faces, out, scratch)
+        for b in mirrors.chosen:
             q = np.int64(flat_of[b])
             if most < 3 or q == p:
                 continue
-            if not _reached(spheres, q, planes1, made, one, one, gate):
+            if not _reached(faces.spheres, q, planes1, made, one, one, gate):
                 continue
             for i in range(sizes[b]):
                 for k in range(3):
-                    clipped[2, i, k] = outlines[b, i, k]
+                    clipped[2, i, k] = mirrors.outlines[b, i, k]
             count, lit = _clipped(clipped, LIT, np.int64(sizes[b]), planes1, made)
             if count < 3:
                 continue
             _image(one, normals[q], offsets[q], two)
             made2 = _walls(two, clipped, lit, count, normals, offsets, q, planes2)
-            _ends(two, planes2, made2, a, b, q, origins[1], gate, targets, normals, offsets, spheres, loop_of, loops,
-                  starts, clipped, apexes, chains, ends_on, first, edges, at)  # fmt: skip
+            _ends(_Beam(two, planes2, made2, (a, b), q), origins[1], gate, faces, out, scratch)
     return at[0], at[1]
 
 
 @core(nogil=True, error_model="numpy")
 def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
-    """The mirror image of a point in the plane normal . x = offset, never in that plane itself."""
+    """Write the mirror image of a point in the plane normal . x = offset, never in that plane itself."""
     gap = normal[0] * point[0] + normal[1] * point[1] + normal[2] * point[2] - offset
     gap += height(gap, gap)
     for k in range(3):
@@ -217,7 +261,9 @@ def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
 
 @lean(nogil=True, error_model="numpy")
 def looks(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-untyped-def]
-    """How large faces look from the place nearest to each, less what they lack of a Fresnel zone; 0 beyond the gate.
+    """Compute the apparent size of faces from the nearest antenna, reduced for faces smaller than a Fresnel zone.
+
+    Faces beyond the gate get 0.
 
     Args:
         spheres: (p, 4) centre and radius, and widths: (p, 2) of the faces [m].
@@ -240,7 +286,7 @@ def looks(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-u
 
 @lean(nogil=True, error_model="numpy")
 def largest(look, fade, most, which, weights):  # type: ignore[no-untyped-def]
-    """Those that look largest, fewer than `most` has places, and what each of all counts.
+    """Choose the faces of the largest apparent size, fewer than `most` has places, and weigh all of them.
 
     Args:
         look: (n) how large each looks.

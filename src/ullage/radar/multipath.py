@@ -151,25 +151,25 @@ def most_looked(look: Floats, count: int | None = None) -> tuple[Longs, Floats]:
 def trace(planar: PlanarPatches, antennas: AntennaPair, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:
     """All beams of two bounces up to as many as told within the gate."""
     rooms = [1024, 8192]
+    mirrors = kernel.ConvexMirrors(chosen.mirrors, planar.mirrors, planar.sizes, planar.flat_of)
+    faces = kernel.EndFaces(chosen.targets, planar.normals, planar.offsets, planar.spheres, planar.loop_of,
+                            planar.loops, planar.starts)  # fmt: skip
     while True:
-        apex, chain, on = np.empty((rooms[0], 3)), np.empty((rooms[0], 2), np.int64), np.empty(rooms[0], np.int64)
-        first, edges = np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3))
-        made, used = kernel.trace(antennas.origins, bounces_, gate_m, chosen.mirrors, planar.mirrors, planar.sizes,
-                                  planar.flat_of, planar.normals, planar.offsets, planar.spheres, planar.loop_of,
-                                  planar.loops, planar.starts, chosen.targets, apex, chain, on, first, edges,
-                                  *kernel.scratch())  # fmt: skip
+        out = kernel.BeamRows(np.empty((rooms[0], 3)), np.empty((rooms[0], 2), np.int64), np.empty(rooms[0], np.int64),
+                              np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3)))  # fmt: skip
+        made, used = kernel.trace(antennas.origins, bounces_, gate_m, mirrors, faces, out, kernel.scratch())
         if made <= rooms[0] and used <= rooms[1]:
             break
         rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
-    chain, on = chain[:made], on[:made]
+    chain, on = out.chains[:made], out.ends_on[:made]
     weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
     double = chain[:, 1] >= 0
     weights[double] *= chosen.mirror_weights[chain[double, 1]]
-    faces = np.where(chain >= 0, planar.flat_of[chain], -1).astype(np.int64)
+    over = np.where(chain >= 0, planar.flat_of[chain], -1).astype(np.int64)
     curved = planar.smooth.view(np.int8)
-    weights[curved[on] + curved[faces[:, 0]] + curved[faces[:, 1]] * double == 1] = 0
-    firsts = mirrored(antennas.origins[0], planar, faces[:, 0]) if made else np.zeros((0, 3))
-    return Beams(apex[:made], firsts, faces, on, first[: made + 1], edges[:used], weights)
+    weights[curved[on] + curved[over[:, 0]] + curved[over[:, 1]] * double == 1] = 0
+    firsts = mirrored(antennas.origins[0], planar, over[:, 0]) if made else np.zeros((0, 3))
+    return Beams(out.apexes[:made], firsts, over, on, out.first[: made + 1], out.edges[:used], weights)
 
 
 def _accumulate(
