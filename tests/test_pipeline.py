@@ -12,7 +12,7 @@ import pytest
 import ullage as ul
 from ullage.experiments.report_collectors import RangeTime, SampledFrames
 from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
-from ullage.pipeline import DetectStage, Due, Held, ImageStage, MapStage
+from ullage.pipeline import DetectStage, Due, ImageStage, InMemorySource, MapStage
 
 
 def thesis_frames(n: int = 60) -> ul.Frames:
@@ -50,7 +50,7 @@ def test_every_frame_reaches_the_sink_and_the_map_is_that_of_the_whole() -> None
     grid = ul.Grid.covering([[-4, -3, 0], [4, 3, 1]], 0.1)
     kept = Kept()
     stages = [DetectStage(), MapStage(grid, "elfes")]
-    outcome = ul.run(Held(frames, size=7), stages=stages, sinks=[kept])
+    outcome = ul.run(InMemorySource(frames, size=7), stages=stages, sinks=[kept])
     assert outcome.frames == len(frames)
     assert sum(len(item[frames.sensor]) for item in kept.items if isinstance(item, dict)) == len(frames)
     assert kept.closed
@@ -79,9 +79,9 @@ def test_a_live_flight_may_leave_the_grid_and_come_back(method: str) -> None:
     frames = ul.simulate(ul.scenes.room(size_m=(6, 4, 3)), path, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
     grid = ul.Grid.covering([[-4, -3, 0], [1.0, 3, 1]], 0.1)
     with pytest.raises(ul.InputError, match="does not hold the flight"):
-        ul.run(Held(frames, size=7), stages=[MapStage(grid, method)])
+        ul.run(InMemorySource(frames, size=7), stages=[MapStage(grid, method)])
     with pytest.warns(ul.UllageWarning, match=r"left the map \(x -4\.0") as said:
-        outcome = ul.run(Held(frames, size=7), stages=[MapStage(grid, method, live=True)])
+        outcome = ul.run(InMemorySource(frames, size=7), stages=[MapStage(grid, method, live=True)])
     inside = frames[grid.index(frames.believed.position)[1]]
     assert 0 < len(inside) < len(frames)
     assert np.array_equal(outcome.results[-1].percent, ul.map_occupancy(inside, grid, method=method).percent)
@@ -91,7 +91,7 @@ def test_a_live_flight_may_leave_the_grid_and_come_back(method: str) -> None:
 def test_detections_count_frames_from_the_start_of_the_recording() -> None:
     frames = thesis_frames()
     kept = Kept()
-    ul.run(Held(frames, size=7), stages=[DetectStage()], sinks=[kept])
+    ul.run(InMemorySource(frames, size=7), stages=[DetectStage()], sinks=[kept])
     found = np.concatenate([item.frame for item in kept.items if isinstance(item, ul.Detections)])
     assert np.array_equal(found, ul.detect(frames).frame)
 
@@ -161,7 +161,8 @@ def test_an_image_grows_as_the_flight_goes_on_and_ends_as_the_whole_one(held: in
     finals = {}
     for every_s in (None, 0.2):
         kept = Kept()
-        ul.run(Held(frames, size=4), stages=[ImageStage(grid, every_s=every_s, held_frames=held)], sinks=[kept])
+        stage = ImageStage(grid, every_s=every_s, held_frames=held)
+        ul.run(InMemorySource(frames, size=4), stages=[stage], sinks=[kept])
         images = [item for item in kept.items if isinstance(item, ul.Image)]
         finals[every_s] = images[-1]
         assert len(images) == (1 if every_s is None else pytest.approx(4.0 / 0.2, abs=2))

@@ -131,10 +131,10 @@ def _interpolated(antenna: AntennaSpec, unit: Floats) -> Floats:
 
     peak = _table_peak(antenna)
     az, el, dbi = _table(str(antenna.file))
-    look = RegularGridInterpolator((az, el), 10 ** ((dbi - peak) / 20))
+    interpolate = RegularGridInterpolator((az, el), 10 ** ((dbi - peak) / 20))
     a = np.clip(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])), az[0], az[-1])
     e = np.clip(np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1))), el[0], el[-1])
-    return np.asarray(look(np.stack([a, e], 1)))
+    return np.asarray(interpolate(np.stack([a, e], 1)))
 
 
 @lru_cache(maxsize=32)

@@ -48,7 +48,7 @@ class Trajectory(Displayed):
     t_ns: Longs  # (n) strictly rising
     position: Floats  # (n, 3) [m]
     quat_xyzw: Floats  # (n, 4) world_from_body
-    velocity: Floats | None = None  # (n, 3) world [m/s]; None at the door means: from the positions
+    velocity: Floats | None = None  # (n, 3) world [m/s]; None: derived from the positions
     angular_velocity: Floats | None = None  # (n, 3) body [rad/s]; None means: from the attitudes
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What data show of themselves in a notebook; `ullage.view`, a higher layer, draws it when it is asked for."""
+"""Pictures of data in notebooks; `ullage.view`, a higher layer, draws them on request."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 
 def plots() -> Any:
-    """The module that draws data, loaded when the first picture is asked for."""
+    """Import the module that draws data, at the first picture."""
     return importlib.import_module("ullage.view.plots")
 
 
 class Displayed:
-    """Something that notebooks show as a picture above its short text."""
+    """Mixin for data that notebooks show as a picture above its text."""
 
     __slots__ = ()
 

@@ -1,4 +1,4 @@
-"""Write files whole or not at all."""
+"""Write files completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ullage.errors import InputError
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file under a temporary name and rename it, so that it is there wholly or not at all.
+    """Write a file under a temporary name and rename it, so that a reader never sees a part of it.
 
     Args:
-        path: of the file; its folder exists.
+        path: the file, in an existing folder.
         write: puts the content into the open file.
 
     Raises:
@@ -30,7 +30,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         os.umask(mask)
         os.chmod(name, 0o666 & ~mask)
         os.replace(name, path)
-    except BaseException as error:  # Ctrl-C too leaves no half a file
+    except BaseException as error:  # Ctrl-C leaves no partial file either
         if name and os.path.exists(name):
             os.unlink(name)
         if isinstance(error, OSError):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Chunk = dict[str, Frames]
 VIEWER = "viewer:"
-HELD_FRAMES = 2048  # of a sensor that wait for an image
+HELD_FRAMES = 2048  # of a sensor, collected for an image
 
 
 def _own_echo_filter() -> OwnEchoFilter:
@@ -169,21 +169,22 @@ def run(
     sinks: Sequence[Sink] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Outcome:
-    """Take frames from a source until it ends or Ctrl-C; hand every piece and result to every sink.
+    """Take frames from a source until it ends or Ctrl-C; give every piece and result to every sink.
 
     Args:
         source: gives the frames; or frames in memory, of one sensor or a dict of several.
         stages: see every piece in turn; what they return goes to the sinks.
         sinks: take frames and results; closed at the end, whatever happens.
-        progress: told the seconds of recording done so far, after each piece.
+        progress: called with the seconds of recording done so far, after each piece.
 
     Returns:
         Counts, and what the stages gave when they finished.
 
     Raises:
-        InputError: the source is none.
+        InputError: the source gives no frames.
     """
-    stream = getattr(Held(source) if isinstance(source, Frames | Mapping | list | tuple) else source, "stream", None)
+    given = InMemorySource(source) if isinstance(source, Frames | Mapping | list | tuple) else source
+    stream = getattr(given, "stream", None)
     if stream is None:
         raise InputError(f"the source is a {type(source).__name__}", where="run", allowed="ul.open(...), or Frames")
     count, interrupted = _Count(), False
@@ -218,14 +219,14 @@ def _give(item: Any, sinks: Sequence[Sink]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class InMemorySource:
     """Frames already in memory, as a source."""
 
     recording: Recording
     size: int = 256
 
     def stream(self) -> Iterator[Chunk]:
-        """Pieces in order of time."""
+        """Give pieces in order of time."""
         parts = sensors_of(self.recording)
         for start in range(0, max(len(p) for p in parts), self.size):
             yield {p.sensor: p[start : start + self.size] for p in parts if start < len(p)}
@@ -233,13 +234,13 @@ class Held:
 
 @dataclass(slots=True)
 class Due:
-    """Tells when something that comes every so often is due, at that mean rate however the pieces fall."""
+    """Decide when a periodic result is due; the mean rate does not depend on the size of the pieces."""
 
     every_s: float
     _next_ns: int | None = None
 
     def reached(self, now_ns: int) -> bool:
-        """Whether it is due now, by the clock of the frames; a clock that has stepped starts anew."""
+        """Whether it is due now, by the clock of the frames; after a step of the clock it starts anew."""
         period_ns, next_ns = round(self.every_s * 1e9), self._next_ns
         if next_ns is not None and next_ns - period_ns <= now_ns < next_ns:
             return False
@@ -285,7 +286,7 @@ class MapStage:
 
     The last map of frames that `ul.calibrate` put on a track also holds the scatterers that stay coherent along it.
 
-    A flight that leaves the grid is refused, unless it is told of as it happens: then the grid could not be chosen for
+    A flight that leaves the grid is refused, unless the map is live: then the grid could not be chosen for
     it, and what is seen from outside is left out until it is back.
     """
 

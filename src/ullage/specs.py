@@ -21,21 +21,21 @@ from ullage.untrusted import read_yaml
 
 
 def refusal(error: ValidationError, model: type[BaseModel]) -> InputError:
-    """The first complaint of pydantic in one line: field, what was given, what is allowed."""
+    """Return the first error of pydantic as one line: field, given value, allowed values."""
     first = error.errors()[0]
     field, given = first["loc"], first.get("input")
-    said, _, allowed = first["msg"].removeprefix("Value error, ").partition("Input should be ")
+    text, _, allowed = first["msg"].removeprefix("Value error, ").partition("Input should be ")
     plain = not isinstance(given, dict | BaseModel)
     if first["type"] == "extra_forbidden":
-        said, allowed = ": no such setting", _settings(model, field[:-1])
+        text, allowed = ": no such setting", _settings(model, field[:-1])
     elif first["type"] == "missing":
-        said = " is missing"
+        text = " is missing"
     elif allowed:
-        said, allowed = f" is {shown(given)}" if plain else " is a group", allowed.partition(", unable")[0]
+        text, allowed = f" is {shown(given)}" if plain else " is a group", allowed.partition(", unable")[0]
     else:
-        said = f": {said}, not {shown(given)}" if plain else f": {said}"
+        text = f": {text}, not {shown(given)}" if plain else f": {text}"
     path = ".".join(str(part) for part in field)
-    return InputError((path + said).removeprefix(": "), where=model.__name__, allowed=allowed, field=field)
+    return InputError((path + text).removeprefix(": "), where=model.__name__, allowed=allowed, field=field)
 
 
 def _settings(model: type[BaseModel], path: tuple[str | int, ...]) -> str:
@@ -213,7 +213,7 @@ def _over(known: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_the_x4(values: dict[str, Any]) -> dict[str, Any]:
-    """Settings as the X4's driver names them [NoveldaX4Driver], told in ours."""
+    """Settings as the X4's driver names them [NoveldaX4Driver], converted to ours."""
     out = dict(values)
     both = [(theirs, name) for theirs in out for name in _X4_NAMES.get(theirs, ()) if name in out]
     if both:

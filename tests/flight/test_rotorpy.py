@@ -7,7 +7,7 @@ import pytest
 
 from ullage.flight.airframe import airframe
 from ullage.flight.control import Tables
-from ullage.flight.physics import CONTROL_HZ, Surroundings
+from ullage.flight.physics import CONTROL_HZ, CollisionModel
 from ullage.flight.reference import Reference
 from ullage.flight.vehicle import integrate
 from ullage.kernels.flight import command
@@ -53,7 +53,7 @@ def _theirs(frame, track, control, wind):
 def _ours(frame, track, wind=(0, 0, 0)):
     blowing = np.tile(np.asarray(wind, float), (len(track), 1))
     return integrate(
-        frame, Reference(CONTROL_HZ, track), blowing, Surroundings(frame, [], len(track)), None, "record", None
+        frame, Reference(CONTROL_HZ, track), blowing, CollisionModel(frame, [], len(track)), None, "record", None
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import ullage as ul
-from ullage.pipeline import Held, MapStage
+from ullage.pipeline import InMemorySource, MapStage
 from ullage.view.replay import Explained, MapHistory, Parts
 
 
@@ -18,7 +18,7 @@ def parts() -> Parts:
     frames = {"radar": ul.simulate(scene, path, spec, max_bounces=1, seed=3)}
     history = MapHistory()
     grid = ul.Grid.covering(scene.bounds, 0.1, z_m=0.0, margin_m=0.5)
-    ul.run(Held(frames, size=8), stages=[MapStage(grid, every_s=0.4)], sinks=[history])
+    ul.run(InMemorySource(frames, size=8), stages=[MapStage(grid, every_s=0.4)], sinks=[history])
     part = frames["radar"]
     explained = [Explained("radar", int(part.t_ns[k]), ul.explain(part, k, count=4)) for k in (5, 20)]
     image = ul.focus(part, ul.Grid.covering(scene.bounds, 0.1, z_m=0.0))

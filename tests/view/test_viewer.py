@@ -14,7 +14,7 @@ from PIL import Image as Picture
 
 import ullage as ul
 from ullage.errors import MissingExtra
-from ullage.pipeline import DetectStage, Held, ImageStage, MapStage
+from ullage.pipeline import DetectStage, ImageStage, InMemorySource, MapStage
 
 rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'ullage[view]'")
 
@@ -38,7 +38,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     sink = ul.sink(f"viewer:{path}")
     sink.write(room)
     stages = [DetectStage(), MapStage(grid, "elfes"), ImageStage(grid, "summation")]
-    ul.run(Held(frames, size=10), stages=stages, sinks=[sink])
+    ul.run(InMemorySource(frames, size=10), stages=stages, sinks=[sink])
     return path, frames
 
 

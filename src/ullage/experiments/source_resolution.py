@@ -210,7 +210,7 @@ def _of_recording(
     options: Sequence[str],
     log: Callable[[str], None],
 ) -> Run:
-    from ullage.pipeline import Held
+    from ullage.pipeline import InMemorySource
     from ullage.ports import RailSource
     from ullage.ports import open as open_source
 
@@ -225,7 +225,7 @@ def _of_recording(
     tree: dict[str, Any] = {} if rail is None else {"map": known}
     if any(part.track is not None for part in first.values()):
         floor_z_m = make_scenario(tree | {"name": "any", "do": ["detect"]}, options=options).map.floor_z_m
-        source = Held(_on_one_clock(source, log, floor_z_m, None if survey is None else survey.places))
+        source = InMemorySource(_on_one_clock(source, log, floor_z_m, None if survey is None else survey.places))
         first = next(source.stream())
     placed = all(part.poses is not None for part in first.values())
     if tasks is None:

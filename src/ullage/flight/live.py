@@ -18,7 +18,7 @@ from ullage.errors import InputError
 from ullage.flight.airframe import Airframe, airframe
 from ullage.flight.control import Tables, air
 from ullage.flight.obstacles import bodies
-from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings
+from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, CollisionModel
 from ullage.kernels.flight import command, wrench
 from ullage.world.scene import Scene
 
@@ -133,15 +133,15 @@ class Steered:
             raise InputError(f"start is {start!r}", where="Steered", allowed="x, y, z [m], and yaw [deg] or not")
         self._tables = Tables.of(airframe(vehicle))
         self._rows = max(math.ceil(moving_s * CONTROL_HZ), 0) + 1
-        self._around = Surroundings(airframe(vehicle), bodies(scene) if scene is not None else [], self._rows)
+        self._collisions = CollisionModel(airframe(vehicle), bodies(scene) if scene is not None else [], self._rows)
         self._memory = self._tables.memory(airframe(vehicle).hover_rad_s)
         self._track = np.zeros((1, 14))
         self._wind = air(np.asarray(wind_m_s, float), gust_m_s, count=self._rows, rate_hz=CONTROL_HZ, seed=seed)
         self._mass_kg = airframe(vehicle).mass_kg
         yaw = math.radians(float(place[3])) if len(place) == 4 else 0.0
         self._track[0, :3], self._track[0, 12] = place[:3], yaw
-        self._around.data.qpos[:] = [*place[:3], math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
-        self._around.data.qvel[:] = 0
+        self._collisions.data.qpos[:] = [*place[:3], math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+        self._collisions.data.qvel[:] = 0
         self.wish = Wish(float(place[2]), (0.0, 0.0), yaw)
         self.steps = 0
 
@@ -153,32 +153,32 @@ class Steered:
     @property
     def touched(self) -> int:
         """How often it has hit something."""
-        return len(self._around.touches)
+        return len(self._collisions.touches)
 
     @property
     def contacts(self) -> tuple[tuple[int, int, float], ...]:
         """Each contact: control step at which it began, number of the object, speed [m/s]."""
-        return tuple((touch.step, touch.owner, touch.speed) for touch in self._around.touches)
+        return tuple((touch.step, touch.owner, touch.speed) for touch in self._collisions.touches)
 
     @property
     def position(self) -> Floats:
         """Where it is (3) [m]."""
-        return np.array(self._around.data.qpos[:3])
+        return np.array(self._collisions.data.qpos[:3])
 
     @property
     def quat_xyzw(self) -> Floats:
         """Its attitude (4), world_from_body."""
-        return np.array(self._around.data.qpos[[4, 5, 6, 3]])
+        return np.array(self._collisions.data.qpos[[4, 5, 6, 3]])
 
     @property
     def velocity(self) -> Floats:
         """Its velocity (3) in the world [m/s]."""
-        return np.array(self._around.data.qvel[:3])
+        return np.array(self._collisions.data.qvel[:3])
 
     @property
     def spin(self) -> Floats:
         """Its turn rate (3) in the body [rad/s]."""
-        return np.array(self._around.data.qvel[3:6])
+        return np.array(self._collisions.data.qvel[3:6])
 
     def ask(self, wish: Wish) -> None:
         """Change what is asked for."""
@@ -192,23 +192,23 @@ class Steered:
     def _step(self) -> None:
         import mujoco
 
-        around, tables = self._around, self._tables
+        collisions, tables = self._collisions, self._tables
         row = min(self.steps, self._rows - 1)
-        around.look(row)
-        data = around.data
+        collisions.update(row)
+        data = collisions.data
         self._steer(1 / CONTROL_HZ)
         command(tables.vehicle(data.qpos, data.qvel, self._memory), self._track, 0, 1 / CONTROL_HZ)
         for _ in range(CONTROL_EVERY):
             wrench(data.qpos, data.qvel, self._memory, tables.plane, tables.rotors, self._wind[row], 1 / PHYSICS_HZ,
                    data.qfrc_applied)  # fmt: skip
-            mujoco.mj_step(around.model, data)
-            if around.near and data.ncon:
-                around.note(self.steps)
+            mujoco.mj_step(collisions.model, data)
+            if collisions.near and data.ncon:
+                collisions.record_contacts(self.steps)
         self.steps += 1
 
     def _steer(self, dt: float) -> None:
         """Move the reference on by one control step."""
-        row, wish, data = self._track[0], self.wish, self._around.data
+        row, wish, data = self._track[0], self.wish, self._collisions.data
         row[13] = wish.turn(row[12])
         row[12] += row[13] * dt
         if wish.force_n is not None:

@@ -63,12 +63,12 @@ def body_spec(frame: Airframe) -> Any:
     return spec
 
 
-class Surroundings:
-    """Keeps the engine's model matched to what is near the vehicle.
+class CollisionModel:
+    """Keep the physics engine's model matched to the bodies near the vehicle.
 
     Args:
         frame: the vehicle.
-        parts: what there is to hit.
+        parts: bodies that the vehicle can hit.
         count: control steps of the flight, for the poses of moving bodies.
     """
 
@@ -82,9 +82,9 @@ class Surroundings:
         self.touches: list[Touch] = []
         self._open: dict[int, Touch] = {}
         self._poses = [_poses(part, count) for part in parts]
-        # Where the nearness of each part was last measured, and how far the vehicle may go from there [m].
+        # Where the distance to each part was last measured, and how far the vehicle may move from there [m].
         full = [k for k, part in enumerate(parts) if len(part.corners) + len(part.wires)]
-        self._watched = dict.fromkeys(full, (0.0, 0.0, 0.0, -1.0))
+        self._clearance = dict.fromkeys(full, (0.0, 0.0, 0.0, -1.0))
         self._before = [0.0, 0.0, 0.0]
         self._flexes: list[tuple[int, Longs]] = []  # part, and its triangles
         self._wires: dict[int, tuple[int, int]] = {}  # of each capsule: part, and wire past its triangles
@@ -92,16 +92,16 @@ class Surroundings:
 
     @property
     def model(self) -> Any:
-        """The engine's model in use."""
+        """The engine's present model."""
         return self.data.model
 
-    def look(self, row: int) -> bool:
-        """Brings the model up to date for a control step; true when the model was exchanged."""
+    def update(self, row: int) -> bool:
+        """Update the model for a control step; return whether the model was replaced."""
         x, y, z = self.data.qpos[:3].tolist()
         if self.near:
             self._before = self.data.qvel[:3].tolist()
         stale = False
-        for k, (ax, ay, az, slack) in self._watched.items():
+        for k, (ax, ay, az, slack) in self._clearance.items():
             if self._parts[k].motion is None:
                 dx, dy, dz = x - ax, y - ay, z - az
             else:
@@ -125,7 +125,7 @@ class Surroundings:
     def _survey(self, position: Floats, row: int) -> None:
         alert = self._frame.radius_m + _ALERT
         chosen: list[tuple[int, Longs]] = []
-        for k in self._watched:
+        for k in self._clearance:
             here = self._local(k, position, row)
             index, gap, _ = self._parts[k].gaps(here, alert + _SLACK)
             close = index[gap < alert + _SLACK]
@@ -134,7 +134,7 @@ class Surroundings:
                 chosen.append((k, close))
             else:
                 slack = max(float(gap.min()) - alert, _SLACK)
-            self._watched[k] = (*here.tolist(), slack)
+            self._clearance[k] = (*here.tolist(), slack)
         self._exchange(chosen)
 
     def _exchange(self, chosen: list[tuple[int, Longs]]) -> None:
@@ -175,8 +175,8 @@ class Surroundings:
         self._wires = {model.geom(name).id: place for name, place in strung.items()}
         return model
 
-    def note(self, row: int) -> None:
-        """Writes down the contacts of the step just taken."""
+    def record_contacts(self, row: int) -> None:
+        """Record the contacts of the last step."""
         for contact in self.data.contact:
             k, index = self._hit(contact)
             owner = self._parts[k].owner_of(index)
@@ -197,7 +197,7 @@ class Surroundings:
         return next(self._wires[int(geom)] for geom in contact.geom if int(geom) in self._wires)
 
     def _surface(self, k: int, index: int, point: Floats, row: int) -> tuple[float, float, float]:
-        """The place on a triangle or wire nearest to a contact, which lies in the skin around it [m] world."""
+        """Return the point of a triangle or wire nearest to a contact, which lies in the skin around it [m] world."""
         part = self._parts[k]
         near, _, spots = part.gaps(self._local(k, np.array(point), row), 4 * self._frame.skin_m)
         spot = spots[np.flatnonzero(near == index)[0]]

@@ -26,7 +26,7 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class _Legs:
+class _Schedule:
     times: Floats  # (k) [s] when each point is reached, and left: two entries per point
     points: Floats  # (k, 3) [m]
 
@@ -58,62 +58,62 @@ def plan(waypoints: Waypoints, *, rate_hz: float, start: Floats | None = None, s
     return Reference(rate_hz, track)
 
 
-def _headings(way: Waypoints, start: Floats | None, start_yaw_deg: float) -> Floats:
+def _headings(mission: Waypoints, start: Floats | None, start_yaw_deg: float) -> Floats:
     """Unwrapped heading goal at each point [rad], the start included; for "along" that of the leg that leaves it."""
-    points = way.points if start is None else np.vstack([start, way.points])
-    if isinstance(way.yaw, str):
+    points = mission.points if start is None else np.vstack([start, mission.points])
+    if isinstance(mission.yaw, str):
         legs = np.diff(points, axis=0)
         level = np.hypot(legs[:, 0], legs[:, 1]) > 1e-6
-        if way.yaw == "hold" or not level.any():
+        if mission.yaw == "hold" or not level.any():
             return np.full(len(points), math.radians(start_yaw_deg))
         angle = np.arctan2(legs[:, 1], legs[:, 0])
         last = np.maximum.accumulate(np.where(level, np.arange(len(legs)), -1))
         angle = angle[np.where(last < 0, np.argmax(level), last)]
         goals = np.append(angle, angle[-1])
     else:
-        goals = np.radians(np.broadcast_to(np.asarray(way.yaw, float), (len(way),)))
+        goals = np.radians(np.broadcast_to(np.asarray(mission.yaw, float), (len(mission),)))
         goals = goals if start is None else np.append(math.radians(start_yaw_deg), goals)
     return np.asarray(np.unwrap(goals))
 
 
-def _boxes(way: Waypoints, points: Floats) -> tuple[float, float, float]:
+def _boxes(mission: Waypoints, points: Floats) -> tuple[float, float, float]:
     """Widths of the three moving averages [s]: the first sets the acceleration, the others the jerk."""
     legs = np.diff(points, axis=0)
     length = np.linalg.norm(legs, axis=1, keepdims=True)
-    speed = np.where(length > 0, way.speed_m_s * legs / np.maximum(length, 1e-12), 0.0)
-    if not way.stop and way.hold_s == 0 and len(speed) > 1:
-        change = max(way.speed_m_s, float(np.linalg.norm(np.diff(speed, axis=0), axis=1).max()))
+    speed = np.where(length > 0, mission.speed_m_s * legs / np.maximum(length, 1e-12), 0.0)
+    if not mission.stop and mission.hold_s == 0 and len(speed) > 1:
+        change = max(mission.speed_m_s, float(np.linalg.norm(np.diff(speed, axis=0), axis=1).max()))
     else:
-        change = way.speed_m_s
-    first = max(change / way.acceleration_m_s2, 0.3)
+        change = mission.speed_m_s
+    first = max(change / mission.acceleration_m_s2, 0.3)
     return first, first / 2, first / 2
 
 
-def _schedule(way: Waypoints, points: Floats, goals: Floats, settle_s: float, rate: float) -> _Legs:
+def _schedule(mission: Waypoints, points: Floats, goals: Floats, settle_s: float, rate: float) -> _Schedule:
     """When the raw motion reaches and leaves each point."""
-    stops = way.stop or way.hold_s > 0
-    along = isinstance(way.yaw, str)
+    stops = mission.stop or mission.hold_s > 0
+    along = isinstance(mission.yaw, str)
     times, now = [], 0.0
     for i in range(len(points)):
         turn = abs(goals[i] - goals[i - 1]) / rate if i else 0.0
         if i:
-            leg = float(np.linalg.norm(points[i] - points[i - 1])) / way.speed_m_s
+            leg = float(np.linalg.norm(points[i] - points[i - 1])) / mission.speed_m_s
             now += max(leg, 1e-9 if along else max(turn, 1e-9))  # two points may be one
         times.append(now)
         last = i == len(points) - 1
-        if (i or len(points) == 1) and way.hold_s > 0:
-            now += way.hold_s
+        if (i or len(points) == 1) and mission.hold_s > 0:
+            now += mission.hold_s
         if stops and i and not last:
             now += settle_s + (turn if along else 0.0)
         now += 1e-9
         times.append(now)
-    return _Legs(np.asarray(times), np.repeat(points, 2, axis=0))
+    return _Schedule(np.asarray(times), np.repeat(points, 2, axis=0))
 
 
-def _turns(way: Waypoints, legs: _Legs, goals: Floats, rate: float) -> Floats:
+def _turns(mission: Waypoints, legs: _Schedule, goals: Floats, rate: float) -> Floats:
     """Knots (k, 2) of the raw heading: time [s] and angle [rad], nowhere steeper than the rate."""
     arrive, leave = legs.times[::2], legs.times[1::2]
-    if not isinstance(way.yaw, str):
+    if not isinstance(mission.yaw, str):
         return np.stack([legs.times, np.repeat(goals, 2)], axis=1)
     knots = [(-1.0, float(goals[0]))]
     for i in range(1, len(goals)):

@@ -18,7 +18,7 @@ from ullage.flight.airframe import Airframe, airframe
 from ullage.flight.control import Tables, air
 from ullage.flight.missions import Waypoints
 from ullage.flight.obstacles import Body, Solids, bodies, into
-from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Surroundings, Touch
+from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, CollisionModel, Touch
 from ullage.flight.reference import Reference, plan
 from ullage.kernels.flight import control, wrench
 from ullage.world.scene import Scene
@@ -70,7 +70,7 @@ def fly(
     on_contact: Literal["record", "raise"] = "record",
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Flies waypoints with a real multirotor: rigid body, rotor lag, drag, wind, contact, a tracking controller.
+    """Fly waypoints with a real multirotor: rigid body, rotor lag, drag, wind, contact, a tracking controller.
 
     Args:
         waypoints: a mission, or its points.
@@ -154,14 +154,14 @@ def _fly(waypoints: Waypoints | ArrayLike, vehicle: str | Airframe, given: _Cond
         _clear(mission, place, frame, scene, parts)
     reference = plan(mission, rate_hz=CONTROL_HZ, start=place, start_yaw_deg=yaw_deg)
     blowing = air(wind, given.gust_m_s, count=len(reference.track), rate_hz=CONTROL_HZ, seed=given.seed)
-    around = Surroundings(frame, parts, len(reference.track))
-    table = integrate(frame, reference, blowing, around, scene, given.on_contact, given.progress)
-    contacts = tuple(_contact(touch, scene) for touch in around.touches) if scene is not None else ()
+    collisions = CollisionModel(frame, parts, len(reference.track))
+    table = integrate(frame, reference, blowing, collisions, scene, given.on_contact, given.progress)
+    contacts = tuple(_contact(touch, scene) for touch in collisions.touches) if scene is not None else ()
     return _result(table, reference, contacts, given.rate_hz)
 
 
 def integrate(
-    frame: Airframe, reference: Reference, wind: Floats, around: Surroundings, scene: Scene | None,
+    frame: Airframe, reference: Reference, wind: Floats, collisions: CollisionModel, scene: Scene | None,
     on_contact: str, progress: Progress | None,
 ) -> Floats:  # fmt: skip
     """Fly along a reference: sense, control, push, integrate. Return the state (n, 13 + rotors) at each control step.
@@ -172,24 +172,24 @@ def integrate(
     import mujoco
 
     tables, first, dt = Tables.of(frame), reference.track[0], 1 / PHYSICS_HZ
-    around.data.qpos[:] = [*first[:3], math.cos(first[12] / 2), 0, 0, math.sin(first[12] / 2)]
+    collisions.data.qpos[:] = [*first[:3], math.cos(first[12] / 2), 0, 0, math.sin(first[12] / 2)]
     memory, track = tables.memory(frame.hover_rad_s), reference.track
     log = np.zeros((len(track), 13 + len(tables.rotors)))
     plane, rotors, period, mj_step = tables.plane, tables.rotors, dt * CONTROL_EVERY, mujoco.mj_step
     for row in range(len(track)):
-        if around.look(row) or row == 0:
-            model, data = around.model, around.data
+        if collisions.update(row) or row == 0:
+            model, data = collisions.model, collisions.data
             qpos, qvel, push = data.qpos, data.qvel, data.qfrc_applied
             body = tables.vehicle(qpos, qvel, memory)
         control(body, track, row, period, log)
-        near, blowing = around.near, wind[row]
+        near, blowing = collisions.near, wind[row]
         for _ in range(CONTROL_EVERY if row < len(track) - 1 else 1):
             wrench(qpos, qvel, memory, plane, rotors, blowing, dt, push)
             mj_step(model, data)
             if near and data.ncon:
-                around.note(row)
+                collisions.record_contacts(row)
                 if on_contact == "raise" and scene is not None:
-                    raise Collision(f"the vehicle hit {_contact(around.touches[0], scene)}")
+                    raise Collision(f"the vehicle hit {_contact(collisions.touches[0], scene)}")
         if progress is not None and row % CONTROL_HZ == 0:
             progress(row / len(track))
     if progress is not None:

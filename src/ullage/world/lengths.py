@@ -1,4 +1,4 @@
-"""Numbers that a person gives for a scene, checked at the door."""
+"""Checks of the numbers that a user gives for a scene."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ LARGEST_M = 1e5
 
 
 def number(name: str, value: Any, where: str) -> float:
-    """A finite number no longer than the largest scene.
+    """Return a finite number within the largest scene.
 
     Raises:
-        InputError: it is something else.
+        InputError: the value is not such a number.
     """
     if isinstance(value, bool | str | bytes):
         raise InputError(f"{name} is {value!r}", where=where, allowed="a number")
@@ -32,10 +32,10 @@ def number(name: str, value: Any, where: str) -> float:
 
 
 def length(name: str, value: Any, where: str) -> float:
-    """A number above zero [m].
+    """Return a length above zero [m].
 
     Raises:
-        InputError: it is something else.
+        InputError: the value is not such a number.
     """
     out = number(name, value, where)
     if not out >= 1e-6:
@@ -44,10 +44,10 @@ def length(name: str, value: Any, where: str) -> float:
 
 
 def lengths(name: str, values: Any, count: int, where: str) -> NDArray[np.float64]:
-    """So many numbers above zero [m].
+    """Return `count` lengths above zero [m].
 
     Raises:
-        InputError: there are more, fewer, or one is something else.
+        InputError: the count differs, or a value is not a length.
     """
     if isinstance(values, str | bytes) or not isinstance(values, Sequence | np.ndarray) or len(values) != count:
         raise InputError(f"{name} is {values!r}", where=where, allowed=f"{count} lengths in metres")

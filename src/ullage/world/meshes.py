@@ -128,8 +128,8 @@ def _parts(path: Path) -> list[tuple[set[str], MeshFile]]:
     except InputError:
         raise
     except Exception as error:  # whatever a broken file brings a reader to raise
-        said = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"the mesh cannot be read: {said}", where=path) from None
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(f"the mesh cannot be read: {reason}", where=path) from None
 
 
 def check_ply(raw: bytes, path: Path) -> None:
@@ -173,7 +173,7 @@ def _check_gltf(raw: bytes, path: Path) -> None:
 def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], MeshFile]]:
     import trimesh
 
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what it would say is said by the caller
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # the caller reports its errors
     options: dict[str, Any] = {}
     if kind == "ply":
         check_ply(raw, path)

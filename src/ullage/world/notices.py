@@ -41,8 +41,8 @@ def notify(what: str, *, kind: str = "") -> None:
     """Warn about something that was ignored or assumed.
 
     Args:
-        what: the whole line, with its place.
-        kind: what the line has in common with others, of which only the first is shown; empty: it stands alone.
+        what: the full line, with its place.
+        kind: kind of the line; only the first line of a kind is shown. Empty: the line is its own kind.
     """
     found = _open.get()
     if found is None:

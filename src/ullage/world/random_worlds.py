@@ -53,10 +53,10 @@ class Plan:
     parts: list[Solid] = field(default_factory=list)
     obstacles: list[tuple[Any, float, float]] = field(default_factory=list)  # outline, foot and top [m]
 
-    def add(self, part: Solid, outline: Any, foot_m: float, top_m: float) -> None:
+    def add(self, part: Solid, outline: Any, bottom_m: float, top_m: float) -> None:
         """Add an object that stands in the way between two heights."""
         self.parts.append(part)
-        self.obstacles.append((outline, foot_m, top_m))
+        self.obstacles.append((outline, bottom_m, top_m))
 
     def pick(self, choices: Sequence[str]) -> str:
         """Draw one of several names."""
@@ -67,8 +67,8 @@ class Plan:
         """The footprint without the obstacles at the heights of flight, a shapely geometry."""
         low, high = self.band_m[0] - MARGIN_M, self.band_m[1] + MARGIN_M
         out = self.footprint
-        for outline, foot, top in self.obstacles:
-            if foot < high and top > low:
+        for outline, bottom, top in self.obstacles:
+            if bottom < high and top > low:
                 out = out - outline
         return out
 
@@ -137,9 +137,9 @@ def _shell(made: Plan, footprint: Any, height_m: float, *, skip: Sequence[int] =
     for k, (a, b) in enumerate(itertools.pairwise(corners)):
         if k in skip:
             continue
-        stuff = wall if made.rng.random() < 0.8 else made.pick(WALLS)
+        made_of = wall if made.rng.random() < 0.8 else made.pick(WALLS)
         upright = np.array([[*a, 0], [*b, 0], [*b, height_m], [*a, height_m]])
-        made.parts.append(Part(f"wall_{k + 1}", stuff, (upright, np.array([[0, 2, 1], [0, 3, 2]], np.int32))))
+        made.parts.append(Part(f"wall_{k + 1}", made_of, (upright, np.array([[0, 2, 1], [0, 3, 2]], np.int32))))
     made.parts.append(Part("floor", "concrete", clean(flat(footprint, _level(0.0)))))
     if ceiling:
         made.parts.append(Part("ceiling", made.pick(("concrete", "steel", "wood")), _down(footprint, height_m)))
@@ -231,11 +231,11 @@ def _pillars(made: Plan) -> None:
         at = _spot(made, half + 0.1, apart_m=1.4)
         if at is None:
             continue
-        stuff = made.pick(("concrete", "steel", "brick"))
+        made_of = made.pick(("concrete", "steel", "brick"))
         if rng.random() < 0.5:
-            body: Solid = Rod(f"pillar_{k + 1}", stuff, (*at, 0.002), (*at, z - 0.002), half)
+            body: Solid = Rod(f"pillar_{k + 1}", made_of, (*at, 0.002), (*at, z - 0.002), half)
         else:
-            body = Part(f"pillar_{k + 1}", stuff, moved(block((-half, -half, 0), (half, half, z)), (*at, 0),
+            body = Part(f"pillar_{k + 1}", made_of, moved(block((-half, -half, 0), (half, half, z)), (*at, 0),
                                                         yaw_deg=rng.uniform(0, 90)))  # fmt: skip
         made.add(body, _disc(at, 1.42 * half), 0.0, z)
 
@@ -247,15 +247,15 @@ def _hopper(made: Plan) -> None:
     rise, slope = rng.uniform(1.5, 3.0), np.radians(rng.uniform(35, 60, 2))
     reach = rise / np.tan(slope)
     top, high = floor + 2 * reach, rise + rng.uniform(1.5, 4.0)
-    stuff = made.pick(TANK_WALLS)
+    made_of = made.pick(TANK_WALLS)
     rings = [_corners(size, z) for size, z in ((floor, 0.0), (top, rise), (top, high))]
     for k in range(4):
         j = (k + 1) % 4
         for name, low, upper in (("slope", rings[0], rings[1]), ("wall", rings[1], rings[2])):
             sheet = np.array([low[k], low[j], upper[j], upper[k]])
-            made.parts.append(Part(f"{name}_{k + 1}", stuff, (sheet, np.array([[0, 2, 1], [0, 3, 2]], np.int32))))
-    made.parts.append(Part("floor", stuff, clean(flat(_rectangle(*floor), _level(0.0)))))
-    made.parts.append(Part("deck", stuff, _down(_rectangle(*top), high)))
+            made.parts.append(Part(f"{name}_{k + 1}", made_of, (sheet, np.array([[0, 2, 1], [0, 3, 2]], np.int32))))
+    made.parts.append(Part("floor", made_of, clean(flat(_rectangle(*floor), _level(0.0)))))
+    made.parts.append(Part("deck", made_of, _down(_rectangle(*top), high)))
     least = float(rng.uniform(0.6, 1.0)) * float(rise)
     made.band_m = (least, max(least, min(least + 0.4 * float(high), float(high) - 0.8)))
     made.footprint = _rectangle(*(floor + 2 * reach * (max(least - MARGIN_M, 0.0) / rise)))
@@ -269,27 +269,27 @@ def _corners(size_m: ArrayLike, z_m: float) -> Floats:
 def _tank(made: Plan) -> None:
     """An upright round tank, with or without a central column."""
     rng = made.rng
-    radius, height, stuff = rng.uniform(2.4, 6.0), rng.uniform(3.0, 7.0), made.pick(TANK_WALLS)
+    radius, height, made_of = rng.uniform(2.4, 6.0), rng.uniform(3.0, 7.0), made.pick(TANK_WALLS)
     body = moved(shapes.cylinder(radius, height, segment_m=SEGMENT_M), (0, 0, height / 2))
-    made.parts.append(Part("tank", stuff, _seen_from_within(body)))
+    made.parts.append(Part("tank", made_of, _seen_from_within(body)))
     made.footprint = _disc((0.0, 0.0), radius)
     _heights(made, height)
     if radius > 4 and rng.random() < 0.4:
         column = rng.uniform(0.1, 0.4)
         body = moved(shapes.cylinder(column, height - 0.01, segment_m=0.05), (0, 0, height / 2))
-        made.add(Part("column", stuff, body), _disc((0.0, 0.0), column), 0.0, height)
+        made.add(Part("column", made_of, body), _disc((0.0, 0.0), column), 0.0, height)
 
 
 def _lying_tank(made: Plan) -> None:
     """A lying round tank with flat or round ends."""
     rng = made.rng
-    radius, length, stuff = rng.uniform(1.7, 3.2), rng.uniform(6.0, 13.0), made.pick(TANK_WALLS)
+    radius, length, made_of = rng.uniform(1.7, 3.2), rng.uniform(6.0, 13.0), made.pick(TANK_WALLS)
     if rng.random() < 0.6:
         body = shapes.cylinder(radius, length, segment_m=SEGMENT_M)
     else:
         body = shapes.capsule(radius, length, segment_m=2 * SEGMENT_M)
     body = moved(moved(body, pitch_deg=90.0), (0, 0, radius))
-    made.parts.append(Part("tank", stuff, _seen_from_within(body)))
+    made.parts.append(Part("tank", made_of, _seen_from_within(body)))
     off = rng.uniform(0.1, 0.4) * radius
     made.band_m = (radius - off, radius + off)
     half = np.sqrt(radius**2 - min(off + MARGIN_M, 0.9 * radius) ** 2)
@@ -415,7 +415,13 @@ def _open(made: Plan) -> None:
 
 
 def _stand(
-    made: Plan, name: str, stuff: str, size: ArrayLike, foot_m: float, *, shape: Callable[[Floats], Shape] | None = None
+    made: Plan,
+    name: str,
+    made_of: str,
+    size: ArrayLike,
+    bottom_m: float,
+    *,
+    shape: Callable[[Floats], Shape] | None = None,
 ) -> None:
     """Stand an object of a size (3) [m] at a free place, turned at random; leave it out where there is none."""
     from shapely import affinity
@@ -427,8 +433,8 @@ def _stand(
     yaw = made.rng.choice([0.0, 90.0, made.rng.uniform(0, 180)])
     mesh = block((*(-size[:2] / 2), 0.0), (*(size[:2] / 2), size[2])) if shape is None else shape(size)
     outline = affinity.translate(affinity.rotate(_rectangle(size[0], size[1]), yaw), *at)
-    foot = foot_m + 0.001
-    made.add(Part(name, stuff, moved(mesh, (*at, foot), yaw_deg=yaw)), outline, foot, foot + size[2])
+    bottom = bottom_m + 0.001
+    made.add(Part(name, made_of, moved(mesh, (*at, bottom), yaw_deg=yaw)), outline, bottom, bottom + size[2])
 
 
 def _spot(made: Plan, radius_m: float, *, apart_m: float = 0.3) -> tuple[float, float] | None:
@@ -455,8 +461,8 @@ def _of_file(made: Plan) -> None:
     ]
     made.base = replace(scene, objects=tuple(objects))
     low, high = scene.bounds[:, 2]
-    foot = low + rng.uniform(0.25, 0.45) * (high - low)
-    made.band_m = (float(foot), float(foot + 0.2 * (high - low)))
+    bottom = low + rng.uniform(0.25, 0.45) * (high - low)
+    made.band_m = (float(bottom), float(bottom + 0.2 * (high - low)))
     made.footprint = _inside(scene, made.band_m)
     for k in range(rng.integers(4)):
         size = rng.uniform((0.3, 0.3, 0.5), (1.5, 1.2, 0.6 * (high - low)))

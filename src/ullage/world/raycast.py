@@ -55,7 +55,7 @@ class Raycaster:
         Args:
             origins: (n, 3) or (3) [m].
             directions: (n, 3) unit vectors.
-            t_ns: time of each ray (n), or of all; None: their start, or where they were told to stand.
+            t_ns: time of each ray (n), or of all; None: their start, or the time of a live motion.
 
         Returns:
             Face ids (n), -1 where nothing is hit, and distances (n) [m], inf there.
@@ -153,7 +153,7 @@ class _Body:
 
     def open(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Bools:
         """Whether nothing of this body stands between points, but for the first and last metres given."""
-        if not len(ends):  # Embree takes as long to say nothing as to answer a hundred rays
+        if not len(ends):  # an empty Embree query takes as long as a hundred rays
             return np.ones(0, bool)
         origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
         reach = np.empty(len(ends), np.float32)

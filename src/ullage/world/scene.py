@@ -1,4 +1,4 @@
-"""The world a radar looks at: triangles and wires that belong to named objects."""
+"""The world that a radar sees: triangles and wires that belong to named objects."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ class Scene(Displayed):
         return bool(self._of(model).any())
 
     def driven(self, model: str, motion: Motion) -> Scene:
-        """The scene with one model of the world file moving as it is told, all its parts rigidly together.
+        """Return the scene with one model of the world file moving rigidly along a given motion.
 
         Args:
             model: its name; what of it moves already, as an actor, goes on as it did.
@@ -357,8 +357,8 @@ class Scene(Displayed):
         corner_normals: Floats | None = None,
     ) -> Scene:
         """One object from a triangle mesh."""
-        stuff = made_of if isinstance(made_of, Material) else material(made_of)
-        return cls(vertices, faces, np.zeros(len(faces), np.int32), (SceneObject(name, stuff, motion),), name=name,
+        chosen = made_of if isinstance(made_of, Material) else material(made_of)
+        return cls(vertices, faces, np.zeros(len(faces), np.int32), (SceneObject(name, chosen, motion),), name=name,
                    corner_normals=corner_normals)  # fmt: skip
 
     @classmethod
@@ -366,10 +366,10 @@ class Scene(Displayed):
         cls, start: Floats, end: Floats, radius_m: float, *, name: str, made_of: str | Material = "steel"
     ) -> Scene:
         """One object from straight wires of one radius."""
-        stuff = made_of if isinstance(made_of, Material) else material(made_of)
+        chosen = made_of if isinstance(made_of, Material) else material(made_of)
         a = np.atleast_2d(np.asarray(start, float))
         wires = Wires(a, np.atleast_2d(np.asarray(end, float)), np.full(len(a), radius_m), np.zeros(len(a), np.int32))
-        return replace(cls.empty(name), objects=(SceneObject(name, stuff),), wires=wires)
+        return replace(cls.empty(name), objects=(SceneObject(name, chosen),), wires=wires)
 
     @classmethod
     def union(cls, parts: Sequence[Scene], *, name: str = "scene") -> Scene:

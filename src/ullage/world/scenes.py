@@ -21,11 +21,10 @@ from ullage.geometry import apply, transform
 from ullage.world import shapes
 from ullage.world.lengths import length, lengths, number
 from ullage.world.scene import Scene
+from ullage.world.sdf_geometry import SAGITTA_M
 
 MOST_FACES = 2_000_000
 """No object made here may have more triangles than this."""
-SAGITTA_M = 2.5e-4
-"""How far a default facet may lie inside the curved surface it stands for [m]; 2.2 deg of two-way phase at 7.29 GHz."""
 
 _QUAD = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 

@@ -107,9 +107,9 @@ class SceneWalk:
                 groups.setdefault(read_material(node, tag), []).append((node, shape, pose))
         if not groups and link.node.child("visual") is not None and link.node.child("collision") is None:
             self.unseen.append(name)
-        for stuff, parts in groups.items():
+        for object_material, parts in groups.items():
             called = name if len(groups) == 1 else f"{name}::{parts[0][0].attribute('name')}"
-            owner = self.builder.add_object(SceneObject(called, stuff, motion))
+            owner = self.builder.add_object(SceneObject(called, object_material, motion))
             for node, shape, pose in parts:
                 try:
                     self.builder.add_shape(owner, shape, pose)

@@ -1,4 +1,4 @@
-"""How a scripted actor moves: its waypoints as a Trajectory of the actor's frame in the world."""
+"""Motion of a scripted actor: its waypoints as a Trajectory of the actor's frame in the world."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from ullage.geometry import matrix_quat
 from ullage.world.sdf_parse import Node, read_pose
 
 LOOPED_S = 600.0
-"""A looped script is played again until this time [s]."""
+"""A looped script repeats until this time [s]."""
 
 _RETURN_S = 1e-3  # a loop whose ends differ jumps back, as it does in Gazebo
 
 
 def read_motion(actor: Node) -> Trajectory | None:
-    """The actor's motion from time zero, waiting and repeating as its script says; None: it has no waypoints.
+    """Read the actor's motion from time zero, with delay and loop of its script; None without waypoints.
 
     Raises:
         InputError: the times of the waypoints do not rise from zero.

@@ -16,7 +16,7 @@ from ullage.world.sdf_parse import Node
 from ullage.world.sdf_resolve import MissingFileError, Resolver
 
 SAGITTA_M = 2.5e-4
-"""Facets of cylinders stay this close to the true surface, 1/160 of a wavelength at 7.3 GHz [m]."""
+"""Facets of cylinders stay this close to the true surface [m]: 2.2 deg of two-way phase at 7.29 GHz."""
 
 BALL_SAGITTA_M = 6.4e-4
 """Facets of surfaces that curve both ways do so within 1/64 of a wavelength [m].
@@ -81,15 +81,15 @@ class GeometryReader:
                 raise
             return None
         except InputError as error:
-            if error.line is None:  # a mesh, or a size that only the shape knows to be wrong: say who asked for it
+            if error.line is None:  # errors of a mesh or a shape have no line: add the place
                 place = f"{error.where}: " if error.where is not None else ""
                 node.place.refuse(f"{place}{error.what}", allowed=error.allowed)
             raise
         other = [child.tag for child in node.children()]
         if other != ["empty"]:
-            said = ", ".join(f"<{tag}>" for tag in other) or "nothing"
-            what = f"geometry of {owner.attribute('name')!r} holds {said}; it is passed by"
-            node.place.warn(what, kind=f"geometry of {said}")
+            tags = ", ".join(f"<{tag}>" for tag in other) or "nothing"
+            what = f"geometry of {owner.attribute('name')!r} holds {tags}; it is passed by"
+            node.place.warn(what, kind=f"geometry of {tags}")
         return None
 
     def _primitive(self, node: Node) -> Mesh | Rod:
@@ -103,7 +103,7 @@ class GeometryReader:
     def _mesh(self, node: Node) -> Mesh:
         uri = node.need("uri")
         part = node.child("submesh")
-        name, center = ("", False) if part is None else (part.said("name"), part.flag("center"))
+        name, center = ("", False) if part is None else (part.text_of("name"), part.flag("center"))
         key = (self.resolver.find(uri.text, at=uri.place), name, center)
         if key not in self._meshes:
             self._meshes[key] = load_mesh(key[0], submesh=name, center=center)

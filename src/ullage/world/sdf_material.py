@@ -1,8 +1,8 @@
-"""What an SDF shape is made of.
+"""Materials of SDF shapes.
 
-The nearest `<ullage:material>` of the shape, its link, its model, the include or a model around it decides; without one
-it is steel, since the thesis gives all its objects steel-like coefficients. `<laser_retro>` sets that object's
-reflection coefficient of the thesis' model and nothing else; without it, the material's own holds.
+The nearest `<ullage:material>` decides: of the shape, its link, its model, the include or an outer model. A shape
+without one is steel, since the thesis gives all its objects steel-like coefficients. `<laser_retro>` sets only the
+reflection coefficient of the thesis' model; the default is the coefficient of the material.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ _ATTRIBUTES = ("thickness_m", "roughness_m", "correlation_m")
 
 
 def read_material(shape: Node, inherited: Node | None) -> Material:
-    """The material of a collision or visual, given the tag that holds around it.
+    """Read the material of a collision or visual; `inherited` is the tag of an outer element.
 
     Raises:
         InputError: the material is unknown or a value of it is out of bounds.
     """
     tag = nearest_tag(shape) or inherited
-    stuff = material(DEFAULT_MATERIAL) if tag is None else _tagged(tag)
+    object_material = material(DEFAULT_MATERIAL) if tag is None else _tagged(tag)
     retro = shape.child("laser_retro")
     if retro is None:
-        return stuff
+        return object_material
     value = float(retro.numbers(1)[0])
     if value < 0:
         retro.place.refuse(f"<laser_retro> is {value:g}", allowed="0 or more")
-    return stuff.but(reflection=value)
+    return object_material.but(reflection=value)
 
 
 def nearest_tag(*nodes: Node | None) -> Node | None:
-    """The first `<ullage:material>` that one of these elements, nearest first, holds itself."""
+    """Return the first `<ullage:material>` that is a child of these elements, nearest first."""
     for node in (one for one in nodes if one is not None):
         for child in node.element:
             if child.tag in (f"{{{NAMESPACE}}}material", "ullage:material"):

@@ -108,12 +108,12 @@ def parse_xml(raw: bytes, path: Path, *, root: tuple[str, ...] = ()) -> Element:
     try:
         found: Any = etree.fromstring(_escaped(raw), parser)
     except etree.XMLSyntaxError as error:
-        raise InputError(f"not XML: {_said(error.msg)}", where=path, line=error.lineno) from None
-    for note in parser.error_log:
+        raise InputError(f"not XML: {_one_line(error.msg)}", where=path, line=error.lineno) from None
+    for message in parser.error_log:
         # an undeclared prefix such as <gz:pose> is common in the wild and harmless
-        harmless = note.domain == etree.ErrorDomains.NAMESPACE or note.type in _TOLERATED
-        if not harmless and note.level >= etree.ErrorLevels.ERROR:
-            raise InputError(f"not XML: {_said(note.message)}", where=path, line=note.line)
+        harmless = message.domain == etree.ErrorDomains.NAMESPACE or message.type in _TOLERATED
+        if not harmless and message.level >= etree.ErrorLevels.ERROR:
+            raise InputError(f"not XML: {_one_line(message.message)}", where=path, line=message.line)
     if found is None:
         raise InputError("not XML", where=path, line=1)
     doctype: Any = found.getroottree().docinfo.internalDTD
@@ -126,13 +126,13 @@ def parse_xml(raw: bytes, path: Path, *, root: tuple[str, ...] = ()) -> Element:
 
 
 def _escaped(raw: bytes) -> bytes:
-    """The text with every `&` that begins no entity of XML itself written as `&amp;`, as Gazebo's reader takes it."""
+    """Escape every `&` that begins no XML entity as `&amp;`, as Gazebo's reader does."""
     if b"&" not in raw:
         return raw
     return _BARE_AMPERSAND.sub(lambda found: found[1] or b"&amp;", raw)
 
 
-def _said(message: str | None) -> str:
+def _one_line(message: str | None) -> str:
     return re.sub(r"\s+", " ", message or "unreadable").split(", line ")[0].strip()
 
 
@@ -178,37 +178,37 @@ class Node:
             yield Node(child, self.file)
 
     def child(self, tag: str) -> Node | None:
-        """Its first child of this name."""
+        """Return the first child of this name."""
         found = self.element.find(tag)
         return None if found is None else Node(found, self.file)
 
     def need(self, tag: str) -> Node:
-        """Its first child of this name.
+        """Return the first child of this name.
 
         Raises:
             InputError: there is none.
         """
         return self.child(tag) or self.place.refuse(f"<{self.tag}> has no <{tag}>")
 
-    def said(self, tag: str, default: str = "") -> str:
-        """Text of a child, or the default."""
+    def text_of(self, tag: str, default: str = "") -> str:
+        """Return the text of a child, or the default."""
         found = self.child(tag)
         return default if found is None else found.text
 
     def flag(self, tag: str, *, default: bool = False) -> bool:
-        """A child that says true or false, 1 or 0.
+        """Read a child with true or false, 1 or 0.
 
         Raises:
-            InputError: it says something else.
+            InputError: it has another value.
         """
         found = self.child(tag)
         return default if found is None else _truth(found, found.text)
 
     def own_flag(self, key: str) -> bool:
-        """An attribute that says true or false, 1 or 0; absent: false.
+        """Read an attribute with true or false, 1 or 0; absent: false.
 
         Raises:
-            InputError: it says something else.
+            InputError: it has another value.
         """
         return _truth(self, self.attribute(key, "false"))
 
@@ -313,13 +313,13 @@ def read_pose(node: Node) -> Pose:
     return Pose(transform(values[:3], angles), relative_to, found.place)
 
 
-def warn_unknown(root: Node, told: set[str]) -> None:
-    """Warn once per name about elements that are in no version of SDF; those with a prefix are somebody's own."""
+def warn_unknown(root: Node, reported: set[str]) -> None:
+    """Warn once per name about elements that no version of SDF defines; elements with a prefix are extensions."""
     for element in root.element.iter(etree.Element):
         name = element.tag
-        if name in ELEMENTS or name in told or element.prefix or ":" in name:
+        if name in ELEMENTS or name in reported or element.prefix or ":" in name:
             continue
         if any(above.tag == "plugin" or above.prefix or ":" in above.tag for above in element.iterancestors()):
             continue
-        told.add(name)
+        reported.add(name)
         Node(element, root.file).place.warn(f"<{name}> is not an SDF element; it is passed by")

@@ -23,6 +23,7 @@ from lxml import etree
 
 from ullage.arrays import Floats
 from ullage.errors import InputError
+from ullage.fan import FULL_DEG
 from ullage.geometry import invert, transform
 from ullage.specs import MountSpec, RadarSpec, Rig
 from ullage.world.sdf_frames import ScopeFrames
@@ -31,14 +32,13 @@ from ullage.world.sdf_tree import Link
 
 KIND = "ullage_radar"
 RAY_TYPES = ("ray", "gpu_ray", "lidar", "gpu_lidar")
-FULL_DEG = 360.0
 
 
 def rigs_of(world: ScopeFrames) -> dict[str, Rig]:
     """The radars of each model by its name (`outer::inner` for nested ones), mounted in the model's frame.
 
     Raises:
-        InputError: a radar is declared in a way that cannot be.
+        InputError: the declaration of a radar is not valid.
     """
     return _rigs(world, _declared)
 
@@ -79,14 +79,14 @@ class _Found(NamedTuple):
 
 
 def _radar(found: _Found) -> RadarSpec:
-    """The radar that a sensor describes.
+    """Return the radar that a sensor declares.
 
     Raises:
-        InputError: a value of it cannot be.
+        InputError: a value is not valid.
     """
     node, values = found.sensor, dict[str, Any]()
-    told = {} if found.settings is None else _values(found.settings)
-    told.pop("update_rate", None)
+    settings = {} if found.settings is None else _values(found.settings)
+    settings.pop("update_rate", None)
     rate = node.number("update_rate", 0.0)
     if rate > 0:
         values["fps"] = rate
@@ -96,12 +96,12 @@ def _radar(found: _Found) -> RadarSpec:
         sensor_from_radar = found.sensor_from_radar
         fan = _section(node, fan, ahead_rad, sensor_from_radar)
     values["mount"] = _mount(found.model_from_sensor @ sensor_from_radar)
-    preset = told.pop("preset", "x4m05")
-    if fan or "thesis" in told:
-        values["thesis"] = fan | (told.pop("thesis", None) or {})
+    preset = settings.pop("preset", "x4m05")
+    if fan or "thesis" in settings:
+        values["thesis"] = fan | (settings.pop("thesis", None) or {})
     place = (found.settings or node).place
     try:
-        return RadarSpec.preset(preset, **values | told)
+        return RadarSpec.preset(preset, **values | settings)
     except InputError as error:
         place.refuse(f"radar {found.name!r}: {error.what}", allowed=error.allowed)
 

@@ -73,7 +73,7 @@ class TreeReader:
         self.resolver = resolver
         self._parsed: dict[Path, Node] = {}
         self._open: list[Path] = []
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._count = 0
 
     def read(self, path: Path) -> Scope:
@@ -101,11 +101,11 @@ class TreeReader:
             root = Node(read_xml(path, root=("sdf",)), path)
             found = version(root)
             if found < OLDEST:
-                said = root.attribute("version")
-                root.place.refuse(f"SDF version {said}" if said else "no SDF version", allowed="1.0 to 1.12")
+                written = root.attribute("version")
+                root.place.refuse(f"SDF version {written}" if written else "no SDF version", allowed="1.0 to 1.12")
             if found > NEWEST:
                 root.place.warn(f"SDF version {root.attribute('version')} is read as 1.12", kind="newer version")
-            warn_unknown(root, self._told)
+            warn_unknown(root, self._reported)
             self._parsed[key] = root
         return self._parsed[key]
 
@@ -113,7 +113,7 @@ class TreeReader:
         for link in node.children("link"):
             scope.links.append(Link(link.name, read_pose(link), link))
         for joint in node.children("joint"):
-            scope.joints.append(Joint(joint.name, read_pose(joint), joint, joint.said("child")))
+            scope.joints.append(Joint(joint.name, read_pose(joint), joint, joint.text_of("child")))
         for frame in node.children("frame"):
             scope.frames.append(Frame(frame.name, read_pose(frame), frame, frame.attribute("attached_to")))
         for model in node.children("model"):
@@ -150,12 +150,12 @@ class TreeReader:
 
     def _place(self, scope: Scope, model: Scope, include: Node) -> None:
         """Put an included model into the scope, as its include says."""
-        placement = include.said("placement_frame")
+        placement = include.text_of("placement_frame")
         if include.child("pose") is not None:
             model.pose = read_pose(include)
         elif placement:
             include.place.refuse("<placement_frame> without a <pose>", allowed="both or neither")
-        model.name = include.said("name") or model.name
+        model.name = include.text_of("name") or model.name
         model.placement_frame = placement or model.placement_frame
         model.included_by = include
         if model.node.tag == "actor":

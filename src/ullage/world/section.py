@@ -1,4 +1,4 @@
-"""Where a horizontal plane cuts a scene: the true walls of a plan."""
+"""Horizontal sections of a scene: the true walls of a plan."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ullage.world.scene import Scene
 
 
 def section(scene: Scene, z_m: float) -> Floats:
-    """Line segments (s, 2, 2) in x, y [m] in which faces cross the height `z_m`, moving things at their start.
+    """Return the segments (s, 2, 2) [m] where faces cross the height `z_m`; moving objects are at their start.
 
-    Faces that lie in the plane give nothing; a plane exactly through vertices is read as lying a hair above them.
+    Faces in the plane give nothing. A plane exactly through vertices counts as just above them.
     """
     corners = scene.corners()
     above = corners[:, :, 2] > z_m

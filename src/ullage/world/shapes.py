@@ -260,9 +260,9 @@ def _prism(polygon: object, height_m: float) -> Shape:
     down = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
     lid[down] = lid[down][:, ::-1]
     n = len(flat)
-    following = np.concatenate([np.roll(np.arange(e - len(r), e), -1) for r, e in zip(rings, ends, strict=True)])
+    next_index = np.concatenate([np.roll(np.arange(e - len(r), e), -1) for r, e in zip(rings, ends, strict=True)])
     here = np.arange(n)
-    sides = _triangles(np.stack([here, following, following + n, here + n], axis=1))
+    sides = _triangles(np.stack([here, next_index, next_index + n, here + n], axis=1))
     vertices = np.concatenate([np.c_[flat, np.zeros(n)], np.c_[flat, np.full(n, height_m)]])
     return vertices, np.concatenate([sides, lid + n, lid[:, ::-1]]).astype(np.int32)
 

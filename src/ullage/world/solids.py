@@ -93,15 +93,15 @@ def scene_of(parts: Iterable[Solid], *, name: str) -> Scene:
 
 
 def _one(part: Solid) -> Scene:
-    stuff = material(part.material)
+    chosen = material(part.material)
     if isinstance(part, Part):
-        made_of = stuff if part.thickness_m is None else stuff.but(thickness_m=part.thickness_m)
+        made_of = chosen if part.thickness_m is None else chosen.but(thickness_m=part.thickness_m)
         return Scene.of_mesh(*part.shape, name=part.name, made_of=made_of)
     if isinstance(part, Box):
-        return Scene.of_mesh(*moved(shapes.box(part.size), part.center), name=part.name, made_of=stuff)
+        return Scene.of_mesh(*moved(shapes.box(part.size), part.center), name=part.name, made_of=chosen)
     if part.is_wire:
-        return Scene.of_wires(np.array(part.start), np.array(part.end), part.radius_m, name=part.name, made_of=stuff)
-    return Scene.of_mesh(*part.mesh(), name=part.name, made_of=stuff)
+        return Scene.of_wires(np.array(part.start), np.array(part.end), part.radius_m, name=part.name, made_of=chosen)
+    return Scene.of_mesh(*part.mesh(), name=part.name, made_of=chosen)
 
 
 def join(*meshes: Shape) -> Shape:

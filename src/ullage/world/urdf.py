@@ -103,12 +103,12 @@ def _check(root: Node) -> None:
 
 
 def _warn_unknown(root: Node) -> None:
-    told: set[str] = set()
+    reported: set[str] = set()
     for element in root.element.iter(etree.Element):
         name = element.tag
         inside = any(up.tag in ("gazebo", "transmission", "ros2_control") for up in element.iterancestors())
-        if not (inside or name in KNOWN or name in told or ":" in name or element.prefix):
-            told.add(name)
+        if not (inside or name in KNOWN or name in reported or ":" in name or element.prefix):
+            reported.add(name)
             Node(element, root.file).place.warn(f"<{name}> is not a URDF element; it is passed by")
 
 
@@ -128,8 +128,8 @@ def _link_poses(root: Node, joints: Mapping[str, float]) -> dict[str, Floats]:
             robot.update_cfg(values | {name: float(value) for name, value in joints.items()})
         poses = {link.name: np.asarray(robot.get_transform(link.name), float) for link in root.children("link")}
     except Exception as error:  # whatever a malformed joint brings the reader to raise
-        said = " ".join(str(error).split())[:120] or type(error).__name__
-        root.place.refuse(f"the joints cannot be read: {said}")
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        root.place.refuse(f"the joints cannot be read: {reason}")
     if unknown := set(joints) - set(robot.joint_map):
         raise InputError(f"no joint {min(unknown)!r}", where=root.file, allowed=", ".join(robot.actuated_joint_names))
     if bad := next((name for name, pose in poses.items() if not np.isfinite(pose).all()), None):
@@ -209,15 +209,15 @@ def _text(parent: Any, node: Node, tag: str, text: str) -> None:
 
 def _retros(root: Node) -> dict[str, str]:
     found = {}
-    for note in root.children("gazebo"):
-        retro = note.said("laserRetro") or note.said("laser_retro")
+    for tag in root.children("gazebo"):
+        retro = tag.text_of("laserRetro") or tag.text_of("laser_retro")
         if retro:
-            found[note.attribute("reference")] = retro
+            found[tag.attribute("reference")] = retro
     return found
 
 
 def _sensors(root: Node, link: str) -> Iterator[Any]:
     """The sensors that `<gazebo reference="LINK">` gives a link, and radars of ours."""
-    for note in root.children("gazebo"):
-        if note.attribute("reference") == link:
-            yield from (one for one in note.element if one.tag == "sensor" or _ours(one))
+    for tag in root.children("gazebo"):
+        if tag.attribute("reference") == link:
+            yield from (one for one in tag.element if one.tag == "sensor" or _ours(one))

@@ -37,7 +37,7 @@ def main() -> None:
     folders = [sys.prefix, sys.base_prefix, *(folder for folder in request["import_path"] if folder)]
     libraries = [os.path.realpath(folder) for folder in folders]
     _let_find(request["roots"])
-    out, notes = os.fdopen(os.dup(1), "w", encoding="utf-8"), os.dup(2)
+    out, errors = os.fdopen(os.dup(1), "w", encoding="utf-8"), os.dup(2)
     sys.addaudithook(lambda event, given: _check(event, given, request["roots"], libraries))
     try:
         text = xacro.process_file(request["file"]).toxml()
@@ -46,8 +46,8 @@ def main() -> None:
         out.write(text)
         out.flush()
     except BaseException as error:
-        said = " ".join(str(error).split())[:240] or type(error).__name__
-        os.write(notes, said.encode(errors="replace"))
+        reason = " ".join(str(error).split())[:240] or type(error).__name__
+        os.write(errors, reason.encode(errors="replace"))
         os._exit(1)
     os._exit(0)
 

@@ -47,7 +47,7 @@ def expand_xacro(path: Path, resolver: Resolver, *, longest_s: int = LONGEST_S) 
         except subprocess.TimeoutExpired:
             raise InputError("xacro does not end", where=path, allowed=f"{longest_s} s") from None
         if done.returncode:
-            said = one_line(done.stderr.decode(errors="replace"), most=300) or f"it ends with {done.returncode}"
-            raise InputError(f"xacro fails: {said}", where=path)
+            reason = one_line(done.stderr.decode(errors="replace"), most=300) or f"it ends with {done.returncode}"
+            raise InputError(f"xacro fails: {reason}", where=path)
         out.seek(0)
         return out.read(MOST_BYTES)
