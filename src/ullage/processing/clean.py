@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.antenna import gain
-from ullage.arrays import Bools, Floats, Singles
+from ullage.arrays import Floats, Singles
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.fan import ray_area, ray_fan, smoothed
@@ -173,12 +173,6 @@ def _blurred(power: Floats, frames: Frames) -> Floats:
 
     width = frames.spec.pulse_sigma_s * C0 / 2 / np.sqrt(2) / float(np.diff(frames.range_m).mean())
     return np.asarray(gaussian_filter1d(power, max(width, 1.0), axis=1, mode="constant"))
-
-
-def looks_down(frames: Frames, opening_deg: float = 65.0) -> Bools:
-    """Whether each frame's antenna sees the floor straight below it (n)."""
-    ahead = quat_matrix(frames.believed.quat_xyzw)[:, :, 0]
-    return np.asarray(-ahead[:, 2] >= np.cos(np.radians(opening_deg / 2)))
 
 
 def smooth(frames: Frames, *, bins: int = 5) -> Frames:

@@ -89,7 +89,7 @@ def detect(
         quantile: share of those cells below the one that counts (os-cfar). A lower one finds echoes among many others.
         correlation: noise correlation between bins at lags 0, 1, ... (CFAR); None: what the receiver's filter gives.
         max_echoes: at most so many a frame (CLEAN).
-        window_m: way along the track over which power is added (track) [m].
+        window_m: length of track over which power is added (track) [m].
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
 
     Raises:

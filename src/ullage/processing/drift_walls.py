@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 from ullage.arrays import Bools, Floats, Longs
 
 KNOT_S = 1.0
-LEAST_LOOKS = 6
+LEAST_KEYFRAMES = 6
 SAME_WALL_RAD, SAME_WALL_M, OTHER_WALL_M = 0.3, 0.45, 0.08
-RANGE_SIGMA_M, SHARED_LOOKS = 0.02, 2
+WALL_RANGE_SIGMA_M, SHARED_KEYFRAMES = 0.02, 2  # sigma of a wall's range [m]; keyframes that share frames
 ROUNDS, SPLIT_ROUND = 12, 5
 LEAST_WALLS = 2
 SURE_ECHOES, WINDOW_S, IN_SIGHT = 15, 1.5, 0.5
@@ -32,18 +32,20 @@ class FlatEchoes:
 
     t_s: Floats  # (n)
     position: Floats  # (n, 2) of the sensor [m]
-    way: Floats  # (n, 2) unit vectors to the wall
+    direction: Floats  # (n, 2) unit vectors to the wall
     range_m: Floats  # (n)
     track: Longs  # (n)
 
     def only(self, keep: Bools) -> FlatEchoes:
-        """Those of them to keep."""
-        return FlatEchoes(self.t_s[keep], self.position[keep], self.way[keep], self.range_m[keep], self.track[keep])
+        """Return the echoes to keep."""
+        return FlatEchoes(
+            self.t_s[keep], self.position[keep], self.direction[keep], self.range_m[keep], self.track[keep]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Peaks:
-    """All peaks of all looks, whatever made them, in order of time."""
+    """All peaks of all keyframes, in order of time."""
 
     t_s: Floats  # (n)
     position: Floats  # (n, 2) of the sensor [m]
@@ -62,28 +64,28 @@ class Offset:
     agreement: float  # least share of keyframes facing a wall that hold its echo, over windows of 1.5 s
 
     def at(self, t_s: Floats) -> Floats:
-        """The offset (n, 2) [m] at times (n) [s]; before the first knot and after the last, that of the knot."""
+        """Return the offset (n, 2) [m] at times (n) [s]; outside the knots, that of the nearest knot."""
         return np.asarray(CubicSpline(self.t_s, self.offset_m)(np.clip(t_s, self.t_s[0], self.t_s[-1])))
 
 
 class WallFit:
     """One smooth offset of the track and all walls, fitted together.
 
-    First by the echoes whose bearings tell their wall; then every peak near the range that a wall should have, in
-    whatever direction it was flown, counts for that wall: so that the walls ahead and behind tell of the way along.
+    The first rounds use the echoes whose bearings identify their wall. Later rounds use every peak near the expected
+    range of a wall, in all directions of flight, so that walls ahead and behind fix the position along the track.
 
     Args:
-        heard: echoes off flat walls.
+        echoes: echoes off flat walls.
         drift_m: sigma of the drift, of each axis [m].
         time_s: its correlation time [s].
     """
 
-    def __init__(self, heard: FlatEchoes, drift_m: float, time_s: float) -> None:
-        self._heard = heard
-        first, last = heard.t_s[0], heard.t_s[-1]
+    def __init__(self, echoes: FlatEchoes, drift_m: float, time_s: float) -> None:
+        self._echoes = echoes
+        first, last = echoes.t_s[0], echoes.t_s[-1]
         self._knots = np.linspace(first, max(last, first + KNOT_S), max(4, math.ceil((last - first) / KNOT_S) + 1))
         count = len(self._knots)
-        self._basis = self._basis_at(heard.t_s)
+        self._basis = self._basis_at(echoes.t_s)
         apart = (self._knots[:, None] - self._knots) / time_s
         since = np.eye(count)
         since[:, 0] -= 1  # the offset counts from the flight's first moment
@@ -95,10 +97,10 @@ class WallFit:
 
     def solve(self, peaks: Peaks) -> Offset | None:
         """Find the offset over time, or None where walls in too few directions echo."""
-        if not self._heard_crosswise():
+        if not self._walls_in_two_directions():
             return None
         for turn in range(ROUNDS):
-            miss = self._improve(RANGE_SIGMA_M * (4 if turn < 3 else 1))
+            miss = self._improve(WALL_RANGE_SIGMA_M * (4 if turn < 3 else 1))
             if turn == SPLIT_ROUND:
                 self._split(miss)
         for reach, agree, sigma in NEARER:
@@ -123,8 +125,8 @@ class WallFit:
     def _agreement(self, peaks: Peaks) -> float:
         """Least share, over windows of time, of keyframes facing a wall that hold an echo at its range.
 
-        The walls are those that most keyframes facing them bear out over the flight. A track that slipped against them
-        loses their echoes while it is off.
+        Only walls count that echo in most keyframes facing them over the flight. A track that slips against a wall
+        loses its echoes for that time.
         """
         at = peaks.position + self._basis_at(peaks.t_s) @ self._offset
         window = np.floor((peaks.t_s - peaks.t_s[0]) / WINDOW_S).astype(int)
@@ -139,7 +141,7 @@ class WallFit:
             if len(frame) and hit.mean() > MAIN_SHARE:
                 np.add.at(hits, window[rows[first]], hit)
                 np.add.at(facing, window[rows[first]], 1)
-        asked = facing >= LEAST_LOOKS
+        asked = facing >= LEAST_KEYFRAMES
         return float((hits[asked] / facing[asked]).min()) if asked.any() else 0.0
 
     def _basis_at(self, t_s: Floats) -> Floats:
@@ -147,49 +149,49 @@ class WallFit:
         return np.asarray(CubicSpline(self._knots, np.eye(len(self._knots)))(inside))
 
     def _grouped(self) -> Longs:
-        """Runs of echoes whose walls nearly coincide as heard are of one wall."""
-        heard, wall = self._heard, np.zeros(len(self._heard.t_s), np.int64)
+        """Group runs of echoes whose walls nearly coincide before the fit."""
+        echoes, wall = self._echoes, np.zeros(len(self._echoes.t_s), np.int64)
         walls: list[tuple[float, list[Floats]]] = []
-        for track in np.unique(heard.track):
-            mine = heard.track == track
-            way = heard.way[mine].mean(0)
-            foot = (heard.position[mine] + heard.range_m[mine, None] * heard.way[mine]).mean(0)
-            angle, best, least = math.atan2(way[1], way[0]), -1, SAME_WALL_M
-            for k, (other, feet) in enumerate(walls):
+        for track in np.unique(echoes.track):
+            mine = echoes.track == track
+            direction = echoes.direction[mine].mean(0)
+            point = (echoes.position[mine] + echoes.range_m[mine, None] * echoes.direction[mine]).mean(0)
+            angle, best, least = math.atan2(direction[1], direction[0]), -1, SAME_WALL_M
+            for k, (other, points) in enumerate(walls):
                 if abs(math.remainder(angle - other, 2 * math.pi)) < SAME_WALL_RAD:
-                    gap = abs((np.mean(feet, axis=0) - foot) @ [math.cos(other), math.sin(other)])
+                    gap = abs((np.mean(points, axis=0) - point) @ [math.cos(other), math.sin(other)])
                     if gap < least:
                         best, least = k, float(gap)
             if best < 0:
                 best = len(walls)
                 walls.append((angle, []))
-            walls[best][1].append(foot)
+            walls[best][1].append(point)
             wall[mine] = best
         return wall
 
     def _start(self) -> None:
-        """Walls as the echoes' own bearings give them."""
-        heard, count = self._heard, int(self._wall.max()) + 1
-        at = heard.position + self._basis @ self._offset
+        """Set the walls from the bearings of the echoes."""
+        echoes, count = self._echoes, int(self._wall.max()) + 1
+        at = echoes.position + self._basis @ self._offset
         self._angle, self._distance = np.zeros(count), np.zeros(count)
         for k in range(count):
             mine = self._wall == k
             if mine.any():
-                way = heard.way[mine].sum(0)
-                self._angle[k] = math.atan2(way[1], way[0])
+                direction = echoes.direction[mine].sum(0)
+                self._angle[k] = math.atan2(direction[1], direction[0])
                 normal = np.array([math.cos(self._angle[k]), math.sin(self._angle[k])])
-                self._distance[k] = np.median(at[mine] @ normal + heard.range_m[mine])
+                self._distance[k] = np.median(at[mine] @ normal + echoes.range_m[mine])
 
-    def _heard_crosswise(self) -> bool:
-        """Whether walls in two directions speak: one alone cannot tell where along it the drone is."""
+    def _walls_in_two_directions(self) -> bool:
+        """Whether walls in two directions echo: one alone leaves the position along it unknown."""
         count = np.bincount(self._wall)
-        axis = self._angle[count >= LEAST_LOOKS] * 2
+        axis = self._angle[count >= LEAST_KEYFRAMES] * 2
         if len(axis) < LEAST_WALLS:
             return False
         return bool(np.max(abs(np.sin((axis[:, None] - axis) / 2))) > 0.5)
 
     def _improve(self, sigma: float) -> Floats:
-        """One Gauss-Newton step; returns what each echo's range missed its wall by."""
+        """Make one Gauss-Newton step; return the misfit of each echo's range to its wall [m]."""
         m, k = len(self._knots), len(self._angle)
         matrix, right, miss = self._normal_equations(sigma)
         step = np.linalg.solve(matrix, right)
@@ -200,11 +202,11 @@ class WallFit:
 
     def _normal_equations(self, sigma: float) -> tuple[Floats, Floats, Floats]:
         """Information (p, p) and gradient (p) about knots, angles and distances, and the misfit of each range (n)."""
-        heard, wall, m, k = self._heard, self._wall, len(self._knots), len(self._angle)
+        echoes, wall, m, k = self._echoes, self._wall, len(self._knots), len(self._angle)
         normal = np.column_stack([np.cos(self._angle[wall]), np.sin(self._angle[wall])])
-        at = heard.position + self._basis @ self._offset
-        miss = heard.range_m - self._distance[wall] + (normal * at).sum(1)
-        weight = 1 / (1 + (miss / (3 * sigma)) ** 2) ** 2 / (SHARED_LOOKS * sigma**2)
+        at = echoes.position + self._basis @ self._offset
+        miss = echoes.range_m - self._distance[wall] + (normal * at).sum(1)
+        weight = 1 / (1 + (miss / (3 * sigma)) ** 2) ** 2 / (SHARED_KEYFRAMES * sigma**2)
         matrix, right = np.zeros((2 * (m + k), 2 * (m + k))), np.zeros(2 * (m + k))
         for start in range(0, len(miss), MOST_ROWS):  # a long flight's slopes at once would not fit in memory
             rows = slice(start, start + MOST_ROWS)
@@ -220,7 +222,7 @@ class WallFit:
         return matrix, right, np.asarray(miss, np.float64)
 
     def _slope(self, basis: Floats, normal: Floats, at: Floats, wall: Longs) -> Floats:
-        """How each range's misfit falls with the offset's knots, and with angles and distances of the walls."""
+        """Return the negative slope of each misfit over knots of the offset, and angles and distances of the walls."""
         m, k, row = basis.shape[1], len(self._angle), np.arange(len(at))
         slope = np.zeros((len(at), 2 * (m + k)))
         slope[:, :m], slope[:, m : 2 * m] = -basis * normal[:, :1], -basis * normal[:, 1:]
@@ -229,19 +231,19 @@ class WallFit:
         return slope
 
     def _split(self, miss: Floats) -> None:
-        """Runs of echoes that do not fit their wall get one of their own; then all walls start anew."""
+        """Give each run of echoes that misses its wall a new wall; then start all walls anew."""
         count = int(self._wall.max()) + 1
-        for track in np.unique(self._heard.track):
-            mine = self._heard.track == track
+        for track in np.unique(self._echoes.track):
+            mine = self._echoes.track == track
             if abs(np.median(miss[mine])) > OTHER_WALL_M:
                 self._wall[mine], count = count, count + 1
         self._start()
 
     def _observe(self, peaks: Peaks, reach: float, agree: float) -> bool:
-        """Take the peaks that fit the walls for their echoes; whether there are any.
+        """Use the peaks that fit the walls as their echoes; return whether there are any.
 
-        A wall's peaks miss it by nearly the same all through a window, those of all else by anything: where most agree
-        is the wall's, though the track be wrong by far more than they agree to.
+        The peaks of a wall miss it by nearly the same range through a window; other peaks scatter. So the misfit where
+        most peaks agree belongs to the wall, even if the error of the track is much larger than that agreement.
         """
         at = peaks.position + self._basis_at(peaks.t_s) @ self._offset
         turn = np.floor((peaks.t_s - peaks.t_s[0]) / WINDOW_S).astype(int)
@@ -255,19 +257,19 @@ class WallFit:
                 votes = np.exp(-0.5 * ((off[:, None] - off) / (agree / 2)) ** 2).sum(1)
                 votes *= np.exp(-0.5 * (off / (0.5 * reach)) ** 2)
                 mine = window[abs(off - off[np.argmax(votes)]) < agree] if len(window) else window
-                if len(mine) >= LEAST_LOOKS:
+                if len(mine) >= LEAST_KEYFRAMES:
                     rows.append(mine)
                     walls.append(np.full(len(mine), k))
         if not rows:
             return False
         row, wall = np.concatenate(rows), np.concatenate(walls)
-        way = np.column_stack([np.cos(self._angle[wall]), np.sin(self._angle[wall])])
-        self._heard = FlatEchoes(peaks.t_s[row], peaks.position[row], way, peaks.range_m[row], wall)
+        direction = np.column_stack([np.cos(self._angle[wall]), np.sin(self._angle[wall])])
+        self._echoes = FlatEchoes(peaks.t_s[row], peaks.position[row], direction, peaks.range_m[row], wall)
         self._wall, self._basis = wall, self._basis_at(peaks.t_s[row])
         return True
 
     def _sure_walls(self) -> list[int]:
-        """The walls that enough echoes make, the most first; one of those that fell together."""
+        """Return the walls with enough echoes, most echoes first; walls that coincide count once."""
         count, kept = np.bincount(self._wall, minlength=len(self._angle)), list[int]()
         for k in np.argsort(-count, kind="stable"):
             twin = any(

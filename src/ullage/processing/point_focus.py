@@ -214,9 +214,9 @@ class PointFocus:
         value, distance = self._along_points(places, paths, range_m)
         best, damping = self._gains(value, amplitude), np.full(len(places), 1e-4)
         for _ in range(steps):
-            way = paths[live] if len(paths) > 1 else paths
-            move = self._step(places[live], amplitude[live], way, value, distance, damping[live])
-            tried, apart = self._along_points(places[live] + move, way, range_m[live])
+            ahead = paths[live] if len(paths) > 1 else paths
+            move = self._step(places[live], amplitude[live], ahead, value, distance, damping[live])
+            tried, apart = self._along_points(places[live] + move, ahead, range_m[live])
             found = self._gains(tried, amplitude[live])
             better = found >= best[live]
             damping[live[~better]] *= 10

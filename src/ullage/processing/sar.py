@@ -42,8 +42,8 @@ def focus(
         antenna: weigh cells with the two-way antenna pattern.
         combine: whether several sensors are added in phase; in power otherwise.
         subaperture_m: length of track that is summed in phase [m]; the images of such pieces are added in power, each
-            by its share of the way. Coarser, but what is seen from a part of the way is not drowned, and slow errors of
-            the poses blur no more than a piece. None: all of the way.
+            by its share of the path. The image is coarser, but objects seen from a part of the path stay visible,
+            and slow errors of the poses blur no more than a piece. None: the whole path.
         threads: 0 takes every core.
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
 
@@ -95,7 +95,7 @@ def _piecewise(frames: Frames, grid: Grid, length_m: float, **settings: Any) -> 
 
 
 def subapertures(frames: Frames, length_m: float) -> list[slice]:
-    """The frames cut into runs of equal way, as near to a length as that allows.
+    """Cut the frames into pieces of equal path length, close to a given length.
 
     Raises:
         InputError: the length is not above zero.
@@ -103,9 +103,9 @@ def subapertures(frames: Frames, length_m: float) -> list[slice]:
     if not (np.isfinite(length_m) and length_m > 0):
         raise InputError(f"subaperture_m is {length_m}", where="focus", allowed="> 0")
     step = np.linalg.norm(np.diff(frames.believed.position, axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(step)])
-    count = max(1, round(float(way[-1]) / length_m))
-    cuts = np.searchsorted(way, way[-1] * np.arange(1, count) / count)
+    travelled = np.concatenate([[0.0], np.cumsum(step)])
+    count = max(1, round(float(travelled[-1]) / length_m))
+    cuts = np.searchsorted(travelled, travelled[-1] * np.arange(1, count) / count)
     edges = np.unique([0, *cuts.tolist(), len(frames)])
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 

@@ -1,4 +1,4 @@
-"""The thesis' simple summation: each profile laid on a straight line ahead of the sensor [Billdal2018, 2.3.1]."""
+"""The thesis' simple summation: each profile is added along the boresight [Billdal2018, 2.3.1]."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def summed(parts: list[Frames], grid: Grid) -> Image:
     out = np.zeros(grid.size)
     for part in parts:
         for frames in part.chunks(128):
-            _lay(checked(frames), grid, out)
+            _accumulate(checked(frames), grid, out)
     return Image(grid, out.reshape(grid.shape).astype(np.float32), None, "summation")
 
 
-def _lay(frames: Frames, grid: Grid, out: Floats) -> None:
-    """Adds profiles, two samples a cell, each shared between the nearest cells by distance."""
+def _accumulate(frames: Frames, grid: Grid, out: Floats) -> None:
+    """Add profiles with two samples a cell, each shared between the nearest cells by distance."""
     path = frames.believed
     reach = np.arange(frames.range_m[0], frames.range_m[-1], grid.step_m / 2)
     ahead = quat_matrix(path.quat_xyzw)[:, :, 0]
@@ -69,10 +69,10 @@ def _fit(image: Image, turn: int) -> tuple[float, Floats]:
     view = np.rot90(amplitude, turn)  # rows run across the look, columns along it
     row, col = np.unravel_index(int(np.argmax(view)), view.shape)
     rows, cols = [int(row)], [int(col)]
-    for way in (1, -1):
+    for side in (1, -1):
         k, c = int(row), int(col)
-        while 0 <= k + way < view.shape[0]:
-            k += way
+        while 0 <= k + side < view.shape[0]:
+            k += side
             low = max(c - 2, 0)
             c = low + int(np.argmax(view[k, low : c + 3]))
             if view[k, c] < 0.25 * view[row, col]:

@@ -30,7 +30,7 @@ def tracked(
         frames: complex baseband or RF, with poses.
         sigma: root of the mean noise power of a bin.
         pfa: false alarm probability of a bin.
-        window_m: way along the track over which power is added [m].
+        window_m: length of track over which power is added [m].
         min_range_m: nothing nearer counts [m].
 
     Raises:
@@ -57,7 +57,7 @@ def tracked(
         over = excess > 1
         top = np.flatnonzero(over[1:-1] & (excess[1:-1] > excess[:-2]) & (excess[1:-1] >= excess[2:])) + 1
         top = top[frames.range_m[top] >= min_range_m]
-        for b in top[heard_all_along(power[rows], along, frames.range_m, top, best, levels)]:
+        for b in top[present_along_track(power[rows], along, frames.range_m, top, best, levels)]:
             mean = float(excess[b] * levels[m] / m)
             left, middle, right = excess[b - 1], excess[b], excess[b + 1]
             shift = 0.5 * (left - right) / (left - 2 * middle + right)
@@ -67,8 +67,10 @@ def tracked(
     return columns[:, 0].astype(np.int64), columns[:, 1], columns[:, 2], columns[:, 3]
 
 
-def heard_all_along(power: Floats, along: Floats, range_m: Floats, top: Longs, cosine: Floats, levels: Floats) -> Bools:
-    """Which peaks (k) are heard in most frames: not those of a few in which they cross what a strong echo draws.
+def present_along_track(
+    power: Floats, along: Floats, range_m: Floats, top: Longs, cosine: Floats, levels: Floats
+) -> Bools:
+    """Which peaks (k) most frames hold: not those of a few in which they cross what a strong echo draws.
 
     A hyperbola of the wrong bearing meets that of a strong echo near an end of the track, and those frames alone may
     lift its sum over the level. So none counts for more than OUTSTANDING times the median of all.
@@ -98,7 +100,7 @@ def level_of_sums(pfa: float) -> Floats:
 
 
 def window(path: Trajectory, index: int, window_m: float) -> tuple[Longs, Floats]:
-    """Frames about one, up to where the track bends, and their way along it [m]; the frame alone where they are few."""
+    """Return the frames around one, up to a bend of the track, and their distance along it [m]; or only that frame."""
     away = path.position - path.position[index]
     gap = np.linalg.norm(away, axis=1)
     out = gap > window_m / 2
