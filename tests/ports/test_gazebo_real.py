@@ -15,12 +15,12 @@ import ullage as ul
 from shipped_worlds import BUILDERS
 from ullage.fan import ray_fan, ray_spacing_m
 from ullage.geometry import quat_matrix
+from ullage.ports.intake import PATIENCE_S
 from ullage.radar.rays import echoes_thesis
 from ullage.world.raycast import Raycaster
 
 pytest.importorskip("google.protobuf")
 
-from ullage.ports.cosimulation import PATIENCE_S
 from ullage.ports.gazebo_classic.source import ClassicFeed, source_of
 from ullage.ports.scanning import Scan
 

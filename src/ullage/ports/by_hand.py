@@ -22,7 +22,7 @@ from ullage.flight.vehicle import check_clear
 from ullage.geometry import quat_matrix
 from ullage.ports import encode
 from ullage.ports.conversions import BODY
-from ullage.ports.cosimulation import UnboundedSource
+from ullage.ports.cosimulation import BEHIND_S, UnboundedSource
 from ullage.ports.imu import ImuNoise
 from ullage.ports.intake import Counters, Log
 from ullage.ports.protocol import Passed, Passing
@@ -37,8 +37,6 @@ SONAR_M, SONAR_FOV_RAD, SONAR_HZ = (0.03, 3.0), math.radians(40), 10.0
 """Limits, opening and rate of the sonar of [HectorQuadrotor]."""
 BATCH_S = 0.1
 """Poses are gathered for so long before the radars are simulated along them."""
-BEHIND_S = 1.0
-"""How far the frames may fall behind the flight before that is reported."""
 STEP_S = 0.01
 
 

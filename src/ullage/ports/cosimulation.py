@@ -19,7 +19,7 @@ from ullage.config import Fidelity
 from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.ports.dynamic_scene import DynamicScene
-from ullage.ports.intake import GAP_NS, LATE_NS, Clock, Counters, Log, Stamped, Stream, checked_pose, warn
+from ullage.ports.intake import GAP_NS, LATE_NS, PATIENCE_S, Clock, Counters, Log, Stamped, Stream, checked_pose, warn
 from ullage.ports.pose_events import Feed, ModelPose, Notice, OtherModels
 from ullage.ports.protocol import Item, Passing, one_or_all
 from ullage.ports.radar_status import RadarStatus
@@ -28,8 +28,6 @@ from ullage.radar.live import LiveRadars
 from ullage.specs import RadarSpec, Rig, Spec
 from ullage.world.scene import Scene
 
-PATIENCE_S = 5.0
-"""Wall time [s] between two reports of the same kind, and before the first report that no poses come."""
 BEHIND_S = 1.0
 """Report frames that are later than the newest pose by more than this, on the simulator's clock [s]."""
 

@@ -146,7 +146,7 @@ def path_message(path: Trajectory, frame_id: str = WORLD) -> bytes:
     for t_ns, place, turn in zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True):
         at = ros.make("geometry_msgs/msg/Point", *place)
         pose = ros.make("geometry_msgs/msg/Pose", at, ros.make("geometry_msgs/msg/Quaternion", *turn))
-        poses.append(ros.make("geometry_msgs/msg/PoseStamped", ros.header(t_ns, frame_id), pose))
+        poses.append(ros.make(ros.POSE, ros.header(t_ns, frame_id), pose))
     return ros.to_bytes(PATH, ros.make(PATH, ros.header(int(path.t_ns[-1]), frame_id), poses))
 
 

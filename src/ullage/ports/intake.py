@@ -55,6 +55,8 @@ MOST_STEPS = 10
 REPORT_S = 5.0
 """Least time between two reports on the same topic and reason [s]; it doubles with each one up to `RARELY_S`."""
 RARELY_S = 60.0
+PATIENCE_S = 5.0
+"""Wall time between two log lines of the same kind, and before the first line that nothing comes [s]."""
 
 
 def warn(text: str) -> None:

@@ -14,19 +14,12 @@ from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat, quat_matrix
-from ullage.ports.cosimulation import (
-    PATIENCE_S,
-    CosimulationOptions,
-    CosimulationSource,
-    matching,
-    options_of,
-    resolved,
-)
+from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, options_of, resolved
 from ullage.ports.gazebo.peer import Event, Peer, ProcessLeft, Received, TopicOffered
 from ullage.ports.gazebo.scene import ask_scene
 from ullage.ports.gazebo.topics import RadarTopics
 from ullage.ports.gazebo.wire import gz
-from ullage.ports.intake import Log
+from ullage.ports.intake import PATIENCE_S, Log
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice, OtherModels, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 from ullage.world.scene import Scene

@@ -11,14 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from ullage.data import Frames
-from ullage.ports.cosimulation import (
-    PATIENCE_S,
-    CosimulationOptions,
-    CosimulationSource,
-    matching,
-    options_of,
-    resolved,
-)
+from ullage.ports.cosimulation import CosimulationOptions, CosimulationSource, matching, options_of, resolved
 from ullage.ports.gazebo_classic.peer import (
     ClassicPeer,
     Connected,
@@ -30,7 +23,7 @@ from ullage.ports.gazebo_classic.peer import (
 )
 from ullage.ports.gazebo_classic.topics import RadarTopics
 from ullage.ports.gazebo_classic.wire import gz, master_of
-from ullage.ports.intake import Log
+from ullage.ports.intake import PATIENCE_S, Log
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice, OtherModels, pose_of, stamp_ns
 from ullage.ports.scanning import Scan, ScanSource, scan_of
 

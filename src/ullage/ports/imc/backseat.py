@@ -11,13 +11,13 @@ import numpy as np
 from ullage.arrays import Floats
 from ullage.flight.missions import Waypoints
 from ullage.ports.imc.codec import Packet, make, readable
+from ullage.ports.imc.commands import FAILURE, REQUEST, START, STOP, SUCCESS
 from ullage.ports.imc.geodetic import Geodetic, Pose
 from ullage.ports.imc.link import Link
 from ullage.ports.intake import Log
 from ullage.ports.ned import SWAP
 
-REQUEST, SUCCESS, FAILURE, IN_PROGRESS = 0, 1, 2, 3
-START, STOP = 0, 1
+IN_PROGRESS = 3
 IGNORE_ERRORS = 2
 LOCATION, SPEED, HEIGHT_FLAG, DONE = 0x01, 0x02, 0x04, 0x80
 UNITS = {"depth": 1, "altitude": 2, "height": 3}

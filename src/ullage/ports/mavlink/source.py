@@ -9,14 +9,12 @@ from typing import Any
 from ullage.data import Frames
 from ullage.errors import InputError
 from ullage.ports.cosimulation import CosimulationSource, options_of, rig_of, world_of
-from ullage.ports.intake import Log, warn
+from ullage.ports.intake import PATIENCE_S, Log, warn
 from ullage.ports.mavlink.link import POSES, Link, PoseMessage, leave, open_link
 from ullage.ports.mavlink.options import SourceOptions
 from ullage.ports.mavlink.poses import PoseBuilder, origin_of
 from ullage.ports.pose_events import EventFeed, ModelPose, Notice
 
-PATIENCE_S = 5.0
-"""Between two reports that no poses come [s]."""
 SYNC_S = 3.0
 """How long poses wait for TIMESYNC after the first one came [s]."""
 RESTART_NS = 1_000_000_000

@@ -10,8 +10,8 @@ from ullage.data import Frames, sensors_of
 from ullage.errors import InputError
 from ullage.geometry import matrix_quat
 from ullage.ports import messages as ros
-from ullage.ports.cosimulation import PATIENCE_S, CosimulationSource, rig_of, world_of
-from ullage.ports.intake import Counters, Inbox, Log, checked_pose, warn
+from ullage.ports.cosimulation import CosimulationSource, rig_of, world_of
+from ullage.ports.intake import PATIENCE_S, Counters, Inbox, Log, checked_pose, warn
 from ullage.ports.pose_events import ModelPose, Notice
 from ullage.ports.protocol import Passed
 from ullage.ports.publisher import Publisher, shifted
@@ -21,9 +21,8 @@ from ullage.ports.ros2.options import SimulateOptions
 from ullage.ports.ros2.transforms import Transforms
 from ullage.world.scene import Scene
 
-POSE = "geometry_msgs/msg/PoseStamped"
 COVERED = "geometry_msgs/msg/PoseWithCovarianceStamped"
-KINDS = (ros.ODOMETRY, POSE, COVERED, ros.TRANSFORMS)
+KINDS = (ros.ODOMETRY, ros.POSE, COVERED, ros.TRANSFORMS)
 
 
 class PoseFeed:
@@ -119,7 +118,7 @@ class PoseFeed:
         if self._kind == ros.TRANSFORMS:
             return self._from_transforms(self._add(data))
         message = ros.from_bytes(self._kind, data)
-        pose = message.pose if self._kind == POSE else message.pose.pose
+        pose = message.pose if self._kind == ros.POSE else message.pose.pose
         at, turn = pose.position, pose.orientation
         return self._valid_pose(stamp_ns(message.header), (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
 

@@ -17,8 +17,6 @@ from ullage.ports.publisher import Message, is_present
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
-TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
-
 
 class RosDrone:
     """Commands a drone by topics under its namespace.
@@ -83,7 +81,7 @@ class RosDrone:
         """Command a velocity in the level frame of the heading."""
         forward, left, up, turn = velocity
         fields = {"linear": {"x": forward, "y": left, "z": up}, "angular": {"x": 0.0, "y": 0.0, "z": turn}}
-        self._send(self._cmd_vel, TWIST, encoded(TWIST, fields))
+        self._send(self._cmd_vel, ros.TWIST, encoded(ros.TWIST, fields))
 
     def go_to(self, position: tuple[float, float, float], heading_rad: float) -> None:
         """Command a set-point in the world of the drone's odometry."""
@@ -92,7 +90,9 @@ class RosDrone:
             "position": dict(zip("xyz", position, strict=True)),
             "orientation": dict(zip("xyzw", map(float, quat), strict=True)),
         }
-        self._send(self._setpoint, POSE, encoded(POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame))
+        self._send(
+            self._setpoint, ros.POSE, encoded(ros.POSE, {"pose": pose}, t_ns=time.time_ns(), frame_id=self._frame)
+        )
 
     def _send(self, topic: str, kind: str, data: bytes) -> None:
         self._peer.send(Message(time.time_ns(), topic, kind, "stream", data))

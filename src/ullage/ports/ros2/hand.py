@@ -17,8 +17,8 @@ from ullage.ports.intake import Counters, Inbox, Log, checked_pose, warn
 from ullage.ports.ros2.middleware import Peer
 from ullage.ports.ros2.options import NodeOptions
 
-TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-POSE, JOY = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/Joy"
+TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
+JOY = "sensor_msgs/msg/Joy"
 SEARCH_S = 0.2
 """How often the graph is asked for topics that somebody has begun to publish [s]."""
 
@@ -70,7 +70,7 @@ class TopicControls:
         self._topics = {
             peer.resolved(name): kinds
             for name, kinds in (
-                (options.cmd_vel, (TWIST, TWIST_STAMPED)), (options.pose, (POSE,)), (options.joy, (JOY,)),
+                (options.cmd_vel, (ros.TWIST, TWIST_STAMPED)), (options.pose, (ros.POSE,)), (options.joy, (JOY,)),
             )
             if name
         }  # fmt: skip
@@ -117,7 +117,7 @@ class TopicControls:
 
     def _take(self, kind: str, message: Any, pilot: Pilot, now_s: float) -> str:
         """Hand one message to the pilot; what is wrong with it, or nothing."""
-        if kind == POSE:
+        if kind == ros.POSE:
             return self._go_to(message, pilot)
         if kind == JOY:
             velocity = self._of_joystick(message)

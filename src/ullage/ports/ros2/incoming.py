@@ -175,7 +175,7 @@ class Incoming:
 
     def take_pose(self, data: bytes) -> None:
         """PoseStamped of the body."""
-        message = ros.from_bytes("geometry_msgs/msg/PoseStamped", data)
+        message = ros.from_bytes(ros.POSE, data)
         self._place(message.header, self._body, message.pose.position, message.pose.orientation)
 
     def _place(self, header: Any, child: str, at: Any, turn: Any, *, fixed: bool = False) -> None:

@@ -11,7 +11,7 @@ from ullage.data import Frames, Trajectory, gathered
 from ullage.errors import InputError
 from ullage.ports import encode
 from ullage.ports import messages as ros
-from ullage.ports.intake import Inbox, Log, warn
+from ullage.ports.intake import PATIENCE_S, Inbox, Log, warn
 from ullage.ports.protocol import Passed, Passing, one_or_all
 from ullage.ports.publisher import Message
 from ullage.ports.ros2.incoming import Incoming
@@ -23,11 +23,8 @@ SEARCH_S = 0.5
 """How often the graph is asked for new topics [s]."""
 DEPTH = 2000
 """Messages that rclpy keeps of a radar, so that a burst finds room."""
-PATIENCE_S = 5.0
-"""Time between two complaints of the same kind [s]."""
 RELAYED = ("imc/", "to_imc/", "desired/")
 """Beneath the namespace: what is passed on as it comes."""
-POSE = "geometry_msgs/msg/PoseStamped"
 
 
 class Ros2Source:
@@ -158,7 +155,7 @@ class Ros2Source:
         if odom in there and odom not in self._subscribed:
             self._subscribed.add(odom)
             self._peer.claim(odom)
-            takers = {ros.ODOMETRY: self._incoming.take_odometry, POSE: self._incoming.take_pose}
+            takers = {ros.ODOMETRY: self._incoming.take_odometry, ros.POSE: self._incoming.take_pose}
             if there[odom] not in takers:
                 raise InputError(f"{odom} carries {there[odom]}", where="odom", allowed=", ".join(takers))
             self._peer.listen(odom, there[odom], "sensor", self._taker(odom, takers[there[odom]]), depth=200)
