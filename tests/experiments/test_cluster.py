@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from process_table import alive
 
 import ullage as ul
 from ullage.experiments.cluster import each_done
@@ -203,13 +204,6 @@ def workers_of(pid: int) -> list[int]:
         except (OSError, ValueError):
             continue
     return found
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from process_table import alive, children
 
 import ullage as ul
 from ullage.cli import main
@@ -298,18 +299,6 @@ def test_a_second_signal_ends_at_once_with_readable_files(place: Path) -> None:
     assert (read_map(draft / "map.yaml").percent >= 0).any()
     assert len(ul.open(str(draft)).frames()) > 0
     assert not [p for p in draft.rglob(".*") if p.is_file()]
-
-
-def children(pid: int) -> set[int]:
-    """Processes that any thread of a process started."""
-    return {int(word) for file in Path(f"/proc/{pid}/task").glob("*/children") for word in file.read_text().split()}
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def wait_for_the_end(pids: set[int]) -> None:

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from process_table import alive
 from typer.testing import CliRunner
 
 import ullage as ul
@@ -148,13 +149,6 @@ class Sleeper:
 if __name__ == "__main__":
     carry_out([Sleeper(str(n), Path(sys.argv[1])) for n in range(2)], where=2)
 """
-
-
-def alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def within_a_minute(reached) -> bool:
