@@ -183,7 +183,7 @@ def run(
     total = job.flown.duration_s if job.flown is not None and not job.live else None
     with progress_bar("receiving and mapping", total=total, unit="s of flight") as bar:
         report = execute(job, sinks=[recording], progress=bar, log=bar.log, under_way=under_way)
-    _tell(report)
+    _print_summary(report)
     if open_report:
         open_page(report.folder / "report.html")
     if not report.outcome.interrupted:
@@ -222,7 +222,7 @@ def fly(
     recording = record(job)
     with progress_bar("flying", total=duration_s, unit="s of flight") as bar:
         report = execute(job, sinks=[recording], progress=bar, log=bar.log)
-    _tell(report)
+    _print_summary(report)
     if not report.outcome.interrupted:
         keep_serving(job.sinks)
 
@@ -275,7 +275,8 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
         return work
 
 
-def _tell(report: Report) -> None:
+def _print_summary(report: Report) -> None:
+    """Print the outcome, the scores and the report page of a run."""
     from ullage.experiments.folder import final_of
     from ullage.experiments.inspection import found_line
     from ullage.view.progress import log, log_report

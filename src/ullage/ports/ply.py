@@ -52,6 +52,7 @@ def write_ply(omap: OccupancyMap, path: str | Path, *, normals: Floats | None = 
     points["occupied"] = omap.percent[omap.occupied]
     origin = [value if math.isfinite(value) else None for value in omap.grid.origin_m]
     about = {"origin_m": origin, "step_m": omap.grid.step_m, "shape": omap.grid.shape, "method": omap.method}
+    # not by trimesh: its PLY export writes no comment of ours, and the grid lies in one
     head = ["ply", "format binary_little_endian 1.0", TAG + json.dumps(about), f"element vertex {len(cells)}"]
     head += [f"property float {name}" for name in names] + ["property uchar occupied", "end_header", ""]
     write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
@@ -110,7 +111,7 @@ def _bytes(path: Path) -> bytes:
         raise InputError(f"cannot read: {error.strerror}", where=path) from None
 
 
-class GridNote(Spec):
+class GridComment(Spec):
     """The grid that ullage writes into a comment."""
 
     origin_m: tuple[float | None, float | None, float | None]
@@ -119,14 +120,14 @@ class GridNote(Spec):
     method: str = Field("ply", max_length=100)
 
 
-def _grid_in(raw: bytes, path: Path) -> GridNote | None:
+def _grid_in(raw: bytes, path: Path) -> GridComment | None:
     """The grid in the file's header, where ullage wrote it."""
     head = raw[:65536].split(b"end_header")[0].decode("latin1").splitlines()
     for number, line in enumerate(head, 1):
         if line.startswith(TAG):
             try:
                 found = json.loads(line.removeprefix(TAG))
-                return GridNote(**found if isinstance(found, dict) else {"grid": found})
+                return GridComment(**found if isinstance(found, dict) else {"grid": found})
             except InputError as error:
                 raise InputError(f"the grid in it: {error}", where=path, line=number) from None
             except (ValueError, RecursionError) as error:

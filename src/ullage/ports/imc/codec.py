@@ -118,7 +118,7 @@ def encode(packet: Packet, *, big: bool = False, table: Table | None = None) -> 
 
 
 def crc(data: bytes) -> int:
-    """CRC-16/ARC, which IMC's definition calls CRC-16-IBM."""
+    """Return the CRC-16/ARC that IMC calls CRC-16-IBM; the standard library has no such CRC."""
     from ullage.kernels.checksum import crc16
 
     return int(crc16(np.frombuffer(data, np.uint8), 0))
@@ -328,7 +328,7 @@ class Parser:
     version: tuple[int, int] | None = None  # of the last of those
     _held: bytearray = field(default_factory=bytearray)
     _lost: bool = False
-    _wanted: int = 0  # bytes needed before another look makes sense
+    _wanted: int = 0  # bytes needed before the next search
 
     @property
     def waiting_bytes(self) -> int:
@@ -339,14 +339,14 @@ class Parser:
         """The packets that these bytes complete."""
         self._held += data
         if len(self._held) >= self._wanted:
-            yield from self._look(end=False)
+            yield from self._find_packets(end=False)
 
     def finish(self) -> Iterator[Packet]:
         """What is left when nothing more comes: packets behind one that was cut."""
         self._lost = True
-        yield from self._look(end=True)
+        yield from self._find_packets(end=True)
 
-    def _look(self, *, end: bool) -> Iterator[Packet]:
+    def _find_packets(self, *, end: bool) -> Iterator[Packet]:
         from ullage.kernels import checksum
 
         held = bytes(self._held)
