@@ -1,16 +1,66 @@
-"""Loops over what ways by flat mirrors can reach: within their beams and the gate, on its lit side, how loud."""
+"""Loops over what paths over flat mirrors can reach: within their beams and the gate, on its lit side, how loud."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.facets import ONE, toward
 from ullage.kernels.loops import core, lean
 
 
+class MirrorPaths(NamedTuple):
+    """Paths (n) over flat mirrors on the leg from the transmitter, and on the leg to the receiver."""
+
+    images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
+    frames: Floats  # (n, 2, 3, 3) sensor_from_world rotations of the last images
+    faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
+    planes: Floats  # (n, 20, 4) that bound what a path can reach
+    counts: Longs  # (n) how many of them there are
+    weights: Floats  # (n) how much each path counts
+
+
+class FaceSides(NamedTuple):
+    """Outer sides of faces (p), as in `solids.Backs`."""
+
+    outward: Floats  # (p, 4) plane of each face, turned to the outside of its body
+    inside: Bools  # (p) whether the antennas may be in the body of the face
+
+
+class EchoBounds(NamedTuple):
+    """What bounds the echoes of faces (p)."""
+
+    gate_m: float  # greatest mean range [m]
+    wave: float  # wave number [1/m]
+    table: Floats  # as in `facets.Antennas`
+    isotropic: bool  # as in `facets.Antennas`
+    most: Floats  # (s, c) the larger reflection coefficient of each material over cos(incidence)
+    materials: Ints  # (p) row of each face in that table
+
+
+class MetFaces(NamedTuple):
+    """Pairs (m) of a path and a face that it reaches."""
+
+    of: Longs  # (m) path
+    on: Longs  # (m) face
+    gains: Floats  # (m) the antennas' gains there, times the path's weight and what it reflects
+    louds: Floats  # (m) upper bound of the path gain amplitude; squares add up to the power of a curved surface
+    paths: Floats  # (m) mean range [m]
+
+
+class BoundScratch(NamedTuple):
+    """Scratch of `meet_faces`."""
+
+    axes: Floats  # (3, 3) along the longest edge, across it, and a corner of the face [m]
+    places: Floats  # (3, 3) where the path is shortest, and next to each image [m]
+    slopes: Floats  # (6) as `_strength` gives them
+
+
 @core(nogil=True, error_model="numpy")
-def _shone(x, y, z, radius, planes, count, one, other, gate):  # type: ignore[no-untyped-def]
-    """Whether some of a sphere lies in the beams and within the gate of a way that ends at two images."""
+def _shone(sphere, planes, count, one, other, gate):  # type: ignore[no-untyped-def]
+    """Whether some of a sphere (4) lies in the beams and within the gate of a path that ends at two images."""
+    x, y, z, radius = sphere[0], sphere[1], sphere[2], sphere[3]
     a = (x - one[0]) ** 2 + (y - one[1]) ** 2 + (z - one[2]) ** 2
     b = (x - other[0]) ** 2 + (y - other[1]) ** 2 + (z - other[2]) ** 2
     if 0.5 * (math.sqrt(a) + math.sqrt(b)) - radius > gate:
@@ -69,14 +119,26 @@ def _turn_to_edge(p, normals, first, starts, axes):  # type: ignore[no-untyped-d
 
 
 @core(nogil=True, error_model="numpy")
-def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, axes, places, slopes):  # type: ignore[no-untyped-def]
-    """What a face can return at the most, about, to a radar at two images, per path gain amplitude.
+def _loud(p, ends, frames, faces, bounds, scratch):  # type: ignore[no-untyped-def]
+    """Bound the echo of a face for a radar at two images, per path gain amplitude.
 
     Along each of two axes counts the face's width or, if that is less, what a phase that turns leaves of it: two ends,
-    2 / (k slope) [BornWolf1999], or where its path is shortest the Fresnel zone. Asked for at three places along
-    the middle of the face, `places` (3, 3): where the path is shortest, and next to each image.
-    And the width [m], and the largest product of both gains at those places.
+    2 / (k slope) [BornWolf1999], or where its path is shortest the Fresnel zone. Three places along the middle of the
+    face are asked: where the path is shortest, and next to each image.
+
+    Args:
+        p: the face.
+        ends: (2, 3, 3), the last of each three are the images [m].
+        frames: (1, 2, 3, 3) sensor_from_world rotations of the images.
+        faces: `edges.FaceOutlines`.
+        bounds: `EchoBounds`.
+        scratch: `BoundScratch`.
+
+    Returns:
+        The bound, the face's width [m], and the largest product of both gains at those places.
     """
+    axes, places, slopes, wave = scratch.axes, scratch.places, scratch.slopes, bounds.wave
+    normals, spheres, first, starts = faces.normals, faces.spheres, faces.first, faces.starts
     _turn_to_edge(p, normals, first, starts, axes)
     low, high, under, over = math.inf, -math.inf, math.inf, -math.inf
     for e in range(first[p], first[p + 1]):
@@ -96,7 +158,7 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
     spot(axes[2], axes[0], high - low, ends[0, 2], ends[1, 2], places[0])
     least, bend, best, gain = math.inf, math.inf, 0.0, 0.0
     for step in range(2, -1, -1):  # slopes are left as they are where the path is shortest
-        strong = _strength(places[step], ends, turned, table, flat, axes, slopes)
+        strong = _strength(places[step], ends, frames, bounds.table, bounds.isotropic, axes, slopes)
         along, across, facing = 0.0, 0.0, 0.0
         for k in range(3):
             along, across = along + slopes[k] * axes[0, k], across + slopes[k] * axes[1, k]
@@ -112,10 +174,10 @@ def _loud(p, ends, turned, table, flat, wave, normals, spheres, first, starts, a
 
 @core(nogil=True, error_model="numpy")
 def _kept(point, images, faces, normals, object_ids, most, object_id, slopes):  # type: ignore[no-untyped-def]
-    """What the mirrors of a way and a thing at a point (3) reflect at the most.
+    """Bound what the mirrors of a path and a thing at a point (3) reflect.
 
     Args:
-        point: (3) [m]; images: (2, 3, 3) and faces: (2, 2) of the way, as in `paths.lead`.
+        point: (3) [m]; images: (2, 3, 3) and faces: (2, 2) of the path, as in `paths.lead`.
         normals: (p, 3) and object ids: (p) of the faces; object: the thing's object.
         most: (s, c) the larger of both coefficients over cos(incidence).
         slopes: (6) as `_strength` gives them.
@@ -146,31 +208,30 @@ def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-unty
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_faces(images, turned, faces, planes, counts, weights, gate, items, spheres, normals, offsets, object_ids,  # type: ignore[no-untyped-def]
-               outward, inside, first, starts, table, flat, most, wave, of, on, gains, louds, paths,
-               scratch):  # fmt: skip
-    """Which faces each way can reach, so that both legs end on the same side of them, of closed bodies on the outer.
+def meet_faces(paths, items, faces, sides, bounds, met, scratch):  # type: ignore[no-untyped-def]
+    """Find the faces that each path reaches so that both legs end on the same side, of closed bodies on the outer one.
 
     Args:
-        images, turned, faces, planes, counts: as in `lead`; weights: (n) of the ways.
-        gate: largest mean range [m].
+        paths: `MirrorPaths` (n).
         items: (k) faces to ask for.
-        spheres: (p, 4), normals: (p, 3), offsets: (p), object_ids: (p), first: (p + 1), starts: (e, 3) of the faces.
-        outward: (p, 4) as in `solids.Backs`; inside: (p) whether the antennas may be in the body of a face.
-        table, flat: as in `facets.accumulate`; most: as in `_kept`; wave: wave number [1/m].
-        of, on: (m), (m) get way and face of each pair.
-        gains: (m) gets the antennas' gains there, times the way's weight and what it reflects.
-        louds: (m) gets what each returns at the most, about, so that squares add up to the power of a curved surface.
-        paths: (m) gets the mean range of each [m].
-        scratch: (7, 6).
+        faces: `edges.FaceOutlines` (p).
+        sides: `FaceSides` (p).
+        bounds: `EchoBounds` (p).
+        met: `MetFaces` (m), written.
+        scratch: `BoundScratch`.
 
     Returns:
         How many pairs there are; only those that fit are written.
     """
-    axes, places, slopes = scratch[:3], scratch[3:6], scratch[6]
+    images, planes, counts, spheres, materials = (
+        paths.images,
+        paths.planes,
+        paths.counts,
+        faces.spheres,
+        bounds.materials,
+    )
     count = 0
     for p in items:
-        x, y, z, radius = spheres[p, 0], spheres[p, 1], spheres[p, 2], spheres[p, 3]
         direct = 0.0
         for side in range(2):
             square = 0.0
@@ -178,27 +239,27 @@ def meet_faces(images, turned, faces, planes, counts, weights, gate, items, sphe
                 here = images[0, side, 0, k]
                 square += (spheres[p, k] - here) ** 2
             direct += 0.5 * math.sqrt(square)
-        if direct - radius > gate:  # no way is shorter
+        if direct - spheres[p, 3] > bounds.gate_m:  # no path is shorter
             continue
         for i in range(len(images)):
             one, other = images[i, 0, 2], images[i, 1, 2]
-            if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
+            if not _shone(spheres[p], planes[i], counts[i], one, other, bounds.gate_m):
                 continue
-            if not _faced(one, other, normals[p], offsets[p], outward[p], inside[p]):
+            if not _faced(one, other, faces.normals[p], faces.offsets[p], sides.outward[p], sides.inside[p]):
                 continue
-            if not _cornered(planes[i], counts[i], starts, first[p], first[p + 1]):
+            if not _cornered(planes[i], counts[i], faces.starts, faces.first[p], faces.first[p + 1]):
                 continue
-            loud, width, gain = _loud(p, images[i], turned[i : i + 1], table, flat, wave, normals, spheres, first,
-                                      starts, axes, places, slopes)  # fmt: skip
-            kept = weights[i] * _kept(places[0], images[i], faces[i], normals, object_ids, most, object_ids[p], slopes)
-            if count < len(of):
-                half = math.pi / wave  # strips narrower than half a wave add up in phase with those beside them
-                of[count], on[count], gains[count] = i, p, kept * gain
-                louds[count] = kept * loud * math.sqrt(max(half / max(width, 1e-9), 1.0))
+            loud, width, gain = _loud(p, images[i], paths.frames[i : i + 1], faces, bounds, scratch)
+            kept = paths.weights[i] * _kept(scratch.places[0], images[i], paths.faces[i], faces.normals,
+                                            materials, bounds.most, materials[p], scratch.slopes)  # fmt: skip
+            if count < len(met.of):
+                half = math.pi / bounds.wave  # strips narrower than half a wave add up in phase with those beside them
+                met.of[count], met.on[count], met.gains[count] = i, p, kept * gain
+                met.louds[count] = kept * loud * math.sqrt(max(half / max(width, 1e-9), 1.0))
                 here, there = 0.0, 0.0
                 for k in range(3):
                     here, there = here + (spheres[p, k] - one[k]) ** 2, there + (spheres[p, k] - other[k]) ** 2
-                paths[count] = 0.5 * (math.sqrt(here) + math.sqrt(there))
+                met.paths[count] = 0.5 * (math.sqrt(here) + math.sqrt(there))
             count += 1
     return count
 
@@ -257,20 +318,24 @@ def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_triangles(images, planes, counts, gate, spheres, first, corners, normals, outward, inside, lit):  # type: ignore[no-untyped-def]
-    """Which small triangles each way can reach, so that both legs end on the same side of them.
+def meet_triangles(paths, gate, clusters, normals, sides, lit):  # type: ignore[no-untyped-def]
+    """Find the small triangles that each path reaches so that both legs end on the same side of them.
 
     Args:
-        images, planes, counts, gate: as in `meet_faces`.
-        spheres: (c, 4) and first: (c + 1) of the clusters; corners: (f, 3, 3) and normals: (f, 3) of the triangles.
-        outward: (f, 4) and inside: (f) as in `meet_faces`.
-        lit: (n, f) gets True where a way can reach a triangle.
+        paths: `MirrorPaths` (n).
+        gate: greatest mean range [m].
+        clusters: `facets.TriangleClusters` (f).
+        normals: (f, 3) of the triangles.
+        sides: `FaceSides` (f).
+        lit: (n, f) gets True where a path reaches a triangle.
     """
+    images, planes, counts = paths.images, paths.planes, paths.counts
+    spheres, first, corners, outward, inside = (
+        clusters.spheres, clusters.first, clusters.corners, sides.outward, sides.inside)  # fmt: skip
     for i in range(len(images)):
         one, other = images[i, 0, 2], images[i, 1, 2]
         for c in range(len(spheres)):
-            x, y, z, radius = spheres[c, 0], spheres[c, 1], spheres[c, 2], spheres[c, 3]
-            if not _shone(x, y, z, radius, planes[i], counts[i], one, other, gate):
+            if not _shone(spheres[c], planes[i], counts[i], one, other, gate):
                 continue
             for f in range(first[c], first[c + 1]):
                 out, ahead, behind = outward[f, 3], 0.0, 0.0
@@ -284,11 +349,11 @@ def meet_triangles(images, planes, counts, gate, spheres, first, corners, normal
 
 @lean(nogil=True, error_model="numpy")
 def pair_up(lit, owner, of, at):  # type: ignore[no-untyped-def]
-    """Pairs of ways and pieces of the triangles that they can reach.
+    """List the pairs of a path and a piece of a triangle that it reaches.
 
     Args:
         lit: (n, f) as `meet_triangles` gives it; owner: (m) triangle of each piece.
-        of, at: (n m) get way and piece of each pair, way by way.
+        of, at: (n m) get path and piece of each pair, path by path.
 
     Returns:
         How many pairs there are.
@@ -304,7 +369,7 @@ def pair_up(lit, owner, of, at):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _cornered(planes, count, starts, begin, end):  # type: ignore[no-untyped-def]
-    """Whether no plane leaves all corners of a rim outside."""
+    """Whether no plane leaves all corners of an outline outside."""
     for w in range(count):
         some = False
         for e in range(begin, end):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Floats, Longs
 from ullage.kernels.facets import toward
 from ullage.kernels.loops import core, lean
 
@@ -36,31 +38,52 @@ def _sent(path, out):  # type: ignore[no-untyped-def]
         out[k] = (path[first, k] - path[0, k]) / gone
 
 
+class BeamEnds(NamedTuple):
+    """Where beams (b) from the transmitter's images end."""
+
+    images: Floats  # (b, 3) the transmitter's last image [m]
+    receiver: Floats  # (3) [m]
+    on: Longs  # (b) face at the end
+
+
+class FacePlanes(NamedTuple):
+    """Planes of faces (p)."""
+
+    normals: Floats  # (p, 3) unit normals
+    offsets: Floats  # (p) normal . x = offset [m]
+    across: Floats  # (p, 2, 3) two unit vectors in each face, at right angles
+
+
+class Strengths(NamedTuple):
+    """What paths (b) would bring if nothing stood in their way and faces had no ends."""
+
+    level: Floats  # (b) path gain amplitudes, 0 for paths that are left out
+    excess: Floats  # (b) by which each path is longer than that over the mirror point [m]
+    axes: Floats  # (b, 2, 3) of its Fresnel zone, in the plane of incidence and across it, to where the phase is 1 [m]
+
+
 @lean(nogil=True, error_model="numpy")
-def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor, frames, table, flat, wave, axes,  # type: ignore[no-untyped-def]
-              units, level, excess):  # fmt: skip
-    """How strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
+def strengths(paths, ends, faces, factor, antennas, wave, found, units):  # type: ignore[no-untyped-def]
+    """Find how strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
 
     Args:
         paths: (b, 5, 3) corners from transmitter to receiver, the fourth on the face at the end [m].
-        images: (b, 3) the transmitter's last images and receiver: (3) [m].
-        ends_on: (b) face at the end.
-        normals: (p, 3), offsets: (p), across: (p, 2, 3) of the faces.
+        ends: `BeamEnds` (b).
+        faces: `FacePlanes`.
         factor: (b) complex, what reflections leave; paths where it is 0 are left out.
-        frames: (1, 2, 3, 3) sensor_from_world; table, flat: the antennas' pattern, as in `facets.accumulate`.
-        wave: number [1/m].
-        axes: (b, 2, 3) gets those of the zones, in the plane of incidence and across it, to where the phase is 1 [m].
+        antennas: `facets.Antennas` of one radar.
+        wave: wave number [1/m].
+        found: `Strengths` (b), written.
         units: (2, 3) scratch.
-        level: (b) gets path gain amplitudes, 0 for paths that are left out.
-        excess: (b) gets by how much each path is longer than that over a mirror [m].
     """
     sent, taken = units[0], units[1]
+    level, excess, axes, across = found.level, found.excess, found.axes, faces.across
     for i in range(len(paths)):
         level[i], excess[i] = 0.0, 0.0
         if factor[i] == 0:
             continue
-        p = ends_on[i]
-        there, back, straight = _lengths(paths[i, 3], images[i], receiver, normals[p], offsets[p])
+        p = ends.on[i]
+        there, back, straight = _lengths(paths[i, 3], ends.images[i], ends.receiver, faces.normals[p], faces.offsets[p])
         excess[i] = there + back - straight
         _sent(paths[i], sent)
         along, aside = 0.0, 0.0
@@ -68,8 +91,8 @@ def strengths(paths, images, receiver, ends_on, normals, offsets, across, factor
             taken[k] = (paths[i, 3, k] - paths[i, 4, k]) / max(back, 1e-12)
             along -= across[p, 0, k] * taken[k]
             aside -= across[p, 1, k] * taken[k]
-        gain = toward(table, flat, frames, 0, 0, sent[0], sent[1], sent[2])
-        gain *= toward(table, flat, frames, 0, 1, taken[0], taken[1], taken[2])
+        gain = toward(antennas.table, antennas.isotropic, antennas.frames, 0, 0, sent[0], sent[1], sent[2])
+        gain *= toward(antennas.table, antennas.isotropic, antennas.frames, 0, 1, taken[0], taken[1], taken[2])
         level[i] = abs(factor[i]) * gain / (2 * wave * (there + back))
         slant = math.sqrt(max(1 - along * along - aside * aside, 0.01))
         reach = math.sqrt(2 / wave / (1 / there + 1 / back))

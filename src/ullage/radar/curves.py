@@ -20,7 +20,7 @@ from ullage.geometry import C0
 from ullage.kernels import lit
 from ullage.kernels import paths as kernel
 from ullage.kernels.edges import CutLimits, Outline
-from ullage.kernels.facets import LitFaces, Transmission, TrianglePieces
+from ullage.kernels.facets import LitFaces, Transmission, TriangleClusters, TrianglePieces
 from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, split
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -120,19 +120,9 @@ def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
     """Which small triangles each way can reach (n, f), if nothing stands between."""
     out = np.zeros((len(paths), len(part.corners)), np.bool_)
     inside = part.backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
-    lit.meet_triangles(
-        paths.images,
-        paths.planes,
-        paths.counts,
-        context.gate[1],
-        part.spheres,
-        part.first,
-        part.corners,
-        part.normals,
-        part.backs.outward,
-        inside,
-        out,
-    )
+    clusters = TriangleClusters(part.spheres, part.first, part.corners)
+    sides = lit.FaceSides(part.backs.outward, inside)
+    lit.meet_triangles(paths.mirrors, context.gate[1], clusters, part.normals, sides, out)
     return out
 
 
@@ -203,37 +193,15 @@ def met(
 ) -> Strips:
     """Those of some faces that ways meet within the gate, but for what is too faint."""
     size, inside = min(len(paths) * len(smooth), 8192), backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
+    turned, outlined = lit.FaceSides(backs.outward, inside), face_outlines(planar)
+    bounds = lit.EchoBounds(context.gate[1], context.pulse.omega / C0, context.table,
+                            context.spec.antenna.kind == "isotropic", _most(context), planar.object_ids)  # fmt: skip
+    scratch = lit.BoundScratch(np.empty((3, 3)), np.empty((3, 3)), np.empty(6))
     while True:
         of, on = np.empty(size, np.int64), np.empty(size, np.int64)
         gains, louds, lengths = np.empty((3, size))
-        count = lit.meet_faces(
-            paths.images,
-            paths.frames,
-            paths.faces,
-            paths.planes,
-            paths.counts,
-            paths.weights,
-            context.gate[1],
-            smooth,
-            planar.spheres,
-            planar.normals,
-            planar.offsets,
-            planar.object_ids,
-            backs.outward,
-            inside,
-            planar.first,
-            planar.starts,
-            context.table,
-            context.spec.antenna.kind == "isotropic",
-            _most(context),
-            context.pulse.omega / C0,
-            of,
-            on,
-            gains,
-            louds,
-            lengths,
-            np.empty((7, 6)),
-        )
+        found = lit.MetFaces(of, on, gains, louds, lengths)
+        count = lit.meet_faces(paths.mirrors, smooth, outlined, turned, bounds, found, scratch)
         if count <= size:
             break
         size = int(1.2 * count)

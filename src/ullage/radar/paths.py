@@ -17,6 +17,7 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels import paths as kernel
 from ullage.kernels.facets import Antennas
+from ullage.kernels.lit import MirrorPaths
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -52,6 +53,11 @@ class PathSet:
     def ends(self) -> Floats:
         """The radars (n, 2, 3) as what the ways lead to sees them [m]."""
         return np.ascontiguousarray(self.images[:, :, 2])
+
+    @property
+    def mirrors(self) -> MirrorPaths:
+        """The paths as kernels take them."""
+        return MirrorPaths(self.images, self.frames, self.faces, self.planes, self.counts, self.weights)
 
     def told(self, echoes: EchoSet, of: Longs) -> EchoSet:
         """Echoes with the ways (m) by which they come."""

@@ -19,6 +19,7 @@ import numpy as np
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import bounces
 from ullage.kernels import zones as kernel
+from ullage.kernels.zones import Strengths
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.facets import PlanarPatches
 
@@ -123,38 +124,15 @@ def _borders(zones: Zones, asked: Floats, free: Bools, clear: Callable[[Longs, F
     return borders
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strengths:
-    """What paths (b) would bring if nothing stood in their way and faces had no ends."""
-
-    level: Floats  # (b) path gain amplitudes
-    excess: Floats  # (b) by which each path is longer than that over the mirror point [m]
-    axes: Floats  # (b, 2, 3) of its Fresnel zone, to where the phase is 1 rad [m]
-
-
 def strengths(
     context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, beams: Beams, path: Floats, factor: Complexes
 ) -> Strengths:
     """How strong paths (b, 5, 3) would be of which reflections leave a factor (b), 0 where it does not matter."""
     out = Strengths(np.empty(len(path)), np.empty(len(path)), np.empty((len(path), 2, 3)))
-    kernel.strengths(
-        path,
-        beams.images,
-        antennas.origins[1],
-        beams.ends_on,
-        planar.normals,
-        planar.offsets,
-        planar.across,
-        factor,
-        antennas.frames[None],
-        context.table,
-        context.spec.antenna.kind == "isotropic",
-        2 * np.pi / context.spec.wavelength_m,
-        out.axes,
-        np.empty((2, 3)),
-        out.level,
-        out.excess,
-    )
+    ends = kernel.BeamEnds(beams.images, antennas.origins[1], beams.ends_on)
+    faces = kernel.FacePlanes(planar.normals, planar.offsets, planar.across)
+    kernel.strengths(path, ends, faces, factor, context.antennas(antennas), 2 * np.pi / context.spec.wavelength_m, out,
+                     np.empty((2, 3)))  # fmt: skip
     return out
 
 
