@@ -3,45 +3,130 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ullage.arrays import Complexes, Floats, Ints, Longs, Singles
 from ullage.kernels.loops import lean
 
 _NOWHERE = 1e9  # [m]
 
 
-@lean(nogil=True)
-def refine_faces(prim, tfar, origin, direction, corner, normal, ids, face, distance, cosine):  # type: ignore[no-untyped-def]
-    """Put the hits of one body into `face`, `distance` and `cosine` where they are nearer than what is there.
+class Rays(NamedTuple):
+    """Rays (n)."""
 
-    The float32 distance `tfar` chooses between plane and fallback only: where the float64 plane distance is
+    origin: Floats  # (n, 3) [m]
+    direction: Floats  # (n, 3) unit vectors
+
+
+class EmbreeHits(NamedTuple):
+    """What rays (n) hit first in one body, as Embree gives it."""
+
+    prim: NDArray[np.integer]  # (n) number of the triangle, beyond the last one or negative for none
+    tfar: Singles  # (n) distance [m]
+
+
+class MeshFaces(NamedTuple):
+    """Faces (k) of a body."""
+
+    corner: Floats  # (k, 3) one corner of each [m]
+    normal: Floats  # (k, 3) unit normals
+    ids: Ints  # (k) number of each face in the scene
+
+
+class RoundWires(NamedTuple):
+    """Round wires (w), for which Embree has prisms."""
+
+    first: int  # number of the first prism's first triangle
+    per_wire: int  # triangles of each prism
+    start: Floats  # (w, 3) [m]
+    axis: Floats  # (w, 3) unit vectors
+    length: Floats  # (w) [m]
+    radius: Floats  # (w) [m]
+    ids: Ints  # (w) number of each wire in the scene
+
+
+class NearestHits(NamedTuple):
+    """What rays, of any shape, hit first of all."""
+
+    face: Ints  # number of the face in the scene, -1 for none
+    distance: Floats  # [m]
+    cosine: Floats  # cos(incidence)
+
+
+class SheetWalk(NamedTuple):
+    """Rays (n) under way through thin sheets."""
+
+    points: Longs  # (n) point that each ray leads to
+    lengths: Floats  # (n) distance of the point [m]
+    passed: Floats  # (n) distance covered [m]
+    rays: Floats  # (n, 3) unit vectors
+
+
+class MetSheets(NamedTuple):
+    """The sheet that each ray (n) meets next."""
+
+    distance: Floats  # (n) [m]
+    object_id: NDArray[np.integer]  # (n)
+    cosine: Floats  # (n) cos(incidence)
+
+
+class SheetTable(NamedTuple):
+    """What sheets (s) let through, there and back, over cos(incidence)."""
+
+    factor: Complexes  # (s, c)
+    delay_s: Floats  # (s, c) [s]
+
+
+class RangeBins(NamedTuple):
+    """Ranges that count, and the range bins that they fall into."""
+
+    near_m: float  # least range [m]
+    far_m: float  # greatest range [m]
+    start_m: float  # range of the first bin [m]
+    bin_m: float  # width of a bin [m]
+
+
+@lean(nogil=True)
+def refine_faces(hits, rays, mesh, nearest):  # type: ignore[no-untyped-def]
+    """Put the hits of one body into `nearest` where they are nearer than what is there.
+
+    The float32 distance `tfar` only chooses between the plane and itself: where the float64 distance of the plane is
     far from it (slivers, rays along a face) it is kept.
+
+    Args:
+        hits: `EmbreeHits` (n).
+        rays: `Rays` (n).
+        mesh: `MeshFaces`.
+        nearest: `NearestHits` (n), updated.
     """
+    prim, tfar = hits
     for i in range(len(prim)):
         p = prim[i]
-        if p < 0 or p >= len(corner):
+        if p < 0 or p >= len(mesh.corner):
             continue
         along = 0.0
         gap = 0.0
         for k in range(3):
-            along += normal[p, k] * direction[i, k]
-            gap += normal[p, k] * (corner[p, k] - origin[i, k])
+            along += mesh.normal[p, k] * rays.direction[i, k]
+            gap += mesh.normal[p, k] * (mesh.corner[p, k] - rays.origin[i, k])
         reach = float(tfar[i])
         t = reach
         if abs(along) > 1e-9:
             exact = gap / along
             if abs(exact - reach) <= 1e-5 * (1.0 + reach) / max(abs(along), 1e-3):
                 t = max(exact, 0.0)
-        if t < distance[i]:
-            face[i] = ids[p]
-            distance[i] = t
-            cosine[i] = min(abs(along), 1.0)
+        if t < nearest.distance[i]:
+            nearest.face[i] = mesh.ids[p]
+            nearest.distance[i] = t
+            nearest.cosine[i] = min(abs(along), 1.0)
 
 
 @lean(nogil=True)
 def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignore[no-untyped-def]
-    """Rays between points (1 or n, 3) and (n, 3) in float32 about `centre`, short of both by `before` and `after`."""
+    """Aim float32 rays about `centre` between points (1 or n, 3) and (n, 3), short of them by `before` and `after`."""
     for i in range(len(ends)):
         s = i if len(starts) > 1 else 0
         dx, dy, dz = ends[i, 0] - starts[s, 0], ends[i, 1] - starts[s, 1], ends[i, 2] - starts[s, 2]
@@ -58,14 +143,22 @@ def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignor
 
 
 @lean(nogil=True)
-def refine_wires(  # type: ignore[no-untyped-def]
-    prim, tfar, origin, direction, first, per_wire, start, axis, length, radius, ids, face, distance, cosine
-):
-    """As `refine_faces`, for prisms that stand for round wires: distance and normal are those of the cylinder."""
+def refine_wires(hits, rays, wires, nearest):  # type: ignore[no-untyped-def]
+    """Put the hits of round wires into `nearest`: distance and normal are those of the cylinder, not of its prism.
+
+    Args:
+        hits: `EmbreeHits` (n).
+        rays: `Rays` (n).
+        wires: `RoundWires`.
+        nearest: `NearestHits` (n), updated.
+    """
+    prim, tfar = hits
+    origin, direction = rays
+    start, axis, length, radius = wires.start, wires.axis, wires.length, wires.radius
     for i in range(len(prim)):
-        if prim[i] < first:
+        if prim[i] < wires.first:
             continue
-        w = (prim[i] - first) // per_wire
+        w = (prim[i] - wires.first) // wires.per_wire
         ax, ay, az = axis[w, 0], axis[w, 1], axis[w, 2]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
         ox, oy, oz = origin[i, 0] - start[w, 0], origin[i, 1] - start[w, 1], origin[i, 2] - start[w, 2]
@@ -84,33 +177,33 @@ def refine_wires(  # type: ignore[no-untyped-def]
             if exact >= 0.0 and -1e-9 <= s <= length[w] + 1e-9 and abs(exact - t) <= 2.0 * radius[w] / math.sqrt(a):
                 t = exact
                 c = math.sqrt(root) / radius[w]
-        if t < distance[i]:
-            face[i] = ids[w]
-            distance[i] = t
-            cosine[i] = min(c, 1.0)
+        if t < nearest.distance[i]:
+            nearest.face[i] = wires.ids[w]
+            nearest.distance[i] = t
+            nearest.cosine[i] = min(c, 1.0)
 
 
 @lean(nogil=True, error_model="numpy")
-def pass_transmissive(  # type: ignore[no-untyped-def]
-    todo, lengths, passed, rays, distance, object_id, cosine, slack, last, through, delays, factor, late
-):
-    """Takes rays through the sheets that they meet next, and forgets those that meet none on their way.
+def pass_transmissive(walk, met, table, slack, last, factor, late):  # type: ignore[no-untyped-def]
+    """Take rays through the sheets that they meet next, and drop those that meet none before their points.
 
     Args:
-        todo, lengths, passed, rays: (n), (n) [m], (n) [m], (n, 3) point each ray leads to, how far that is, how much of
-            the way is done, unit vectors; in place, those that are left first.
-        distance, object_id, cosine: (n) [m], (n), (n) to the next sheet, its object, cos(incidence).
-        slack: what stands so near to the point is none, and twice that lies a sheet's other side [m].
-        last: whether what is left now is lost.
-        through, delays: (s, c) what sheets let through, there and back, and their delay [s] over cos(incidence).
-        factor, late: (p) of the points: multiplied, added to.
+        walk: `SheetWalk` (n), updated: those that are left come first.
+        met: `MetSheets` (n).
+        table: `SheetTable`.
+        slack: sheets nearer to the point than this do not count, and the next one begins twice as far on [m].
+        last: whether rays that still meet a sheet are lost.
+        factor: (p) of the points, multiplied by what the sheets let through.
+        late: (p) delays of the points [s], added to.
 
     Returns:
         How many are left.
     """
+    todo, lengths, passed, rays = walk
+    through, delays = table
     count, n = 0, through.shape[1] - 1
     for i in range(len(todo)):
-        here = passed[i] + distance[i]
+        here = passed[i] + met.distance[i]
         if not here < lengths[i] - slack:
             continue
         point = todo[i]
@@ -121,17 +214,17 @@ def pass_transmissive(  # type: ignore[no-untyped-def]
         if last:
             factor[point] = 0
             continue
-        place = min(cosine[i] * n, n - 1e-3)
+        place = min(met.cosine[i] * n, n - 1e-3)
         low = int(place)
-        u = place - low
-        factor[point] *= through[object_id[i], low] * (1 - u) + through[object_id[i], low + 1] * u
-        late[point] += delays[object_id[i], low] * (1 - u) + delays[object_id[i], low + 1] * u
+        u, sheet = place - low, met.object_id[i]
+        factor[point] *= through[sheet, low] * (1 - u) + through[sheet, low + 1] * u
+        late[point] += delays[sheet, low] * (1 - u) + delays[sheet, low + 1] * u
     return count
 
 
 @lean(nogil=True)
 def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
-    """Directions (n, m, 3) of a fan (m, 3) under n rotations (n, 3, 3)."""
+    """Turn the directions of a fan (m, 3) by n rotations (n, 3, 3); `out` (n, m, 3) gets them."""
     for f in range(len(rotation)):
         r = rotation[f]
         for i in range(len(fan)):
@@ -141,22 +234,30 @@ def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True)
-def accumulate(face, distance, cosine, reflection, near_m, far_m, start_m, bin_m, out):  # type: ignore[no-untyped-def]
-    """Sum I_m cos(theta) (|v| / far_m)^2 of the rays (n, m) into range bins `out` (n, b)."""
+def accumulate(hits, reflection, ranges, out):  # type: ignore[no-untyped-def]
+    """Sum I_m cos(theta) (|v| / far_m)^2 of rays into range bins.
+
+    Args:
+        hits: `NearestHits` (n, m).
+        reflection: amplitude of each face of the scene.
+        ranges: `RangeBins`.
+        out: (n, b), added to.
+    """
+    face, distance, cosine = hits
     frames, bins = out.shape
     for f in range(frames):
         for i in range(face.shape[1]):
             r = distance[f, i]
-            if face[f, i] < 0 or r < near_m or r > far_m:
+            if face[f, i] < 0 or r < ranges.near_m or r > ranges.far_m:
                 continue
-            k = int(np.floor((r - start_m) / bin_m + 0.5))
+            k = int(np.floor((r - ranges.start_m) / ranges.bin_m + 0.5))
             if 0 <= k < bins:
-                out[f, k] += reflection[face[f, i]] * cosine[f, i] * (r / far_m) ** 2
+                out[f, k] += reflection[face[f, i]] * cosine[f, i] * (r / ranges.far_m) ** 2
 
 
 @lean(nogil=True)
 def smooth(values, weights, out):  # type: ignore[no-untyped-def]
-    """Weighted moving sum of rows (n, b) with an odd, centred window; nothing stands beyond the ends."""
+    """Sum rows (n, b) over an odd, centred window with weights; beyond the ends all is zero."""
     half = len(weights) // 2
     rows, bins = values.shape
     for f in range(rows):

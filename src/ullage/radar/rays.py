@@ -25,7 +25,7 @@ from ullage.arrays import Floats, Longs, Singles
 from ullage.data import Trajectory
 from ullage.fan import ray_area, ray_fan, smoothed
 from ullage.geometry import quat_matrix
-from ullage.kernels.rays import accumulate, turn_fan
+from ullage.kernels.rays import NearestHits, RangeBins, accumulate, turn_fan
 from ullage.specs import RadarSpec
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -72,6 +72,5 @@ def _cast(
     found = rays.trace(starts, directions.reshape(-1, 3), t_ns=times)
     face, distance, cosine = (a.reshape(directions.shape[:2]) for a in found)
     thesis = spec.thesis
-    accumulate(
-        face, distance, cosine, coefficient, thesis.min_range_m, thesis.max_range_m, spec.range_start_m, spec.bin_m, out
-    )
+    ranges = RangeBins(thesis.min_range_m, thesis.max_range_m, spec.range_start_m, spec.bin_m)
+    accumulate(NearestHits(face, distance, cosine), coefficient, ranges, out)

@@ -12,7 +12,7 @@ import numpy as np
 from ullage.arrays import Floats, Singles
 from ullage.errors import InputError
 from ullage.fan import fan_shape, ray_area, ray_fan, smoothed
-from ullage.kernels.rays import accumulate
+from ullage.kernels.rays import NearestHits, RangeBins, accumulate
 from ullage.specs import RadarSpec
 
 
@@ -42,7 +42,8 @@ def echoes_of_scans(range_m: Floats, intensity: Floats, spec: RadarSpec) -> Sing
         ray = np.where(met, np.arange(shape[0] * shape[1]).reshape(shape), -1).astype(np.int32)
         cosine = facing(np.where(met, distance, np.nan), fan)
         flat = [np.ascontiguousarray(a).reshape(1, -1) for a in (ray, np.where(met, distance, 0.0), cosine)]
-        accumulate(*flat, coefficient.ravel(), near, far, spec.range_start_m, spec.bin_m, out[k : k + 1])
+        window = RangeBins(near, far, spec.range_start_m, spec.bin_m)
+        accumulate(NearestHits(*flat), coefficient.ravel(), window, out[k : k + 1])
     return smoothed(out * ray_area(spec.thesis), spec).astype(np.float32)
 
 

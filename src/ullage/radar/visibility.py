@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import rays as kernel
+from ullage.kernels.rays import MetSheets
 from ullage.radar.facets import Surfaces, TransmissiveFaces
 from ullage.radar.penetration import Transmissive
 
@@ -61,27 +62,28 @@ def _through(
     length = np.sqrt(np.einsum("ni,ni->n", ray, ray))
     ray /= np.maximum(length, 1e-9)[:, None]
     passed = np.zeros(len(todo))
+    table = kernel.SheetTable(transmissive.factor, transmissive.delay_s)
     for step in range(SHEETS + 1):
         met = _first(veils, origin + ray * passed[:, None], ray)
-        count = kernel.pass_transmissive(todo, length, passed, ray, *met, SLACK_M, step == SHEETS, transmissive.factor,
-                                   transmissive.delay_s, factor, late)  # fmt: skip
+        walk = kernel.SheetWalk(todo, length, passed, ray)
+        count = kernel.pass_transmissive(walk, met, table, SLACK_M, step == SHEETS, factor, late)
         if not count:
             return
         todo, length, passed, ray = todo[:count], length[:count], passed[:count], ray[:count]
 
 
-def _first(veils: Sequence[TransmissiveFaces], origins: Floats, rays: Floats) -> tuple[Floats, Ints, Floats]:
-    """Distance [m], object and cos(incidence) of the first sheet each ray meets; inf where there is none."""
+def _first(veils: Sequence[TransmissiveFaces], origins: Floats, rays: Floats) -> MetSheets:
+    """Find the first sheet that each ray (n) meets; its distance is inf where there is none."""
     if len(veils) == 1:
         face, distance, slope = veils[0].rays.trace(origins, rays)
-        return distance, veils[0].object_ids[face], slope
+        return MetSheets(distance, veils[0].object_ids[face], slope)
     least = np.full(len(rays), np.inf)
     object_id, cosine = np.zeros(len(rays), np.int32), np.ones(len(rays))
     for veil in veils:
         face, distance, slope = veil.rays.trace(origins, rays)
         near = np.flatnonzero((face >= 0) & (distance < least))
         least[near], object_id[near], cosine[near] = distance[near], veil.object_ids[face[near]], slope[near]
-    return least, object_id, cosine
+    return MetSheets(least, object_id, cosine)
 
 
 def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> Bools:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ullage.arrays import Bools, Floats, Ints, Singles
 from ullage.errors import InputError
-from ullage.kernels.rays import aim, refine_faces, refine_wires
+from ullage.kernels.rays import EmbreeHits, MeshFaces, NearestHits, Rays, RoundWires, aim, refine_faces, refine_wires
 from ullage.world.scene import Motion, Scene
 
 _SIDES = 8
@@ -164,11 +164,13 @@ class _Body:
         near = (start - self.centre).astype(np.float32)
         reach = np.minimum(distance * (1 + 1e-6) + 1e-6, _FAR).astype(np.float32)
         found = self.tree.run(near, rays.astype(np.float32), dists=reach, query="INTERSECT", output=True)
-        prim, tfar = found["primID"], found["tfar"]
-        refine_faces(prim, tfar, start, rays, self.corner, self.normal, self.face_id, face, distance, cosine)
+        hits, aimed = EmbreeHits(found["primID"], found["tfar"]), Rays(start, rays)
+        nearest = NearestHits(face, distance, cosine)
+        refine_faces(hits, aimed, MeshFaces(self.corner, self.normal, self.face_id), nearest)
         if len(self.wire_id):
-            line = (self.wire_start, self.wire_axis, self.wire_length, self.wire_radius, self.wire_id)
-            refine_wires(prim, tfar, start, rays, len(self.corner), _PER_WIRE, *line, face, distance, cosine)
+            wires = RoundWires(len(self.corner), _PER_WIRE, self.wire_start, self.wire_axis, self.wire_length,
+                               self.wire_radius, self.wire_id)  # fmt: skip
+            refine_wires(hits, aimed, wires, nearest)
 
 
 def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats]:
