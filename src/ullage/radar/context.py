@@ -91,17 +91,16 @@ class RadarContext:
     @property
     def reflection(self) -> Reflection:
         """Reflection tables of the materials, as kernels take them."""
-        return Reflection(self.gamma, self.lag)
+        return _reflection(self)
 
     @property
     def pulse_grid(self) -> PulseGrid:
         """Carrier and delay grid, as kernels take them."""
-        return PulseGrid(self.pulse.omega, self.first_m * 2 / C0, self.pulse.step_s, self.fold_s)
+        return _pulse_grid(self)
 
     def antennas(self, pair: AntennaPair) -> Antennas:
         """One radar at one place, as kernels take it."""
-        return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], self.table,
-                        self.spec.antenna.kind == "isotropic", np.array([pair.factor], complex))  # fmt: skip
+        return _antennas(self, pair)
 
     def lit(self, pair: AntennaPair, surfaces: Surfaces | PlanarPatches) -> LitFaces:
         """Triangles or flat faces as one radar at one place sees them, as kernels take them."""
@@ -111,6 +110,23 @@ class RadarContext:
     def piece_limits(self) -> PieceLimits:
         """How small the pieces of triangles must be, and where they are wanted."""
         return PieceLimits(np.array(self.gate), KAPPA * self.spec.wavelength_m, REACH)
+
+
+# all mechanisms of a frame ask for the same: it is made once
+@lru_cache(maxsize=8)
+def _reflection(context: RadarContext) -> Reflection:
+    return Reflection(context.gamma, context.lag)
+
+
+@lru_cache(maxsize=8)
+def _pulse_grid(context: RadarContext) -> PulseGrid:
+    return PulseGrid(context.pulse.omega, context.first_m * 2 / C0, context.pulse.step_s, context.fold_s)
+
+
+@lru_cache(maxsize=8)
+def _antennas(context: RadarContext, pair: AntennaPair) -> Antennas:
+    return Antennas(pair.origins[None], pair.frames[None], pair.fields[None], context.table,
+                    context.spec.antenna.kind == "isotropic", np.array([pair.factor], complex))  # fmt: skip
 
 
 def radar_context(scene: Scene, spec: RadarSpec, *, seed: int = 0, edges: bool = True) -> RadarContext:
