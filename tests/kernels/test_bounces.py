@@ -17,13 +17,23 @@ def unit(rng):
     return vector / np.linalg.norm(vector)
 
 
+def mirrors(normals, table):
+    """Faces with these normals, of which face p has the coefficients of row p of the table (s, 1, 2, c)."""
+    count = len(normals)
+    return bounces.Mirrors(normals, np.zeros(count), np.arange(count), np.ones((count, 2)), table, 0.04)
+
+
+def scratch():
+    return bounces.ReflectScratch(np.empty((3, 3)), np.empty(3, complex))
+
+
 def reflected(paths, chains, ends_on, normals, table, fields):
     """The factor of each path, with coefficients (s, 1, 2, c) of which face p has row p."""
     count, factor = len(paths), np.ones(len(paths), complex)
     frames = np.stack([np.eye(3), np.eye(3)])
     bounces.reflect(
-        paths, chains, ends_on, normals, np.arange(len(normals)), table, frames, fields, factor,
-        np.empty((count, 2, 3, 3)), np.empty((count, 2, 3)), np.empty((3, 3)), np.empty(3, complex),
+        paths, chains, ends_on, mirrors(normals, table), bounces.Orientations(frames, fields), factor,
+        bounces.Orientations(np.empty((count, 2, 3, 3)), np.empty((count, 2, 3))), scratch(),
     )  # fmt: skip
     return factor
 
@@ -78,9 +88,9 @@ def test_a_path_that_counts_for_nothing_is_left_alone():
     factor = np.zeros(1, complex)
     nothing = np.full((1, 5, 3), np.nan)
     bounces.reflect(
-        nothing, np.array([[0, -1]]), np.array([0]), np.eye(3), np.zeros(3, int), np.ones((1, 1, 2, 3), complex),
-        np.stack([np.eye(3)] * 2), np.eye(3)[:2], factor, np.empty((1, 2, 3, 3)), np.empty((1, 2, 3)), np.empty((3, 3)),
-        np.empty(3, complex),
+        nothing, np.array([[0, -1]]), np.array([0]), mirrors(np.eye(3), np.ones((3, 1, 2, 3), complex)),
+        bounces.Orientations(np.stack([np.eye(3)] * 2), np.eye(3)[:2]), factor,
+        bounces.Orientations(np.empty((1, 2, 3, 3)), np.empty((1, 2, 3))), scratch(),
     )  # fmt: skip
     assert factor[0] == 0
 
@@ -117,8 +127,8 @@ def test_the_path_over_images_is_the_straight_line_unfolded(seed):
     first = origins[0] * [-1, 1, 1]
     last = [6, 0, 0] + first * [-1, 1, 1]
     out = np.empty((2, 5, 3))
-    bounces.legs(np.stack([last, first]), np.stack([first, first]), np.array([[0, 1], [0, -1]]), normals, offsets,
-                 origins, np.array([0, 1]), np.stack([lit, lit]), out)  # fmt: skip
+    beams = bounces.ImagePaths(np.stack([last, first]), np.stack([first, first]), np.array([[0, 1], [0, -1]]))
+    bounces.legs(beams, normals, offsets, origins, np.array([0, 1]), np.stack([lit, lit]), out)
     assert out[:, [0, 3, 4]] == pytest.approx(np.stack([np.stack([origins[0], lit, origins[1]])] * 2))
     assert out[0, 1, 0] == pytest.approx(0)
     assert out[0, 2, 0] == pytest.approx(3)

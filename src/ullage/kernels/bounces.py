@@ -1,28 +1,70 @@
-"""Loops over paths of several bounces: where they go, and what their reflections make of the field."""
+"""Paths of several bounces: their corners, and the field after their reflections."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Complexes, Floats, Ints, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import field_across, mirrored, unit_to
 
 
+class Mirrors(NamedTuple):
+    """Flat faces (p) that reflect a wave of one carrier."""
+
+    normals: Floats  # (p, 3) unit normals
+    offsets: Floats  # (p) plane normal . x = offset [m]
+    object_ids: Ints  # (p) object of each, which is a row of `gamma`
+    widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
+    gamma: Complexes  # (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces
+    wavelength_m: float  # of the carrier, for Fresnel zones
+
+
+class EdgeParts(NamedTuple):
+    """Outlines of the lit parts of beams, as `edges.cut` returns them."""
+
+    pieces: Floats  # (m, 12) pieces of edge
+    owner: Ints  # (m) beam of each piece
+    tips: Floats  # (n, 9) ends of edges
+    holders: Ints  # (n) beam of each end
+
+
+class ImagePaths(NamedTuple):
+    """Mirror images of the transmitter, one row for each beam (b)."""
+
+    images: Floats  # (b, 3) its last image [m]
+    firsts: Floats  # (b, 3) its first image [m]
+    chains: Longs  # (b, 2) faces that mirror, -1 for none
+
+
+class Orientations(NamedTuple):
+    """Frames and fields of a transmitter and a receiver, or of those of each path (b)."""
+
+    frames: Floats  # (2, 3, 3) or (b, 2, 3, 3) sensor_from_world rotations
+    fields: Floats  # (2, 3) or (b, 2, 3) unit electric fields
+
+
+class ReflectScratch(NamedTuple):
+    """Scratch of `reflect`."""
+
+    units: Floats  # (3, 3)
+    field: Complexes  # (3)
+
+
 @lean(nogil=True, error_model="numpy")
-def stand_ins(middle, pieces, owner, tips, holders, points, which, least, cut, out):  # type: ignore[no-untyped-def]
-    """One point (b, 3) on each beam's lit part to speak for it: the mirror point, or where the rim's path is least.
+def stand_ins(middle, parts, points, which, least, cut, out):  # type: ignore[no-untyped-def]
+    """Choose one point on each beam's lit part: the mirror point, or where the path over the outline is shortest.
 
     Args:
         middle: (b, 3) a point well inside each lit part [m].
-        pieces: (m, 12) pieces of rim, as `edges.cut` gives them.
-        owner: (m) beam of each piece.
-        tips: (n, 9) ends of rim, as `edges.cut` gives them.
-        holders: (n) beam of each end.
+        parts: `EdgeParts`.
         points: (k, 3) mirror points [m].
         which: (k) beam of each.
         least, cut: (b), (b), scratch.
-        out: (b, 3) gets the points, a hair inside the rim [m].
+        out: (b, 3) gets the points, slightly inside the outline [m].
     """
+    pieces, owner, tips, holders = parts
     count = len(middle)
     for i in range(count):
         least[i], cut[i] = math.inf, False
@@ -56,7 +98,7 @@ def stand_ins(middle, pieces, owner, tips, holders, points, which, least, cut, o
 
 @core(nogil=True, error_model="numpy")
 def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
-    """Where the line from an image to a target crosses a face's plane."""
+    """Write the point where the line from an image to a target crosses a face's plane."""
     here, there = -offset, -offset
     for k in range(3):
         here += normal[k] * image[k]
@@ -69,18 +111,18 @@ def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def legs(images, firsts, chains, normals, offsets, origins, rows, lit, out):  # type: ignore[no-untyped-def]
-    """Corners (n, 5, 3) of each path from transmitter to receiver; one mirror only: the first corner twice.
+def legs(beams, normals, offsets, origins, rows, lit, out):  # type: ignore[no-untyped-def]
+    """Find the corners (n, 5, 3) of each path from transmitter to receiver; with one mirror the first comes twice.
 
     Args:
-        images: (b, 3) the transmitter's last image, and firsts: (b, 3) its first [m].
-        chains: (b, 2) faces that mirror, -1 for none.
+        beams: `ImagePaths`.
         normals: (p, 3) and offsets: (p) of the faces.
         origins: (2, 3) transmitter and receiver [m].
         rows: (n) beam of each path.
         lit: (n, 3) point on the face at the end of each [m].
         out: gets the corners [m].
     """
+    images, firsts, chains = beams
     for i in range(len(lit)):
         beam = rows[i]
         for k in range(3):
@@ -99,7 +141,7 @@ def legs(images, firsts, chains, normals, offsets, origins, rows, lit, out):  # 
 
 @lean(nogil=True, error_model="numpy")
 def stretches(paths, wanted, starts, ends, owner):  # type: ignore[no-untyped-def]
-    """Ends (m, 3), (m, 3) of the legs of paths (n, 5, 3) that are wanted (not 0), and the path of each; gives m."""
+    """Write the ends (m, 3) of the legs of paths (n, 5, 3) that are wanted (not 0) and their paths; return m."""
     count = 0
     for i in range(len(paths)):
         if wanted[i] == 0:
@@ -119,7 +161,7 @@ def stretches(paths, wanted, starts, ends, owner):  # type: ignore[no-untyped-de
 
 @lean(nogil=True, error_model="numpy")
 def middles(first, edges, out):  # type: ignore[no-untyped-def]
-    """Middle (b, 3) of the outlines of beams, by length: corners that clipping leaves twice do not count twice."""
+    """Write the middle (b, 3) of the outline of each beam by length; a corner that clipping doubles counts once."""
     for i in range(len(first) - 1):
         whole = 0.0
         for k in range(3):
@@ -138,10 +180,10 @@ def middles(first, edges, out):  # type: ignore[no-untyped-def]
 
 @lean(nogil=True, error_model="numpy")
 def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignore[no-untyped-def]
-    """How much of a wave each path's mirrors (b, 2) reflect, multiplied into `out` (b): all, or what they cover.
+    """Multiply `out` (b) by the share of a wave that each path's mirrors (b, 2) reflect.
 
     A mirror smaller than the Fresnel zone sqrt(lambda d1 d2 / (d1 + d2)) reflects, by Kirchhoff's integral, the area
-    it covers over that of the zone's square, side by side; d1 is the way to it, d2 the way on to the last face.
+    it covers over that of the zone's square, side by side; d1 is the path to it, d2 the path from it to the last face.
 
     Args:
         paths: (b, 5, 3) corners from transmitter to receiver [m].
@@ -176,7 +218,7 @@ def cover(paths, chains, normals, widths, wavelength, size, out):  # type: ignor
 
 @core(nogil=True, error_model="numpy")
 def reflect_field(gamma, object_id, n, u, field):  # type: ignore[no-untyped-def]
-    """Turns the field (3) into that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
+    """Replace the field (3) by that after a bounce: Fresnel's coefficients by polarisation, then mirrored."""
     cosine = abs(n[0] * u[0] + n[1] * u[1] + n[2] * u[2])
     place = min(cosine, 1.0) * (gamma.shape[3] - 1)
     i = min(int(place), gamma.shape[3] - 2)
@@ -194,36 +236,36 @@ def reflect_field(gamma, object_id, n, u, field):  # type: ignore[no-untyped-def
 
 
 @lean(nogil=True, error_model="numpy")
-def reflect(paths, chains, ends_on, normals, object_ids, gamma, frames, fields, factor, frames_out, fields_out, units,  # type: ignore[no-untyped-def]
-            field):  # fmt: skip
-    """What all reflections along each path make of the transmitted field, as the receiver's polarisation takes it.
+def reflect(paths, chains, ends_on, mirrors, antennas, factor, imaged, scratch):  # type: ignore[no-untyped-def]
+    """Multiply paths by the effect of all reflections on the transmitted field, as the receiver's polarisation sees it.
 
     Args:
         paths: (b, 5, 3) corners from transmitter to receiver [m].
-        chains: (b, 2) faces that mirror, -1 for none; ends_on: (b) the face at the end.
-        normals: (p, 3) and object ids: (p) of the faces.
-        gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
-        frames: (2, 3, 3) sensor_from_world and fields: (2, 3) of transmitter and receiver.
-        factor: (b) multiplied by the reflections; paths where it is 0 get nothing at all.
-        frames_out: (b, 2, 3, 3) gets the frames, the transmitter's as its last image holds it.
-        fields_out: (b, 2, 3) gets the fields likewise.
-        units, field: (3, 3), (3) complex, scratch.
+        chains: (b, 2) faces that mirror, -1 for none.
+        ends_on: (b) face at the end.
+        mirrors: `Mirrors`.
+        antennas: `Orientations` of transmitter and receiver.
+        factor: (b) multiplied by the reflections; a path whose factor is 0 is skipped.
+        imaged: `Orientations` of each path; gets those of the transmitter's last image and of the receiver.
+        scratch: `ReflectScratch`.
     """
+    normals, object_ids, gamma, fields = mirrors.normals, mirrors.object_ids, mirrors.gamma, antennas.fields
+    units, field = scratch
     unit, start, taken = units[0], units[1], units[2]
     for i in range(len(paths)):
         if factor[i] == 0:
             continue
         for side in range(2):
             for k in range(3):
-                fields_out[i, side, k] = fields[side, k]
+                imaged.fields[i, side, k] = fields[side, k]
                 for row in range(3):
-                    frames_out[i, side, row, k] = frames[side, row, k]
+                    imaged.frames[i, side, row, k] = antennas.frames[side, row, k]
         for step in range(2):
             if chains[i, step] >= 0:
                 n = normals[chains[i, step]]
                 for row in range(3):
-                    mirrored(n, frames_out[i, 0, row])
-                mirrored(n, fields_out[i, 0])
+                    mirrored(n, imaged.frames[i, 0, row])
+                mirrored(n, imaged.fields[i, 0])
         double = chains[i, 1] >= 0
         if unit_to(paths[i, 0], paths[i, 1], unit) <= 1e-9:
             unit_to(paths[i, 1], paths[i, 2], unit)

@@ -15,6 +15,7 @@ from ullage.antenna import cube
 from ullage.arrays import Bools, Complexes, Floats, Ints
 from ullage.geometry import C0
 from ullage.kernels import facets as kernel
+from ullage.kernels.bounces import Mirrors
 from ullage.kernels.facets import (
     Antennas,
     EchoSums,
@@ -105,6 +106,11 @@ class RadarContext:
     def lit(self, pair: AntennaPair, surfaces: Surfaces | PlanarPatches) -> LitFaces:
         """Triangles or flat faces as one radar at one place sees them, as kernels take them."""
         return LitFaces(surfaces.normals, surfaces.object_ids, self.antennas(pair), self.reflection)
+
+    def mirrors(self, planar: PlanarPatches) -> Mirrors:
+        """Flat faces as mirrors for the carrier, as kernels take them."""
+        return Mirrors(planar.normals, planar.offsets, planar.object_ids, planar.widths, self.gamma,
+                       self.spec.wavelength_m)  # fmt: skip
 
     @property
     def piece_limits(self) -> PieceLimits:

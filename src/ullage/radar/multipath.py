@@ -52,6 +52,11 @@ class Beams:
     def __len__(self) -> int:
         return len(self.ends_on)
 
+    @property
+    def paths(self) -> bounces.ImagePaths:
+        """The transmitter's images, for kernels."""
+        return bounces.ImagePaths(self.images, self.firsts, self.chains)
+
 
 def accumulate_bounces(
     context: RadarContext,
@@ -198,41 +203,22 @@ def _accumulate(
     count = draw.crossings(which, outline.windings, normals, offsets, origins, gate, points)
     points, which = points[:count], which[:count]
     lit = np.empty((many, 3))
-    bounces.stand_ins(
-        middles,
-        outline.pieces,
-        outline.owner,
-        outline.tips,
-        outline.holders,
-        points,
-        which,
-        np.empty(many),
-        np.empty(many, np.bool_),
-        lit,
-    )
+    cut = bounces.EdgeParts(outline.pieces, outline.owner, outline.tips, outline.holders)
+    bounces.stand_ins(middles, cut, points, which, np.empty(many), np.empty(many, np.bool_), lit)
     owner = np.concatenate([outline.owner, outline.holders, which])
     path, factor = _through(planar, antennas, beams, lit), np.zeros(many, complex)
     factor[owner] = weights[owner] * antennas.factor  # most beams hold nothing that echoes
-    frames, fields = np.empty((many, 2, 3, 3)), np.empty((many, 2, 3))
+    imaged = bounces.Orientations(np.empty((many, 2, 3, 3)), np.empty((many, 2, 3)))
     bounces.reflect(
-        path,
-        beams.chains,
-        on,
-        planar.normals,
-        planar.object_ids,
-        context.gamma,
-        antennas.frames,
-        antennas.fields,
-        factor,
-        frames,
-        fields,
-        np.empty((3, 3)),
-        np.empty(3, complex),
-    )
+        path, beams.chains, on, context.mirrors(planar), bounces.Orientations(antennas.frames, antennas.fields), factor,
+        imaged, bounces.ReflectScratch(np.empty((3, 3)), np.empty(3, complex)),
+    )  # fmt: skip
     strong = strengths(context, planar, antennas, beams, path, factor)
     factor *= shares(context, planar, antennas, beams, path, strong, lambda *asked: clear(parts, *asked))
     plain = np.full(many, len(context.gamma) - 1, np.int32)
-    radars = context.antennas(antennas)._replace(origins=origins, frames=frames, fields=fields, factor=factor)
+    radars = context.antennas(antennas)._replace(
+        origins=origins, frames=imaged.frames, fields=imaged.fields, factor=factor
+    )
     between = Transmission((factor != 0).astype(complex)[owner], np.zeros(len(owner)))
     lit_faces = LitFaces(normals, plain, radars, context.reflection)
     echoes = accumulate_outline(outline, points, which, between, lit_faces, context.pulse_grid, grids)
@@ -261,8 +247,7 @@ def _both_paths(planar: PlanarPatches, beams: Beams) -> Floats:
 def _through(planar: PlanarPatches, antennas: AntennaPair, beams: Beams, lit: Floats) -> Floats:
     """Corners (b, 5, 3) of each beam's path from transmitter to receiver over a point (b, 3) of its end."""
     path = np.empty((len(beams), 5, 3))
-    bounces.legs(beams.images, beams.firsts, beams.chains, planar.normals, planar.offsets, antennas.origins,
-                 np.arange(len(beams)), lit, path)  # fmt: skip
+    bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, np.arange(len(beams)), lit, path)
     return path
 
 

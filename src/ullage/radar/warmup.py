@@ -352,25 +352,17 @@ def _paths() -> None:
     none, long, row, tips = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 9))
     points, paths, chains = np.zeros((0, 3)), np.zeros((0, 5, 3)), np.zeros((0, 2), np.int64)
     bounces.middles(np.zeros(1, np.int32), np.zeros((0, 2, 3)), points)
-    bounces.legs(points, points, chains, planar.normals, planar.offsets, antennas.origins, long, points, paths)
+    beams = bounces.ImagePaths(points, points, chains)
+    bounces.legs(beams, planar.normals, planar.offsets, antennas.origins, long, points, paths)
     bounces.stretches(paths, row, points, points, long)
     bounces.cover(paths, chains, planar.normals, planar.widths, context.spec.wavelength_m, np.zeros(3), row)
-    bounces.stand_ins(points, np.zeros((0, 12)), none, tips, none, tips, long, row, row > 0, points)
+    parts = bounces.EdgeParts(np.zeros((0, 12)), none, tips, none)
+    bounces.stand_ins(points, parts, tips, long, row, row > 0, points)
     bounces.reflect(
-        paths,
-        chains,
-        long,
-        planar.normals,
-        planar.object_ids,
-        context.gamma,
-        antennas.frames,
-        antennas.fields,
-        row + 0j,
-        np.zeros((0, 2, 3, 3)),
-        np.zeros((0, 2, 3)),
-        np.zeros((3, 3)),
-        np.zeros(3, complex),
-    )
+        paths, chains, long, context.mirrors(planar), bounces.Orientations(antennas.frames, antennas.fields), row + 0j,
+        bounces.Orientations(np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3))),
+        bounces.ReflectScratch(np.zeros((3, 3)), np.zeros(3, complex)),
+    )  # fmt: skip
 
 
 def _paths_over_faces() -> None:

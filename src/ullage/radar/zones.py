@@ -91,8 +91,7 @@ def shares(
 
     def reached(of: Longs, points: Floats) -> Bools:
         out = np.empty((len(of), 5, 3))
-        bounces.legs(beams.images, beams.firsts, beams.chains, planar.normals, planar.offsets, antennas.origins,
-                     zones.paths[of], points, out)  # fmt: skip
+        bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, zones.paths[of], points, out)
         return clear(out, np.ones(len(of)))
 
     out = clear(path, strong.level).astype(complex)
