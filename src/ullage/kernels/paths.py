@@ -1,9 +1,14 @@
-"""Loops over ways by flat mirrors to other things, and back: where they go, what becomes of the field."""
+"""Paths over flat mirrors to other objects and back: their corners, and the field after the mirrors."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.kernels.bounces import reflect_field
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
@@ -11,24 +16,111 @@ from ullage.kernels.loops import core, lean
 from ullage.kernels.outlines import held
 from ullage.kernels.vectors import field_across, mirrored, unit_to
 
-PLANES = 20  # of the beams of both legs of a way: five for each of two mirrors
+PLANES = 20  # of the beams of both legs of a path: five for each of two mirrors
+
+
+class FlatFaces(NamedTuple):
+    """Flat faces (p) and their edges (e)."""
+
+    normals: Floats  # (p, 3) unit normals
+    offsets: Floats  # (p) plane normal . x = offset [m]
+    first: Ints  # (p + 1) first edge of each face
+    starts: Floats  # (e, 3) [m]
+    ends: Floats  # (e, 3) [m]
+
+
+class FaceExtents(NamedTuple):
+    """Extents of flat faces (p)."""
+
+    spheres: Floats  # (p, 4) centre and radius [m]
+    across: Floats  # (p, 2, 3) two unit vectors in each face, at right angles
+
+
+class Leads(NamedTuple):
+    """Where paths (n) over mirrors lead, as `lead` finds it."""
+
+    images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
+    frames: Floats  # (n, 2, 3, 3) sensor_from_world of the last images
+    planes: Floats  # (n, PLANES, 4) planes within which, where plane . (x, 1) >= 0, lies all that a path can reach
+    counts: Longs  # (n) how many planes
+    reach: Floats  # (n) least mean of the lengths of both legs [m]
+
+
+class MirrorPaths(NamedTuple):
+    """Paths (n) over mirrors, from each antenna on."""
+
+    faces: Longs  # (n, 2, 2) mirrors of each leg from its antenna on, -1 for none
+    images: Floats  # (n, 2, 3, 3) as in `Leads` [m]
+    legs: Longs  # (n, 2) numbers of the legs; equal legs have one number
+
+
+class PathPoints(NamedTuple):
+    """Pairs (m) of a path and a point to which it may lead."""
+
+    points: Floats  # (n, 3) [m]
+    at: Longs  # (m) point of each pair
+    of: Longs  # (m) path of each pair
+
+
+class KnownLegs(NamedTuple):
+    """Legs to points that have been followed, one row (q) each."""
+
+    known: Ints  # (l, n) row of each leg to each point, -1 where it is not known
+    rows: Longs  # (m, 2) rows of both legs of each pair
+    stops: Floats  # (q, 4, 3) corners: antenna, at the mirrors, point [m]
+    free: Bools  # (q) whether every mirror is met from in front and within its outline
+
+
+class Segments(NamedTuple):
+    """Straight parts of legs that must be free: those to points first, all others from the back."""
+
+    starts: Floats  # (3 m, 3) [m]
+    ends: Floats  # (3 m, 3) [m]
+    owner: Longs  # (3 m) row of the leg of each
+
+
+class Weighed(NamedTuple):
+    """Pairs of a path and a point of which `weigh` computes the factor."""
+
+    stops: Floats  # (q, 4, 3) corners of each leg [m]
+    rows: Longs  # (m, 2) legs of each pair
+    todo: Longs  # (k) pairs to compute
+    of: Longs  # (m) path of each pair
+    object_ids: NDArray[np.integer]  # (m) object of each point
+
+
+class WireMeetings(NamedTuple):
+    """Pairs (n w) of a path and a wire that it meets."""
+
+    of: Longs  # path of each
+    on: Longs  # wire of each
+    waves: Complexes  # (n w, 2) factors of the cylinder's series for fields along it (TM) and across it (TE)
+    turns: Floats  # angle about the wire between the path there and the path back [rad]
+
+
+class FieldScratch(NamedTuple):
+    """Scratch of `weigh` and `meet_wires`."""
+
+    units: Floats  # (3, 3), or (5, 4, 3) for wires
+    waves: Complexes  # (2, 3)
 
 
 @lean(nogil=True, error_model="numpy")
-def lead(faces, origins, frames, normals, offsets, spheres, across, first, starts, images, turned, planes, counts,  # type: ignore[no-untyped-def]
-         reach, box):  # fmt: skip
-    """Where ways (n) over mirrors lead: images of the antennas, and the beams that come through the mirrors' boxes.
+def lead(faces, antennas, origins, flat, extents, out, box):  # type: ignore[no-untyped-def]
+    """Find where paths (n) over mirrors lead: images of the antennas, and the beams that leave the mirrors' boxes.
 
     Args:
         faces: (n, 2, 2) mirrors of each leg from its antenna on, -1 for none.
-        origins: (2, 3) antennas [m]; frames: (2, 3, 3) sensor_from_world.
-        normals: (p, 3), offsets: (p), spheres: (p, 4), across: (p, 2, 3), first: (p + 1), starts: (e, 3) of the faces.
-        images: (n, 2, 3, 3) gets each antenna, then its images, the last one again where there are fewer [m].
-        turned: (n, 2, 3, 3) gets the frames of the last images.
-        planes: (n, PLANES, 4) gets planes within which, where plane . (x, 1) >= 0, all lies that a way can reach.
-        counts: (n) gets how many.
-        reach: (n) gets the mean of both legs at the least [m]; box: (2, 2), scratch.
+        antennas: `bounces.Orientations` of transmitter and receiver.
+        origins: (2, 3) transmitter and receiver [m].
+        flat: `FlatFaces`.
+        extents: `FaceExtents` of the same faces.
+        out: `Leads` gets the results.
+        box: (2, 2) scratch.
     """
+    images, turned, planes, counts, reach = out
+    normals, offsets, frames = flat.normals, flat.offsets, antennas.frames
+    spheres, across, first, starts = extents.spheres, extents.across, flat.first, flat.starts
     for i in range(len(faces)):
         counts[i], reach[i] = 0, 0.0
         for side in range(2):
@@ -67,7 +159,7 @@ def lead(faces, origins, frames, normals, offsets, spheres, across, first, start
 
 @core(nogil=True, error_model="numpy")
 def _box(axes, starts, begin, end, box):  # type: ignore[no-untyped-def]
-    """Least and greatest places (2, 2) of the corners of a rim along two axes (2, 3)."""
+    """Write the least and greatest coordinates (2, 2) of the corners of an outline along two axes (2, 3)."""
     for a in range(2):
         box[a, 0], box[a, 1] = math.inf, -math.inf
         for e in range(begin, end):
@@ -77,7 +169,7 @@ def _box(axes, starts, begin, end, box):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _beam(apex, n, offset, axes, box, planes, made):  # type: ignore[no-untyped-def]
-    """Adds the planes of what an image shines on through a box (2, 2) along axes (2, 3) in its mirror; their count."""
+    """Add the planes of the beam from an image through a box (2, 2) in its mirror; return how many there are then."""
     gap = n[0] * apex[0] + n[1] * apex[1] + n[2] * apex[2] - offset
     sign = -1.0 if gap > 0 else 1.0
     for k in range(3):
@@ -103,11 +195,14 @@ def _beam(apex, n, offset, axes, box, planes, made):  # type: ignore[no-untyped-
 
 
 @core(nogil=True, error_model="numpy")
-def _stops(i, point, faces, images, normals, offsets, first, starts, ends, side, out):  # type: ignore[no-untyped-def]
-    """Corners (4, 3) of one leg of way i to a point: antenna, at the mirrors, point. How many mirrors it has.
+def _stops(i, side, point, paths, flat, out):  # type: ignore[no-untyped-def]
+    """Write the corners (4, 3) of one leg of path i to a point: antenna, at the mirrors, point.
 
-    -1 where a mirror does not stand between an image and what it mirrors to, or is passed beside its rim.
+    Returns:
+        How many mirrors the leg has; -1 where a mirror does not stand between an image and what it mirrors, or is
+        passed outside its outline.
     """
+    faces, images, normals, offsets = paths.faces, paths.images, flat.normals, flat.offsets
     count = 0
     while count < 2 and faces[i, side, count] >= 0:
         count += 1
@@ -126,43 +221,41 @@ def _stops(i, point, faces, images, normals, offsets, first, starts, ends, side,
         share = here / (here - there)
         for k in range(3):
             out[step, k] = images[i, side, step, k] + share * (out[step + 1, k] - images[i, side, step, k])
-        if not held(out[step], p, normals, first, starts, ends):
+        if not held(out[step], p, normals, flat.first, flat.starts, flat.ends):
             return -1
     return count
 
 
 @lean(nogil=True, error_model="numpy")
-def corners(points, at, of, side, made, legs, faces, images, normals, offsets, first, starts, ends, known, rows, stops,  # type: ignore[no-untyped-def]
-            free, a, b, owner):  # fmt: skip
-    """Where one leg of ways to points meets its mirrors, and which stretches must be free; each leg to a point once.
+def corners(side, made, pairs, paths, flat, legs, segments):  # type: ignore[no-untyped-def]
+    """Find where one leg of each path meets its mirrors, and which segments must be free; each leg to a point once.
 
     Args:
-        points: (n, 3) [m]; at: (m) and of: (m) point and way of each pair.
-        side: 0 for the way there, 1 for the way back; made: how many legs to points are known.
-        legs: (w, 2) numbers of the legs; legs that are alike have one.
-        faces, images: as in `lead`.
-        normals: (p, 3), offsets: (p), first: (p + 1), starts: (e, 3), ends: (e, 3) of the faces.
-        known: (l, n) row of each leg to each point, negative where it is not known; more are.
-        rows: (m, 2) gets the row of this leg of each pair that is free so far.
-        stops: (q, 4, 3) gets the corners of each new row: antenna, at the mirrors, point [m].
-        free: (q) gets whether every mirror is met, from in front and within its rim; for pairs only rows[:, 1] is used.
-        a, b: (3 m, 3) get ends of the stretches of new rows [m]: those to points first, all others at the back.
-        owner: (3 m) gets their rows.
+        side: 0 for the leg from the transmitter, 1 for that to the receiver.
+        made: how many legs to points are known.
+        pairs: `PathPoints`.
+        paths: `MirrorPaths`.
+        flat: `FlatFaces`.
+        legs: `KnownLegs`; new legs are added. Only pairs whose leg on side 1 is free are followed on side 0.
+        segments: `Segments` gets those of new legs.
 
     Returns:
-        How many rows there are, and how many stretches to points and others.
+        How many legs are known, how many segments lead to points, and how many others there are.
     """
+    points, at, of = pairs
+    known, rows, stops, free = legs
+    a, b, owner = segments
     count, others = 0, 0
     for j in range(len(of)):
         if side == 0 and not free[rows[j, 1]]:
             continue
         i, p = of[j], at[j]
-        row = known[legs[i, side], p]
+        row = known[paths.legs[i, side], p]
         if row < 0:
             row = made
             made += 1
-            known[legs[i, side], p] = row
-            over = _stops(i, points[p], faces, images, normals, offsets, first, starts, ends, side, stops[row])
+            known[paths.legs[i, side], p] = row
+            over = _stops(i, side, points[p], paths, flat, stops[row])
             free[row] = over >= 0
             for step in range(over + 1):
                 if step < over:
@@ -177,11 +270,22 @@ def corners(points, at, of, side, made, legs, faces, images, normals, offsets, f
 
 
 @core(nogil=True, error_model="numpy")
-def _followed(stops, faces, field, normals, object_ids, widths, wavelength, gamma, last, wave):  # type: ignore[no-untyped-def]
-    """The field (3) of an antenna at the end of one leg (4, 3) over its mirrors (2), and what share of it they cover.
+def _followed(stops, faces, field, mirrors, last, wave):  # type: ignore[no-untyped-def]
+    """Compute the field of an antenna at the end of one leg (4, 3) over its mirrors (2).
 
-    `last` (3) gets the direction in which it comes.
+    Args:
+        stops: (4, 3) corners of the leg [m].
+        faces: (2) mirrors, -1 for none.
+        field: (3) unit field of the antenna.
+        mirrors: `bounces.Mirrors`.
+        last: (3) gets the direction in which the wave arrives.
+        wave: (3) gets the field.
+
+    Returns:
+        The share of the wave that the mirrors cover.
     """
+    normals, object_ids, widths = mirrors.normals, mirrors.object_ids, mirrors.widths
+    wavelength, gamma = mirrors.wavelength_m, mirrors.gamma
     count, total, before, cover = 0, 0.0, 0.0, 1.0
     while count < 2 and faces[count] >= 0:
         count += 1
@@ -207,60 +311,55 @@ def _followed(stops, faces, field, normals, object_ids, widths, wavelength, gamm
 
 
 @lean(nogil=True, error_model="numpy")
-def weigh(  # type: ignore[no-untyped-def]
-    stops, rows, todo, of, faces, fields, normals, object_ids, widths, wavelength, gamma, owned, out, units, waves
-):
-    """What the bounces of each way make of a wave, by polarisation; the point's is that of a mirror for these legs.
+def weigh(pairs, faces, fields, mirrors, scratch, out):  # type: ignore[no-untyped-def]
+    """Compute the effect of the bounces of each path on a wave by polarisation; the point reflects as a mirror.
 
     Args:
-        stops: (q, 4, 3) as `corners` gives them [m]; rows: (m, 2) those of both legs to each point.
-        todo: (k) which points to do; of: (m) way to each.
+        pairs: `Weighed`.
         faces: (n, 2, 2) mirrors of each leg from its antenna on, -1 for none.
         fields: (2, 3) unit fields of the antennas.
-        normals: (p, 3), object_ids: (p) and widths: (p, 2) of the faces [m].
-        wavelength: [m].
-        gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
-        owned: (m) object of each point.
-        out: (m) gets the factor of the points to do.
-        units, waves: (3, 3), (2, 3) complex, scratch.
+        mirrors: `bounces.Mirrors`.
+        scratch: `FieldScratch`.
+        out: (m) gets the factor of the pairs to compute.
     """
+    stops, rows, todo, of, object_ids = pairs
+    units, waves = scratch
     sent, taken, between, there, back = units[0], units[1], units[2], waves[0], waves[1]
     for j in todo:
         i, cover = of[j], 1.0
-        cover *= _followed(
-            stops[rows[j, 0]], faces[i, 0], fields[0], normals, object_ids, widths, wavelength, gamma, sent, there
-        )
-        cover *= _followed(
-            stops[rows[j, 1]], faces[i, 1], fields[1], normals, object_ids, widths, wavelength, gamma, taken, back
-        )
+        cover *= _followed(stops[rows[j, 0]], faces[i, 0], fields[0], mirrors, sent, there)
+        cover *= _followed(stops[rows[j, 1]], faces[i, 1], fields[1], mirrors, taken, back)
         square = 0.0
         for k in range(3):
             between[k] = sent[k] + taken[k]
             square += between[k] * between[k]
         for k in range(3):
             between[k] /= max(math.sqrt(square), 1e-9)
-        reflect_field(gamma, owned[j], between, sent, there)
+        reflect_field(mirrors.gamma, object_ids[j], between, sent, there)
         out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
 
 
 @lean(nogil=True, error_model="numpy")
-def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, object_ids, widths, first, starts, ends,  # type: ignore[no-untyped-def]
-           wavelength, gamma, of, on, waves, turns, scratch, field):  # fmt: skip
-    """Which wires each way can reach within the gate at their points of shortest path, and what becomes of the field.
+def meet_wires(wires, paths, gate, fields, mirrors, flat, met, scratch):  # type: ignore[no-untyped-def]
+    """Find the wires that each path reaches within the gate at its point of shortest path, and the field there.
 
     Args:
-        begins, stops_at: (w, 3) ends of the wires [m].
-        images, faces: as in `lead`.
-        gate: largest mean range [m]; the rest as in `corners` and `weigh`.
-        of, on: (n w) get way and wire of each pair.
-        waves: (n w, 2) get the factors of the cylinder's series for fields along it (TM) and across (TE).
-        turns: (n w) get the angle between the way on and the way it came, about the wire [rad].
-        scratch, field: (5, 4, 3), (2, 3) complex.
+        wires: (2, w, 3) starts and ends [m].
+        paths: `MirrorPaths`.
+        gate: largest mean range [m].
+        fields: (2, 3) unit fields of the antennas.
+        mirrors: `bounces.Mirrors`.
+        flat: `FlatFaces`, the same faces.
+        met: `WireMeetings` gets the results.
+        scratch: `FieldScratch`.
 
     Returns:
         How many pairs there are.
     """
-    axis, spot, coming, part, stops = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2], scratch[3:]
+    begins, stops_at, images, faces = wires[0], wires[1], paths.images, paths.faces
+    of, on, waves, turns = met
+    units, field = scratch
+    axis, spot, coming, part, stops = units[0, 0], units[0, 1], units[1], units[2], units[3:]
     count = 0
     for w in range(len(begins)):
         size = unit_to(begins[w], stops_at[w], axis)
@@ -268,25 +367,13 @@ def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, 
             path = shortest(begins[w], axis, size, images[i, 0, 2], images[i, 1, 2], spot)
             if path > 2 * gate:
                 continue
-            cover, met = 1.0, True
+            cover, reached = 1.0, True
             for side in range(2):
-                if met:
-                    over = _stops(i, spot, faces, images, normals, offsets, first, starts, ends, side, stops[side])
-                    met = over >= 0
-                if met:
-                    cover *= _followed(
-                        stops[side],
-                        faces[i, side],
-                        fields[side],
-                        normals,
-                        object_ids,
-                        widths,
-                        wavelength,
-                        gamma,
-                        coming[side],
-                        field[side],
-                    )
-            if not met:
+                if reached:
+                    reached = _stops(i, side, spot, paths, flat, stops[side]) >= 0
+                if reached:
+                    cover *= _followed(stops[side], faces[i, side], fields[side], mirrors, coming[side], field[side])
+            if not reached:
                 continue
             along, across = complex(cover, 0.0), complex(cover, 0.0)
             for side in range(2):
@@ -308,7 +395,7 @@ def meet_wires(begins, stops_at, images, faces, gate, fields, normals, offsets, 
 
 @core(nogil=True, error_model="numpy")
 def _cross(a, b, out):  # type: ignore[no-untyped-def]
-    """The unit vector across two others."""
+    """Write the unit vector at right angles to two others."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = max(math.sqrt(x * x + y * y + z * z), 1e-12)
     out[0], out[1], out[2] = x / size, y / size, z / size

@@ -240,21 +240,7 @@ def heard(
     """
     known = reached(parts, planar, paths, of, points, at)
     out = np.zeros(len(of), complex)
-    kernel.weigh(
-        known.stops,
-        known.rows,
-        np.flatnonzero(known.free),
-        of,
-        paths.faces,
-        antennas.fields,
-        planar.normals,
-        planar.object_ids,
-        planar.widths,
-        context.spec.wavelength_m,
-        context.gamma,
-        object_ids,
-        out,
-        np.empty((3, 3)),
-        np.empty((2, 3), complex),
-    )
+    pairs = kernel.Weighed(known.stops, known.rows, np.flatnonzero(known.free), of, object_ids)
+    scratch = kernel.FieldScratch(np.empty((3, 3)), np.empty((2, 3), complex))
+    kernel.weigh(pairs, paths.faces, antennas.fields, context.mirrors(planar), scratch, out)
     return out

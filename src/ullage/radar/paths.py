@@ -16,6 +16,7 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels import paths as kernel
+from ullage.kernels.bounces import Orientations
 from ullage.kernels.facets import Antennas
 from ullage.kernels.lit import MirrorPaths
 from ullage.radar.context import AntennaPair, RadarContext
@@ -48,6 +49,11 @@ class PathSet:
 
     def __len__(self) -> int:
         return len(self.faces)
+
+    @property
+    def over_mirrors(self) -> kernel.MirrorPaths:
+        """The paths, as kernels take them."""
+        return kernel.MirrorPaths(self.faces, self.images, self.legs)
 
     @property
     def ends(self) -> Floats:
@@ -85,14 +91,19 @@ def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
     shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])
     faces, count = chosen[rows], len(rows)
-    images, frames = np.empty((count, 2, 3, 3)), np.empty((count, 2, 3, 3))
-    planes, counts, reach = np.empty((count, kernel.PLANES, 4)), np.empty(count, np.int64), np.empty(count)
-    kernel.lead(faces, antennas.origins, antennas.frames, planar.normals, planar.offsets, planar.spheres, planar.across,
-                planar.first, planar.starts, images, frames, planes, counts, reach, np.empty((2, 2)))  # fmt: skip
+    out = kernel.Leads(np.empty((count, 2, 3, 3)), np.empty((count, 2, 3, 3)), np.empty((count, kernel.PLANES, 4)),
+                       np.empty(count, np.int64), np.empty(count))  # fmt: skip
+    kernel.lead(faces, Orientations(antennas.frames, antennas.fields), antennas.origins, flat_faces(planar),
+                kernel.FaceExtents(planar.spheres, planar.across), out, np.empty((2, 2)))  # fmt: skip
     via = np.where(chosen >= 0, planar.object_ids[chosen], -1)[over]
-    held = reach <= context.gate[1]
-    all_ = faces, via, legs, twice * shares[rows].prod((1, 2)), images, frames, planes, counts
+    held = out.reach <= context.gate[1]
+    all_ = (faces, via, legs, twice * shares[rows].prod((1, 2)), out.images, out.frames, out.planes, out.counts)
     return PathSet(*(all_ if held.all() else (row[held] for row in all_)))
+
+
+def flat_faces(planar: PlanarPatches) -> kernel.FlatFaces:
+    """Flat faces and their edges, as kernels take them."""
+    return kernel.FlatFaces(planar.normals, planar.offsets, planar.first, planar.starts, planar.ends)
 
 
 def largest(look: Floats, count: int) -> Longs:
@@ -156,11 +167,10 @@ def reached(
     rows, stops, free = np.full((len(of), 2), -1), np.empty((room, 4, 3)), np.zeros(room, np.bool_)
     many = 3 * len(of)
     (a, b), owner = np.empty((2, many, 3)), np.empty(many, np.int64)
-    made = 0
+    made, pairs, legs = 0, kernel.PathPoints(points, at, of), kernel.KnownLegs(known, rows, stops, free)
+    segments, flat = kernel.Segments(a, b, owner), flat_faces(planar)
     for side in (1, 0):
-        made, count, others = kernel.corners(points, at, of, side, made, paths.legs, paths.faces, paths.images,
-                                             planar.normals, planar.offsets, planar.first, planar.starts, planar.ends,
-                                             known, rows, stops, free, a, b, owner)  # fmt: skip
+        made, count, others = kernel.corners(side, made, pairs, paths.over_mirrors, flat, legs, segments)
         free[owner[:count][~between(parts, a[:count], b[:count])]] = False
         # most are blocked at the point: then the rest need not be asked
         asked = many - others + np.flatnonzero(free[owner[many - others :]])

@@ -371,36 +371,20 @@ def _paths_over_faces() -> None:
     from ullage.kernels.edges import Outline
     from ullage.radar import curves
     from ullage.radar.multipath import looks
-    from ullage.radar.paths import paths_of, reached
+    from ullage.radar.paths import flat_faces, paths_of, reached
 
     context, antennas, planar = _bench(_room())
     still, none, long, both = context.world.still, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 2), complex)
     led = paths_of(context, planar, antennas, 3, looks(context, planar, antennas))
     known = reached([], planar, led, long, none)
-    mirrors = planar.normals, planar.object_ids, planar.widths, context.spec.wavelength_m, context.gamma
-    paths.weigh(known.stops, known.rows, long, long, led.faces, antennas.fields, *mirrors, np.zeros(0, np.int32),
-               both[:, 0].copy(), np.zeros((3, 3)), np.zeros((2, 3), complex))  # fmt: skip
-    paths.meet_wires(
-        none,
-        none,
-        led.images,
-        led.faces,
-        9.0,
-        antennas.fields,
-        planar.normals,
-        planar.offsets,
-        *mirrors[1:3],
-        planar.first,
-        planar.starts,
-        planar.ends,
-        *mirrors[3:],
-        long,
-        long,
-        both,
-        np.zeros(0),
-        np.zeros((5, 4, 3)),
-        np.zeros((2, 3), complex),
-    )
+    mirrors = context.mirrors(planar)
+    pairs = paths.Weighed(known.stops, known.rows, long, long, np.zeros(0, np.int32))
+    paths.weigh(pairs, led.faces, antennas.fields, mirrors, paths.FieldScratch(np.zeros((3, 3)), both.copy()),
+                both[:, 0].copy())  # fmt: skip
+    met = paths.WireMeetings(long, long, both, np.zeros(0))
+    scratch = paths.FieldScratch(np.zeros((5, 4, 3)), both)
+    paths.meet_wires(np.zeros((2, 0, 3)), led.over_mirrors, 9.0, antennas.fields, mirrors, flat_faces(planar), met,
+                     scratch)  # fmt: skip
     curves.met(context, planar, still.flat_backs, led, long, 1.0)
     curves.outlines_heard(context, Outline.none(0), np.zeros(0), 1.0)
     lit.pair_up(curves.lit_by(context, still, led), np.zeros(0, np.int32), long, long)

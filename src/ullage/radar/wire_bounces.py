@@ -19,7 +19,7 @@ from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown
 from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.paths import PathSet, reached
+from ullage.radar.paths import PathSet, flat_faces, reached
 from ullage.radar.wires import placed
 
 
@@ -72,32 +72,12 @@ def _met(
 ) -> Strung:
     """Wires that ways meet within the gate where their paths are shortest."""
     size = len(paths) * len(starts)
-    of, on = np.empty(size, np.int64), np.empty(size, np.int64)
-    waves, turns = np.empty((size, 2), complex), np.empty(size)
-    count = kernel.meet_wires(
-        starts,
-        ends,
-        paths.images,
-        paths.faces,
-        context.gate[1],
-        antennas.fields,
-        planar.normals,
-        planar.offsets,
-        planar.object_ids,
-        planar.widths,
-        planar.first,
-        planar.starts,
-        planar.ends,
-        context.spec.wavelength_m,
-        context.gamma,
-        of,
-        on,
-        waves,
-        turns,
-        np.empty((5, 4, 3)),
-        np.empty((2, 3), complex),
-    )
-    return Strung(of[:count], on[:count], waves[:count], turns[:count])
+    met = kernel.WireMeetings(np.empty(size, np.int64), np.empty(size, np.int64), np.empty((size, 2), complex),
+                              np.empty(size))  # fmt: skip
+    scratch = kernel.FieldScratch(np.empty((5, 4, 3)), np.empty((2, 3), complex))
+    count = kernel.meet_wires(np.stack([starts, ends]), paths.over_mirrors, context.gate[1], antennas.fields,
+                              context.mirrors(planar), flat_faces(planar), met, scratch)  # fmt: skip
+    return Strung(met.of[:count], met.on[:count], met.waves[:count], met.turns[:count])
 
 
 def _series(context: RadarContext, met: Strung) -> Complexes:
