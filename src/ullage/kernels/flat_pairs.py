@@ -3,12 +3,59 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.edges import mirror
 from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import dot, mirrored, unit_to
 
 BEFORE, BETWEEN, AFTER = 0, 1, 2  # where a path meets the face
+
+
+class RoundBodies(NamedTuple):
+    """Spheres and cylinders (b), as `radar.round_pairs.Bodies` holds them."""
+
+    centres: Floats  # (b, 3) [m]
+    axes: Floats  # (b, 3, 3) rows: two across the axis, and the axis
+    radii: Floats  # (b) [m]
+    ends: Floats  # (b, 2) of cylinders along the axis, from the centre [m]
+    balls: Bools  # (b) whether each is a sphere
+
+
+class PlaneMirrors(NamedTuple):
+    """Flat faces (p)."""
+
+    normals: Floats  # (p, 3) unit normals
+    offsets: Floats  # (p) plane normal . x = offset [m]
+    widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
+
+
+class Chains(NamedTuple):
+    """Chains (m) of a face and two bodies that waves may follow."""
+
+    rows: Longs  # (m, 4) where each meets its face; the face; both bodies
+    counts: Floats  # (m) how often each counts
+    loud: Longs  # (m) gets the chains that `unfold` keeps
+
+
+class Limits(NamedTuple):
+    """Bounds on paths."""
+
+    gate: float  # greatest length [m]
+    least: float  # smaller spreads are left out [1/m]
+    wavelength: float  # [m]
+    pull: float  # bodies are touched no nearer to their ends [m]
+
+
+class FoldedPaths(NamedTuple):
+    """Paths of chains with what lies beyond faces mirrored back, as `fold` finds them."""
+
+    some: Longs  # (m) which of the chains that `unfold` kept
+    values: Floats  # (m) spread, times what the face passes on and how often the chain counts [1/m]
+    alongs: Floats  # (2, m) distance from the middle of each body to the point of contact along its axis [m]
+    corners: Floats  # (5, m, 3) [m]
+    faces: Floats  # (3, m, 3) unit normals there, as the wave meets them
 
 
 @lean(nogil=True, error_model="numpy")
@@ -38,25 +85,26 @@ def _height(n, offset, point):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def unfold(rows, counts, origins, normals, offsets, centres, axes, radii, ends, balls, gate, least, loud, points,  # type: ignore[no-untyped-def]
-           middles, turns, sizes, kinds):  # fmt: skip
-    """The chains that may be loud, as paths over two bodies: what lies beyond their faces is mirrored.
+def unfold(chains, origins, mirrors, bodies, limits, points, pairs):  # type: ignore[no-untyped-def]
+    """Turn chains that may be loud into paths over two bodies: what lies beyond their faces is mirrored.
 
     Args:
-        rows: (m, 4) where each chain meets its face; the face; both bodies.
-        counts: (m) of each, and how often.
+        chains: `Chains`.
         origins: (2, 3) where paths begin and end [m].
-        normals, offsets: (p, 3) and (p) of the faces [m].
-        centres, axes, radii, ends, balls: of the bodies, as `radar.round_pairs.Bodies` has them.
-        gate: greatest length of a path [m].
-        least: chains whose spread is less at the most are left out [1/m].
-        loud: (m) gets which rows are left.
+        mirrors: `PlaneMirrors`.
+        bodies: `RoundBodies`.
+        limits: `Limits`.
         points: (2, m, 3) get both ends [m].
-        middles, turns, sizes, kinds: (2, m, 3), (2, m, 3, 3), (2, m), (2, m) get centres, axes, radii, balls.
+        pairs: `pairs.BodyPairs` gets the bodies.
 
     Returns:
         How many chains are left.
     """
+    rows, counts, loud = chains
+    normals, offsets = mirrors.normals, mirrors.offsets
+    centres, axes, radii, ends, balls = bodies
+    middles, turns, sizes, kinds = pairs
+    gate, least = limits.gate, limits.least
     count = 0
     for i in range(len(rows)):
         at, face, a, b = rows[i]
@@ -91,11 +139,14 @@ def unfold(rows, counts, origins, normals, offsets, centres, axes, radii, ends, 
 
 
 @core(nogil=True, error_model="numpy")
-def _drawn(point, centre, axis, ends, ball, bend, wavelength, pull, out):  # type: ignore[no-untyped-def]
-    """Draws a point beyond the ends of a drum onto it, `pull` from its end; how far along the axis it was [m].
+def _drawn(point, centre, axis, ends, ball, bend, limits, out):  # type: ignore[no-untyped-def]
+    """Move a point beyond the ends of a cylinder onto it.
 
-    And what the drum's ends leave of a wave there, at the most: beyond an end a tail of Fresnel's integral.
+    Returns:
+        The distance along the axis at which the point was [m], and the most that the cylinder's ends leave of a wave
+        there: beyond an end a tail of Fresnel's integral.
     """
+    wavelength, pull = limits.wavelength, limits.pull
     along, most = 0.0, 1.2
     for k in range(3):
         along += (point[k] - centre[k]) * axis[k]
@@ -110,35 +161,37 @@ def _drawn(point, centre, axis, ends, ball, bend, wavelength, pull, out):  # typ
 
 
 @lean(nogil=True, error_model="numpy")
-def fold(loud, rows, counts, corners, bent, lengths, spreads, bends, middles, turns, ends, balls, normals, offsets,  # type: ignore[no-untyped-def]
-         widths, wavelength, gate, least, pull, some, values, alongs, real, faces, scratch):  # fmt: skip
-    """The chains that are loud and run as they should, and their paths with what lies beyond faces brought back.
+def fold(chains, paths, pairs, bodies, mirrors, limits, out, scratch):  # type: ignore[no-untyped-def]
+    """Keep the chains that are loud and run as they should, with what lies beyond faces mirrored back.
 
     Args:
-        loud, middles, turns: as `unfold` gives them, and so the first of: rows, counts, ends, balls, normals, offsets.
-        corners: (4, m, 3), bent: (2, m, 3), lengths, spreads, bends: as `pairs.shortest` gives them for those.
-        widths: (p, 2) of the faces [m].
-        gate: greatest length of a path [m]; least: spreads that are less are left out [1/m].
-        pull: bodies are touched no nearer to their ends [m].
-        some: (m) gets which of the loud are left.
-        values: (m) gets their spreads, times what their faces pass on, and how often they count [1/m].
-        alongs: (2, m) get how far from the middles of the bodies they touch these along the axes [m].
-        real: (5, m, 3) get the corners [m]; faces: (3, m, 3) get the unit normals there, as the wave meets them.
+        chains: `Chains`, whose `loud` holds only those that `unfold` kept.
+        paths: `pairs.PairPaths` of those.
+        pairs: `pairs.BodyPairs` of those.
+        bodies: `RoundBodies`.
+        mirrors: `PlaneMirrors`.
+        limits: `Limits`.
+        out: `FoldedPaths` gets the results.
         scratch: (5, 3).
 
     Returns:
         How many are left.
     """
+    rows, counts, loud = chains
+    corners, bent, lengths, spreads, bends = paths
+    middles, turns, ends, balls = pairs.centres, pairs.axes, bodies.ends, bodies.balls
+    normals, offsets, widths, wavelength = mirrors.normals, mirrors.offsets, mirrors.widths, limits.wavelength
+    some, values, alongs, real, faces = out
+    gate, least = limits.gate, limits.least
     count, one, other, start, stop, foot = 0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     for i in range(len(loud)):
         at, face, a, b = rows[loud[i]]
         n, d, value = normals[face], offsets[face], spreads[i] * counts[loud[i]]
         if value <= least or lengths[i] >= gate:
             continue
-        along, most = _drawn(corners[1, i], middles[0, i], turns[0, i, 2], ends[a], balls[a], bends[i, 0], wavelength,
-                             pull, one)  # fmt: skip
-        further, more = _drawn(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], balls[b], bends[i, 1],
-                               wavelength, pull, other)  # fmt: skip
+        along, most = _drawn(corners[1, i], middles[0, i], turns[0, i, 2], ends[a], balls[a], bends[i, 0], limits, one)
+        further, more = _drawn(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], balls[b], bends[i, 1], limits,
+                               other)  # fmt: skip
         if value * most * more <= least:
             continue
         for k in range(3):

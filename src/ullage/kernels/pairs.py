@@ -3,26 +3,45 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Bools, Floats
 from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import dot, field_across, onto, unit_to
 
 
+class BodyPairs(NamedTuple):
+    """Pairs (m) of round bodies, in the order in which the wave meets them."""
+
+    centres: Floats  # (2, m, 3) [m]
+    axes: Floats  # (2, m, 3, 3) rows: two across the axis, and the axis of a cylinder
+    radii: Floats  # (2, m) [m]
+    balls: Bools  # (2, m) whether each is a sphere; a cylinder otherwise
+
+
+class PairPaths(NamedTuple):
+    """Shortest paths over pairs (m) of round bodies."""
+
+    corners: Floats  # (4, m, 3) from start to stop [m]
+    normals: Floats  # (2, m, 3) outward unit normals of the bodies there
+    lengths: Floats  # (m) [m]
+    spreads: Floats  # (m) amplitude of a source's wave at the end [1/m], 0 where there is no such path
+    bends: Floats  # (m, 2) second derivative of the path along either body's axis, all else at its best [1/m]
+
+
 @lean(nogil=True, error_model="numpy")
-def shortest(starts, stops, centres, axes, radii, balls, steps, corners, normals, lengths, spreads, bends, scratch):  # type: ignore[no-untyped-def]
-    """The shortest paths from one point over the first and then the last body of each pair to another.
+def shortest(starts, stops, bodies, steps, out, scratch):  # type: ignore[no-untyped-def]
+    """Find the shortest paths from one point over the first and then the last body of each pair to another point.
 
     Args:
         starts, stops: (m, 3) [m].
-        centres: (2, m, 3) [m]; axes: (2, m, 3, 3) rows, the last one that of a drum; radii: (2, m) [m].
-        balls: (2, m) whether each is a ball.
-        steps: of Newton's method, at the most.
-        corners: (4, m, 3) get the paths [m]; normals: (2, m, 3) get those of the bodies there.
-        lengths: (m) gets their lengths [m].
-        spreads: (m) gets what a source's wave is less at the end [1/m], 0 where there is no such path.
-        bends: (m, 2) gets the second derivative of the path along either body's axis, all else as it fits [1/m].
+        bodies: `BodyPairs`.
+        steps: of Newton's method, at most.
+        out: `PairPaths` gets the results.
         scratch: (76).
     """
+    centres, axes, radii, balls = bodies
+    corners, normals, lengths, spreads, bends = out
     rows, table = scratch[:48].reshape((16, 3)), scratch[48:].reshape((4, 7))
     for i in range(len(radii[0])):
         for k in range(3):

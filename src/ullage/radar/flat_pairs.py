@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import flat_pairs as kernel
+from ullage.kernels.pairs import BodyPairs, PairPaths
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -91,23 +92,27 @@ def _echoes_of(
     full, gate = wavelength / (4 * np.pi) * antennas.factor, 2 * context.gate[1]
     faint = least / (abs(full) * top)  # as a spread
     many = len(rows)
-    loud, points, middles, turns = np.empty(many, np.int64), *np.empty((2, 2, many, 3)), np.empty((2, many, 3, 3))
-    sizes, kinds = np.empty((2, many)), np.empty((2, many), np.bool_)
-    mirrors, things = (planar.normals, planar.offsets), (bodies.ends, bodies.balls)
-    count = kernel.unfold(rows, counts, antennas.origins, *mirrors, bodies.centres, bodies.axes, bodies.radii, *things,
-                          gate, faint, loud, points, middles, turns, sizes, kinds)  # fmt: skip
+    points = np.empty((2, many, 3))
+    pairs = BodyPairs(np.empty((2, many, 3)), np.empty((2, many, 3, 3)), np.empty((2, many)),
+                      np.empty((2, many), np.bool_))  # fmt: skip
+    chosen = kernel.Chains(rows, counts, np.empty(many, np.int64))
+    mirrors = kernel.PlaneMirrors(planar.normals, planar.offsets, planar.widths)
+    things = kernel.RoundBodies(bodies.centres, bodies.axes, bodies.radii, bodies.ends, bodies.balls)
+    limits = kernel.Limits(gate, faint, wavelength, PULL_M)
+    count = kernel.unfold(chosen, antennas.origins, mirrors, things, limits, points, pairs)
     if not count:
         return []
-    loud, middles, turns = loud[:count], middles[:, :count].copy(), turns[:, :count].copy()
-    paths = shortest(points[0, :count], points[1, :count], middles, turns, sizes[:, :count].copy(),
-                     kinds[:, :count].copy())  # fmt: skip
-    some, values, alongs = np.empty(count, np.int64), np.empty(count), np.empty((2, count))
-    corners, normals = np.empty((5, count, 3)), np.empty((3, count, 3))
-    left = kernel.fold(loud, rows, counts, paths.corners, paths.normals, paths.length, paths.spread, paths.bends,
-                       middles, turns, *things, *mirrors, planar.widths, wavelength, gate, faint, PULL_M, some, values,
-                       alongs, corners, normals, np.empty((5, 3)))  # fmt: skip
+    loud = chosen.loud[:count]
+    pairs = BodyPairs(pairs.centres[:, :count].copy(), pairs.axes[:, :count].copy(), pairs.radii[:, :count].copy(),
+                      pairs.balls[:, :count].copy())  # fmt: skip
+    paths = shortest(points[0, :count], points[1, :count], pairs)
+    out = kernel.FoldedPaths(np.empty(count, np.int64), np.empty(count), np.empty((2, count)), np.empty((5, count, 3)),
+                             np.empty((3, count, 3)))  # fmt: skip
+    found = PairPaths(paths.corners, paths.normals, paths.length, paths.spread, paths.bends)
+    left = kernel.fold(chosen._replace(loud=loud), found, pairs, things, mirrors, limits, out, np.empty((5, 3)))
     if not left:
         return []
+    some, values, alongs, corners, normals = out
     some = some[:left]
     chains, lengths, value = rows[loud[some]], paths.length[some], full * values[:left]
     for k in range(2):

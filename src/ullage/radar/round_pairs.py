@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
@@ -90,16 +88,18 @@ def paths_over(start: Floats, stop: Floats, first: Bodies, last: Bodies) -> Path
     """The shortest paths from points (3) or (m, 3) over the first bodies (m) and then the last (m) to others."""
     many = len(first.radii)
     ends = [np.array(np.broadcast_to(point, (many, 3)), float, order="C") for point in (start, stop)]
-    both = [np.stack([getattr(first, row), getattr(last, row)]) for row in ("centres", "axes", "radii", "balls")]
-    return shortest(*ends, *both)
+    both = kernel.BodyPairs(np.stack([first.centres, last.centres]), np.stack([first.axes, last.axes]),
+                            np.stack([first.radii, last.radii]), np.stack([first.balls, last.balls]))  # fmt: skip
+    return shortest(ends[0], ends[1], both)
 
 
-def shortest(starts: Floats, stops: Floats, *bodies: NDArray[Any]) -> Paths:
-    """The shortest paths from points (m, 3) over two bodies each, told as (2, m) rows of `Bodies`, to others."""
+def shortest(starts: Floats, stops: Floats, bodies: kernel.BodyPairs) -> Paths:
+    """Find the shortest paths from points (m, 3) over two bodies each to others."""
     many = len(starts)
     corners, normals = np.empty((4, many, 3)), np.empty((2, many, 3))
     lengths, spreads, bends = np.empty(many), np.empty(many), np.empty((many, 2))
-    kernel.shortest(starts, stops, *bodies, _STEPS, corners, normals, lengths, spreads, bends, np.empty(76))
+    found = kernel.PairPaths(corners, normals, lengths, spreads, bends)
+    kernel.shortest(starts, stops, bodies, _STEPS, found, np.empty(76))
     return Paths(corners, normals, lengths, spreads, bends)
 
 

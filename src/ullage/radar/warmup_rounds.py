@@ -23,19 +23,22 @@ def rounds() -> None:
 def pairs() -> None:
     """The kernels of `round_pairs` and `flat_pairs`, on no bodies at all."""
     from ullage.kernels import flat_pairs as flat
+    from ullage.kernels.pairs import BodyPairs, PairPaths
     from ullage.radar.round_pairs import Bodies, paths_over
 
     none, points = np.zeros(0), np.zeros((0, 3))
     bodies = Bodies(points, np.zeros((0, 3, 3)), none, np.zeros((0, 2)), none > 0, none, none.astype(np.int32))
     paths_over(np.zeros(3), np.zeros(3), bodies, bodies)
-    rows, spots, turns = np.zeros((0, 4), np.int64), np.zeros((2, 0, 3)), np.zeros((2, 0, 3, 3))
-    twos, long, things = np.zeros((2, 0)), np.zeros(0, np.int64), (bodies.ends, bodies.balls)
-    flat.unfold(rows, none, np.zeros((2, 3)), points, none, points, bodies.axes, none, *things, 1.0, 1.0, long, spots,
-                spots, turns, twos, twos > 0)  # fmt: skip
-    flat.fold(long, rows, none, np.zeros((4, 0, 3)), spots, none, none, twos.T.copy(), spots, turns, *things, points,
-              none, bodies.ends, 1.0, 1.0, 1.0, 1.0, long, none, twos, np.zeros((5, 0, 3)), np.zeros((3, 0, 3)),
-              np.zeros((5, 3)))  # fmt: skip
-    flat.gaps(np.zeros((2, 3)), points, bodies.axes, *things, twos)
+    spots, twos, long = np.zeros((2, 0, 3)), np.zeros((2, 0)), np.zeros(0, np.int64)
+    chains = flat.Chains(np.zeros((0, 4), np.int64), none, long)
+    mirrors = flat.PlaneMirrors(points, none, bodies.ends)
+    things = flat.RoundBodies(points, bodies.axes, none, bodies.ends, bodies.balls)
+    limits, both = flat.Limits(1.0, 1.0, 1.0, 1.0), BodyPairs(spots, np.zeros((2, 0, 3, 3)), twos, twos > 0)
+    flat.unfold(chains, np.zeros((2, 3)), mirrors, things, limits, spots, both)
+    found = PairPaths(np.zeros((4, 0, 3)), spots, none, none, twos.T.copy())
+    out = flat.FoldedPaths(long, none, twos, np.zeros((5, 0, 3)), np.zeros((3, 0, 3)))
+    flat.fold(chains, found, both, things, mirrors, limits, out, np.zeros((5, 3)))
+    flat.gaps(np.zeros((2, 3)), points, bodies.axes, bodies.ends, bodies.balls, twos)
 
 
 def chains() -> None:
