@@ -3,50 +3,90 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.loops import core, lean
 from ullage.kernels.pairs import eliminate
 from ullage.kernels.vectors import dot, field_across, onto, unit_to
 
 
+class WallLines(NamedTuple):
+    """Lines (n) along a round wall, and which surfaces of a path they are."""
+
+    walls: Bools  # (s) which of the two or three surfaces are lines, as the wave meets them; the others are the body
+    feet: Floats  # (n, 3) a point of each line [m]
+    up: Floats  # (3) unit vector along all lines
+
+
+class RoundBody(NamedTuple):
+    """A sphere or a cylinder."""
+
+    centre: Floats  # (3) [m]
+    axes: Floats  # (3, 3) rows: two across the axis, and the axis of a cylinder
+    radius: float  # [m]
+    ball: bool  # whether it is a sphere
+
+
+class LinePaths(NamedTuple):
+    """Shortest paths (n) over each line and the body."""
+
+    corners: Floats  # (s + 2, n, 3) [m]
+    normals: Floats  # (s, n, 3) unit normals of the body
+    lengths: Floats  # (n) [m]
+    spreads: Floats  # (n) amplitude at the end without the integral across the lines [m^-1.5]; 0: no such path
+    bends: Floats  # (s, n) second derivative of the path along the axis of each surface, all else at its best [1/m]
+
+
+class LineScratch(NamedTuple):
+    """Scratch of `over_lines`."""
+
+    rows: Floats  # (16, 3)
+    table: Floats  # (5, 9)
+
+
+class WallPlaces(NamedTuple):
+    """Places (m) for the sum along a wall."""
+
+    first: Longs  # line before each place
+    share: Floats  # share of the distance to the next line
+    weights: Floats  # weight of each
+
+
 @lean(nogil=True, error_model="numpy")
-def over_lines(  # type: ignore[no-untyped-def]
-    ends, walls, feet, up, centre, axes, radius, ball, steps, corners, normals, lengths, spreads, bends, rows, table
-):
-    """The shortest paths from one point to another over a line and one body, in some order, for each of many lines.
+def over_lines(ends, lines, body, steps, out, scratch):  # type: ignore[no-untyped-def]
+    """Find the shortest paths from one point to another over a line and one body, in some order, for each line.
 
     Args:
         ends: (2, 3) where paths begin and end [m].
-        walls: (s) which of the two or three surfaces are lines, as the wave meets them; the others are the body.
-        feet: (n, 3) a point of each line [m]; up: (3) unit vector along all of them.
-        centre: (3) of the body [m]; axes: (3, 3) rows, the last one that of a drum; radius [m]; ball: or a drum.
-        steps: of Newton's method, at the most.
-        corners: (s + 2, n, 3) get the paths [m]; normals: (s, n, 3) get those of the body.
-        lengths: (n) gets their lengths [m].
-        spreads: (n) gets what a source's wave is less at the end, but for the integral across the lines [m^-1.5]; 0
-            where there is no such path.
-        bends: (s, n) gets the second derivative of the path along the axis of each surface, all else as it fits [1/m].
-        rows: (16, 3); table: (5, 9). Room to work.
+        lines: `WallLines`.
+        body: `RoundBody`.
+        steps: of Newton's method, at most.
+        out: `LinePaths` gets the results.
+        scratch: `LineScratch`.
     """
+    rows, table = scratch
     known = False
-    for i in range(len(feet)):
-        _start(ends, walls, feet, up, centre, axes, radius, ball, known, corners, i, rows)
+    for i in range(len(lines.feet)):
+        _start(ends, lines, body, known, out.corners, i, rows)
         far = math.inf
         for _ in range(steps):
             if far < 1e-4:  # the next step would be its square
                 break
-            _frames(corners, i, walls, up, centre, axes, radius, ball, rows)
-            size = _second(walls, radius, ball, rows, table)
+            _frames(out.corners, i, lines, body, rows)
+            size = _second(lines.walls, body.radius, body.ball, rows, table)
             eliminate(table, size)
-            far = _step(corners, i, walls, radius, ball, rows, table)
-        _frames(corners, i, walls, up, centre, axes, radius, ball, rows)
-        size = _second(walls, radius, ball, rows, table)
-        known = _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table)
+            far = _step(out.corners, i, lines.walls, body.radius, body.ball, rows, table)
+        _frames(out.corners, i, lines, body, rows)
+        size = _second(lines.walls, body.radius, body.ball, rows, table)
+        known = _record(i, lines.walls, size, out, rows, table)
 
 
 @core(nogil=True, error_model="numpy")
-def _start(ends, walls, feet, up, centre, axes, radius, ball, known, corners, i, rows):  # type: ignore[no-untyped-def]
-    """Puts the corners of a path where those of the last one were, or where the body looks both ways."""
+def _start(ends, lines, body, known, corners, i, rows):  # type: ignore[no-untyped-def]
+    """Put the corners of a path where those of the last one were, or where the body faces both neighbours."""
+    walls, feet, up = lines
+    centre, axes, radius, ball = body
     many, middle, along = len(walls), rows[2], 0.0
     for k in range(3):
         corners[0, i, k], corners[many + 1, i, k] = ends[0, k], ends[1, k]
@@ -72,11 +112,14 @@ def _start(ends, walls, feet, up, centre, axes, radius, ball, known, corners, i,
 
 
 @core(nogil=True, error_model="numpy")
-def _frames(corners, i, walls, up, centre, axes, radius, ball, rows):  # type: ignore[no-untyped-def]
-    """Directions in which corners may move: of surface s rows 3 s and 3 s + 1, along its axis last; its normal.
+def _frames(corners, i, lines, body, rows):  # type: ignore[no-untyped-def]
+    """Write the directions in which corners may move.
 
-    Rows 9 to 12 get the directions of the legs, 13 and 14 their lengths [m].
+    Rows 3 s to 3 s + 2 get those of surface s, the one along its axis second, and its normal. Rows 9 to 12 get the
+    directions of the legs, 13 and 14 their lengths [m].
     """
+    walls, up = lines.walls, lines.up
+    centre, axes, radius, ball = body
     many, sizes = len(walls), rows[13:15].reshape(6)
     for s in range(many):
         f, g, normal = rows[3 * s], rows[3 * s + 1], rows[3 * s + 2]
@@ -149,8 +192,9 @@ def _step(corners, i, walls, radius, ball, rows, table):  # type: ignore[no-unty
 
 
 @core(nogil=True, error_model="numpy")
-def _tell(i, walls, size, corners, normals, lengths, spreads, bends, rows, table):  # type: ignore[no-untyped-def]
-    """Writes down a path, given its second derivatives; whether it is one."""
+def _record(i, walls, size, out, rows, table):  # type: ignore[no-untyped-def]
+    """Write a path with its second derivatives to the results; return whether it is one."""
+    _, normals, lengths, spreads, bends = out
     many, sizes, steep, row = len(walls), rows[13:15].reshape(6), 0.0, 0
     lengths[i], facing, over, under = sizes[0], 1.0, 1.0, sizes[0]
     for s in range(many):
@@ -207,18 +251,19 @@ def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def sampled(lengths, slopes, there, step, cut, many, first, share, weights):  # type: ignore[no-untyped-def]
+def sampled(lengths, slopes, there, step, cut, many, places):  # type: ignore[no-untyped-def]
     """Places for the sum along a wall: all about points of stationary phase.
 
     Args:
         lengths, slopes: (n) of the paths over lines along the wall [m]; there: (n) whether there are such paths.
         step: from line to line [m]; many: places between two of them.
         cut: no places where the path grows faster than this.
-        first, share, weights: (n many) get the line before, by what share of the way to the next, and what each counts.
+        places: `WallPlaces` (n many) gets the places.
 
     Returns:
         How many places there are.
     """
+    first, share, weights = places
     count = 0
     for i in range(len(lengths)):
         j = (i + 1) % len(lengths)
@@ -236,8 +281,16 @@ def sampled(lengths, slopes, there, step, cut, many, first, share, weights):  # 
 
 
 @lean(nogil=True, error_model="numpy")
-def summed(lengths, slopes, step, seen, first, share, weights, values, paths, rates):  # type: ignore[no-untyped-def]
-    """What places along a wall add, from what lines (n) are seen to: values (m), paths (m) [m], how fast these grow."""
+def summed(lengths, slopes, step, seen, places, values, paths, rates):  # type: ignore[no-untyped-def]
+    """Compute the contribution of each place along a wall.
+
+    Args:
+        lengths, slopes, step: as in `sampled`.
+        seen: (n) contribution of each line.
+        places: `WallPlaces` (m).
+        values: (m) get the contributions; paths: (m) get their lengths [m]; rates: (m) get how fast these grow.
+    """
+    first, share, weights = places
     for i in range(len(first)):
         here, u = first[i], share[i]
         values[i] = (seen[here] * (1 - u) + seen[(here + 1) % len(seen)] * u) * weights[i]

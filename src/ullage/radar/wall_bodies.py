@@ -119,8 +119,11 @@ def lines_over(wall: Round, body: Round, ends: Floats, walls: tuple[bool, ...]) 
     corners, normals = np.empty((many + 2, count, 3)), np.empty((many, count, 3))
     length, spread, slope, bends = *np.empty((3, count)), np.empty((many, count))
     rows, least = np.empty((16, 3)), np.empty(2)
-    kernel.over_lines(ends, kinds, feet, wall.axes[2], body.centre, body.axes, body.radius, body.ball, _STEPS,
-                      corners, normals, length, spread, bends, rows, np.empty((5, 9)))  # fmt: skip
+    kernel.over_lines(
+        ends, kernel.WallLines(kinds, feet, wall.axes[2]),
+        kernel.RoundBody(body.centre, body.axes, body.radius, body.ball), _STEPS,
+        kernel.LinePaths(corners, normals, length, spread, bends), kernel.LineScratch(rows, np.empty((5, 9))),
+    )  # fmt: skip
     kernel.beside(corners, at, out, wall.axes[2], spread, slope, least, rows)
     normals[at] = -out
     return Lines(kinds, corners, normals, length, slope, spread, bends, float(1 / (1 / least).sum()))
@@ -182,7 +185,8 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
     step, cut = 2 * np.pi * radius / count, min(float(np.sqrt(ZONES / (wave * lines.near))), 2.0)
     many = int(step * wave * cut / _TURN) + 2
     first, (share, weights) = np.empty(count * many, np.int64), np.empty((2, count * many))
-    made = kernel.sampled(lines.length, lines.slope, there, step, cut, many, first, share, weights)
+    places = kernel.WallPlaces(first, share, weights)
+    made = kernel.sampled(lines.length, lines.slope, there, step, cut, many, places)
     return (first[:made], share[:made], weights[:made]) if made else None
 
 
@@ -258,10 +262,10 @@ def _deposited(
     seen: Complexes, grids: Complexes,
 ) -> EchoSet:  # fmt: skip
     """Lays the sum over places along the wall; told as one echo for each point of stationary phase."""
-    first, share, weights = places
+    first, share, _ = places
     value, (length, slope) = np.empty(len(first), complex), np.empty((2, len(first)))
     step = 2 * np.pi * wall.radius / len(seen)
-    kernel.summed(lines.length, lines.slope, step, seen, first, share, weights, value, length, slope)
+    kernel.summed(lines.length, lines.slope, step, seen, kernel.WallPlaces(*places), value, length, slope)
     echo = accumulate(context, length / C0, value, grids, (0.5, 0.5))
     leads = np.flatnonzero((slope[:-1] * slope[1:] <= 0) & ((first[1:] - first[:-1]) % len(seen) <= 1))
     leads = leads if len(leads) else np.array([abs(slope).argmin()])
