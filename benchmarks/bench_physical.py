@@ -16,7 +16,7 @@ import numpy as np
 
 import ullage as ul
 from ullage.kernels import beams, bounces, double_edge_diffraction, edge_diffraction, edges, facets, outlines, pulse
-from ullage.radar import multipath, physical, visibility
+from ullage.radar import context, multipath, physical, visibility
 from ullage.radar.physical import echoes
 from ullage.world.library import WORLDS
 
@@ -114,10 +114,10 @@ STAGES = (
     (bounces, "legs", "follow paths"),
     (bounces, "stand_ins", "follow paths"),
     (bounces, "cover", "follow paths"),
-    (physical, "seen", "rays, first"),
+    (context, "seen", "rays, first"),
     (multipath, "between", "rays, bounces"),
     (visibility, "_through", "sheets"),
-    (physical, "lay", "rest"),
+    (physical, "accumulate", "rest"),
 )
 
 
