@@ -1,14 +1,37 @@
-"""Waves at flat mirrors: images, where ways over them cross, and what a bounce makes of a field."""
+"""Waves at flat mirrors: images, beams over them, and the field after a bounce."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.arrays import Complexes, Floats, Longs
+from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.kernels import bounces
 from ullage.radar.facets import PlanarPatches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """Bundles of paths, each over its one or two mirrors to the lit part of its last face."""
+
+    images: Floats  # (b, 3) the transmitter's last image [m]
+    firsts: Floats  # (b, 3) its first image [m]
+    chains: Longs  # (b, 2) flat faces that mirror, -1 for none
+    ends_on: Longs  # (b) face at the end
+    first: Ints  # (b + 1) first edge of each
+    edges: Floats  # (e, 2, 3) outlines of the lit parts [m]
+    weights: Floats  # (b) how much of each counts
+
+    def __len__(self) -> int:
+        return len(self.ends_on)
+
+    @property
+    def paths(self) -> bounces.ImagePaths:
+        """The transmitter's images, for kernels."""
+        return bounces.ImagePaths(self.images, self.firsts, self.chains)
 
 
 def mirrored(point: Floats, planar: PlanarPatches, faces: Longs) -> Floats:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
+from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import beams as kernel
 from ullage.kernels import bounces
 from ullage.kernels import outlines as draw
@@ -22,7 +22,7 @@ from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.mirrors import mirrored
+from ullage.radar.mirrors import Beams, mirrored
 from ullage.radar.planar import accumulate_outline, cut_outlines
 from ullage.radar.visibility import between
 from ullage.radar.zones import shares, strengths
@@ -35,27 +35,6 @@ FAINT = 1e-3
 """Beams over mirrors that cover less of their Fresnel zones than this are left out; all are less by as much."""
 EXCESS_M = 0.5
 """Rims whose path exceeds the mirror path by more are left out [m]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Beams:
-    """Bundles of paths, each over its one or two mirrors to the lit part of its last face."""
-
-    images: Floats  # (b, 3) the transmitter's last image [m]
-    firsts: Floats  # (b, 3) its first image [m]
-    chains: Longs  # (b, 2) flat faces that mirror, -1 for none
-    ends_on: Longs  # (b) face at the end
-    first: Ints  # (b + 1) first edge of each
-    edges: Floats  # (e, 2, 3) outlines of the lit parts [m]
-    weights: Floats  # (b) how much of each counts
-
-    def __len__(self) -> int:
-        return len(self.ends_on)
-
-    @property
-    def paths(self) -> bounces.ImagePaths:
-        """The transmitter's images, for kernels."""
-        return bounces.ImagePaths(self.images, self.firsts, self.chains)
 
 
 def accumulate_bounces(

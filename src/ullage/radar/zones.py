@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +21,7 @@ from ullage.kernels import zones as kernel
 from ullage.kernels.zones import Strengths
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.facets import PlanarPatches
-
-if TYPE_CHECKING:
-    from ullage.radar.multipath import Beams
+from ullage.radar.mirrors import Beams
 
 NEAR = 0.02
 """Paths over points that exceed the mirror path by more than this many waves are judged by one point."""
