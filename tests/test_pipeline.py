@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pstats
 from collections.abc import Iterator
+from cProfile import Profile
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -172,6 +175,23 @@ def test_an_image_grows_as_the_flight_goes_on_and_ends_as_the_whole_one(held: in
     early = images[-2].values  # without the last piece, and less sure of the own echo
     assert np.abs(np.abs(early) - np.abs(finals[None].values)).max() < 0.2 * strongest
     assert np.abs(images[1].values).max() > 0
+
+
+def test_no_piece_of_a_growing_image_sums_more_than_four_times_its_frames() -> None:
+    frames = rig_frames()
+    grid = ul.Grid.covering([[-1, -1, 0], [3, 2, 0.1]], 0.05, z_m=0.0)
+    stage = ImageStage(grid, every_s=0.2, held_frames=40)
+    sums = []
+    for start in range(0, 120, 4):
+        chunk = {name: part[start : start + 4] for name, part in frames.items()}
+        profile = Profile()
+        profile.runcall(lambda chunk=chunk: list(stage.update(chunk)))
+        calls = pstats.Stats(profile).stats
+        sums.append(sum(row[0] for (file, _, name), row in calls.items()
+                        if name == "update" and Path(file).stem == "backprojection"))  # fmt: skip
+    assert min(sums) == 2  # one for each radar
+    assert max(sums) == 8
+    assert sum(sums) > 100  # those that waited are summed on the way
 
 
 @pytest.mark.parametrize("period_s", [0.0588, 0.1, 0.13])

@@ -6,6 +6,7 @@ Simulated, recorded and live frames come through here alike, piece by piece, so 
 from __future__ import annotations
 
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -366,7 +367,8 @@ class ImageStage:
 
     Frames wait until there are `held_frames` of a sensor, so that its own echo is estimated from a long part of the
     track. With `every_s` the image so far is given as well, once per so much of the recording. It has the frames that
-    wait without the own echo as known by then, so a frame is summed at most twice, and the final image is the same.
+    wait without the own echo as known by then. No piece sums more than four times its own frames. The final image is
+    the same.
     """
 
     grid: Grid
@@ -379,19 +381,20 @@ class ImageStage:
     _sum: ImageSum | None = None
     _early: ImageSum | None = None  # with the frames that wait
     _early_echo: OwnEchoFilter = field(default_factory=_own_echo_filter)
+    _backlog: dict[str, deque[Frames]] = field(default_factory=dict)  # released, and not summed yet
+    _since: dict[str, ImageSum] = field(default_factory=dict)  # frames after those of the backlog
     _due: Due | None = None
 
     def update(self, chunk: Chunk) -> Iterable[Image]:
         """Adds this piece; the image so far, where one is due."""
         chunk = {name: part for name, part in chunk.items() if self.sensor in ("", name)}
         if self.every_s is not None and self.own_echo is not None:
-            early = self._early = self._early or self._empty()
-            for name, part in self._early_echo.clean(chunk).items():
-                early.add(name, part)
+            self._add_early(chunk)
         for name, part in chunk.items():
             if self.own_echo is None:
                 self._exact().add(name, part)
                 continue
+            self._work_off(name, 2 * len(part))
             held = self._held.setdefault(name, [])
             held.append(part)
             if sum(map(len, held)) >= self.held_frames:
@@ -414,19 +417,48 @@ class ImageStage:
         self._sum = self._sum or self._empty()
         return self._sum
 
+    def _add_early(self, chunk: Chunk) -> None:
+        """Add a piece to the image so far, without the own echo as known by now."""
+        early = self._early = self._early or self._empty()
+        for name, part in self._early_echo.clean(chunk).items():
+            early.add(name, part)
+            if name in self._since:
+                self._since[name].add(name, part)
+
     def _release(self, name: str) -> None:
-        """Add the frames that waited, without their own echo."""
-        if self.own_echo is not None and (held := self._held.pop(name, [])):
-            for part in held:
-                self.own_echo.learn({name: part})
-            for part in held:
-                self._exact().add(name, self.own_echo.removed_from({name: part})[name])
+        """Take the own echo from the frames that waited. Where images are given in flight, later pieces sum them."""
+        self._work_off(name)
+        if self.own_echo is None or not (held := self._held.pop(name, [])):
+            return
+        for part in held:
+            self.own_echo.learn({name: part})
+        self._backlog[name] = deque(self.own_echo.removed_from({name: part})[name] for part in held)
+        if self._early is None:
+            self._work_off(name)
+            return
+        since = self._since[name] = self._empty()
+        since.begin(name, held[-1].believed.position[-1])
+
+    def _work_off(self, name: str, count: int | None = None) -> None:
+        """Sum released frames of a sensor, about `count` of them (None: all), so that no piece takes much longer."""
+        backlog, done = self._backlog.get(name), 0
+        if backlog is None:
+            return
+        while backlog and (count is None or done < count):
+            part = backlog.popleft()
+            self._exact().add(name, part)
+            done += len(part)
+        if not backlog:
+            del self._backlog[name]
             if self._early is not None:
                 self._early.take_over(name, self._exact())
+                self._early.merge(name, self._since.pop(name))
 
     def finish(self) -> Iterable[Image]:
         """The image."""
         for name in list(self._held):
             self._release(name)
+        for name in list(self._backlog):
+            self._work_off(name)
         image = self._exact().image()
         return () if image is None else (image,)

@@ -128,6 +128,12 @@ class Backprojector:
         self.frames += len(frames)
         self._weight += float(given.sum())
 
+    def merge(self, other: Self) -> None:
+        """Add the sum of other frames over the same grid."""
+        self._sums += other._sums
+        self.frames += other.frames
+        self._weight += other._weight
+
     def copy(self) -> Self:
         """A sum that goes on from here by itself."""
         other = copy(self)

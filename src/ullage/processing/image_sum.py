@@ -54,6 +54,18 @@ class ImageSum:
             self._sums[name] = other._sums[name].copy()
             self._last_m[name] = other._last_m[name]
 
+    def begin(self, name: str, position_m: Floats) -> None:
+        """Say where a sensor (3) was before its first frames, so that these weigh by the distance from there."""
+        self._last_m[name] = position_m
+
+    def merge(self, name: str, other: Self) -> None:
+        """Add another's sum of one sensor, of frames after those here."""
+        if name in other._amplitudes:
+            self._amplitudes[name] = self._amplitudes[name] + other._amplitudes[name]
+        if name in other._sums:
+            self._sums[name].merge(other._sums[name])
+            self._last_m[name] = other._last_m[name]
+
     def image(self) -> Image | None:
         """The image so far; None: no frames came."""
         if self._amplitudes:
