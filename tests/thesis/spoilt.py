@@ -114,22 +114,23 @@ def louder(factor: float) -> Change:
     return lambda part: replace(part, samples=factor * part.samples)
 
 
-def deposit_as(*, cosine: float = 1.0, spread: float = 2.0, coefficient: bool = True) -> Callable[..., None]:
+def accumulate_as(*, cosine: float = 1.0, spread: float = 2.0, coefficient: bool = True) -> Callable[..., None]:
     """Eq. 4.2 with other exponents of its terms."""
 
-    def deposit(face, distance, cos, reflection, near_m, far_m, start_m, bin_m, out):
-        ok = (face >= 0) & (distance >= near_m) & (distance <= far_m)
-        bins = np.floor((np.where(ok, distance, 0) - start_m) / bin_m + 0.5).astype(int)
+    def accumulate(hits, reflection, ranges, out):
+        face, distance, cos = hits
+        ok = (face >= 0) & (distance >= ranges.near_m) & (distance <= ranges.far_m)
+        bins = np.floor((np.where(ok, distance, 0) - ranges.start_m) / ranges.bin_m + 0.5).astype(int)
         ok &= (bins >= 0) & (bins < out.shape[1])
         rows = np.nonzero(ok)[0]
         i_m = reflection[face[ok]] if coefficient else 1.0
-        np.add.at(out, (rows, bins[ok]), i_m * cos[ok] ** cosine * (distance[ok] / far_m) ** spread)
+        np.add.at(out, (rows, bins[ok]), i_m * cos[ok] ** cosine * (distance[ok] / ranges.far_m) ** spread)
 
-    return deposit
+    return accumulate
 
 
 def term(**changes: Any) -> Callable[[Patch], None]:
-    return lambda patch: patch.setattr(ullage.radar.rays, "accumulate", deposit_as(**changes))
+    return lambda patch: patch.setattr(ullage.radar.rays, "accumulate", accumulate_as(**changes))
 
 
 def ranges_too_long(patch: Patch) -> None:
