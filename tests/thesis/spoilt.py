@@ -173,7 +173,8 @@ def short_axis(patch: Patch) -> None:
 
 def no_max_range(patch: Patch) -> None:
     kept = ullage.radar.rays.accumulate
-    patch.setattr(ullage.radar.rays, "accumulate", lambda *a: kept(*a[:5], 11.0, *a[6:]))
+    patch.setattr(ullage.radar.rays, "accumulate",
+                  lambda hits, i_m, ranges, out: kept(hits, i_m, ranges._replace(far_m=11.0), out))  # fmt: skip
     patch.setattr(
         ullage.radar.models,
         "reaching_max_range",
