@@ -1,4 +1,9 @@
-"""Several cores at one task: threads first, and copies of this process where Python's one lock would hold them up."""
+"""Several cores at one task: threads first, and copies of this process where Python's one lock would hold them up.
+
+A copy made by `fork` has the prepared scene and the compiled kernels at once. joblib's processes start anew and load
+both; those of `concurrent.futures` can be forked, but the pool breaks when one of them is killed. Here its work goes
+on in a thread.
+"""
 
 from __future__ import annotations
 
