@@ -154,7 +154,7 @@ def scores_of(rows: tuple[str, ...] = ROWS, spoil: Spoil = lambda frames: frames
     scene, kept = flights.judged_room(), (flights.received, flights.level_round)
     grid, scores = flights.plane_of(scene), {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flights, "heard", lambda *a, **k: spoil(kept[0](*a, **k)))
+        patch.setattr(flights, "received", lambda *a, **k: spoil(kept[0](*a, **k)))
         patch.setattr(flights, "level_round", lambda seed: kept[1](seed)[: int(share * len(kept[1](seed)))])
         for name, frames, options in methods.cases(SEED, scene, grid):
             if name in rows:

@@ -30,7 +30,7 @@ def bus(network: Network, seconds: float, kept: Path, *also: Path) -> tuple[subp
     return started, f"tcp://127.0.0.1:{started.stdout.readline().strip()}"
 
 
-def heard(kept: Path) -> list[Packet]:
+def packets_in(kept: Path) -> list[Packet]:
     parser = Parser()
     found = list(parser.feed(kept.read_bytes()))
     assert parser.garbage == 0
@@ -70,7 +70,7 @@ def test_a_vehicle_goes_to_ros_and_from_ros_to_a_bus_without_losing_a_bit(networ
     assert heard["last"]["/tf"]["transforms"][0]["child_frame_id"] == "base_link"
 
     gather = FrameAssembler(Track(origin=Geodetic.degrees(63.4185, 10.4009, 40.0)))
-    for packet in heard(tmp_path / "ground.bin"):
+    for packet in packets_in(tmp_path / "ground.bin"):
         gather.take(packet)
     got = gather.give(final=True)
     assert set(got) == set(flown)
@@ -140,7 +140,7 @@ def test_what_is_said_on_a_bus_is_said_on_ros_and_on_another_bus_and_what_ros_wa
     assert count["/dune/imc/packet"] > 300
     assert set(count) == {"/dune/imc/packet", "/dune/imc/temperature", "/dune/imc/desired/heading"}
 
-    got = heard(tmp_path / "ground.bin")
+    got = packets_in(tmp_path / "ground.bin")
     part = next(p["id"] for p in got if p.name == "EntityInfo" and p["label"] == f"{OTHER:#06x}/9")
     came = [p for p in got if p.src_ent == part and p.t_s < 1.7001e9]
     by_time = {p.t_s: p for p in said}
