@@ -28,11 +28,13 @@ def flown(seed: int, *, seconds: float = 10.0) -> ul.Trajectory:
     return ul.Trajectory(np.rint(t * 1e9).astype(np.int64), position, np.tile([0.0, 0, 0, 1], (len(t), 1)))
 
 
-def received(track: ul.Trajectory, *, slow: float = 1.0, noise: float = 0.05) -> dict[str, np.ndarray]:
+def received(
+    track: ul.Trajectory, *, slow: float = 1.0, noise: float = 0.05, points: np.ndarray = POINTS
+) -> dict[str, np.ndarray]:
     """What a radar receives that starts CLOCK_S after the track, reads RANGE_M too far, and whose clock may be slow."""
     t_s = np.arange(0, 7, 0.025)
     at = track.at(np.rint((CLOCK_S + t_s) * 1e9).astype(np.int64)).position
-    away = np.linalg.norm(at[:, None] - POINTS, axis=2)[:, :, None]
+    away = np.linalg.norm(at[:, None] - points, axis=2)[:, :, None]
     pulse = np.exp(-0.5 * ((SPEC.range_m - away) * 2 / 299_792_458 / SPEC.pulse_sigma_s) ** 2)
     samples = (pulse * np.exp(-4j * np.pi / SPEC.wavelength_m * away)).sum(1)
     rng = np.random.default_rng(3)
@@ -97,6 +99,17 @@ def test_surveyed_reflectors_settle_the_offsets_of_a_run(tmp_path: Path) -> None
     clock, range_m = said.split("Clock offset ")[1].split(" +- ")[0], said.split("range offset ")[1].split(" +- ")[0]
     assert float(clock) == pytest.approx(CLOCK_S, abs=0.03)
     assert float(range_m) == pytest.approx(-RANGE_M, abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_map_without_an_image_shows_scatterers_at_the_height_of_the_survey(tmp_path: Path) -> None:
+    """The track is straight, so a scatterer's height is assumed; a wrong one would move it by 0.3 m."""
+    write(tmp_path, received(flown(1), points=POINTS - [0, 0, 1.2]), flown(1))
+    (tmp_path / "reflectors.csv").write_text("name,x_m,y_m,z_m\ncorner,2.5,0.6,-0.2\n,1.8,1.5,-0.2\n")
+    assert run(tmp_path, "--do", "map", "-o", "map.reach_m=4") == 0
+    said = (tmp_path / "runs" / "latest" / "verdict.txt").read_text()
+    assert "(2.50, 0.60, -0.20) m is on the map" in said
+    assert "(1.80, 1.50, -0.20) m is on the map" in said
 
 
 @pytest.mark.slow

@@ -204,11 +204,12 @@ def _stages(job: Run) -> list[Stage]:
         out.append(stage if plan.remove_own_echo else replace(stage, own_echo=None))
         job.obstacles = ObstacleTable(job.folder)
     margin, height = plan.map.margin_m, _height(job)
+    plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
     if "image" in job.tasks:
-        job.plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
+        job.plane = plane
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=margin)
-        plane_m = float(job.plane.grid.origin_m[2]) if job.plane is not None and job.plane.grid.dims == 2 else None
+        plane_m = float(plane.grid.origin_m[2]) if plane.grid.dims == 2 else None
         every_s = plan.map.every_s or (LIVE_S if job.live else WATCHED_S)
         job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
                            floor_z_m=plan.map.floor_z_m, target_z_m=plane_m,
