@@ -115,6 +115,34 @@ def test_coherent_loss_is_the_mean_phase():
 
 def test_thick_slab_echoes_apart():
     thick = Material(name="x", a=4.0, thickness_m=0.3, valid_ghz=(1, 20))
-    gamma, lag = reflection_tables([thick], ul.RadarSpec.preset("x4m05"))
+    gamma, lag, _ = reflection_tables([thick], ul.RadarSpec.preset("x4m05"))
     assert lag[0, 1, -1] == pytest.approx(2 * 0.3 * 2 / C0)
     assert abs(gamma[0, 1, 0, -1]) == pytest.approx((1 - 1 / 9) / 3)
+
+
+@pytest.mark.parametrize("thickness_m", [0.0115, 0.0125, 0.0135, 0.04])
+def test_a_board_reflects_each_frequency_of_the_pulse_as_the_slab_does(thickness_m: float) -> None:
+    """Plasterboard of 12.5 mm has a null within the band; at the carrier alone its echo was wrong by its own size."""
+    spec = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
+    board = material("plasterboard").but(thickness_m=thickness_m)
+
+    def received(one: Material | str) -> np.ndarray:
+        wall = ul.scenes.plate(width_m=12, height_m=12, distance_m=2.0, material=one)
+        return np.asarray(ul.simulate(wall, ul.Trajectory.stationary(n=1), spec).samples[0])
+
+    mirror, echo = received("pec"), received(board)
+    offset_hz = np.fft.fftfreq(4096, 2 * spec.bin_m / C0)
+    eps = board.permittivity(spec.center_hz)
+    reflection = np.array([slab(eps, thickness_m, spec.center_hz + f, 1.0)[0] for f in offset_hz])
+    expected = np.fft.ifft(np.fft.fft(mirror, 4096) * -reflection)[: len(mirror)]
+    assert abs(echo - expected).max() < 10 ** (-35 / 20) * abs(expected).max()
+
+
+def test_echoes_of_a_slab_add_up_to_its_reflection_at_the_carrier() -> None:
+    spec = ul.RadarSpec.preset("x4m05")
+    board = material("plasterboard")
+    gamma, lag, bounce = reflection_tables([board], spec)
+    turned = gamma[0] * np.exp(-2j * np.pi * spec.center_hz * np.maximum(lag[0], 0))[:, None]
+    te, tm, *_ = slab(board.permittivity(spec.center_hz), 0.0125, spec.center_hz, np.linspace(0, 1, gamma.shape[3]))
+    assert abs(turned.sum(0) - [te, tm]).max() < 1e-12
+    assert abs(bounce[0, 0] - [te, tm]).max() < 1e-12

@@ -17,7 +17,7 @@ class Mirrors(NamedTuple):
     offsets: Floats  # (p) plane normal . x = offset [m]
     object_ids: Ints  # (p) object of each, which is a row of `gamma`
     widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
-    gamma: Complexes  # (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces
+    gamma: Complexes  # (s, 1, 2, c) reflection over cos(incidence), TE and TM
     wavelength_m: float  # of the carrier, for Fresnel zones
 
 

@@ -33,7 +33,7 @@ def polarised(paths, gamma, antennas, scratch, out):  # type: ignore[no-untyped-
 
     Args:
         paths: `ReflectedPaths`.
-        gamma: (m, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
+        gamma: (m, 1, 2, c) reflection over cos(incidence), TE and TM.
         antennas: `facets.Antennas` of one radar.
         scratch: `FieldScratch`.
         out: (n) gets the factors.

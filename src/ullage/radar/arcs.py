@@ -329,7 +329,7 @@ def reflection(
         paths: (2, n, 3) unit vectors from both antennas.
         inward: (n, 3) normals.
     """
-    rows = context.gamma[object_ids, 0]
+    rows = context.bounce[object_ids, 0]
     places = np.minimum(cosine, 1.0) * (rows.shape[2] - 1)
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))

@@ -70,8 +70,9 @@ class RadarContext:
     spec: RadarSpec
     pulse: Pulse
     table: Floats
-    gamma: Complexes
-    lag: Floats
+    gamma: Complexes  # echoes of each material; the last row reflects 1
+    lag: Floats  # their delays [s]
+    bounce: Complexes  # what goes on to other surfaces
     lines: Lines
     outlines: OutlineSet
     transmissive: Transmissive
@@ -109,7 +110,7 @@ class RadarContext:
 
     def mirrors(self, planar: PlanarPatches) -> Mirrors:
         """Flat faces as mirrors for the carrier, as kernels take them."""
-        return Mirrors(planar.normals, planar.offsets, planar.object_ids, planar.widths, self.gamma,
+        return Mirrors(planar.normals, planar.offsets, planar.object_ids, planar.widths, self.bounce,
                        self.spec.wavelength_m)  # fmt: skip
 
     @property
@@ -150,8 +151,8 @@ def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> RadarCon
     pad = pulse.half + 4
     places = 2 * pad + (spec.bins - 1) * pulse.every + 1
     first = spec.range_start_m - pad * pulse.step_s * C0 / 2
-    gamma, lag = reflection_tables(world.materials, spec)
-    gamma = np.concatenate([gamma, _plain(gamma)])
+    gamma, lag, bounce = reflection_tables(world.materials, spec)
+    gamma, bounce = np.concatenate([gamma, _plain(gamma)]), np.concatenate([bounce, _plain(bounce)])
     lag = np.concatenate([lag, np.where(np.arange(lag.shape[1])[None, :, None] == 0, 0.0, -np.ones_like(lag[:1]))])
     last = spec.range_start_m + (spec.bins - 1) * spec.bin_m + pulse.half_m
     outlines = outlines_of(world.edges if edges else nowhere(), spec.wavelength_m)
@@ -162,6 +163,7 @@ def _bench(world: Prepared, spec: RadarSpec, seed: int, edges: bool) -> RadarCon
         cube(spec.antenna),
         gamma,
         lag,
+        bounce,
         strung(world.scene, spec.center_hz),
         outlines,
         transmissive_of(world.materials, spec),

@@ -80,13 +80,14 @@ def accumulate_curves(
 def _bare(context: RadarContext) -> RadarContext:
     """The bench with everything reflecting 1, for paths whose coefficients are known otherwise."""
     count = len(context.gamma)
-    return replace(context, gamma=context.gamma[-1:].repeat(count, axis=0), lag=context.lag[-1:].repeat(count, axis=0))
+    gamma, bounce = (one[-1:].repeat(count, axis=0) for one in (context.gamma, context.bounce))
+    return replace(context, gamma=gamma, lag=context.lag[-1:].repeat(count, axis=0), bounce=bounce)
 
 
 @lru_cache(maxsize=8)
 def _most(context: RadarContext) -> Floats:
     """The larger of both reflection coefficients of each object over cos(incidence)."""
-    return np.ascontiguousarray(abs(context.gamma[:, 0]).max(1))
+    return np.ascontiguousarray(abs(context.bounce[:, 0]).max(1))
 
 
 def _accumulate_small(

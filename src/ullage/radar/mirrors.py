@@ -46,7 +46,7 @@ def reflected(
     """Fields (m, 3) of waves along u (m, 3) after a bounce at mirrors with unit normals (m, 3).
 
     Args:
-        gamma: (s, taps, 2, c) reflection over cos(incidence), TE and TM; only the first tap bounces.
+        gamma: (s, 1, 2, c) reflection over cos(incidence), TE and TM.
         object_ids: (m) material of each mirror.
         field: (m, 3) before the bounce.
         u: (m, 3) unit vectors of travel.

@@ -21,8 +21,8 @@ from ullage.world.materials import Material
 COSINES = 65
 """Entries of a table over cos(incidence), from 0 to 1."""
 TAPS = 3
-"""Echoes of a thick slab that are kept: its face, its back, and one more round trip."""
-_BROAD = 0.25  # a slab longer than this part of the pulse, there and back, has its echoes laid apart
+"""Echoes of a slab that are kept apart: its face, its back, and all later ones together."""
+_BROAD = 0.25  # of a slab longer than this part of the pulse, there and back, only the face counts in bounces
 _FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
 
 
@@ -58,43 +58,56 @@ def slab(
 
 
 @lru_cache(maxsize=512)
-def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[Complexes, Floats]:
-    """Reflection (TAPS, 2, COSINES) and delay [s] (TAPS, COSINES) of a surface; unused taps have delay -1."""
+def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[Complexes, Floats, Complexes]:
+    """Echoes of a surface (TAPS, 2, COSINES), their delays [s] (TAPS, COSINES), and what bounces (1, 2, COSINES).
+
+    Unused taps have delay -1.
+    """
     c = np.linspace(0, 1, COSINES)
     gamma = np.zeros((TAPS, 2, COSINES), complex)
     lag = np.full((TAPS, COSINES), -1.0)
     lag[0] = 0.0
     if material.conductor:
         gamma[0] = -1.0
+        bounce = gamma[:1]
     else:
-        _fill_dielectric(material, center_hz, bandwidth_hz, c, gamma, lag)
+        bounce = _fill_dielectric(material, center_hz, bandwidth_hz, c, gamma, lag)
     if material.roughness_m:
         wave = 2 * np.pi * center_hz / C0
-        gamma *= coherent(wave * material.roughness_m, c)
-    return gamma, lag
+        share = coherent(wave * material.roughness_m, c)
+        gamma, bounce = gamma * share, bounce * share
+    return gamma, lag, bounce
 
 
 def _fill_dielectric(
     material: Material, center_hz: float, bandwidth_hz: float, c: Floats, gamma: Complexes, lag: Floats
-) -> None:
+) -> Complexes:
+    """Fill the echoes of a half-space or slab and their delays; give what bounces (1, 2, c).
+
+    With r of the face and one round trip P = exp(-2jkd sqrt(eps - sin^2)), a slab reflects
+    r (1 - P) / (1 - r^2 P) = r - (1 - r^2) (r P + r^3 P^2 + ...) [Orfanidis, sec. 5.4]. Each term is an echo with a
+    delay of its own, so the sum is right over the whole band, nulls included. The last echo stands for all later ones.
+    """
     eps = material.permittivity(center_hz)
     face = fresnel(eps, c)
     gamma[0, 0], gamma[0, 1] = face
     if material.thickness_m is None:
-        return
+        return gamma[:1]
     inner = np.sqrt(eps - (1 - c * c) + 0j)
     trip = 2 * material.thickness_m * inner.real / C0
     loss = np.exp(-2j * 2 * np.pi * center_hz / C0 * material.thickness_m * inner)
     if abs(loss).max() < _FAINT:
-        return
-    if trip.max() * bandwidth_hz < _BROAD:
-        gamma[0, 0], gamma[0, 1], *_ = slab(eps, material.thickness_m, center_hz, c)
-        return
-    turn = np.exp(2j * np.pi * center_hz * trip)  # the laid delay turns the carrier by itself
-    for pol, r in enumerate(face):
-        for n in range(1, TAPS):
-            gamma[n, pol] = -(1 - r * r) * r ** (2 * n - 1) * (loss * turn) ** n
+        return gamma[:1]
     lag[1:] = trip * np.arange(1, TAPS)[:, None]
+    turn = np.exp(2j * np.pi * center_hz * trip)  # a delayed echo turns the carrier by itself
+    whole = np.stack(slab(eps, material.thickness_m, center_hz, c)[:2])
+    rest = whole - gamma[0]
+    for n in range(1, TAPS):
+        r = np.stack(face)
+        term = rest if n == TAPS - 1 else -(1 - r * r) * r ** (2 * n - 1) * loss**n
+        gamma[n] = term * turn**n
+        rest = rest - term
+    return whole[None] if trip.max() * bandwidth_hz < _BROAD else gamma[:1]
 
 
 def coherent(roughness: float, cosine: ArrayLike) -> Floats:
@@ -106,16 +119,22 @@ def coherent(roughness: float, cosine: ArrayLike) -> Floats:
     return np.asarray(np.exp(-0.5 * (2 * roughness * np.asarray(cosine, float)) ** 2))
 
 
-def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[Complexes, Floats]:
-    """Reflection (m, TAPS, 2, COSINES) and delay (m, TAPS, COSINES) of every material at the radar's carrier.
+def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[Complexes, Floats, Complexes]:
+    """Reflection of every material at the radar's carrier, against cos(incidence), TE and TM.
+
+    Returns:
+        Echoes (m, TAPS, 2, COSINES) of face, back and inner reflections, their delays (m, TAPS, COSINES) [s], and the
+        single coefficient (m, 1, 2, COSINES) of a wave that goes on to other surfaces.
 
     Raises:
         InputError: the carrier lies outside a material's data.
     """
     rows = [_tables(m, spec.center_hz, spec.bandwidth_hz) for m in materials]
     if not rows:
-        return np.zeros((1, TAPS, 2, COSINES), complex), np.zeros((1, TAPS, COSINES))
-    return np.stack([r[0] for r in rows]), np.stack([r[1] for r in rows])
+        none = np.zeros((1, TAPS, 2, COSINES), complex)
+        return none, np.zeros((1, TAPS, COSINES)), none[:, :1]
+    gamma, lag, bounce = (np.stack(one) for one in zip(*rows, strict=True))
+    return gamma, lag, bounce
 
 
 @dataclass(frozen=True, slots=True, eq=False)

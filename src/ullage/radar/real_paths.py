@@ -42,5 +42,5 @@ def turned(context: RadarContext, antennas: AntennaPair, path: Real) -> Complexe
     corners, normals = (np.ascontiguousarray(row) for row in (path.corners, path.normals))
     paths = kernel.ReflectedPaths(corners, normals, path.object_ids.astype(np.int64))
     scratch = kernel.FieldScratch(np.empty((2, 3)), np.empty(3, complex))
-    kernel.polarised(paths, context.gamma, context.antennas(antennas), scratch, out)
+    kernel.polarised(paths, context.bounce, context.antennas(antennas), scratch, out)
     return out

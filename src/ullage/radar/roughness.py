@@ -116,8 +116,8 @@ def lobe(material: Material, center_hz: float, bandwidth_hz: float) -> Floats:
     """Amplitude straight back per root area (2, COSINES) over cos(incidence), TE and TM, before 1 / 4 pi [1/m]."""
     c = np.linspace(0, 1, COSINES)
     smooth = RadarSpec(center_hz=center_hz, bandwidth_hz=bandwidth_hz)
-    gamma, _ = reflection_tables([material.but(roughness_m=0.0)], smooth)
-    return np.asarray(abs(gamma[0, 0]) * c * np.sqrt(spectrum(material, 2 * np.pi * center_hz / C0, c)))
+    *_, bounce = reflection_tables([material.but(roughness_m=0.0)], smooth)
+    return np.asarray(abs(bounce[0, 0]) * c * np.sqrt(spectrum(material, 2 * np.pi * center_hz / C0, c)))
 
 
 def spectrum(material: Material, wave: float, cosine: Floats, sine: Floats | None = None) -> Floats:

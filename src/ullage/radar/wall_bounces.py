@@ -353,12 +353,12 @@ def _turned(
         mine = np.flatnonzero(met.leg == leg)
         if plane is not None and len(mine):
             axis, floor = np.broadcast_to(wall.axes[2], (len(mine), 3)), np.full(len(mine), plane.object_id)
-            field[mine] = reflected(context.gamma, floor, field[mine], (paths[leg] + climb)[mine], axis)
+            field[mine] = reflected(context.bounce, floor, field[mine], (paths[leg] + climb)[mine], axis)
             climb = climb.copy()
             climb[mine] *= -1
         u = paths[leg] + climb
         if leg < len(normals):
-            field = reflected(context.gamma, object_ids, field, u, normals[leg])
+            field = reflected(context.bounce, object_ids, field, u, normals[leg])
     back = gain(context.spec.antenna, -u @ antennas.frames[1].T)
     return np.asarray(total * back * dot(field, across(antennas.fields[1:], u)))
 
