@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
@@ -72,3 +73,32 @@ def test_kernels_know_none_of_our_types() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ullage"):
                 assert node.module.startswith(("ullage.kernels", "ullage.geometry", "ullage.arrays")), path.name
+
+
+def imported(tree: ast.Module) -> set[str]:
+    """Modules named by a file's imports, with the packages above them; not those for type checkers only."""
+    names: set[str] = set()
+    waiting: list[ast.AST] = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        waiting += ast.iter_child_nodes(node)
+    return {name.rsplit(".", cut)[0] for name in names for cut in range(name.count(".") + 1)}
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """Importing a module runs the packages above it too, so a package that imports its own modules makes a circle."""
+    graph = {}
+    for path in SOURCES:
+        parts = path.relative_to(ROOT / "src").with_suffix("").parts
+        graph[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    edges = {
+        name: imported(ast.parse(path.read_text(encoding="utf-8"))) & graph.keys() - {name}
+        for name, path in graph.items()
+    }
+    graphlib.TopologicalSorter(edges).prepare()  # raises CycleError with the modules of a circle

@@ -47,7 +47,7 @@ _HOMES = {
     "calibrate": "processing.calibrate",
     "own_echo": "processing.own_echo",
     "map_occupancy": "processing.occupancy",
-    "open": "ports",
+    "open": "ports.registry",
     "sink": "pipeline",
     "run": "pipeline",
     "dataset": "experiments.dataset",

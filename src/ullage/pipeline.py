@@ -115,14 +115,14 @@ def sink(target: str | Path, **options: Any) -> PortSink:
     Raises:
         InputError: it is of no known kind, or cannot be written or shown.
     """
-    from ullage import ports
+    from ullage.ports import registry
 
     if str(target) == "window:":
         from ullage.view.window import WindowSink
 
         return WindowSink(**options)
     if not str(target).startswith(VIEWER):
-        return ports.sink(target, **options)
+        return registry.sink(target, **options)
     from ullage.view.viewer import ViewerSink
 
     place, options = _viewer(target, options)
@@ -144,7 +144,7 @@ def check_sink(target: str | Path) -> None:
         InputError: it is of no known kind, its file is there already, or its folder cannot be written.
         MissingExtra: its library is not installed.
     """
-    from ullage import ports
+    from ullage.ports import registry
 
     if str(target) == "window:":
         from ullage.view.window import check_display
@@ -152,7 +152,7 @@ def check_sink(target: str | Path) -> None:
         check_display()
         return
     if not str(target).startswith(VIEWER):
-        ports.check_sink(target)
+        registry.check_sink(target)
         return
     from ullage.view.viewer_output import ViewerOutput
 
@@ -160,7 +160,7 @@ def check_sink(target: str | Path) -> None:
     output = ViewerOutput.of(*_viewer(target, {}))
     output.check()
     if not (output.live or output.overwrite):
-        ports.check_new(Path(output.place))
+        registry.check_new(Path(output.place))
 
 
 def run(

@@ -26,7 +26,7 @@ from ullage.experiments.folder import (
     state_of,
     write_json,
 )
-from ullage.ports import check_folder
+from ullage.ports.registry import check_folder
 
 PATIENCE_S = 0.5  # processes that a killed run had started end within it, and with them its lock [s]
 

@@ -55,7 +55,7 @@ def write_rrd(folder: Path) -> Path:
         InputError: the run has no recording, or the file cannot be written.
     """
     from ullage.experiments.catalog import find_scenario
-    from ullage.ports import open as open_source
+    from ullage.ports.registry import open as open_source
 
     recording = _recording(folder)
     scenario = find_scenario(str(folder / "scenario.yaml"))

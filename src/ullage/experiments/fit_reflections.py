@@ -15,7 +15,7 @@ from ullage.config import WorldSpec
 from ullage.data import Frames
 from ullage.errors import InputError, UllageError
 from ullage.experiments.simulated import load_world
-from ullage.ports import open as open_source
+from ullage.ports.registry import open as open_source
 from ullage.radar.reflection_fit import ReflectionFit, fit_reflections
 
 

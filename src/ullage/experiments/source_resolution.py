@@ -211,8 +211,8 @@ def _of_recording(
     log: Callable[[str], None],
 ) -> Run:
     from ullage.pipeline import InMemorySource
-    from ullage.ports import RailSource
-    from ullage.ports import open as open_source
+    from ullage.ports.registry import open as open_source
+    from ullage.ports.tracked import RailSource
 
     check_options(options)
     source: Any = open_source(target)

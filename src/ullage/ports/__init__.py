@@ -1,280 +1,32 @@
-"""Doors to the outside: recordings and instruments come in as frames, and whatever flows goes out to files."""
+"""Recordings, map files, instruments and live ports: frames come in, and results go out.
+
+`registry` chooses a reader or writer by the name of its file; `live` does so by the scheme of an address. Each live
+port is a package with its entry points in `port`. The names here are loaded when first used.
+"""
 
 from __future__ import annotations
 
 import importlib
-import inspect
-import os
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any
 
-from ullage import plugins
-from ullage.errors import InputError, need
-from ullage.grids import OccupancyMap
-from ullage.ports.arrays import refuse_pickle
-from ullage.ports.guarded import GuardedSource, only_files
-from ullage.ports.live import LISTED, LIVE, Address
-from ullage.ports.protocol import Item, Sink, Source, WholeSource
-from ullage.ports.tracked import RailSource, open_tracked
-from ullage.untrusted import read_yaml, reading, regular_size
-
-__all__ = ["RailSource", "Sink", "Source", "open", "read_map", "sink", "write_map"]
-
-Made = TypeVar("Made")
-SOURCES = (
-    ".mcap, .zarr, DUNE's .lsf or .lsf.gz, an X4 .dat, an .npz of plain arrays, "
-    "or a folder with frames.mcap, metadata.yaml, or radar.out or radar.npz and a track (mocap.csv, track.csv, "
-    "track.txt)"
-)
-SINKS = f".mcap, a folder, .zarr, .lsf, .lsf.gz, a map: .yaml, .bt, .ot, .ply; or live: {LISTED}"
-LOGS = (".lsf", ".lsf.gz")
-NEEDED = {"ros2": ("rclpy",), "gazebo": ("zmq", "google.protobuf"), "mavlink": ("pymavlink",)}
-"""Libraries of live ports beyond those of every installation, in the extra of the port's name."""
-FILES = {
-    ".mcap": ("ros2.bags", "open_mcap"),
-    ".zarr": ("store", "ZarrSource"),
-    ".dat": ("x4", "X4Source"),
-    ".npz": ("tracked", "open_arrays"),
-    ".bag": ("ros2.bags", "RosbagSource"),
-    ".db3": ("ros2.bags", "RosbagSource"),
-}
-MAPS = {
-    ".yaml": ("maps", "write_map_server", "read_map_server"),
-    ".pgm": ("maps", "write_map_server", "read_map_server"),
-    ".bt": ("octomap", "write_octomap", "read_octomap"),
-    ".ot": ("octomap", "write_octomap", "read_octomap"),
-    ".ply": ("ply", "write_ply", "read_ply"),
+_HOMES = {
+    "RailSource": "tracked",
+    "Sink": "protocol",
+    "Source": "protocol",
+    "open": "registry",
+    "read_map": "registry",
+    "sink": "registry",
+    "write_map": "registry",
 }
 
-
-def open(target: str | Path, **options: Any) -> Source:
-    """A recording, whatever its kind, or a live port.
-
-    Args:
-        target: a `.mcap` file, a run's or rosbag2 folder, DUNE's `.lsf` or `.lsf.gz`, an X4 `.dat`, an `.npz` of plain
-            arrays, a folder with radar.out or radar.npz and a track, or a live port as `scheme:place?key=value`.
-        **options: of that kind: X4 takes fps and range_start_m; an `.npz` takes preset and mount (a MountSpec), and so
-            does a folder with a track.
-
-    Raises:
-        InputError: it is not there, of no known kind, or damaged; so do the methods of what is returned.
-    """
-    path = Path(target)
-    if not os.path.exists(path):
-        if address := Address.of(target, **options):
-            return address.source()
-        raise InputError("no such file or folder", where=target, allowed=f"{SOURCES}; or live: {LISTED}")
-    with reading(path):
-        source = _opened(path, options)
-    return source if isinstance(source, WholeSource) else GuardedSource(source, path)
+__all__ = sorted(_HOMES)
 
 
-def _opened(path: Path, options: dict[str, Any]) -> Source:
-    """The reader of a recording, chosen by the kind of its name."""
-    if path.is_dir():
-        only_files(path)
-        if path.suffix.lower() != ".zarr":
-            return _open_folder(path, options)
-    else:
-        regular_size(path, allowed=SOURCES)
-        refuse_pickle(path)
-    if path.name.lower().endswith(LOGS):
-        from ullage.ports.imc import open_log
-
-        return open_log(path, options)
-    if path.suffix.lower() in FILES:
-        return _open_file(path, options)
-    reader: Callable[..., Source] | None = plugins.load("ullage.sources", path.suffix.lower())
-    if reader is not None:
-        return with_options(reader, path, options)
-    raise InputError("not a recording", where=path, allowed=_with_added(SOURCES, "ullage.sources"))
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'ullage.ports' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"ullage.ports.{_HOMES[name]}"), name)
 
 
-def _with_added(allowed: str, group: plugins.Group) -> str:
-    """What is allowed, with the suffixes that other packages add."""
-    return ", ".join((*(name for name in plugins.names(group) if name.startswith(".")), allowed))
-
-
-def sink(target: str | Path, **options: Any) -> Sink:
-    """Somewhere to write to, by the kind of name.
-
-    Args:
-        target: a `.mcap` recording, a folder for one, a `.zarr` store, or a map file: `.yaml` or `.pgm` (map_server),
-            `.bt` or `.ot` (OctoMap), `.ply`; or a live port as `scheme:place?key=value`.
-        **options: of that kind: recordings and stores take overwrite, map_server takes mode.
-
-    Raises:
-        InputError: it is of no known kind, or cannot be written.
-    """
-    path = Path(target)
-    kind = path.suffix.lower()
-    address = Address.of(target, **options)
-    if address and address.known:
-        return address.sink()
-    if address:
-        raise InputError("not something to write to", where=target, allowed=SINKS)
-    if kind in MAPS:
-        return MapSink(path, **options)
-    if path.name.lower().endswith(LOGS):
-        from ullage.ports.imc import write_log
-
-        return write_log(path, options)
-    if kind == ".zarr":
-        from ullage.ports.store import ZarrSink
-
-        return with_options(ZarrSink, path, options)
-    if kind == ".mcap" or (not kind and not path.is_file()) or path.is_dir():
-        from ullage.ports.bag import McapSink
-
-        return with_options(McapSink, path, options)
-    writer: Callable[..., Sink] | None = plugins.load("ullage.sinks", kind)
-    if writer is not None:
-        return with_options(writer, path, options)
-    raise InputError("not something to write to", where=target, allowed=_with_added(SINKS, "ullage.sinks"))
-
-
-def check_sink(target: str | Path) -> None:
-    """Check what can be checked of a sink without opening it: its kind, its library, and that its file can be written.
-
-    Raises:
-        InputError: it is of no known kind, its file is there already, or its folder cannot be written.
-        MissingExtra: its library is not installed.
-    """
-    path = Path(target)
-    kind = path.suffix.lower()
-    if address := Address.of(target):
-        if not address.known:
-            raise InputError("not something to write to", where=target, allowed=SINKS)
-        if address.scheme in LIVE:
-            address.port()
-        for library in NEEDED.get(address.scheme, ()):
-            need(library, extra=address.scheme)
-    elif kind in MAPS:
-        check_folder(path)  # a map replaces the one before
-    elif kind in {".mcap", ".zarr"} or path.name.lower().endswith(LOGS):
-        if kind == ".zarr":
-            need("zarr", extra="zarr")
-        check_new(path)
-    elif path.is_dir() or (not kind and not path.is_file()):
-        check_new(path / "frames.mcap")
-    elif kind in plugins.names("ullage.sinks"):
-        check_new(path)
-    else:
-        raise InputError("not something to write to", where=target, allowed=_with_added(SINKS, "ullage.sinks"))
-
-
-def check_new(path: Path) -> None:
-    """Check that a file can be made.
-
-    Raises:
-        InputError: it is there already, or its folder cannot be written.
-    """
-    if path.exists():
-        raise InputError("exists already", where=path, allowed="a new name")
-    check_folder(path)
-
-
-def check_folder(path: Path) -> None:
-    """Check that the folder of a file, or the nearest one above it that exists, can be written.
-
-    Raises:
-        InputError: it cannot.
-    """
-    there = next(folder for folder in path.absolute().parents if folder.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
-        what = "read-only" if there.is_dir() else "no folder"
-        raise InputError(f"cannot write: {there} is {what}", where=path, allowed="a folder that can be written")
-
-
-def write_map(omap: OccupancyMap, path: str | Path, **options: Any) -> None:
-    """Write a map as map_server's `.yaml` and image, OctoMap's `.bt` or `.ot`, or `.ply`, by the suffix.
-
-    Raises:
-        InputError: the suffix is another, or the map does not fit that kind.
-    """
-    kind = Path(path).suffix.lower()
-    if kind not in MAPS:
-        raise InputError("not a map file", where=path, allowed=", ".join(MAPS))
-    module, write, _ = MAPS[kind]
-    door = partial(getattr(importlib.import_module(f"ullage.ports.{module}"), write), omap)
-    with_options(door, Path(path), options)
-
-
-def read_map(path: str | Path, **options: Any) -> OccupancyMap:
-    """Read a map that `write_map` or somebody else wrote, by the suffix.
-
-    Raises:
-        InputError: it is not there, of another kind, or damaged.
-    """
-    kind = Path(path).suffix.lower()
-    if kind not in MAPS or kind == ".pgm":
-        raise InputError("not a map file", where=path, allowed=", ".join(k for k in MAPS if k != ".pgm"))
-    module, _, read = MAPS[kind]
-    door: Callable[..., OccupancyMap] = getattr(importlib.import_module(f"ullage.ports.{module}"), read)
-    if not os.path.exists(path):
-        raise InputError("cannot read: no such file", where=path)
-    regular_size(path, allowed="a map file")
-    with reading(path):
-        return with_options(door, Path(path), options)
-
-
-class MapSink:
-    """Keeps a file as the last map that was handed in; everything else passes by.
-
-    Args:
-        path: of the map file; its suffix says which kind.
-        **options: of that kind.
-    """
-
-    def __init__(self, path: Path, **options: Any) -> None:
-        self.path, self._options = path, options
-
-    def write(self, item: Item) -> None:
-        """Write the file anew, if this is a map."""
-        if isinstance(item, OccupancyMap):
-            write_map(item, self.path, **self._options)
-
-    def close(self) -> None:
-        """Nothing is left to do."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-def with_options(make: Callable[..., Made], path: Path, options: dict[str, Any]) -> Made:
-    """Make a source or sink, and refuse in one line what it has no option for."""
-    known = list(inspect.signature(make).parameters)[1:]
-    for name in options:
-        if name not in known:
-            raise InputError(f"no option {name!r}", where=path, allowed=", ".join(known) or "none")
-    return make(path, **options)
-
-
-def _open_folder(folder: Path, options: dict[str, Any]) -> Source:
-    from ullage.ports.ros2.bags import open_mcap
-
-    if (folder / "radar.out").exists() or (folder / "radar.npz").exists():
-        return with_options(open_tracked, folder, options)
-    if (folder / "frames.mcap").exists():
-        return with_options(open_mcap, folder / "frames.mcap", options)
-    if any(folder.glob("*.db3")):
-        return _open_file(next(iter(folder.glob("*.db3"))), options)
-    for name in sorted([*folder.glob("*.pkl"), *folder.glob("*.pickle")]):
-        refuse_pickle(name)
-    bags = sorted(folder.glob("*.mcap"))
-    if len(bags) == 1:
-        return with_options(open_mcap, bags[0], options)
-    raise InputError("no recording in this folder", where=folder, allowed=SOURCES)
-
-
-def _open_file(path: Path, options: dict[str, Any]) -> Source:
-    module, name = FILES[path.suffix.lower()]
-    door: Callable[..., Source] = getattr(importlib.import_module(f"ullage.ports.{module}"), name)
-    if path.suffix.lower() == ".db3" and os.path.exists(metadata := path.parent / "metadata.yaml"):
-        read_yaml(metadata)  # the library that reads it knows no limits
-    return with_options(door, path, options)
+def __dir__() -> list[str]:
+    return __all__

@@ -19,11 +19,11 @@ from ullage.world.scene import Scene
 
 SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+-]+):")
 LIVE = {
-    "ros2": "ullage.ports.ros2",
-    "gazebo": "ullage.ports.gazebo",
-    "gazebo-classic": "ullage.ports.gazebo_classic",
-    "imc": "ullage.ports.imc",
-    "mavlink": "ullage.ports.mavlink",
+    "ros2": "ullage.ports.ros2.port",
+    "gazebo": "ullage.ports.gazebo.port",
+    "gazebo-classic": "ullage.ports.gazebo_classic.port",
+    "imc": "ullage.ports.imc.port",
+    "mavlink": "ullage.ports.mavlink.port",
 }
 """Scheme to the module with `open_source(address, options)` and `open_sink(address, options)`."""
 ADDED: tuple[plugins.Group, plugins.Group] = ("ullage.sources", "ullage.sinks")

@@ -14,7 +14,7 @@ from ullage.experiments.catalog import find_scenario
 from ullage.experiments.folder import provenance
 from ullage.experiments.simulated import prepare
 from ullage.kernels.elfes import Cells, Lobe, Reading, insert_reading
-from ullage.ports import sink
+from ullage.ports.registry import sink
 from ullage.thesis.node import NodeCost, measure_node
 from ullage.thesis.tables import stream_part
 from ullage.thesis.workspace import Workspace

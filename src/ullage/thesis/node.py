@@ -86,7 +86,7 @@ def map_recording(recording: Path, options: dict[str, Any]) -> NodeCost:
     """Run the stages of `radar_mapping` over a recording in this process."""
     from ullage.data import Frames
     from ullage.experiments.ros2_nodes import MappingOptions, mapping_stages
-    from ullage.ports import open as open_source
+    from ullage.ports.registry import open as open_source
 
     imported = peak_mb()
     begun = time.process_time()

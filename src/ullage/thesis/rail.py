@@ -11,8 +11,8 @@ from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.errors import UllageWarning
 from ullage.grids import Grid, Image
-from ullage.ports import RailSource
-from ullage.ports import open as open_source
+from ullage.ports.registry import open as open_source
+from ullage.ports.tracked import RailSource
 from ullage.processing.baseband import envelope
 from ullage.processing.calibrate import calibrate
 from ullage.processing.metrics_image import image_quality

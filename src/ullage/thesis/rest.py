@@ -9,7 +9,7 @@ import numpy as np
 from ullage.arrays import Complexes
 from ullage.data import Frames
 from ullage.errors import UllageWarning
-from ullage.ports import open as open_source
+from ullage.ports.registry import open as open_source
 from ullage.radar.receiver import receive, unit
 from ullage.specs import RadarSpec
 from ullage.thesis.workspace import Workspace

@@ -103,8 +103,8 @@ def _flight_a(folder: Path) -> Recorded | None:
 
 def _tracked(folder: Path, what: str) -> Recorded | None:
     """A folder with a track and surveyed reflectors, which settle clock and range."""
-    from ullage.ports import RailSource
-    from ullage.ports import open as open_source
+    from ullage.ports.registry import open as open_source
+    from ullage.ports.tracked import RailSource
 
     if not folder.is_dir():
         return None
@@ -188,7 +188,7 @@ def _x4_2017(folder: Path) -> Recorded | None:
 
 
 def _x4(path: Path, name: str, what: str, still: slice) -> Recorded | None:
-    from ullage.ports import open as open_source
+    from ullage.ports.registry import open as open_source
 
     if not path.exists():
         return None
