@@ -1,6 +1,6 @@
-"""Recordings: MCAP files of ROS 2 messages [MCAP], which ROS 2 tools open and a kill leaves readable.
+"""Write recordings: MCAP files of ROS 2 messages [MCAP] that ROS 2 tools open and that stay readable after a kill.
 
-What is written follows the data's clock: a chunk goes to the file at least every half second of it.
+The file follows the data's clock: a chunk goes to the file at least every half second of data.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ullage.world.scene import Scene
 
 RECORDED = (Frames, Mapping, Trajectory, OccupancyMap, Detections, ObstacleSectors, Scene, Image, Passed)
 FLUSH_NS = 500_000_000
-QUALITIES: dict[Quality, tuple[int, str, str]] = {  # depth, reliability, durability: as the live topics have them
+QUALITIES: dict[Quality, tuple[int, str, str]] = {  # depth, reliability, durability of the live topics
     "sensor": (5, "best_effort", "volatile"),
     "stream": (50, "reliable", "volatile"),
     "transforms": (100, "reliable", "volatile"),
@@ -52,7 +52,7 @@ CHUNK_BYTES = 4 << 20
 
 
 class Drain:
-    """A file that is written at once, remembers what arrived whole, and is locked while its writer lives."""
+    """Unbuffered file that tracks its last complete record and is locked while its writer lives."""
 
     def __init__(self, path: Path) -> None:
         self._raw = open(path, "wb", buffering=0)  # noqa: SIM115 (closed by close)
@@ -61,7 +61,7 @@ class Drain:
         self.size = self.whole = 0
 
     def write(self, data: bytes) -> int:
-        """Write all of it."""
+        """Write all bytes."""
         rest = memoryview(data)
         while rest:
             sent = self._raw.write(rest) or 0
@@ -70,15 +70,15 @@ class Drain:
         return len(data)
 
     def tell(self) -> int:
-        """Bytes written."""
+        """Return the number of bytes written."""
         return self.size
 
     def flush(self) -> None:
-        """What is written now is whole."""
+        """Mark the bytes written so far as complete."""
         self.whole = self.size
 
     def close(self, *, cut: bool = False) -> None:
-        """Close; `cut` takes off what did not arrive whole."""
+        """Close the file; `cut` removes an incomplete record at the end."""
         if cut:
             self._raw.truncate(self.whole)
         self._raw.close()
@@ -86,7 +86,7 @@ class Drain:
 
 @dataclass
 class Topics:
-    """What a bag's description says of its topics: their types, qualities and numbers of messages."""
+    """Topics of a bag's metadata: their types, qualities of service and message counts."""
 
     kinds: dict[str, str] = field(default_factory=dict)
     offered: dict[str, str] = field(default_factory=dict)
@@ -102,11 +102,11 @@ class Topics:
 
 
 class McapSink:
-    """Writes a recording as it happens: the messages of `publisher.Publisher`, which are those of the live topics.
+    """Write a recording as data arrive: the messages of `publisher.Publisher`, the same as on live topics.
 
     Args:
         path: the `.mcap` file, or a folder, which gets `frames.mcap` and, at the end, rosbag2's `metadata.yaml`.
-        overwrite: replace a recording that is there already.
+        overwrite: replace an existing recording.
         profile: write each profile a second time as a PointCloud2 that viewers show without knowing ullage.
 
     Raises:
@@ -144,7 +144,7 @@ class McapSink:
             role: what a path is.
 
         Raises:
-            InputError: the recording is closed, or the disk is full; what was written so far stays readable.
+            InputError: the recording is closed, or the disk is full; the file so far stays readable.
         """
         if self._file is None:
             raise InputError("the recording is closed", where=self.path)
@@ -226,14 +226,14 @@ class McapSink:
 
 
 def mcap_writer(stream: Any) -> Any:
-    """The writer of recordings."""
+    """Return the MCAP writer of recordings."""
     from mcap.writer import CompressionType, Writer
 
     return Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
 
 
 def write_metadata(bag: Path, topics: Topics) -> None:
-    """Write rosbag2's description of a folder with one MCAP file, which its readers start from.
+    """Write the `metadata.yaml` of rosbag2 for a folder with one MCAP file.
 
     Raises:
         InputError: the folder cannot be written, or the disk is full.
@@ -271,14 +271,14 @@ def write_metadata(bag: Path, topics: Topics) -> None:
 
 
 def hash_of(kind: str) -> str:
-    """The hash of a type; empty for a type that ullage does not know."""
+    """Return the hash of a type; empty for a type that ullage does not know."""
     store = ros.typestore()
     return str(store.hash_rihs01(kind)) if kind in store.types else ""
 
 
 @contextmanager
 def unbroken() -> Iterator[None]:
-    """Hold Ctrl-C back until a record is written whole."""
+    """Defer Ctrl-C until a record is complete."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

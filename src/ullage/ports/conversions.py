@@ -1,4 +1,4 @@
-"""What flows, as ROS 2 messages, and back."""
+"""Encode frames, trajectories, detections and maps as ROS 2 messages, and decode them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ullage.ports import messages as ros
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
-WORLD, BODY = "map", "base_link"  # as REP-105 has them
+WORLD, BODY = "map", "base_link"  # names of REP-105
 STAMP = struct.Struct("<iI")
 MOST_TRIANGLES = 50_000
 PROFILE = (("x", "float32"), ("y", "float32"), ("z", "float32"), ("intensity", "float32"))
@@ -35,17 +35,17 @@ PAINT = {
 
 
 def state_columns(path: Trajectory) -> Floats:
-    """Position, quaternion, velocity and rate (n, 13)."""
+    """Stack position, quaternion, velocity and angular rate as columns (n, 13)."""
     return np.concatenate([path.position, path.quat_xyzw, *path.rates], axis=1)
 
 
 def path_of(t_ns: Longs, states: Floats) -> Trajectory:
-    """The trajectory of columns (n, 13)."""
+    """Return the trajectory of such columns (n, 13)."""
     return Trajectory(t_ns, states[:, :3], states[:, 3:7], states[:, 7:10], states[:, 10:])
 
 
 def frame_messages(frames: Frames, start: int, *, frame_id: str = "") -> list[bytes]:
-    """RadarFrame of each frame, counted from `start`; an empty `frame_id` is the sensor's name."""
+    """Encode each frame as RadarFrame, counted from `start`; an empty `frame_id` means the sensor's name."""
     floats = frames.samples.view(np.float32)
     layout = ros.frame_layout((frame_id or frames.sensor).encode(), frames.sensor.encode(), floats.shape[1])
     axis = frames.range_m
@@ -64,16 +64,16 @@ def frame_messages(frames: Frames, start: int, *, frame_id: str = "") -> list[by
 
 
 def times_in(messages: Sequence[bytes]) -> Longs:
-    """Longs of messages that begin with a header."""
+    """Read the stamps of messages that begin with a header [ns]."""
     stamps = np.frombuffer(b"".join(message[4:12] for message in messages), [("sec", "<i4"), ("nanosec", "<u4")])
     return np.asarray(stamps["sec"].astype(np.int64) * 1_000_000_000 + stamps["nanosec"])
 
 
 def time_in(data: bytes) -> int:
-    """Time of one message that begins with a header [ns].
+    """Read the stamp of one message that begins with a header [ns].
 
     Raises:
-        InputError: it is too short for one.
+        InputError: the message is too short for a header.
     """
     if len(data) < 12:
         raise InputError(f"a message of {len(data)} bytes", where="header", allowed="12 or more")
@@ -82,10 +82,10 @@ def time_in(data: bytes) -> int:
 
 
 def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_ns: Longs) -> Frames:
-    """Frames of RadarFrame messages of one size, with the fields that `settings_of` gave, at these times.
+    """Decode RadarFrame messages of one size at these times, with the fields from `settings_of`.
 
     Raises:
-        InputError: the messages are no frames after all.
+        InputError: the messages are not frames.
     """
     frame_id, name = text_in(messages[0], 0).encode(), sensor.encode()
     floats = (len(messages[0]) - ros.frame_layout(frame_id, name, 0).dtype.itemsize) // 4
@@ -103,7 +103,7 @@ def frames_of(messages: Sequence[bytes], sensor: str, fields: dict[str, Any], t_
 
 
 def assumed_settings(record: Any, sensor: str, samples: Any) -> dict[str, Any]:
-    """Fields of Frames where no settings came with the messages."""
+    """Return fields of Frames for messages that came without settings."""
     bins = samples.shape[1]
     warnings.warn(f"{sensor}: no settings were recorded; an X4M05's are assumed", UllageWarning, stacklevel=3)
     output = "baseband" if np.iscomplexobj(samples) else "rf"
@@ -113,7 +113,7 @@ def assumed_settings(record: Any, sensor: str, samples: Any) -> dict[str, Any]:
 
 
 def text_in(data: bytes, index: int) -> str:
-    """The string at this place among a message's first ones, which follow its stamp."""
+    """Read one of the strings that follow a message's stamp, by its position among them."""
     at = 12
     for _ in range(index):
         at += 4 + int.from_bytes(data[at : at + 4], "little")
@@ -123,7 +123,7 @@ def text_in(data: bytes, index: int) -> str:
 
 
 def index_in(data: bytes) -> int:
-    """The number of a RadarFrame, which follows its two strings."""
+    """Read the number of a RadarFrame, which follows its two strings."""
     at = 12
     for _ in range(2):
         at += 4 + int.from_bytes(data[at : at + 4], "little")
@@ -132,7 +132,7 @@ def index_in(data: bytes) -> int:
 
 
 def settings_message(frames: Frames, *, frame_id: str = "") -> bytes:
-    """RadarSettings of these frames; an empty `frame_id` is the sensor's name."""
+    """Encode the settings of frames as RadarSettings; an empty `frame_id` means the sensor's name."""
     calibration = "" if frames.calibration is None else json.dumps(asdict(frames.calibration))
     head = ros.header(int(frames.t_ns[0]), frame_id or frames.sensor)
     values = (head, frames.sensor, frames.unit, frames.spec.model_dump_json(), calibration, frames.range_m)
@@ -140,7 +140,7 @@ def settings_message(frames: Frames, *, frame_id: str = "") -> bytes:
 
 
 def settings_of(data: bytes) -> dict[str, Any]:
-    """Fields of Frames that a RadarSettings message holds."""
+    """Decode a RadarSettings message to fields of Frames."""
     message = ros.from_bytes(ros.SETTINGS, data)
     calibration = Calibration(**json.loads(message.calibration)) if message.calibration else None
     spec = spec_of(json.loads(message.settings), message.sensor)
@@ -148,7 +148,7 @@ def settings_of(data: bytes) -> dict[str, Any]:
 
 
 def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
-    """A radar's settings; those that this version does not know are left out with a warning."""
+    """Read a radar's settings; a field that this version lacks gives a warning and is left out."""
     unknown = sorted(values.keys() - RadarSpec.model_fields.keys())
     if unknown:
         what = f"{where}: settings this version does not know are left out: {', '.join(unknown)}"
@@ -157,19 +157,19 @@ def spec_of(values: dict[str, Any], where: str) -> RadarSpec:
 
 
 def track_message(track: Trajectory, sensor: str, t_ns: int) -> bytes:
-    """Track of one sensor."""
+    """Encode the track of one sensor."""
     values = (ros.header(t_ns, WORLD), sensor, track.t_ns, state_columns(track).ravel())
     return ros.to_bytes(ros.TRACK, ros.make(ros.TRACK, *values))
 
 
 def track_of(data: bytes) -> Trajectory:
-    """The trajectory that a Track message holds."""
+    """Decode a Track message to a trajectory."""
     message = ros.from_bytes(ros.TRACK, data)
     return path_of(np.array(message.time), np.array(message.state).reshape(-1, 13))
 
 
 def transform_messages(paths: dict[str, Trajectory], *, parent: str = WORLD) -> list[bytes]:
-    """TFMessage at each time: the parent's children, which share their times."""
+    """Encode one TFMessage per time with all children of the parent, which share their times."""
     first = next(iter(paths.values()))
     layout = ros.transform_layout(parent.encode(), tuple(name.encode() for name in paths))
     columns: dict[str, Any] = {"count": len(paths)}
@@ -181,7 +181,7 @@ def transform_messages(paths: dict[str, Trajectory], *, parent: str = WORLD) -> 
 
 
 def odometry_messages(path: Trajectory, *, parent: str = WORLD, child: str = BODY) -> list[bytes]:
-    """Odometry at each time; rates in the body's frame, as ROS has it."""
+    """Encode Odometry at each time; rates are in the body's frame, as ROS defines."""
     velocity, spin = path.rates
     in_body = np.einsum("nij,ni->nj", quat_matrix(path.quat_xyzw), velocity)
     return ros.odometry_layout(parent.encode(), child.encode()).fill(
@@ -193,7 +193,7 @@ def odometry_messages(path: Trajectory, *, parent: str = WORLD, child: str = BOD
 
 
 def odometry_path(messages: Sequence[bytes]) -> Trajectory:
-    """The trajectory of Odometry messages, each time once.
+    """Decode Odometry messages to a trajectory; each time appears once.
 
     Raises:
         InputError: the messages are of another frame of reference or length.
@@ -209,7 +209,7 @@ def odometry_path(messages: Sequence[bytes]) -> Trajectory:
 
 
 def profile_messages(frames: Frames, *, frame_id: str = "") -> list[bytes]:
-    """PointCloud2 of each frame's profile along the boresight; an empty `frame_id` is the sensor's name."""
+    """Encode each frame's profile along the boresight as PointCloud2; an empty `frame_id` means the sensor's name."""
     bins = len(frames.range_m)
     points = np.zeros((len(frames), bins), np.dtype(list(PROFILE)))
     points["x"], points["intensity"] = frames.range_m, frames.amplitude
@@ -219,7 +219,7 @@ def profile_messages(frames: Frames, *, frame_id: str = "") -> list[bytes]:
 
 
 def detection_messages(found: Detections) -> list[tuple[int, bytes]]:
-    """PointCloud2 of the detections at each time, in the world; points whose bearing is unknown are NaN."""
+    """Encode the detections at each time as PointCloud2 in the world; points of unknown bearing are NaN."""
     out = []
     order = np.argsort(found.t_ns, kind="stable")
     times, first = np.unique(found.t_ns[order], return_index=True)
@@ -238,7 +238,7 @@ def detection_messages(found: Detections) -> list[tuple[int, bytes]]:
 
 
 def grid_message(omap: OccupancyMap, t_ns: int) -> bytes:
-    """OccupancyGrid of a plane; what is ambiguous is unknown there."""
+    """Encode a plane map as OccupancyGrid; ambiguous cells are unknown."""
     x, y, z = omap.grid.origin_m
     pose = _pose((x, y, z if np.isfinite(z) else 0.0))
     ny, nx = omap.grid.shape
@@ -249,10 +249,10 @@ def grid_message(omap: OccupancyMap, t_ns: int) -> bytes:
 
 
 def grid_of(data: bytes) -> OccupancyMap:
-    """The map that an OccupancyGrid message holds.
+    """Decode an OccupancyGrid message to a map.
 
     Raises:
-        InputError: it is turned, or its size does not fit.
+        InputError: the grid is rotated, or its size does not fit.
     """
     message = ros.from_bytes(ros.GRID, data)
     at, turn, info = message.info.origin.position, message.info.origin.orientation, message.info
@@ -268,7 +268,7 @@ def grid_of(data: bytes) -> OccupancyMap:
 
 
 def cells_message(omap: OccupancyMap, t_ns: int) -> bytes:
-    """CellMap of any map."""
+    """Encode a map as CellMap."""
     grid = omap.grid
     values = (np.array(grid.origin_m), float(grid.step_m), np.array(grid.shape, np.uint32))
     levels = (omap.occupied_from, omap.free_to, np.ascontiguousarray(omap.percent).ravel())
@@ -276,7 +276,7 @@ def cells_message(omap: OccupancyMap, t_ns: int) -> bytes:
 
 
 def cells_of(data: bytes) -> OccupancyMap:
-    """The map that a CellMap message holds."""
+    """Decode a CellMap message to a map."""
     message = ros.from_bytes(ros.CELLS, data)
     x, y, z = (float(k) for k in message.origin)
     grid = Grid((x, y, z), message.step, tuple(int(k) for k in message.shape))
@@ -285,7 +285,7 @@ def cells_of(data: bytes) -> OccupancyMap:
 
 
 def occupied_message(omap: OccupancyMap, t_ns: int) -> bytes:
-    """PointCloud2 of the occupied cells of a volume."""
+    """Encode the occupied cells of a volume as PointCloud2."""
     cells = np.argwhere(omap.occupied)
     points = np.zeros((1, len(cells)), np.dtype(list(PROFILE)))
     for axis, centres, row in zip("zyx", (omap.grid.z_m, omap.grid.y_m, omap.grid.x_m), cells.T, strict=True):
@@ -297,7 +297,7 @@ def occupied_message(omap: OccupancyMap, t_ns: int) -> bytes:
 
 
 def scene_message(scene: Scene, t_ns: int) -> bytes:
-    """MarkerArray of a scene: triangles of each object, and its wires as lines; the largest if there are too many."""
+    """Encode each object's triangles and wires as MarkerArray; only the largest triangles if there are too many."""
     corners = scene.corners()
     owner = scene.face_object
     if len(corners) > MOST_TRIANGLES:
@@ -322,7 +322,7 @@ def scene_message(scene: Scene, t_ns: int) -> bytes:
 
 
 def rays_message(frames: Frames, *, frame_id: str = "") -> bytes:
-    """MarkerArray of the ray model's fan, as lines in the frame of the sensor, which moves them."""
+    """Encode the ray model's fan as a MarkerArray of lines in the sensor's frame, which moves them."""
     t_ns, ends = int(frames.t_ns[0]), drawn_rays(frames.spec)
     lines = np.stack([np.zeros_like(ends), ends], axis=1).reshape(-1, 3)
     colour = ros.make("std_msgs/msg/ColorRGBA", 0.3, 0.5, 1.0, 0.25)
@@ -336,7 +336,7 @@ def marker(
     t_ns: int, name: str, kind: int, index: int, places: list[Any], size: tuple[float, float, float], colour: Any,
     colours: Sequence[Any] = (),
 ) -> Any:  # fmt: skip
-    """A Marker in the world: kind 11 triangles, 5 lines, 6 cubes; colours one for each place, or none."""
+    """Encode a Marker in the world: kind 11 triangles, 5 lines, 6 cubes; one colour for each point, or none."""
     lifetime = ros.make("builtin_interfaces/msg/Duration", 0, 0)
     picture = ros.make("sensor_msgs/msg/CompressedImage", ros.header(0, ""), "", np.zeros(0, np.uint8))
     mesh = ros.make("visualization_msgs/msg/MeshFile", "", np.zeros(0, np.uint8))

@@ -1,4 +1,4 @@
-"""ROS 2 messages that ullage only writes, as CDR; those that it reads back are in `ports.conversions`."""
+"""Encode ROS 2 messages that ullage only writes, as CDR; `ports.conversions` has those that it also reads."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DEPTH_DB = 40.0
 
 @lru_cache(64)
 def range_layout(frame_id: bytes) -> ros.Layout:
-    """Range."""
+    """Layout of Range."""
     return ros.Layout(
         *ros.HEADER, ("frame_id", frame_id), ("kind", "u1"), ("fov", "<f4"), ("min", "<f4"), ("max", "<f4"),
         ("range", "<f4"), ("variance", "<f4"),
@@ -40,9 +40,9 @@ def range_layout(frame_id: bytes) -> ros.Layout:
 
 
 def range_messages(frames: Frames, found: Detections, *, frame_id: str = "") -> list[bytes]:
-    """Range of the nearest detection in each frame; +inf where there is none (REP-117).
+    """Encode the nearest detection of each frame as Range; +inf: none (REP-117).
 
-    ROS knows ultrasound and infrared only; the field of view is the antenna's.
+    The radiation type is ultrasound, since ROS defines only that and infrared. The field of view is the antenna's.
 
     Args:
         frames: n frames of one sensor.
@@ -64,7 +64,7 @@ def range_messages(frames: Frames, found: Detections, *, frame_id: str = "") -> 
 
 
 def range_message(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_rad: float, *, frame_id: str) -> bytes:
-    """One Range that is no radar's, as of a sonar."""
+    """Encode one Range of another sensor, such as a sonar."""
     low, high = limits_m
     return range_layout(frame_id.encode()).fill(
         1, **ros.stamps(np.array([t_ns])), fov=fov_rad, min=low, max=high, range=range_m
@@ -72,7 +72,7 @@ def range_message(t_ns: int, range_m: float, limits_m: tuple[float, float], fov_
 
 
 def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
-    """LaserScan of the nearest obstacle in 72 level directions of the body; +inf: nothing there, NaN: unknown."""
+    """Encode the nearest obstacle in 72 horizontal directions of the body as LaserScan; +inf: free, NaN: unknown."""
     angles = -np.pi + 2 * np.pi / SCAN_DIRECTIONS * np.arange(SCAN_DIRECTIONS)
     ranges = np.full(SCAN_DIRECTIONS, np.nan, np.float32)
     for k, angle in enumerate(angles):
@@ -91,7 +91,7 @@ def scan_message(sectors: ObstacleSectors, *, frame_id: str) -> bytes:
 
 @lru_cache(16)
 def imu_layout(frame_id: bytes) -> ros.Layout:
-    """Imu."""
+    """Layout of Imu."""
     return ros.Layout(
         *ros.HEADER, ("frame_id", frame_id), ("orientation", ("<f8", 4)), ("orientation_covariance", ("<f8", 9)),
         ("rate", ("<f8", 3)), ("rate_covariance", ("<f8", 9)), ("acceleration", ("<f8", 3)),
@@ -103,7 +103,7 @@ def imu_message(
     t_ns: int, quat_xyzw: Floats, rate_rad_s: Floats, acceleration_m_s2: Floats, *, frame_id: str,
     variances: tuple[float, float] = (0.0, 0.0),
 ) -> bytes:  # fmt: skip
-    """Imu: attitude in the world, turn rate and specific force in the body; covariances of zero: unknown.
+    """Encode attitude in the world, and turn rate and specific force in the body, as Imu; zero covariance: unknown.
 
     Args:
         t_ns: when [ns].
@@ -124,13 +124,13 @@ def imu_message(
 
 
 def clock_message(t_ns: int) -> bytes:
-    """Clock."""
+    """Encode a Clock message."""
     sec, nanosec = divmod(t_ns, 1_000_000_000)
     return b"\0\1\0\0" + sec.to_bytes(4, "little", signed=True) + nanosec.to_bytes(4, "little")
 
 
 def fixed_message(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
-    """TFMessage of transforms that do not change: (parent, child) to parent_from_child (4, 4)."""
+    """Encode static transforms as TFMessage: (parent, child) to parent_from_child (4, 4)."""
     listed = []
     for (parent, child), matrix in fixed.items():
         shift = ros.make("geometry_msgs/msg/Vector3", *matrix[:3, 3].tolist())
@@ -141,7 +141,7 @@ def fixed_message(t_ns: int, fixed: Mapping[tuple[str, str], Floats]) -> bytes:
 
 
 def path_message(path: Trajectory, frame_id: str = WORLD) -> bytes:
-    """Path."""
+    """Encode a Path message."""
     poses = []
     for t_ns, place, turn in zip(path.t_ns.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), strict=True):
         at = ros.make("geometry_msgs/msg/Point", *place)
@@ -151,19 +151,19 @@ def path_message(path: Trajectory, frame_id: str = WORLD) -> bytes:
 
 
 def known_percent(omap: OccupancyMap) -> NDArray[np.int8]:
-    """A map's cells as ROS has them: what is ambiguous is unknown."""
+    """Return a map's cells in ROS's percent; ambiguous cells are unknown."""
     return np.where(omap.percent == AMBIGUOUS, UNKNOWN, omap.percent).astype(np.int8)
 
 
 def update_message(t_ns: int, x: int, y: int, cells: NDArray[np.int8]) -> bytes:
-    """OccupancyGridUpdate: these cells (rows, columns) from column x and row y on."""
+    """Encode cells (rows, columns) that start at column x and row y as OccupancyGridUpdate."""
     rows, columns = cells.shape
     values = (ros.header(t_ns, WORLD), x, y, columns, rows, np.ascontiguousarray(cells).ravel())
     return ros.to_bytes(ros.UPDATE, ros.make(ros.UPDATE, *values))
 
 
 def cubes_message(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> bytes:
-    """MarkerArray of the occupied cells of a volume as cubes, coloured by height; at most `most`, the likeliest."""
+    """Encode the `most` likeliest occupied cells of a volume as a MarkerArray of cubes, coloured by height."""
     cells = np.argwhere(omap.occupied)
     if len(cells) > most:
         cells = cells[np.sort(np.argsort(omap.percent[tuple(cells.T)], kind="stable")[-most:])]
@@ -180,9 +180,9 @@ def cubes_message(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> byte
 
 
 def picture_messages(image: Image, t_ns: int) -> tuple[bytes, bytes]:
-    """A plane image twice: as mono8 in decibels below its brightest cell, and as 32FC1 amplitudes.
+    """Encode a plane image twice: as mono8 in decibels below its brightest cell, and as 32FC1 amplitudes.
 
-    The first row is the one with the greatest y, as pictures have it; a volume shows its brightest layer.
+    The first row has the greatest y, as in pictures. A volume gives its brightest layer.
     """
     values = image.amplitude
     if values.ndim == 3:
@@ -203,7 +203,7 @@ def _picture(pixels: NDArray[Any], encoding: str, t_ns: int) -> bytes:
 
 
 def diagnostics_message(t_ns: int, level: int, name: str, text: str, values: Sequence[tuple[str, str]]) -> bytes:
-    """DiagnosticArray with one status: level 0 well, 1 warning, 2 error, 3 stale."""
+    """Encode one status as DiagnosticArray: level 0 OK, 1 warning, 2 error, 3 stale."""
     pairs = [ros.make("diagnostic_msgs/msg/KeyValue", key, value) for key, value in values]
     status = ros.make("diagnostic_msgs/msg/DiagnosticStatus", level, name, text, "ullage", pairs)
     return ros.to_bytes(DIAGNOSTICS, ros.make(DIAGNOSTICS, ros.header(t_ns, ""), [status]))

@@ -1,4 +1,4 @@
-"""What a run gives, as ROS 2 messages with topics and times: one list for recordings and for live topics.
+"""Turn the results of a run into ROS 2 messages with topics and times, for recordings and live topics alike.
 
 No middleware is needed here. `ports.bag` writes the messages to an MCAP file, `ports.ros2` sends them.
 """
@@ -38,7 +38,7 @@ PRESENT_S = 60.0
 
 
 class Message(NamedTuple):
-    """One message."""
+    """ROS 2 message with its topic and time."""
 
     t_ns: int
     topic: str  # without the namespace, unless it begins with /
@@ -48,29 +48,29 @@ class Message(NamedTuple):
 
 
 def in_order(message: Message) -> tuple[int, bool]:
-    """Sort by time, the clock before the messages of its time."""
+    """Sort messages by time, with /clock before the other messages of its time."""
     return message.t_ns, message.topic != "/clock"
 
 
 def stamps_of(parts: list[Frames]) -> list[int]:
-    """Every time of some frames, once, in order [ns]."""
+    """Return the distinct times of frames in ascending order [ns]."""
     times: list[int] = np.unique(np.concatenate([part.t_ns for part in parts])).tolist()
     return times
 
 
 def is_present(t_ns: int) -> bool:
-    """Whether a stamp is of the present: such a stream needs no /clock, and nothing waits for its stamps."""
+    """Return whether a stamp is near the present: such a stream needs no /clock, and no message waits for a stamp."""
     return abs(time.time() - t_ns * 1e-9) < PRESENT_S
 
 
 class Clock:
-    """Gives /clock: evenly, and at the stamp of each frame.
+    """Make /clock messages: evenly spaced, and at the stamp of each frame.
 
-    It falls only where the stamps step back by more than `STEP_BACK_S`, as where a recording starts over.
+    The clock steps back only if the stamps step back by more than `STEP_BACK_S`, as when a recording restarts.
 
     Args:
-        wanted: whether there is a /clock; None: where the stamps are not of the present.
-        rate_hz: messages a second of stream beside those of the frames; 40 as by `ros2 bag play --clock`.
+        wanted: whether to make /clock; None: only if the stamps are not near the present.
+        rate_hz: messages a second of stream time besides those of the frames; 40 as in `ros2 bag play --clock`.
     """
 
     def __init__(self, wanted: bool | None = None, *, rate_hz: float = 40.0) -> None:
@@ -79,7 +79,7 @@ class Clock:
         self._last_ns: int | None = None
 
     def until(self, t_ns: int) -> list[Message]:
-        """The clock's messages from the last stamp to this one; none where this one came late."""
+        """Return the clock messages from the last stamp to this one; none if this stamp is late."""
         if self._wanted is None:
             self._wanted = not is_present(t_ns)
         if not self._wanted:
@@ -99,15 +99,15 @@ class Clock:
 
 @dataclass
 class MapChanges:
-    """Gives a plane map whole now and then, and in between the box of cells that changed."""
+    """Send a plane map in full at intervals, and in between the box of cells that changed."""
 
-    full_ns: int  # whole maps at least this often
+    full_ns: int  # full maps at least this often
     last: OccupancyMap | None = None
     sent_ns: int = 0
-    wanted: bool = False  # a new subscriber: the next map is whole
+    wanted: bool = False  # a new subscriber: send the next map in full
 
     def messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
-        """The map whole, or the box of what changed; nothing where nothing did."""
+        """Encode the full map or the box of changed cells; nothing if no cell changed."""
         cells, before = encode.known_percent(omap), self.last
         box = None if before is None or before.grid != omap.grid else changed(encode.known_percent(before), cells)
         due = t_ns - self.sent_ns >= self.full_ns or t_ns < self.sent_ns or self.wanted
@@ -123,7 +123,7 @@ class MapChanges:
 
 
 def changed(before: NDArray[np.int8], now: NDArray[np.int8]) -> tuple[int, int, int, int]:
-    """Rows from and to, columns from and to, that hold all differences; empty where there are none."""
+    """Return the first and last rows and columns of the box with all changes; empty if none."""
     differ = before != now
     rows, columns = np.flatnonzero(differ.any(axis=1)), np.flatnonzero(differ.any(axis=0))
     if not rows.size:
@@ -132,7 +132,7 @@ def changed(before: NDArray[np.int8], now: NDArray[np.int8]) -> tuple[int, int, 
 
 
 class PathFlown:
-    """The body's path, thinned; where it grows too long every second point goes."""
+    """Thinned path of the body; when it grows too long, every second point is removed."""
 
     def __init__(self) -> None:
         self._points: list[Trajectory] = []
@@ -140,7 +140,7 @@ class PathFlown:
         self._sent_ns: int | None = None
 
     def add(self, path: Trajectory) -> None:
-        """Add what was flown since."""
+        """Append the poses flown since the last call."""
         for row in range(len(path)):
             last = self._points[-1] if self._points else None
             if last is not None and path.t_ns[row] <= last.t_ns[0]:  # the clock stepped back: a new flight
@@ -151,7 +151,7 @@ class PathFlown:
             self._points, self._step_m = self._points[::2], 2 * self._step_m
 
     def messages(self, t_ns: int, *, final: bool = False) -> Iterator[Message]:
-        """The path, where it is due."""
+        """Encode the path if it is due."""
         wait_s = max(1.0, len(self._points) / PATH_POINTS_PER_S)
         due = self._sent_ns is None or abs(t_ns - self._sent_ns) >= wait_s * 1e9 or final
         if due and t_ns != self._sent_ns and self._points and (flown := strung(self._points)) is not None:
@@ -160,17 +160,17 @@ class PathFlown:
 
 
 class Publisher:
-    """Turns items into messages, and remembers what the next ones need.
+    """Turn items into messages, and keep the state that later items need.
 
     Frames of reference follow REP-105: map, odom, base_link, then each sensor by its name. map and odom are one, since
-    the poses that frames carry are already believed in the map.
+    the poses of frames are already estimates in the map.
 
     Args:
         map_full_s: seconds between whole maps.
-        frame_prefix: goes before the names of all frames of reference but map, as for one of several drones.
+        frame_prefix: prefix of the names of all frames of reference but map, for one of several drones.
         profile: also give each profile as a PointCloud2, which viewers show without knowing ullage.
-        clock: gives /clock with the frames.
-        rays: also give the fan of each radar's ray model as lines, once.
+        clock: makes /clock messages with the frames.
+        rays: also send the fan of each radar's ray model as lines, once.
     """
 
     def __init__(
@@ -185,18 +185,18 @@ class Publisher:
         self._fixed: dict[tuple[str, str], Floats] = {(WORLD, self._odom): np.eye(4)}
         self._settings: dict[str, tuple[object, ...]] = {}
         self.counts: dict[str, int] = {}  # frames so far by topic of the radar
-        self._roles: set[Role] = set()  # of paths of the body that were handed in as such
+        self._roles: set[Role] = set()  # times of body paths that the caller gave as such
         self._path = PathFlown()
         self._volume: OccupancyMap | None = None
         self._volume_ns: int | None = None
-        self._image: Image | None = None  # whose amplitudes were not given
+        self._image: Image | None = None  # whose amplitudes were not sent
         self._image_ns: int | None = None
         self._last_ns = 0
         self._waiting: list[tuple[Item, Role]] = []  # items without a time of their own, until frames come
         self._begun = False
 
     def messages(self, item: Item, *, role: Role = "believed") -> list[Message]:
-        """Messages of one item, in order of their stamps.
+        """Encode one item as messages, in order of their stamps.
 
         Args:
             item: frames, detections, a map, an image, the scene, or the body's path.
@@ -219,7 +219,7 @@ class Publisher:
         return sorted(found, key=in_order)
 
     def finish(self) -> list[Message]:
-        """What still waits for a time, at the end; and the map and path as they are then."""
+        """Return, at the end, the messages that still wait for a time, and the final map and path."""
         out = self._begin(self._last_ns)
         changes = self.map_changes
         if changes.last is not None and changes.sent_ns != self._last_ns:
@@ -233,7 +233,7 @@ class Publisher:
         return [*out, *self._path.messages(self._last_ns, final=True)]
 
     def _begin(self, t_ns: int) -> list[Message]:
-        """Give what waited for a first stamp."""
+        """Return the messages that waited for a first stamp."""
         if self._begun:
             return []
         self._last_ns, self._begun = t_ns, True
@@ -253,7 +253,7 @@ class Publisher:
             paths = [(part, part.poses if role == "believed" else part.truth) for part in parts]
             known = [(part, path) for part, path in paths if path is not None]
             if known and all(np.array_equal(path.t_ns, known[0][1].t_ns) for _, path in known):
-                known = known[:1]  # one tells where the body was at each time
+                known = known[:1]  # one sensor is enough for the body's pose at each time
             body = merged([body_path(part, path) for part, path in known])
             if body is not None:
                 out += self._of_body(body, role)
@@ -287,7 +287,7 @@ class Publisher:
                 yield Message(t_ns, f"{topic}/{name}", kind, "sensor", message)
 
     def _settings_messages(self, frames: Frames, topic: str, frame_id: str) -> Iterator[Message]:
-        """Settings and track of a radar, where they are new."""
+        """Encode settings and track of a radar if they are new."""
         known = (frames.spec, frames.unit, frames.calibration, frames.range_m.tobytes())
         before, t_ns = self._settings.get(topic, (None, None)), int(frames.t_ns[0])
         if before[0] != known:
@@ -302,7 +302,7 @@ class Publisher:
         self._settings[topic] = (known, frames.track)
 
     def _of_body(self, body: Trajectory, role: Role) -> Iterator[Message]:
-        """Odometry of the body; of what is believed also its transforms and its path."""
+        """Encode the body's odometry; for estimated poses also its transforms and path."""
         parent, topic = (self._odom, "odom") if role == "believed" else (WORLD, "truth/odom")
         for t_ns, message in _timed(body, conversions.odometry_messages(body, parent=parent, child=self._body)):
             yield Message(t_ns, topic, ros.ODOMETRY, "stream", message)
@@ -331,7 +331,7 @@ class Publisher:
             yield from self._image_messages(item, t_ns)
 
     def _image_messages(self, image: Image, t_ns: int) -> Iterator[Message]:
-        """The picture; the amplitudes, four times as large, as often as whole maps."""
+        """Encode the picture, and as often as full maps the amplitudes, which take four times the space."""
         grey, exact = encode.picture_messages(image, t_ns)
         yield Message(t_ns, "image", encode.PICTURE, "latched", grey)
         self._image = image
@@ -340,7 +340,7 @@ class Publisher:
             yield Message(t_ns, "image/amplitude", encode.PICTURE, "latched", exact)
 
     def _volume_messages(self, omap: OccupancyMap, t_ns: int) -> Iterator[Message]:
-        """A volume's occupied cells; the cells without loss and the cubes as often as whole maps."""
+        """Encode a volume's occupied cells, and as often as full maps the lossless cells and the cubes."""
         self._volume = omap
         if self._volume_ns is None or abs(t_ns - self._volume_ns) >= self.map_changes.full_ns:
             yield from self._whole_volume(omap, t_ns)
@@ -355,12 +355,12 @@ class Publisher:
 
 
 def body_path(frames: Frames, path: Trajectory) -> Trajectory:
-    """The body's path from that of a sensor on it."""
+    """Return the body's path from the path of a sensor on it."""
     return path.mounted(invert(frames.spec.mount.body_from_sensor()))
 
 
 def merged(paths: list[Trajectory]) -> Trajectory | None:
-    """Paths of one body by several sensors, each time once."""
+    """Merge paths of one body by several sensors; each time appears once."""
     if len(paths) < 2 or all(np.array_equal(path.t_ns, paths[0].t_ns) for path in paths):
         return paths[0] if paths else None
     t_ns, row = np.unique(np.concatenate([path.t_ns for path in paths]), return_index=True)
@@ -373,7 +373,7 @@ def _timed(path: Trajectory, messages: list[bytes]) -> Iterator[tuple[int, bytes
 
 
 def shifted(frames: Frames, by_ns: int) -> Frames:
-    """The same frames at other times."""
+    """Return the same frames at other times."""
     if not by_ns:
         return frames
     t_ns = frames.t_ns + by_ns

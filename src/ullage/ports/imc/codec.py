@@ -1,4 +1,4 @@
-"""IMC packets [MartinsEtAl2009]: bytes to messages and back, in either byte order, and a parser for what comes in."""
+"""Encode and decode IMC packets [MartinsEtAl2009] in either byte order, and find packets in a byte stream."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ HEADER = (struct.Struct("<HHHdHBHB"), struct.Struct(">HHHdHBHB"))
 WORD = (struct.Struct("<H"), struct.Struct(">H"))
 HEAD, TAIL = 20, 2
 MOST = 65535  # bytes of a payload
-NOBODY = 65535  # number of a message that is not there; address of everybody
-DEEPEST = 12  # messages within messages
+NOBODY = 65535  # number of an absent message; broadcast address
+DEEPEST = 12  # limit of nested inline messages
 MOST_TRIED, MOST_READ = 1024, 1_000_000
 """Lengths tried for a message of unknown kind within another, and bytes read for that."""
 PADDING = 4096
 
 
 class Malformed(ValueError):
-    """Bytes that are no message of their kind."""
+    """Raised for bytes that do not form a valid message."""
 
 
 class _Unknown(Malformed):
-    """A message within another is of a kind that the table has not, so its length is not known."""
+    """Raised for an inline message whose kind is not in the table, so that its length is unknown."""
 
     def __init__(self, at: int) -> None:
         super().__init__("a message of unknown kind within it")
@@ -40,9 +40,9 @@ class _Unknown(Malformed):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message: its name, and the value of every field.
+    """Name of a message and the value of every field.
 
-    A message that the table has not, or whose bytes do not fit its kind, has the name "" and the values `id`,
+    A message that is not in the table, or whose bytes do not fit its kind, has the name "" and the values `id`,
     `payload` (bytes) and `big` (their byte order).
     """
 
@@ -55,7 +55,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A message with its header."""
+    """Message with its header."""
 
     message: Message
     t_s: float = 0.0  # Unix time [s]
@@ -75,13 +75,13 @@ class Packet:
 
 
 def readable(text: str, most: int = 64) -> str:
-    """What a stranger wrote, fit to be shown and used as a name: printable, and no longer than `most`."""
+    """Return untrusted text that is safe to show and to use as a name: printable, at most `most` characters."""
     whole = text[:most].encode(errors="surrogateescape").decode(errors="replace")
     return "".join(c if c.isprintable() else "?" for c in whole)
 
 
 def make(kind: str, /, *, table: Table | None = None, **values: Any) -> Message:
-    """A message with these fields; the others are zero, empty or none.
+    """Make a message with these fields; the others are zero, empty or none.
 
     Raises:
         InputError: there is no such message or field.
@@ -95,7 +95,7 @@ def make(kind: str, /, *, table: Table | None = None, **values: Any) -> Message:
 
 
 def encode(packet: Packet, *, big: bool = False, table: Table | None = None) -> bytes:
-    """The bytes of a packet.
+    """Encode a packet as bytes.
 
     Raises:
         InputError: a value does not fit its field, or the message is too long for a packet.
@@ -168,14 +168,14 @@ def _inner(message: Message | None, big: bool, table: Table) -> Iterator[bytes]:
 
 
 class _Reader:
-    """Takes a payload apart.
+    """Read the fields of a payload one by one.
 
     Args:
-        data: the payload, with padding behind it or not.
+        data: the payload, with or without padding after it.
         big: whether it is big endian.
         table: the messages.
-        end: where the payload ends.
-        rest: number of bytes of the payload that follow a message of unknown kind within it; None: not known.
+        end: offset of the payload's end [bytes].
+        rest: bytes of the payload after an inline message of unknown kind; None: not known.
     """
 
     __slots__ = ("at", "big", "data", "end", "rest", "seen", "table")
@@ -185,7 +185,7 @@ class _Reader:
         self.end, self.rest, self.seen = end, rest, False
 
     def message(self, kind: Kind, depth: int = 0) -> Message:
-        """The fields of one message, in order."""
+        """Read the fields of one message, in order."""
         if depth > DEEPEST:
             raise Malformed("messages within messages go too deep")
         values: dict[str, Any] = {}
@@ -230,7 +230,7 @@ class _Reader:
         return self.message(self.table.by_id[number], depth + 1)
 
     def _unknown(self, number: int) -> Message | None:
-        """The bytes of a message of unknown kind, as far as the bytes that follow it leave room."""
+        """Return the bytes of a message of unknown kind, without those of the fields after it."""
         if self.at > self.end:
             return None  # this is padding
         if self.rest is None or self.seen:
@@ -240,10 +240,10 @@ class _Reader:
 
 
 def decode(data: bytes, *, table: Table | None = None) -> Packet:
-    """The packet that these bytes are, from sync to checksum.
+    """Decode one packet, from sync number to checksum.
 
     Raises:
-        Malformed: they are no packet of this version.
+        Malformed: the bytes are not a packet of this version.
     """
     if len(data) < HEAD + TAIL:
         raise Malformed("cut")
@@ -257,7 +257,7 @@ def decode(data: bytes, *, table: Table | None = None) -> Packet:
 
 
 def body(number: int, payload: bytes, big: bool, table: Table) -> Message:
-    """The message of this number that a payload holds; one without a name where it holds none."""
+    """Decode the payload of a message by its number; a payload that does not fit gives a message without a name."""
     kind = table.by_id.get(number)
     if kind is not None:
         reader = _Reader(payload, big, table, len(payload))
@@ -276,18 +276,18 @@ def body(number: int, payload: bytes, big: bool, table: Table) -> Message:
 
 
 def _around(kind: Kind, payload: bytes, big: bool, table: Table, at: int) -> Message | None:
-    """A message that holds one of unknown kind, which is kept as bytes; None where the fields before it do not fit.
+    """Decode a message with an inline message of unknown kind, kept as bytes; None if earlier fields do not fit.
 
-    IMC does not tell the length of a message within another. So the fields behind the unknown one decide: they must
-    fill what is left of the payload exactly. Where no length fits, as with two unknown messages, the first takes all
-    that is left, and the fields behind it are empty.
+    IMC gives no length for an inline message. So the fields after the unknown one decide: they must
+    fill the rest of the payload exactly. If no length fits, as with two unknown messages, the first takes all
+    remaining bytes, and the fields after it are empty.
 
     Args:
         kind: of the outer message.
         payload: its fields.
         big: whether they are big endian.
         table: the messages.
-        at: where the unknown message begins.
+        at: offset of the unknown message [bytes].
     """
     end = len(payload)
     for rest in range(min(end - at + 1, MOST_TRIED, MOST_READ // max(end, 1) + 1)):
@@ -315,34 +315,34 @@ def _powers() -> NDArray[np.uint16]:
 
 @dataclass(slots=True)
 class Parser:
-    """Finds packets in bytes as they come; holds back no more than one packet's length.
+    """Find packets in a byte stream; hold back at most one packet's length.
 
     Args:
         table: the messages; None: ours.
     """
 
     table: Table = field(default_factory=own)
-    garbage: int = 0  # bytes so far that belonged to no packet
+    garbage: int = 0  # bytes outside any packet so far
     damaged: int = 0  # runs of such bytes: packets that were cut, or whose checksum does not fit
-    strange: int = 0  # packets so far of another version of the protocol
-    version: tuple[int, int] | None = None  # of the last of those
+    strange: int = 0  # packets of another protocol version so far
+    version: tuple[int, int] | None = None  # version of the last of those packets
     _held: bytearray = field(default_factory=bytearray)
     _lost: bool = False
     _wanted: int = 0  # bytes needed before the next search
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that wait for the rest of their packet."""
+        """Number of bytes that wait for the rest of their packet."""
         return len(self._held)
 
     def feed(self, data: bytes) -> Iterator[Packet]:
-        """The packets that these bytes complete."""
+        """Return the packets that these bytes complete."""
         self._held += data
         if len(self._held) >= self._wanted:
             yield from self._find_packets(end=False)
 
     def finish(self) -> Iterator[Packet]:
-        """What is left when nothing more comes: packets behind one that was cut."""
+        """Return the packets after a truncated one, at the end of the stream."""
         self._lost = True
         yield from self._find_packets(end=True)
 
@@ -379,12 +379,12 @@ class Parser:
 
 
 def decode_sound(data: bytes, table: Table) -> Packet:
-    """The packet that these bytes are, whose checksum is known to fit."""
+    """Decode a packet whose checksum has already been checked."""
     big = data[0] == 0xFE
     _, number, _, t_s, src, src_ent, dst, dst_ent = HEADER[big].unpack_from(data)
     return Packet(body(number, data[HEAD:-TAIL], big, table), t_s, src, src_ent, dst, dst_ent, number)
 
 
 def compile_kernels() -> None:
-    """Compile what the parser needs, so that no packet waits for it."""
+    """Compile the parser's kernels, so that no packet waits for them."""
     list(Parser().feed(encode(Packet(make("Heartbeat")))))

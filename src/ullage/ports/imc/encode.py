@@ -57,7 +57,7 @@ class MessageEncoder:
             return sorted(found, key=lambda one: one.t_ns)
         if isinstance(item, Trajectory) and self._options.state and not self._entity:
             return self._states(item, "EstimatedState")
-        return []  # the frames gave the poses already
+        return []  # the frames have already given the poses
 
     def _of(self, name: str, frames: Frames) -> list[TimedMessage]:
         entity = self._entity.get(name)

@@ -1,4 +1,4 @@
-"""Bags of others: ROS 1's `.bag` and rosbag2's sqlite3, read by `rosbags`, and MCAP without ullage's frames."""
+"""Read bags of other programs: ROS 1's `.bag` and rosbag2's sqlite3 by `rosbags`, and MCAP without RadarFrame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OLD_NAMES = {"tf/msg/tfMessage": ros.TRANSFORMS}
 
 
 class RosbagSource:
-    """Reads frames, profiles or ranges from a bag, with poses from its transforms or odometry.
+    """Source of frames, profiles or ranges in a bag, with poses from its transforms or odometry.
 
     Args:
         path: `.bag`, `.db3`, or rosbag2's folder.
@@ -36,7 +36,7 @@ class RosbagSource:
         body: frame of reference of the vehicle.
 
     Raises:
-        InputError: it is no bag, or damaged, or there is no such preset.
+        InputError: the file is not a bag or is damaged, or there is no such preset.
     """
 
     def __init__(
@@ -56,12 +56,12 @@ class RosbagSource:
         self._sensors: tuple[str, ...] | None = None
 
     def _listed_kinds(self) -> dict[str, str]:
-        """The topics in the bag, with their types."""
+        """Return the topics of the bag with their types."""
         with self._opened() as reader:
             return {c.topic: OLD_NAMES.get(c.msgtype, c.msgtype) for c in reader.connections}
 
     def _wanted(self, topics: str) -> list[str]:
-        """Topics of radars, by what was asked for or by type."""
+        """Return the topics of radars, by the option or by type."""
         kinds = (ros.FRAME, ros.CLOUD, encode.RANGE)
         if named := [name for name in topics.split(",") if name]:
             for name in named:
@@ -96,10 +96,10 @@ class RosbagSource:
         return self._sensors
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything of one sensor as Frames, or of several as a dict by name.
+        """Return all frames of one sensor, or of several as a dict by name.
 
         Raises:
-            InputError: no frames could be made, or no such sensor.
+            InputError: the bag gives no frames, or there is no such sensor.
         """
         whole = gathered(self.stream(4096))
         if not whole:
@@ -107,7 +107,7 @@ class RosbagSource:
         return one_or_all(whole, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+        """Give the frames in order of time, at most `chunk` of each sensor at once."""
         into = Incoming(self._options, partial(warnings.warn, category=UllageWarning, stacklevel=4))
         takers = self._takers(into)
         for number, (topic, data) in enumerate(self._messages(takers)):
@@ -122,7 +122,7 @@ class RosbagSource:
             warnings.warn(f"{self.path}: {line}", DamageWarning if damaged else UllageWarning, stacklevel=2)
 
     def _takers(self, into: Incoming) -> dict[str, Callable[[bytes], None]]:
-        """What to do with the messages of each topic."""
+        """Return the handler of each topic's messages."""
         takes = {ros.FRAME: into.take_frame, ros.CLOUD: into.take_profile, encode.RANGE: into.take_range}
         out: dict[str, Callable[[bytes], None]] = {}
         for topic, kind in self._kinds.items():
@@ -137,7 +137,7 @@ class RosbagSource:
         return out
 
     def _messages(self, topics: Any) -> Iterator[tuple[str, bytes]]:
-        """Messages of these topics as CDR, in order of their arrival."""
+        """Give the messages of these topics as CDR, in order of their arrival."""
         with self._opened() as reader:
             chosen = [c for c in reader.connections if c.topic in topics]
             for connection, _, raw in reader.messages(connections=chosen):
@@ -149,12 +149,12 @@ class RosbagSource:
                 yield connection.topic, ros.to_bytes(kind, message)
 
     def trajectory(self) -> Trajectory | None:
-        """The path of the body, where odometry tells it."""
+        """Return the body's path if the bag has odometry."""
         messages = [data for topic, data in self._messages([self._odom]) if topic] if self._odom else []
         return conversions.odometry_path(messages) if messages else None
 
     def map(self) -> OccupancyMap | None:
-        """The last map in it, where there is one."""
+        """Return the last map of the bag, if any."""
         grids = [topic for topic, kind in self._kinds.items() if kind == ros.GRID]
         last = None
         for _, data in self._messages(grids):
@@ -163,7 +163,7 @@ class RosbagSource:
 
 
 class McapBagSource(RosbagSource):
-    """The same from an MCAP file, finished or cut."""
+    """The same source from an MCAP file, complete or truncated."""
 
     def _listed_kinds(self) -> dict[str, str]:
         return McapSource(self.path).topics()
@@ -176,7 +176,7 @@ class McapBagSource(RosbagSource):
 def open_mcap(
     path: Path, *, topics: str = "", odom: str = "", radar: str = "x4m05", world: str = "map", body: str = "base_link"
 ) -> McapSource | RosbagSource:
-    """A recording of ullage; or a bag of profiles or ranges, with poses from its transforms or odometry.
+    """Open a recording of ullage, or a bag of profiles or ranges with poses from its transforms or odometry.
 
     Args:
         path: of the MCAP file.
@@ -187,7 +187,7 @@ def open_mcap(
         body: frame of reference of the vehicle.
 
     Raises:
-        InputError: it is no recording, or there is no such topic or preset.
+        InputError: the file is not a recording, or there is no such topic or preset.
     """
     source = McapSource(path)
     kinds = {} if topics or odom or source.has_frames() else source.topics()
@@ -197,7 +197,7 @@ def open_mcap(
 
 
 def renewed(message: Any, kind: str) -> Any:
-    """A ROS 1 message as the ROS 2 message of this type; fields that are new there are zero."""
+    """Convert a ROS 1 message to the ROS 2 message of this type; fields that ROS 1 lacks are zero."""
     from rosbags.interfaces import Nodetype
 
     fields: Any = ros.typestore().fielddefs[kind][1]
@@ -213,7 +213,7 @@ def renewed(message: Any, kind: str) -> Any:
 
 
 class _Closing:
-    """An open reader, closed at the end of the block."""
+    """Context that closes an open reader at its end."""
 
     def __init__(self, reader: Any) -> None:
         self._reader = reader

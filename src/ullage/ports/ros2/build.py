@@ -1,8 +1,8 @@
-"""Message packages for the ROS 2 wheels, built with cmake and g++: those that no wheel holds.
+"""Build the message packages that no ROS 2 wheel contains, with cmake and g++.
 
-`python -m ullage.ports.ros2.build` builds them into the environment it runs in, where the `ros-*` wheels lie; with the
-folder of somebody else's message package, that one. In a real ROS 2 workspace colcon does this, with the same package
-from `integrations/ros2`.
+`python -m ullage.ports.ros2.build` builds them into its own environment, which holds the `ros-*` wheels. With the
+folder of another message package as argument, it builds that one. In a real ROS 2 workspace colcon does this, with
+the same package from `integrations/ros2`.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ BROKEN = re.compile(r"/opt/(?:python|_internal)/[^;\"\s]*?/(include/python3\.\d+
 
 
 def package_files(package: str) -> dict[str, str]:
-    """The files of an ament package that holds ullage's share of these messages, by their paths in it."""
+    """Return the files of an ament package with ullage's own definitions of these messages, by path in the package."""
     texts = {name: ros.DEFINITIONS[name] for name in PARTS[package]}
     return ament.package_files(package, texts, about=ABOUT[package], built_on=BUILT_ON[package])
 
 
 def write_package(package: str, folder: Path) -> Path:
-    """Write an ament package as a folder of its own."""
+    """Write an ament package to its own folder."""
     return ament.write(package_files(package), folder / package)
 
 
 def mirror(prefix: Path, into: Path) -> Path:
-    """The installed wheels as a cmake prefix, with the paths of the machine that made them put right.
+    """Make a cmake prefix of the installed wheels, with the build machine's paths corrected.
 
-    Everything but `share` is linked, so the environment itself stays as it was installed.
+    Everything except `share` is linked, so the environment itself stays as installed.
     """
     import numpy as np
 
@@ -82,23 +82,23 @@ def mirror(prefix: Path, into: Path) -> Path:
 
 
 def missing() -> list[str]:
-    """Packages of messages that this environment lacks."""
+    """Return the message packages that this environment lacks."""
     import importlib.util
 
     return [package for package in PARTS if importlib.util.find_spec(package) is None]
 
 
 def foreign(package: str) -> bool:
-    """Whether this is the folder of an ament package."""
+    """Return whether this is the folder of an ament package."""
     return Path(package, "package.xml").is_file() and Path(package, "CMakeLists.txt").is_file()
 
 
 def build(packages: list[str], *, prefix: Path | None = None) -> None:
-    """Build message packages and install them beside the wheels.
+    """Build message packages and install them next to the wheels.
 
     Args:
         packages: of `PARTS`, or folders of ament packages.
-        prefix: where the wheels lie and the packages go; None: this environment.
+        prefix: environment of the wheels, which receives the packages; None: this one.
 
     Raises:
         MissingExtra: a tool or wheel that building needs is not there.
@@ -132,7 +132,7 @@ def _call(command: list[str], there: dict[str, str]) -> None:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Build what is missing, or with `--needs` say which wheels that needs.
+    """Build the missing packages, or with `--needs` print the wheels that they need.
 
     Args:
         words: of the command line; None: this program's.

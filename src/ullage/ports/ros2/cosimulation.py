@@ -1,4 +1,4 @@
-"""Simulated radars on an external robot: its poses come in, the frames of its radars go out."""
+"""Simulate radars on an external robot: receive its poses and publish the frames of its radars."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS = (ros.ODOMETRY, ros.POSE, COVERED, ros.TRANSFORMS)
 
 
 class PoseFeed:
-    """Poses of a vehicle from a topic, and frames back to topics.
+    """Feed of a vehicle's poses from a topic, with frames published back.
 
     Args:
         peer: the node.
@@ -91,7 +91,7 @@ class PoseFeed:
         """Return the poses in a message, and count a message that cannot be read."""
         try:
             return self._read(data)
-        except Exception as error:  # whatever a damaged message makes the decoder raise
+        except Exception as error:  # a damaged message can raise any error in the decoder
             self.counters.drop(self._topic, "bad", f"cannot be read: {type(error).__name__}")
             return []
 
@@ -172,18 +172,18 @@ class PoseFeed:
 
     def _moves(self) -> bool:
         """Whether to publish the transform of the body."""
-        if self._options.tf == "auto":  # a frame that others place is left to them in any case
+        if self._options.tf == "auto":  # another node that publishes this frame keeps it in any case
             return self._kind != ros.TRANSFORMS
         return self._options.tf == "on"
 
     def close(self) -> None:
-        """Leave the network, once what was sent reliably has arrived."""
+        """Leave the network after all reliable messages have arrived."""
         self._peer.settle(1.0)
         self._peer.close()
 
 
 class Ros2Radars(CosimulationSource):
-    """Frames of radars on a vehicle whose pose comes on a topic; they go out as topics as well.
+    """Source of simulated frames for a vehicle whose pose comes on a topic; also publishes the frames.
 
     Args:
         namespace: of its topics.
@@ -211,7 +211,7 @@ class Ros2Radars(CosimulationSource):
         self._stopped = False
 
     def stop(self) -> None:
-        """Let a stream that runs in another thread end."""
+        """End a stream that runs in another thread."""
         self._stopped = True
 
     def _over(self) -> bool:

@@ -1,4 +1,4 @@
-"""A drone on ROS 2 topics that somebody else flies: Odometry in, Twist or PoseStamped out."""
+"""Command an external drone over ROS 2 topics: Odometry in, Twist or PoseStamped out."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ullage.ports.ros2.options import NodeOptions
 
 
 class RosDrone:
-    """Commands a drone by topics under its namespace.
+    """External drone that is commanded by topics under its namespace.
 
     Args:
         namespace: of its topics.
-        options: their names; usual are `odom`, `cmd_vel` and `command/pose`.
+        options: names of the topics; defaults are `odom`, `cmd_vel` and `command/pose`.
 
     Raises:
-        InputError: the namespace is none.
+        InputError: the namespace is invalid.
         MissingExtra: there is no rclpy.
     """
 
@@ -48,13 +48,13 @@ class RosDrone:
         self._peer.spin()
 
     def states(self) -> list[DroneState]:
-        """The states since the last call, in order of time."""
+        """Return the states since the last call, in order of time."""
         out = []
         while (data := self._inbox.get(0.0)) is not None:
             self.counters.receive(self._odom)
             try:
                 found = self._state(ros.from_bytes(ros.ODOMETRY, data))
-            except Exception as error:  # whatever a damaged message makes the decoder raise
+            except Exception as error:  # a damaged message can raise any error in the decoder
                 found = f"cannot be read: {type(error).__name__}"
             if isinstance(found, str):
                 self.counters.drop(self._odom, "bad", found)
@@ -72,7 +72,7 @@ class RosDrone:
         at, turn = message.pose.pose.position, message.pose.pose.orientation
         linear, angular = message.twist.twist.linear, message.twist.twist.angular
         return state_of(
-            t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is none of IMC's
+            t_ns if is_present(t_ns) else time.time_ns(),  # a simulator's clock is not IMC's
             (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
             (linear.x, linear.y, linear.z), (angular.x, angular.y, angular.z),
         )  # fmt: skip

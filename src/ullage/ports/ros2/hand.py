@@ -1,4 +1,4 @@
-"""Fly the simulated multirotor by ROS 2 topics: velocities, set-points, a joystick."""
+"""Fly the simulated multirotor by ROS 2 topics: velocities, set-points or a joystick."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SEARCH_S = 0.2
 
 
 class ControlOptions(NodeOptions):
-    """The topics of commands."""
+    """Topics of the commands."""
 
     cmd_vel: str = Field("cmd_vel", description="topic of velocities: Twist or TwistStamped")
     pose: str = Field("command/pose", description="topic of set-points: PoseStamped in map or odom")
@@ -36,7 +36,7 @@ class ControlOptions(NodeOptions):
     joy_turn_rad_s: float = Field(0.5, gt=0, le=10, description="turn rate of a joystick at its stop")
 
     def axes(self) -> tuple[int, ...]:
-        """The axes of the joystick.
+        """Return the axes of the joystick.
 
         Raises:
             InputError: they are not four whole numbers.
@@ -52,7 +52,7 @@ class TopicFlyOptions(FlyOptions, ControlOptions):
 
 
 class TopicControls:
-    """Takes commands from topics, once somebody publishes them.
+    """Read commands from topics as soon as they have a publisher.
 
     Args:
         peer: the node.
@@ -80,13 +80,13 @@ class TopicControls:
         self._peer.spin()
 
     def update(self, pilot: Pilot, now_s: float) -> None:
-        """Hand the commands since the last call to the pilot."""
+        """Pass the commands since the last call to the pilot."""
         self._find_topics()
         while (found := self._inbox.get(0.0)) is not None:
             topic, kind, data = found
             try:
                 wrong = self._take(kind, ros.from_bytes(kind, data), pilot, now_s)
-            except Exception as error:  # whatever a damaged message makes the decoder raise
+            except Exception as error:  # a damaged message can raise any error in the decoder
                 wrong = f"cannot be read: {type(error).__name__}"
             if wrong:
                 self.counters.drop(topic, "bad", wrong)
@@ -96,7 +96,7 @@ class TopicControls:
         self._peer.close()
 
     def _find_topics(self) -> None:
-        """Listen to the topics that somebody publishes now."""
+        """Subscribe to the topics that have a publisher now."""
         if time.monotonic() - self._searched_s < SEARCH_S:
             return
         self._searched_s = time.monotonic()
@@ -116,7 +116,7 @@ class TopicControls:
         return lambda data: self._inbox.put((topic, kind, data), topic=topic, size=len(data))
 
     def _take(self, kind: str, message: Any, pilot: Pilot, now_s: float) -> str:
-        """Hand one message to the pilot; what is wrong with it, or nothing."""
+        """Pass one message to the pilot; return the error in it, or None."""
         if kind == ros.POSE:
             return self._go_to(message, pilot)
         if kind == JOY:
@@ -139,7 +139,7 @@ class TopicControls:
         return ""
 
     def _of_joystick(self, message: Any) -> Velocity | None:
-        """The velocity that the sticks ask for; a hover where the button is let go, and None after that."""
+        """Return the velocity that the sticks command; zero when the button is released, and None after that."""
         button, before = self._options.joy_button, self._button_held
         self._button_held = button < 0 or (button < len(message.buttons) and bool(message.buttons[button]))
         if not self._button_held:
@@ -150,7 +150,7 @@ class TopicControls:
 
 
 def open_flight(namespace: str, options: TopicFlyOptions, *, log: Log | None = None) -> HandFlownSource:
-    """The simulated multirotor in a world, flown by topics: `ros2:NAMESPACE?fly=WORLD`.
+    """Open the simulated multirotor in a world, flown by topics: `ros2:NAMESPACE?fly=WORLD`.
 
     Raises:
         InputError: there is no such world, rig or start, or an option is of no use.

@@ -1,4 +1,4 @@
-"""Frames from messages and poses from transforms, brought together: made without any middleware."""
+"""Combine frames from messages with poses from transforms, without middleware."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOST_FRAMES_OF_REFERENCE = 256
 
 @dataclass
 class Radar:
-    """What is known of one radar, and its frames that wait."""
+    """Settings of one radar, and its frames that wait."""
 
     sensor: str
     stream: Stream[bytes | Frames]
@@ -45,18 +45,18 @@ class Radar:
     fields: dict[str, Any] = field(default_factory=dict)  # of Frames, once known
     frame_id: str = ""
     index: int | None = None  # of the last RadarFrame
-    raw: deque[tuple[float, Stamped[bytes]]] = field(default_factory=deque)  # when it came [s], a RadarFrame
+    raw: deque[tuple[float, Stamped[bytes]]] = field(default_factory=deque)  # time of arrival [s], RadarFrame
     placed: deque[tuple[Stamped[Frames], Floats | None]] = field(default_factory=deque)
-    last: tuple[int, int, Floats] | None = None  # track, time and pose given last, for the speed of the next
+    last: tuple[int, int, Floats] | None = None  # last track, time and pose, for the velocity of the next
 
 
 class Incoming:
-    """Takes messages as they come and gives frames whose poses are known; `intake` says what becomes of the others.
+    """Collect messages and give frames with known poses; `intake` decides what happens to the others.
 
     Args:
         options: where poses come from, and how long to wait for them.
-        log: takes one line for a person.
-        now: gives the time that limits how long frames wait [s].
+        log: receives one line for the user.
+        now: returns the time that limits how long frames wait [s].
     """
 
     def __init__(self, options: SourceOptions, log: Log, *, now: Callable[[], float] = time.monotonic) -> None:
@@ -77,20 +77,20 @@ class Incoming:
         return tuple(radar.sensor for radar in self._radars.values())
 
     def take(self, topic: str, take: Callable[..., None], *what: Any) -> None:
-        """Hand a message to one of the methods here; one that cannot be read is counted and dropped.
+        """Pass a message to a method of this class; count and drop a message that cannot be read.
 
         Args:
-            topic: where it came.
+            topic: of the message.
             take: the method.
             *what: its arguments.
         """
         try:
             take(*what)
-        except Exception as error:  # whatever a damaged message makes the decoders raise
+        except Exception as error:  # a damaged message can raise any error in the decoders
             self.counters.drop(topic, "bad", _cause(error))
 
     def _radar(self, topic: str) -> Radar:
-        """The radar whose topics begin so."""
+        """Return the radar whose topics begin with this prefix."""
         base = topic.rpartition("/")[0]
         if base not in self._radars:
             queue: PoseQueue[Stamped[Frames]] = PoseQueue(
@@ -100,12 +100,12 @@ class Incoming:
         return self._radars[base]
 
     def take_settings(self, topic: str, data: bytes) -> None:
-        """RadarSettings."""
+        """Take a RadarSettings message."""
         radar = self._radar(topic)
         radar.sensor, radar.fields = conversions.text_in(data, 1), conversions.settings_of(data)
 
     def take_frame(self, topic: str, data: bytes) -> None:
-        """RadarFrame."""
+        """Take a RadarFrame message."""
         sensor, index = conversions.text_in(data, 1), conversions.index_in(data)
         radar = self._radar(topic)
         radar.sensor = sensor
@@ -128,9 +128,9 @@ class Incoming:
             self.counters.drop(radar.stream.topic, "lost", "no settings came")
 
     def take_profile(self, topic: str, data: bytes) -> None:
-        """PointCloud2 of a profile: distance from the sensor, and intensity.
+        """Take a profile as PointCloud2: distance from the sensor, and intensity.
 
-        It has no phase, so it is taken as a baseband of phase zero: ranges and maps are right, images are not.
+        A profile has no phase, so it becomes a baseband of phase zero: ranges and maps are right, images are not.
         """
         message = ros.from_bytes(ros.CLOUD, data)
         points = cloud_points(message)
@@ -139,9 +139,9 @@ class Incoming:
         self._profile(topic, message.header, range_m, points["intensity"][first])
 
     def take_range(self, topic: str, data: bytes) -> None:
-        """Range: one echo of the radar's own pulse there, or none."""
+        """Take a Range message: one echo of the radar's own pulse at that range, or none."""
         short = range_layout(conversions.text_in(data, 0).encode()).dtype.itemsize - len(data)
-        message = ros.from_bytes(RANGE, data + bytes(4 if 0 < short <= 4 else 0))  # ROS 1 and Humble know no variance
+        message = ros.from_bytes(RANGE, data + bytes(4 if 0 < short <= 4 else 0))  # ROS 1 and Humble have no variance
         bins = np.arange(max(int(message.max_range / self._spec.bin_m) + 8, 16))
         range_m: Floats = np.asarray(self._spec.bin_m * bins, np.float64)
         width = C0 / 2 * self._spec.pulse_sigma_s
@@ -162,19 +162,19 @@ class Incoming:
         self._stamp(radar, t_ns, made)
 
     def take_transforms(self, data: bytes, *, fixed: bool = False) -> None:
-        """TFMessage."""
+        """Take a TFMessage."""
         for message in ros.from_bytes(ros.TRANSFORMS, data).transforms:
             at, turn = message.transform.translation, message.transform.rotation
             self._place(message.header, message.child_frame_id, at, turn, fixed=fixed)
 
     def take_odometry(self, data: bytes) -> None:
-        """Odometry."""
+        """Take an Odometry message."""
         message = ros.from_bytes(ros.ODOMETRY, data)
         pose = message.pose.pose
         self._place(message.header, message.child_frame_id or self._body, pose.position, pose.orientation)
 
     def take_pose(self, data: bytes) -> None:
-        """PoseStamped of the body."""
+        """Take a PoseStamped of the body."""
         message = ros.from_bytes(ros.POSE, data)
         self._place(message.header, self._body, message.pose.position, message.pose.orientation)
 
@@ -189,7 +189,7 @@ class Incoming:
             self._move(child, stamp_ns(header), (parent, *pose))
 
     def _move(self, child: str, t_ns: int, placed: tuple[str, Floats, Floats]) -> None:
-        """Take the pose of a frame of reference that moves."""
+        """Take the pose of a moving frame of reference."""
         stream = self._moving.get(child)
         if stream is None:
             if len(self._moving) >= MOST_FRAMES_OF_REFERENCE:
@@ -199,7 +199,7 @@ class Incoming:
         if t_ns == stream.last_ns:
             return  # published once more
         if stream.last_ns is not None and 0 < stream.last_ns - t_ns < LATE_NS:
-            self.transforms.add(placed[0], child, t_ns, *placed[1:])  # a late pose is of use between two others
+            self.transforms.add(placed[0], child, t_ns, *placed[1:])  # a late pose still helps between two others
             return
         for found in stream.take(t_ns, placed):
             if found.starts:
@@ -208,7 +208,7 @@ class Incoming:
             self.transforms.add(parent, child, found.stamp_ns, position, quat)
 
     def _understand(self, radar: Radar, now_s: float) -> None:
-        """Frames of the messages whose settings are known, or were waited for long enough."""
+        """Decode the messages whose settings are known or have not come in time."""
         while radar.raw and (radar.fields or now_s - radar.raw[0][0] > SETTINGS_S):
             came_s, stamped = radar.raw.popleft()
             self.take(radar.stream.topic, self._understand_one, radar, came_s, stamped)
@@ -229,13 +229,13 @@ class Incoming:
         radar.queue.put(stamped._replace(item=on_our_clock), came_s)
 
     def finish(self) -> None:
-        """Count as dropped what still waits, when nothing more will come."""
+        """Count waiting messages as dropped, at the end of the stream."""
         for radar in self._radars.values():
             radar.stream.finish()
             radar.queue.clear()
 
     def ready(self, most: int = 64) -> dict[str, Frames]:
-        """Frames of each radar, at most so many, whose poses are known by now."""
+        """Return the frames of each radar whose poses are known, at most `most` each."""
         now_s, out = self._now(), {}
         for radar in self._radars.values():
             self._understand(radar, now_s)
@@ -248,7 +248,7 @@ class Incoming:
         return out
 
     def _placed(self, radar: Radar, most: int) -> Frames | None:
-        """The next frames that can stand in one Frames."""
+        """Return the next frames that fit in one Frames."""
         found: list[tuple[Stamped[Frames], Floats | None]] = []
         while radar.placed and len(found) < most:
             stamped, _ = radar.placed[0]
@@ -258,7 +258,7 @@ class Incoming:
         return self._together(radar, found) if found else None
 
     def _where(self, radar: Radar, stamped: Stamped[Frames]) -> Place[Floats]:
-        """World from sensor at a frame's time; no matrix where the message holds the pose, or none is wanted."""
+        """Find world_from_sensor at a frame's time; no matrix if the message has the pose, or if none is wanted."""
         wanted, made = self._options.poses, stamped.item
         if wanted in ("none", "message") or (wanted == "auto" and made.poses is not None):
             return Place("known")
@@ -290,7 +290,7 @@ class Incoming:
         return replace(frames, sensor=radar.sensor)
 
     def _path(self, radar: Radar, found: list[tuple[Stamped[Frames], Floats | None]]) -> Trajectory:
-        """Poses with their speeds, which follow from the one before as well, unless a track begins."""
+        """Return poses with velocities; the previous pose counts as well, unless a track begins."""
         times = [stamped.t_ns for stamped, _ in found]
         known = [matrix for _, matrix in found if matrix is not None]
         before = radar.last if radar.last is not None and radar.last[0] == found[0][0].track else None
@@ -303,18 +303,18 @@ class Incoming:
 
 
 def with_item(stamped: Stamped[Any], item: ItemT) -> Stamped[ItemT]:
-    """The same time with something else."""
+    """Return a timed item with the same time and another item."""
     return Stamped(item, stamped.t_ns, stamped.stamp_ns, stamped.track, stamped.starts)
 
 
 def _cause(error: Exception) -> str:
-    """What is wrong with a message, in one line."""
+    """Describe the error of a message in one line."""
     text = str(error).splitlines()[0] if str(error) else ""
     return text if isinstance(error, InputError) and text else f"cannot be read: {type(error).__name__} {text}".strip()
 
 
 def alike(a: Frames, b: Frames) -> bool:
-    """Whether two frames can stand in one Frames."""
+    """Return whether two frames fit in one Frames."""
     return (
         a.spec == b.spec
         and a.samples.shape[1] == b.samples.shape[1]
@@ -324,7 +324,7 @@ def alike(a: Frames, b: Frames) -> bool:
 
 
 def stamp_ns(header: Any) -> int:
-    """The time of a header [ns]."""
+    """Return the time of a header [ns]."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
@@ -332,7 +332,7 @@ CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
 def cloud_points(message: Any) -> np.ndarray:
-    """The points of a PointCloud2 with x, y, z and intensity.
+    """Read the points of a PointCloud2 with x, y, z and intensity.
 
     Raises:
         InputError: a field is missing.

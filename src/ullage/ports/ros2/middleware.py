@@ -1,7 +1,7 @@
-"""A node of ullage in rclpy: publishers and subscriptions of messages as bytes.
+"""Publish and subscribe to messages as bytes through an rclpy node.
 
-Messages are made and read as CDR by `ports.messages`, which takes microseconds; rclpy passes the bytes on and needs
-only the type's support library; a missing one is reported once.
+`ports.messages` encodes and decodes CDR in microseconds. rclpy passes the bytes on and needs
+only the type's support library. A missing one is reported once.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?")
 
 
 def profile(quality: Quality, *, depth: int | None = None, reliable: bool | None = None) -> Any:
-    """The rclpy QoSProfile of a quality."""
+    """Return the rclpy QoSProfile of a quality."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
     usual, firm, kept = HOW[quality]
@@ -50,7 +50,7 @@ def profile(quality: Quality, *, depth: int | None = None, reliable: bool | None
 
 
 def message_class(kind: str) -> Any:
-    """The class of `package/msg/Name` in the installed packages; None where it is not there."""
+    """Return the class of `package/msg/Name` in the installed packages; None if it is missing."""
     package, _, name = kind.split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
@@ -59,15 +59,15 @@ def message_class(kind: str) -> Any:
 
 
 class Peer:
-    """A node: one in a context of its own, so that a program that has its own rclpy is left alone, or a given one.
+    """Node of ullage: a given one, or one in its own context, apart from the rclpy of the calling program.
 
     Args:
         namespace: of its topics.
         options: domain, name and remappings.
-        node: an rclpy node to use; whoever made it spins and destroys it.
+        node: an rclpy node to use; its owner spins and destroys it.
 
     Raises:
-        InputError: the namespace or a remapping is none.
+        InputError: the namespace or a remapping is invalid.
         MissingExtra: there is no rclpy.
     """
 
@@ -101,7 +101,7 @@ class Peer:
         self._thread: threading.Thread | None = None
 
     def spin(self) -> None:
-        """Take messages in a thread of its own; a given node is spun by whoever made it."""
+        """Spin the node in its own thread; the owner of a given node spins it."""
         if self._context is None or self._thread is not None:
             return
         from rclpy.executors import SingleThreadedExecutor
@@ -118,21 +118,21 @@ class Peer:
             self._executor.spin()
 
     def claim(self, *topics: str) -> None:
-        """Nothing else in this program shall publish on these, until this node closes."""
+        """Reserve these topics in this program until this node closes."""
         self._claimed.update(topics)
         TAKEN.update(topics)
 
     def topics(self) -> dict[str, str]:
-        """Topics on the network that somebody else publishes, with their types."""
+        """Return topics on the network that other nodes publish, with their types."""
         named = self.node.get_topic_names_and_types()
         return {name: kinds[0] for name, kinds in named if not OWN[name] and self.node.count_publishers(name)}
 
     def resolved(self, topic: str) -> str:
-        """The full name of a topic."""
+        """Return the full name of a topic."""
         return str(self.node.resolve_topic_name(self._named(topic)))
 
     def speaks(self, kind: str) -> bool:
-        """Whether a message's package is installed."""
+        """Return whether a message's package is installed."""
         return message_class(kind) is not None
 
     def _named(self, topic: str) -> str:
@@ -149,11 +149,11 @@ class Peer:
         return found
 
     def publisher(self, topic: str, kind: str, quality: Quality, *, reliable: bool | None = None) -> Any:
-        """The publisher of a topic, made when first asked for; None where its type is missing."""
+        """Return the publisher of a topic, made at the first call; None if its type is missing."""
         if topic not in self._publishers:
             found = self.class_of(kind, topic)
             how = profile(quality, reliable=reliable)
-            OWN[self.resolved(topic)] += found is not None  # before it exists: a source looks from a thread of its own
+            OWN[self.resolved(topic)] += found is not None  # before it exists: a source checks from its own thread
             self._publishers[topic] = self.node.create_publisher(found, self._named(topic), how) if found else None
         return self._publishers[topic]
 
@@ -165,12 +165,12 @@ class Peer:
             OWN[self.resolved(topic)] -= 1
 
     def others(self, topic: str) -> bool:
-        """Whether another program publishes a topic."""
+        """Return whether another program publishes a topic."""
         name = self.resolved(topic)
         return int(self.node.count_publishers(name)) > OWN[name]
 
     def send(self, message: Message, *, reliable: bool | None = None) -> bool:
-        """Publish one message; False where its type is missing, or others publish the same."""
+        """Publish one message; return False if its type is missing or another node publishes the topic."""
         topic = message.topic
         if self._publishers.get(topic) is None and self.resolved(topic) in TAKEN:
             return False
@@ -187,7 +187,7 @@ class Peer:
         return sent
 
     def listeners(self, topic: str) -> int:
-        """How many listen to a topic of ours."""
+        """Count the subscribers of our topic."""
         out = self._publishers.get(topic)
         return out.get_subscription_count() if out is not None else 0
 
@@ -195,7 +195,7 @@ class Peer:
         self, topic: str, kind: str, quality: Quality, take: Callable[[bytes], None], *, depth: int | None = None,
         lost: Callable[[int], None] | None = None,
     ) -> None:  # fmt: skip
-        """Call `take` with each message as bytes, and `lost` with the number of those that the middleware lost."""
+        """Call `take` with each message as bytes, and `lost` with the number of messages that the middleware lost."""
         found = self.class_of(kind, topic)
         if found is None:
             return
@@ -212,7 +212,7 @@ class Peer:
         self._subscriptions.append(subscription)
 
     def settle(self, timeout_s: float) -> None:
-        """Wait until what was sent reliably has arrived; not where whoever made the node has ended its context."""
+        """Wait until all reliable messages have arrived, unless the owner of the node has ended its context."""
         from rclpy.duration import Duration
 
         if not self.node.context.ok():
@@ -222,7 +222,7 @@ class Peer:
                 out.wait_for_all_acked(Duration(seconds=timeout_s))
 
     def close(self) -> None:
-        """Leave the network; a given node stays, without what was made on it."""
+        """Leave the network; a given node stays, without our publishers and subscriptions."""
         TAKEN.difference_update(self._claimed)
         if self._context is None or self._context.ok():
             OWN.subtract(self.resolved(topic) for topic, out in self._publishers.items() if out is not None)

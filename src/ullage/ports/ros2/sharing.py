@@ -26,10 +26,10 @@ SENT: deque[int] = deque(maxlen=2000)
 
 
 class Publishing(Protocol):
-    """What `Sharing` needs of a node."""
+    """Interface that `Sharing` needs of a node."""
 
     def others(self, topic: str) -> bool:
-        """Whether another program publishes a topic."""
+        """Return whether another program publishes a topic."""
 
     def withdraw(self, topic: str) -> None:
         """Stop publishing a topic."""
@@ -41,7 +41,7 @@ class Publishing(Protocol):
 
 
 class Sharing:
-    """Decides what a node sends beside the nodes of others. It checks all the time, since others come and go.
+    """Decide what a node sends when other nodes publish the same. It checks continuously, as nodes come and go.
 
     Args:
         node: that publishes.
@@ -49,15 +49,15 @@ class Sharing:
 
     def __init__(self, node: Publishing) -> None:
         self._node = node
-        self._others: dict[str, tuple[float, bool]] = {}  # when a topic was last checked [s], and the answer
+        self._others: dict[str, tuple[float, bool]] = {}  # time of the last check of a topic [s], and its result
         self._retry_s: dict[str, float] = {}
         self._reported: set[str] = set()
-        self._foreign: dict[str, set[str]] = {}  # by topic: child frames that others publish
-        self._fixed: Message | None = None  # the last /tf_static, whole
-        self._fixed_without: set[str] = set()  # what was left out of it
+        self._foreign: dict[str, set[str]] = {}  # by topic: child frames that other nodes publish
+        self._fixed: Message | None = None  # the last complete /tf_static
+        self._fixed_without: set[str] = set()  # child frames left out of it
 
     def allows(self, topic: str) -> bool:
-        """Whether a topic that one node only should publish is ours now."""
+        """Return whether this node may publish a topic that only one node should publish."""
         now = time.monotonic()
         if self._others_on(topic):
             self._node.withdraw(topic)
@@ -67,10 +67,10 @@ class Sharing:
         return now >= self._retry_s.get(topic, 0.0)
 
     def transforms(self, message: Message) -> list[Message]:
-        """What to send for a message of /tf or /tf_static: it without the frames that others place.
+        """Return the messages to send for one of /tf or /tf_static, without the frames that other nodes publish.
 
-        Where others have begun to place a fixed frame, the fixed transforms come once more without it, since a late
-        subscriber is given the last message.
+        When another node begins to publish a fixed frame, the fixed transforms are sent again without it, since a late
+        subscriber receives the last message.
         """
         for topic in TRANSFORMS:
             self._watch(topic)
@@ -97,7 +97,7 @@ class Sharing:
         return found
 
     def _watch(self, topic: str) -> None:
-        """Track the frames that other publishers place, while there are other publishers."""
+        """Track the child frames of other publishers, while there are other publishers."""
         if not self._others_on(topic):
             if topic in self._foreign:
                 self._foreign[topic] = set()
@@ -108,10 +108,10 @@ class Sharing:
             )  # fmt: skip
 
     def _read_transforms(self, topic: str, data: bytes) -> None:
-        """Take a message of /tf or /tf_static by whomever."""
+        """Take a message of /tf or /tf_static from any publisher."""
         if hash(data) in SENT:
             return
-        with suppress(Exception):  # a damaged message says nothing
+        with suppress(Exception):  # ignore a damaged message
             self._add(topic, {found.child_frame_id for found in ros.from_bytes(ros.TRANSFORMS, data).transforms})
 
     def _add(self, topic: str, children: set[str]) -> None:
@@ -126,7 +126,7 @@ class Sharing:
 
 
 def without(message: Message, children: set[str]) -> Message:
-    """A message of transforms without those of some child frames."""
+    """Return a message of transforms without those of some child frames."""
     if not children:
         return message
     found = ros.from_bytes(ros.TRANSFORMS, message.data).transforms

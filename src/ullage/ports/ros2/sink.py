@@ -1,4 +1,4 @@
-"""Publish what a run gives as ROS 2 topics: `--to ros2:`."""
+"""Publish the results of a run as ROS 2 topics: `--to ros2:`."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ STEP_S = 0.02
 
 
 class Ros2Sink:
-    """Publishes everything that flows, at the pace of its own clock, from a thread of its own.
+    """Publish all items of a stream at the pace of their stamps, from a separate thread.
 
-    Messages leave in the order of their stamps: those of a piece of frames wait until what was made of the piece, such
-    as detections, is there too. A stream of the present is sent as it comes, and so is any stream with pace=0.
+    Messages leave in order of their stamps. Those of a chunk of frames wait until the results of the chunk, such
+    as detections, are ready. A stream of the present is sent as it comes, and so is any stream with pace=0.
 
     Args:
         namespace: of the topics.
-        options: how.
+        options: of the sink.
         peer: the node to use; None: one of its own.
 
     Raises:
-        InputError: the namespace or a remapping is none.
+        InputError: the namespace or a remapping is invalid.
         MissingExtra: there is no rclpy.
     """
 
@@ -53,7 +53,7 @@ class Ros2Sink:
         )
         self._order: StampOrder[Message] = StampOrder(in_order)
         self._limiter = RateLimiter(options.pace)
-        self._at_once: bool | None = None if options.pace else True  # None: the first frames will tell
+        self._at_once: bool | None = None if options.pace else True  # None: the first frames decide
         self._messages: queue.Queue[Message | None] = queue.Queue()
         self._sent_ns: int | None = None
         self._progress = threading.Condition()
@@ -64,7 +64,7 @@ class Ros2Sink:
         self._thread.start()
 
     def write(self, item: Item) -> None:
-        """Take one item; waits while what was taken before is far from published.
+        """Take one item; wait while earlier items are far from published.
 
         Raises:
             InputError: the sink is closed.
@@ -75,7 +75,7 @@ class Ros2Sink:
         parts = sensors_of(item) if isinstance(item, Frames | Mapping) else []
         if self._at_once is None and parts:
             self._at_once = is_present(min(int(part.t_ns[0]) for part in parts))
-        if self._at_once or (found and found[0].quality == "relayed"):  # what is passed on has no pace
+        if self._at_once or (found and found[0].quality == "relayed"):  # forwarded messages have no pace
             self._put(found)
             return
         if parts:
@@ -116,7 +116,7 @@ class Ros2Sink:
                 self._progress.notify_all()
 
     def _await_subscribers(self) -> None:
-        """As `ros2 topic pub --wait-matching-subscriptions`; who subscribes to /tf subscribes to the rest with it."""
+        """Wait for subscribers of /tf, as `ros2 topic pub --wait-matching-subscriptions` does."""
         wanted = self._options.listeners
         if not wanted:
             return
@@ -128,10 +128,10 @@ class Ros2Sink:
                 warnings.warn(f"waiting for subscribers of /tf: {found} of {wanted}", UllageWarning, stacklevel=2)
                 reported = time.monotonic()
         self._closing.wait(SETTLE_S)
-        self._map_subscribers = self._peer.listeners("map")  # not new: the first map goes to them whole
+        self._map_subscribers = self._peer.listeners("map")  # not new: they get the first map in full
 
     def _wait(self, t_ns: int) -> None:
-        """Until the stamp is due."""
+        """Wait until the stamp is due."""
         if self._at_once:
             return
         due = self._limiter.due_s(t_ns, time.monotonic())
@@ -140,7 +140,7 @@ class Ros2Sink:
         self._late_s = max(self._late_s, self._limiter.late_s, -left)
 
     def _report(self, t_ns: int) -> None:
-        """Once a second: new subscribers of the map, and diagnostics."""
+        """Check for new subscribers of the map and publish diagnostics, once a second."""
         now = time.monotonic()
         if now - self._reported_s < 1.0:
             return
@@ -157,7 +157,7 @@ class Ros2Sink:
         self._sent, self._late_s, self._reported_s = 0, 0.0, now
 
     def close(self) -> None:
-        """Publish what waits, stay as long as asked for, and leave."""
+        """Publish the waiting messages, stay for the requested time, and leave the network."""
         thread, self._thread = self._thread, None
         if thread is None:
             return

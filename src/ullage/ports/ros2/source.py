@@ -1,4 +1,4 @@
-"""Frames from ROS 2 topics, with poses from transforms or odometry: `ullage run ros2:`."""
+"""Receive frames from ROS 2 topics, with poses from transforms or odometry: `ullage run ros2:`."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ RELAYED = ("imc/", "to_imc/", "desired/")
 
 
 class Ros2Source:
-    """Listens to the radars on a ROS 2 network.
+    """Source of frames from the radars on a ROS 2 network.
 
     Args:
         namespace: namespace of their topics; empty: any.
-        options: which, and where poses come from.
+        options: which topics, and the source of poses.
         log: takes lines for the user; None: they become warnings.
         peer: the node to use; None: one of its own.
 
     Raises:
-        InputError: the namespace is none, or there is no such radar preset.
+        InputError: the namespace is invalid, or there is no such radar preset.
         MissingExtra: there is no rclpy.
     """
 
@@ -68,7 +68,7 @@ class Ros2Source:
         return self._incoming.sensors
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """Frames as they come, at most `chunk` of each radar at a time, until Ctrl-C, the asked end, or `stop`."""
+        """Give frames as they come, at most `chunk` of each radar at once, until Ctrl-C, the given end, or `stop`."""
         try:
             while not (self._closed or self._over()):
                 self._find_topics()
@@ -80,7 +80,7 @@ class Ros2Source:
                 if found:
                     self._count(found)
                     yield found
-                    self._given_s = time.monotonic()  # whoever took them may have taken long
+                    self._given_s = time.monotonic()  # the consumer may have taken long
                 elif time.monotonic() - self._given_s > PATIENCE_S:
                     self._log_throttled(self._why_nothing())
         finally:
@@ -90,10 +90,10 @@ class Ros2Source:
             self.close()
 
     def frames(self, sensor: str | None = None) -> Frames | dict[str, Frames]:
-        """Everything until the asked end.
+        """Return all frames until the requested end.
 
         Raises:
-            InputError: no end was asked for, nothing came, or there is no such sensor.
+            InputError: no end was requested, nothing came, or there is no such sensor.
         """
         if self._options.duration_s is None and self._options.idle_s is None:
             raise InputError("a live port has no end", where="ros2:", allowed="duration_s=, idle_s=, or stream()")
@@ -103,15 +103,15 @@ class Ros2Source:
         return one_or_all(whole, sensor)
 
     def trajectory(self) -> Trajectory | None:
-        """None: the path is not over."""
+        """Return None: the path is not complete."""
         return None
 
     def map(self) -> None:
-        """None: only frames are listened to."""
+        """Return None: this source receives frames only."""
         return None
 
     def stop(self) -> None:
-        """Let a stream that runs in another thread end."""
+        """End a stream that runs in another thread."""
         self._closed = True
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ class Ros2Source:
         self.close()
 
     def _taker(self, topic: str, take: Callable[..., None], *first: Any) -> Callable[[bytes], None]:
-        """Hands messages from rclpy's thread to the stream's."""
+        """Return a callback that passes messages from rclpy's thread to the stream's."""
         return lambda data: self._inbox.put((topic, take, (*first, data)), topic=topic, size=len(data))
 
     def _take(self, timeout_s: float) -> None:
@@ -137,7 +137,7 @@ class Ros2Source:
             found = self._inbox.get(0.0)
 
     def _find_topics(self) -> None:
-        """Find topics that were not there before."""
+        """Subscribe to new topics."""
         if time.monotonic() - self._searched_s < SEARCH_S:
             return
         self._searched_s = time.monotonic()
@@ -197,7 +197,7 @@ class Ros2Source:
         self._log(f"listening to {topic}")
 
     def _lost(self, topic: str, count: int) -> None:
-        """The middleware has lost messages; of frames their numbers tell it."""
+        """Count messages that the middleware lost; frames are counted by their numbers."""
         if not topic.endswith("/frame"):
             self._incoming.counters.drop(topic, "lost", "the network or its queues", count=count)
 
@@ -221,7 +221,7 @@ class Ros2Source:
         return "no frames come any more; waiting (Ctrl-C ends)"
 
     def _report(self) -> None:
-        """Diagnostics, once a second."""
+        """Publish diagnostics once a second."""
         now = time.monotonic()
         if now - self._reported_s < 1.0:
             return
@@ -237,7 +237,7 @@ class Ros2Source:
         self._peer.send(Message(t_ns, "/diagnostics", encode.DIAGNOSTICS, "stream", data))
 
     def _log_throttled(self, text: str) -> None:
-        """Log a line, but the same one at most once every few seconds."""
+        """Log a line, the same one at most once every few seconds."""
         now = time.monotonic()
         if now - self._logged_s.get(text, -PATIENCE_S) >= PATIENCE_S:
             self._logged_s[text] = now

@@ -1,4 +1,4 @@
-"""Where things were: a tree of frames of reference as /tf and odometry tell it, asked for moments of the past."""
+"""Keep the tree of frames of reference from /tf and odometry, and interpolate transforms at past times."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Status = Literal["ok", "wait", "lost", "unknown"]
 
 
 class Answer(NamedTuple):
-    """Where something was, if it is known."""
+    """Transform at a time, if it is known."""
 
     status: Status
     matrix: Floats | None = None  # (4, 4) target_from_source
-    what: str = ""  # which frame it hangs on, where it is not known
+    what: str = ""  # the root that the frame descends from, if the transform is not known
 
 
 @dataclass
 class Edge:
-    """A frame in its parent, over time."""
+    """Pose of a frame in its parent over time."""
 
     parent: str
     fixed: bool = False
@@ -38,7 +38,7 @@ class Edge:
     poses: deque[tuple[Floats, Floats]] = field(default_factory=deque)  # position (3) [m], quaternion xyzw (4)
 
     def add(self, t_ns: int, position: Floats, quat_xyzw: Floats) -> bool:
-        """Take a pose; whether the clock had jumped back, upon which all before is forgotten."""
+        """Add a pose; return whether the clock stepped back, which clears all earlier poses."""
         jumped = bool(self.t_ns) and t_ns < self.t_ns[-1] - GAP_NS
         if jumped or self.fixed:
             self.t_ns.clear()
@@ -54,14 +54,14 @@ class Edge:
         return jumped
 
     def _slip_in(self, t_ns: int, position: Floats, quat_xyzw: Floats) -> None:
-        """A pose that came late."""
+        """Insert a late pose."""
         row = bisect_left(self.t_ns, t_ns)
         if self.t_ns[row] != t_ns:
             self.t_ns.insert(row, t_ns)
             self.poses.insert(row, (position, quat_xyzw))
 
     def at(self, t_ns: int) -> tuple[Status, Floats | None]:
-        """Parent_from_child (4, 4) at a time: straight in position, along the great arc in attitude."""
+        """Interpolate parent_from_child (4, 4) at a time: linear in position, along the great arc in attitude."""
         if self.fixed:
             return "ok", _matrix(*self.poses[-1])
         if t_ns > self.t_ns[-1]:
@@ -79,7 +79,7 @@ class Edge:
 
 
 class Transforms:
-    """A tree of frames of reference."""
+    """Tree of frames of reference."""
 
     def __init__(self) -> None:
         self._edges: dict[str, Edge] = {}
@@ -87,18 +87,18 @@ class Transforms:
     def add(
         self, parent: str, child: str, t_ns: int, position: Floats, quat_xyzw: Floats, *, fixed: bool = False
     ) -> bool:
-        """Take one transform, parent from child; whether its clock jumped back."""
+        """Add one transform, parent from child; return whether its clock stepped back."""
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent or edge.fixed != fixed:
             edge = self._edges[child] = Edge(parent, fixed)
         return edge.add(t_ns, position, quat_xyzw)
 
     def forget(self, child: str) -> None:
-        """Drop the poses of a frame, as after a step of its clock."""
+        """Drop the poses of a frame, for example after a step of its clock."""
         self._edges.pop(child, None)
 
     def root(self, name: str) -> str:
-        """The frame that this one hangs on in the end."""
+        """Return the root of the tree that contains this frame."""
         seen = {name}
         while name in self._edges and self._edges[name].parent not in seen:
             name = self._edges[name].parent
@@ -106,7 +106,7 @@ class Transforms:
         return name
 
     def moves(self, name: str) -> bool:
-        """Whether a frame hangs on its root by a transform that is not fixed."""
+        """Return whether any transform between a frame and its root is not fixed."""
         seen: set[str] = set()
         while name in self._edges and name not in seen:
             if not self._edges[name].fixed:
@@ -116,11 +116,11 @@ class Transforms:
         return False
 
     def knows(self, name: str) -> bool:
-        """Whether a frame hangs on another."""
+        """Return whether a frame descends from another."""
         return name in self._edges
 
     def at(self, target: str, source: str, t_ns: int) -> Answer:
-        """Target_from_source at a time, for a target that the source hangs on."""
+        """Find target_from_source at a time, for a target above the source in the tree."""
         out, name, seen = np.eye(4), source, {source}
         waits = ""
         while name != target:
