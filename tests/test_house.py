@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import importlib
 import re
 import subprocess
 import sys
@@ -102,3 +103,14 @@ def test_no_module_imports_itself_through_others() -> None:
         for name, path in graph.items()
     }
     graphlib.TopologicalSorter(edges).prepare()  # raises CycleError with the modules of a circle
+
+
+def test_editors_see_every_public_name() -> None:
+    tree = ast.parse((ROOT / "src" / "ullage" / "__init__.py").read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    names = [(node.module, alias) for node in imports if "ullage" in str(node.module) for alias in node.names]
+    seen = {}
+    for module, alias in names:
+        inner = getattr(importlib.import_module(str(module)), alias.name, None)
+        seen[alias.asname] = inner or importlib.import_module(f"{module}.{alias.name}")
+    assert seen == {name: getattr(ul, name) for name in ul.__all__}
