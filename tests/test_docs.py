@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import inspect
 import json
 import re
 import shutil
@@ -85,33 +84,60 @@ def test_the_page_of_physics_names_modules_that_exist() -> None:
     assert [name for name in named if not (ROOT / "src" / "ullage" / "radar" / f"{name}.py").exists()] == []
 
 
-def test_every_page_is_in_the_navigation() -> None:
+def test_every_page_is_in_the_navigation(pages: ModuleType) -> None:
     listed = re.findall(r"[\w/-]+\.md", yaml.safe_dump(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
     written = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert len(listed) == len(set(listed))
-    assert set(listed) == written | {"api.md", "commands.md"}
+    assert set(listed) == written | {"commands.md", *pages.api_pages()}
 
 
 def test_the_reference_names_every_public_name_and_every_option(pages: ModuleType) -> None:
-    api, commands = pages.api_page(), pages.commands_page()
-    assert [name for name in ul.__all__ if f"### `ul.{name}` " not in api] == []
-    assert [name for name in inspect.signature(ul.simulate).parameters if f"- `{name}`: " not in api] == []
-    assert "speed_m_s: float = 0.5," in api
+    api, commands = pages.api_pages(), pages.commands_page()
+    members = [name for text in api.values() for name in re.findall(r"^::: ullage\.(\w+)$", text, re.M)]
+    assert sorted(members) == sorted(ul.__all__)
+    assert [name for name in ul.__all__ if f"[`ul.{name}`][ullage.{name}]" not in api["api.md"]] == []
     for verb in ("run", "list", "sweep", "doctor"):
         assert f"## `ullage {verb}` " in commands
     for option in ("--law LAW", "--by-hand", "--jobs", "--out DIR"):
         assert f"`{option}" in commands
 
 
+CLASS = """
+class Echo(Spec):
+    \'\'\'An echo [Keller1962], not [Other1999].\'\'\'
+
+    range_m: float  # one way [m]
+    center_hz: float = Field(7.29e9, gt=1e8, le=1e11, description="of the pulse")
+    name: str = "echo"
+    known: float = 1.0
+    \'\'\'It has a docstring.\'\'\'
+    kinds: ClassVar[int] = 3
+    _hidden: int = 0
+"""
+
+
+def test_the_reference_lists_the_fields_of_a_class_and_links_sources(tmp_path: Path) -> None:
+    griffe = pytest.importorskip("griffe")
+    (tmp_path / "one.py").write_text(CLASS, encoding="utf-8")
+    extensions = griffe.load_extensions(str(ROOT / "tools" / "api_fields.py"))
+    text = griffe.load("one", search_paths=[tmp_path], extensions=extensions)["Echo"].docstring.value
+    assert '<autoref identifier="Keller1962">[Keller1962]</autoref>, not [Other1999].' in text
+    assert text.split("Attributes:\n")[1].splitlines() == [
+        "    range_m: one way [m]",
+        "    center_hz: of the pulse; default `7.29e9`; > 1e8 and ≤ 1e11",
+        "    name: default `'echo'`",
+    ]
+
+
 def test_sources_link_to_the_references(pages: ModuleType) -> None:
     known = ["Keller1962", "Elfes1987"]
     text = "By [Keller1962], [Elfes1987, ch. 2]; not [Other1999], `[Keller1962]` nor [Keller1962](x.md)."
-    assert pages.with_sources(text, known, "../references.md") == (
-        "By [[Keller1962]](../references.md#Keller1962), [[Elfes1987, ch. 2]](../references.md#Elfes1987); "
+    assert pages.with_sources(text, known) == (
+        "By [[Keller1962]][Keller1962], [[Elfes1987, ch. 2]][Elfes1987]; "
         "not [Other1999], `[Keller1962]` nor [Keller1962](x.md)."
     )
-    entry = pages.with_sources("# References\n\n- **[Keller1962]** Keller.\n", known, "references.md")
-    assert '<a id="Keller1962"></a>**[Keller1962]** Keller.' in entry
+    entry = pages.with_sources("# References\n\n- **[Keller1962]** Keller.\n", known)
+    assert "[](){#Keller1962}**[Keller1962]** Keller." in entry
 
 
 def test_the_first_python_block_is_at_most_twelve_lines() -> None:
