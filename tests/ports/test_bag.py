@@ -135,7 +135,7 @@ def test_rosbags_reads_the_folder_and_agrees_on_every_byte(tmp_path: Path) -> No
                 want = some_frames().samples[7]
                 np.testing.assert_array_equal(np.array(message.samples).view(np.complex64), want)
     assert seen >= {"/tf_static", "/radar/left/range", "/path", "/clock"}
-    assert len(seen) == 20
+    assert len(seen) == 21
 
 
 def test_rosbags_reads_poses_where_we_put_them(tmp_path: Path) -> None:

@@ -9,11 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from conftest import some_frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from rosbags.highlevel import AnyReader
 
 import ullage as ul
+from ullage.grids import AMBIGUOUS
+from ullage.ports import messages as ros
 from ullage.ports import read_map, write_map
 
 tools = pytest.mark.skipif(shutil.which("compare_octrees") is None, reason="octomap-tools are not installed")
@@ -337,3 +341,26 @@ def test_map_sinks_keep_the_last_map(tmp_path: Path) -> None:
         sink.write(plane(seed=2))
     np.testing.assert_array_equal(three_states(read_map(tmp_path / "a.yaml")), three_states(plane(seed=2)))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.pgm", "a.yaml"]  # nothing temporary stays
+
+
+def test_viewers_get_the_known_cells_of_a_plane_map_and_no_unknown_ones(tmp_path: Path) -> None:
+    grid = ul.Grid((10.0, 20.0, 1.5), 0.5, (2, 5))
+    percent = np.array([[0, 0, -1, 0, 90], [-1, AMBIGUOUS, AMBIGUOUS, -1, -1]], np.int8)
+    with ul.sink(tmp_path / "map.mcap") as sink:
+        sink.write(some_frames(2))
+        sink.write(ul.OccupancyMap(grid, percent))
+    with AnyReader([tmp_path / "map.mcap"], default_typestore=ros.typestore()) as reader:
+        drawn = [
+            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/map/plane"
+        ]
+    free, ambiguous, occupied = drawn[-1].markers
+    assert [one.ns for one in drawn[-1].markers] == ["free", "ambiguous", "occupied"]
+    corners = np.array([(p.x, p.y, p.z) for p in free.points]).reshape(-1, 6, 3)
+    assert corners[:, :, :2].min(axis=1).tolist() == [[10.0, 20.0], [11.5, 20.0]]  # a rectangle for each run of cells
+    assert corners[:, :, :2].max(axis=1).tolist() == [[11.0, 20.5], [12.0, 20.5]]
+    assert {p.z for p in free.points + ambiguous.points + occupied.points} == {1.5}
+    assert len(ambiguous.points) == 6
+    assert [(p.x, p.y) for p in occupied.points] == [(12.25, 20.25)]
+    assert occupied.scale.x == pytest.approx(2 * grid.step_m)  # two cells wide
+    assert occupied.color.a == 1
+    assert max(free.color.a, ambiguous.color.a) < 0.3

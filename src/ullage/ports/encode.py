@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ullage.arrays import Floats
+from ullage.arrays import Bools, Floats
 from ullage.data import Detections, Frames, Trajectory
 from ullage.geometry import matrix_quat
 from ullage.grids import AMBIGUOUS, UNKNOWN, Image, OccupancyMap
@@ -26,6 +26,12 @@ PATH = "nav_msgs/msg/Path"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 IMU = "sensor_msgs/msg/Imu"
+CELL_COLOURS = {
+    "free": (0.24, 0.86, 0.52, 0.22),
+    "ambiguous": (0.95, 0.76, 0.31, 0.2),
+    "occupied": (1.0, 0.72, 0.01, 1.0),
+}
+"""Red, green, blue and opacity of the cells of a plane map in viewers."""
 DEPTH_DB = 40.0
 """What a picture shows below its brightest cell [dB]."""
 
@@ -177,6 +183,43 @@ def cubes_message(omap: OccupancyMap, t_ns: int, *, most: int = 100_000) -> byte
         [colour(*c) for c in colours.tolist()],
     )  # fmt: skip
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, [shown]))
+
+
+def plane_message(omap: OccupancyMap, t_ns: int) -> bytes:
+    """MarkerArray of a plane map for viewers: its free, ambiguous and occupied cells; unknown cells are not drawn.
+
+    RViz draws the unknown cells of an OccupancyGrid opaque in each of its palettes. Each kind of cell is a marker with
+    a name space of its own, so a viewer can hide it. An occupied cell is drawn two cells wide.
+    """
+    step = float(omap.grid.step_m)
+    z = omap.grid.origin_m[2] if np.isfinite(omap.grid.origin_m[2]) else 0.0
+    point, colour = (ros.typestore().types[name] for name in ("geometry_msgs/msg/Point", "std_msgs/msg/ColorRGBA"))
+    made = []
+    for index, name in enumerate(("free", "ambiguous", "occupied")):
+        cells = getattr(omap, name)
+        whole = name == "occupied"
+        places = _centres(omap, cells) if whole else _rectangles(cells, omap.grid.origin_m, step)
+        size = (2 * step, 2 * step, step) if whole else (1.0, 1.0, 1.0)
+        found = [point(x, y, z) for x, y in places.tolist()]
+        shown = conversions.marker(t_ns, name, 6 if whole else 11, index, found, size, colour(*CELL_COLOURS[name]))
+        shown.action = 0 if found else 2  # add, or delete
+        made.append(shown)
+    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, made))
+
+
+def _centres(omap: OccupancyMap, cells: Bools) -> Floats:
+    row, column = np.nonzero(cells)
+    return np.stack([omap.grid.x_m[column], omap.grid.y_m[row]], axis=1)
+
+
+def _rectangles(cells: Bools, origin_m: tuple[float, float, float], step_m: float) -> Floats:
+    """Corners (6 n, 2) of two triangles for each run of cells along a row [m]."""
+    edges = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, left = np.nonzero(edges == 1)
+    right = np.nonzero(edges == -1)[1]
+    x = np.stack([left, right, right, left, right, left], axis=1)
+    y = np.stack([row, row, row + 1, row, row + 1, row + 1], axis=1)
+    return np.stack([x.ravel(), y.ravel()], axis=1) * step_m + np.asarray(origin_m[:2])
 
 
 def picture_messages(image: Image, t_ns: int) -> tuple[bytes, bytes]:

@@ -23,6 +23,7 @@ TOPICS = {
     "/odom": "nav_msgs/msg/Odometry", "/truth/odom": "nav_msgs/msg/Odometry", "/path": "nav_msgs/msg/Path:latched",
     "/map": "nav_msgs/msg/OccupancyGrid:latched", "/map_updates": "map_msgs/msg/OccupancyGridUpdate",
     "/map/cells": "ullage_msgs/msg/CellMap:latched", "/world": "visualization_msgs/msg/MarkerArray:latched",
+    "/map/plane": "visualization_msgs/msg/MarkerArray:latched",
     "/image": "sensor_msgs/msg/Image:latched", "/image/amplitude": "sensor_msgs/msg/Image:latched",
     "/clock": "rosgraph_msgs/msg/Clock",
 }  # fmt: skip

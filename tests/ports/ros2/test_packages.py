@@ -112,7 +112,7 @@ def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
         topic = re.sub("/(front|left|back|right)/", "/NAME/", display["Topic"]["Value"]).lstrip("/")
         assert f"`{topic}`" in page
         latched = display["Topic"]["Durability Policy"] == "Transient Local"
-        assert latched == (topic in ("map", "world", "path", "map/cubes", "image"))
+        assert latched == (topic in ("map", "map/plane", "world", "path", "map/cubes", "image"))
     perspective = json.loads((PACKAGES / "ullage_ros/config/ullage.perspective").read_text())
     running = ast.literal_eval(perspective["groups"]["pluginmanager"]["keys"]["running-plugins"]["repr"])
     assert set(running) == {
@@ -121,6 +121,14 @@ def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
         "rqt_plot/Plot",
         "rqt_runtime_monitor/RuntimeMonitor",
     }
+
+
+def test_rviz_shows_a_map_without_its_unknown_cells() -> None:
+    """RViz draws the unknown cells of an OccupancyGrid opaque, in each of its palettes."""
+    config = yaml.safe_load((PACKAGES / "ullage_ros/config/ullage.rviz").read_text())
+    shown = {d["Topic"]["Value"]: d["Enabled"] for d in config["Visualization Manager"]["Displays"] if "Topic" in d}
+    assert shown["/map/plane"]
+    assert not shown["/map"]
 
 
 def test_public_types_have_the_official_hashes() -> None:

@@ -29,6 +29,7 @@ FLIGHT = ["show.py", run] if (run := os.environ.get("ULLAGE_PICTURE_OF", "")) el
 RADARS = ("front", "left", "back", "right")
 TOPICS = [
     "/map=nav_msgs/msg/OccupancyGrid:latched", "/map_updates=map_msgs/msg/OccupancyGridUpdate:stream",
+    "/map/plane=visualization_msgs/msg/MarkerArray:latched",
     "/world=visualization_msgs/msg/MarkerArray:latched", "/path=nav_msgs/msg/Path:latched",
     "/tf=tf2_msgs/msg/TFMessage:transforms", "/tf_static=tf2_msgs/msg/TFMessage:latched",
     *(f"/radar/{name}/profile=sensor_msgs/msg/PointCloud2:sensor" for name in RADARS),
@@ -72,6 +73,9 @@ def test_rviz_shows_world_map_and_profiles(network: Network, tmp_path: Path) -> 
     tools = ("rviz", "rosmaster", "Xvfb", "import")
     if missing := [name for name in tools if shutil.which(name) is None]:
         pytest.skip(f"no {missing[0]}: apt-get install rviz python3-rospy python3-rosmaster xvfb imagemagick")
+    messages = ("map_msgs", "nav_msgs", "sensor_msgs", "tf2_msgs", "visualization_msgs")
+    if missing := [name for name in messages if not (DIST / name).is_dir()]:
+        pytest.skip(f"no {missing[0]}: apt-get install python3-{missing[0].replace('_', '-')}")
     stub = tmp_path / "media_export"  # which RViz asks for, and Debian has not
     stub.mkdir()
     (stub / "package.xml").write_text("<package><name>media_export</name><version>0.0.0</version></package>")

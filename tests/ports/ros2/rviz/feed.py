@@ -12,7 +12,7 @@ import rospy
 
 from ullage.ports import messages as ros
 
-LATCHED = {"/map", "/world", "/path", "/map/cubes", "/tf_static", "/image"}
+LATCHED = {"/map", "/world", "/path", "/map/plane", "/map/cubes", "/tf_static", "/image"}
 OLD = {"map_msgs/msg/OccupancyGridUpdate": "map_msgs"}
 
 
