@@ -219,7 +219,8 @@ def _rectangles(cells: Bools, origin_m: tuple[float, float, float], step_m: floa
     right = np.nonzero(edges == -1)[1]
     x = np.stack([left, right, right, left, right, left], axis=1)
     y = np.stack([row, row, row + 1, row, row + 1, row + 1], axis=1)
-    return np.stack([x.ravel(), y.ravel()], axis=1) * step_m + np.asarray(origin_m[:2])
+    corners: Floats = np.stack([x.ravel(), y.ravel()], axis=1) * step_m + np.asarray(origin_m[:2])
+    return corners
 
 
 def picture_messages(image: Image, t_ns: int) -> tuple[bytes, bytes]:
