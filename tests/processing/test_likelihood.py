@@ -9,6 +9,7 @@ import pytest
 import ullage as ul
 from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
+from ullage.grids import UNKNOWN
 from ullage.kernels.matched_sums import Aperture
 from ullage.processing.likelihood.mapper import LikelihoodMapper
 from ullage.processing.likelihood.poses import AperturePoses
@@ -71,6 +72,16 @@ def tank(centre, radius_m):
         ray = at - np.asarray(centre)
         far = np.linalg.norm(ray, axis=1)
         return radius_m - far, ray / far[:, None], 0.5
+
+    return echo
+
+
+def pipe(distance_m, above_m, *, strength):
+    """A level pipe along x, above the plane of flight."""
+
+    def echo(at):
+        across = distance_m - at[:, 1]
+        return np.hypot(across, above_m), np.tile([0.0, 1.0], (len(at), 1)), strength
 
     return echo
 
@@ -157,6 +168,19 @@ def test_what_lies_behind_a_stronger_wall_is_hidden():
     assert behind
     assert not any(one.on_map for one in behind)
     assert centres(mapper.map())[:, 1].max() < 2.2
+
+
+@pytest.mark.parametrize("above_m", [0.2, 0.6])
+def test_a_pipe_above_the_flight_is_not_occupied_where_a_stronger_wall_shows_behind_it(above_m):
+    path = Trajectory.line((-1.0, 0, 0), (1.0, 0.1, 0), 0.5, 8.0)
+    range_m = np.hypot(1.6, above_m)
+    cells, _ = GRID.index(np.array([[0.0, range_m + 0.05, 0], [0.0, 2.15, 0]]))
+    alone = mapped(flown(path, pipe(1.6, above_m, strength=0.1))).map()
+    assert alone.occupied[tuple(cells[0])], "alone it may be a wall"
+    both = mapped(flown(path, pipe(1.6, above_m, strength=0.1), wall(90, 2.5))).map()
+    assert both.percent[tuple(cells[0])] == UNKNOWN
+    assert both.free[tuple(cells[1])]
+    assert np.abs(centres(both)[np.abs(centres(both)[:, 0]) < 0.5, 1] - 2.5).max() < 0.11
 
 
 def test_an_echo_that_something_weakens_frees_nothing():

@@ -107,6 +107,47 @@ def find_hidden(plane, views, evidence, level, least, alive):  # type: ignore[no
 
 
 @loop()
+def find_crossed(plane, views, evidence, level, least, alive, wavelength_m, width, crossed):  # type: ignore[no-untyped-def]
+    """Add up the weights of the echoes that came through each cell, though a surface fills their tube there.
+
+    Such an echo contradicts an opaque surface in the plane. Only echoes stronger than the surface count, since a
+    weaker one may be an image in it. Things narrower than the tube, such as poles, do not block an echo.
+
+    Args:
+        plane: the cells.
+        views: the echoes.
+        evidence: (cells) of surfaces.
+        level: (cells) of the strongest echo of each [m].
+        least: evidence of an occupied cell.
+        alive: (k) which count.
+        wavelength_m: of the carrier [m].
+        width: half width of a tube in radii of the first Fresnel zone.
+        crossed: (cells) added to.
+    """
+    met = np.empty(STRANDS, np.int64)
+    for k in range(len(alive)):
+        if not alive[k]:
+            continue
+        c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
+        met[:] = -1
+        for i in range(int((views.state[k, 0] - BEFORE_M) / (0.4 * plane.step))):
+            far = 0.4 * plane.step * i
+            half = width * math.sqrt(0.5 * wavelength_m * far * abs(1 - views.state[k, 2] * far))
+            for j in range(STRANDS):
+                if met[j] >= 0 or far <= BODY_M:
+                    continue
+                aside = half * (2 * j / (STRANDS - 1) - 1)
+                x, y = views.position[k, 0] + far * c - aside * s, views.position[k, 1] + far * s + aside * c
+                cell = _cell(plane, x, y)
+                if cell >= 0 and evidence[cell] >= least and level[cell] < views.level[k]:
+                    met[j] = cell
+        if met.min() >= 0:
+            for j in range(STRANDS):
+                if j == 0 or met[j] != met[j - 1]:
+                    crossed[met[j]] += views.weight[k]
+
+
+@loop()
 def draw_tubes(plane, views, alive, wavelength_m, width, margins, occupied, free):  # type: ignore[no-untyped-def]
     """Mark the cells between each place and its specular point, as wide as a share of the first Fresnel zone.
 

@@ -8,7 +8,16 @@ from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
-from ullage.kernels.surface_cells import BODY_M, Plane, Views, draw_extensions, draw_surfaces, draw_tubes, find_hidden
+from ullage.kernels.surface_cells import (
+    BODY_M,
+    Plane,
+    Views,
+    draw_extensions,
+    draw_surfaces,
+    draw_tubes,
+    find_crossed,
+    find_hidden,
+)
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, smoothed, transported
 
@@ -48,18 +57,28 @@ def render(
     if surfaces:
         views, owner = _views(surfaces, wavelength_m, spec)
         possible = ~(_flown_through(views, owner, flown) | _folded(surfaces, fold_m))
-        alive, evidence = _visible(plane, views, owner, possible, spec)
+        alive, evidence, level = _visible(plane, views, owner, possible, spec)
         kept = np.bincount(owner, alive, len(surfaces)) > 0
-        free = np.zeros((2, grid.size), bool)
+        shown = evidence >= spec.evidence
+        crossed = np.zeros(grid.size)
+        find_crossed(plane, views, evidence, level, spec.evidence, alive, wavelength_m, spec.tube, crossed)
+        occupied = shown & (crossed < spec.crossed * evidence)
         clear = alive & _unobstructed(views, owner)
-        occupied = evidence >= spec.evidence
-        draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), occupied, free)
-        extension = np.zeros(grid.size, bool)
-        draw_extensions(plane, views, alive, spec.extension_m, extension)
-        beside = binary_dilation(occupied.reshape(grid.shape), np.ones((3, 3), bool)).ravel()
-        percent[free[0] & (free[1] | ~extension) & ~beside] = FREE
+        percent[_freed(plane, views, clear, alive, occupied, wavelength_m, spec) & ~shown] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
+
+
+def _freed(
+    plane: Plane, views: Views, clear: Bools, alive: Bools, occupied: Bools, wavelength_m: float, spec: LikelihoodSpec
+) -> Bools:
+    """Cells before clear echoes (k), but for those beside surfaces and where surfaces may go on (cells)."""
+    free = np.zeros((2, len(occupied)), bool)
+    draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), occupied, free)
+    extension = np.zeros(len(occupied), bool)
+    draw_extensions(plane, views, alive, spec.extension_m, extension)
+    beside = binary_dilation(occupied.reshape(plane.rows, plane.columns), np.ones((3, 3), bool)).ravel()
+    return np.asarray(free[0] & (free[1] | ~extension) & ~beside)
 
 
 def _body(grid: Grid, flown: Floats) -> Longs:
@@ -97,7 +116,9 @@ def _views(surfaces: list[Surface], wavelength_m: float, spec: LikelihoodSpec) -
     return views, owner
 
 
-def _visible(plane: Plane, views: Views, owner: Longs, possible: Bools, spec: LikelihoodSpec) -> tuple[Bools, Floats]:
+def _visible(
+    plane: Plane, views: Views, owner: Longs, possible: Bools, spec: LikelihoodSpec
+) -> tuple[Bools, Floats, Floats]:
     """Which echoes come straight from a surface, and the evidence of these in each cell (cells)."""
     count = np.bincount(owner)
     alive = possible[owner]
@@ -110,7 +131,7 @@ def _visible(plane: Plane, views: Views, owner: Longs, possible: Bools, spec: Li
         alive &= (np.bincount(owner, alive) / count > SEEN_SHARE)[owner]
     evidence[:], level[:] = 0, 0
     draw_surfaces(plane, views, alive, evidence, level)
-    return alive, evidence
+    return alive, evidence, level
 
 
 def _unobstructed(views: Views, owner: Longs) -> Bools:

@@ -40,6 +40,7 @@ class LikelihoodSpec:
     least_keyframes: int = 3  # of a surface on the map
     # cells
     evidence: float = 1.5  # sum of the weights of echoes in an occupied cell
+    crossed: float = 0.25  # stronger echoes from behind, over a cell's own evidence, from which it is not occupied
     support: float = 1.0  # half width of what one echo shows of a surface, in radii of the first Fresnel zone
     tube: float = 0.3  # half width of the free space before an echo, in Fresnel radii: a nearer edge takes 5 dB of it
     margin_m: float = 0.15  # before an echo that is not declared free: pulse width and half a cell
