@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # what editors, type checkers and the documentation see of th
     from ullage.grids import OccupancyMap as OccupancyMap
     from ullage.pipeline import run as run
     from ullage.pipeline import sink as sink
-    from ullage.ports import open as open
+    from ullage.ports.registry import open as open
     from ullage.processing import metrics as metrics
     from ullage.processing.calibrate import calibrate as calibrate
     from ullage.processing.detect import detect as detect
