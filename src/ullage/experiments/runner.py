@@ -17,7 +17,7 @@ from ullage.data import Frames, Metric, Trajectory
 from ullage.errors import InputError, UllageError
 from ullage.experiments.draft import running
 from ullage.experiments.folder import metric_tree, provenance, write_json, write_text
-from ullage.experiments.imaging import image_plane, plane_findings
+from ullage.experiments.imaging import ImagePlane, image_plane, plane_findings
 from ullage.experiments.inspection import inspect, object_rows
 from ullage.experiments.map_files import MapSaver, write_map_files
 from ullage.experiments.obstacle_table import ObstacleTable
@@ -204,12 +204,16 @@ def _stages(job: Run) -> list[Stage]:
         out.append(stage if plan.remove_own_echo else replace(stage, own_echo=None))
         job.obstacles = ObstacleTable(job.folder)
     margin, height = plan.map.margin_m, _height(job)
-    plane = image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
+
+    def plane() -> ImagePlane:
+        return image_plane(plan.image, _bounds(job), flight_m=height, marks=job.marks, margin_m=margin)
+
     if "image" in job.tasks:
-        job.plane = plane
+        job.plane = plane()
     if "map" in job.tasks:
         grid = Grid.covering(_bounds(job), plan.map.step_m, dims=plan.map.dims, margin_m=margin)
-        plane_m = float(plane.grid.origin_m[2]) if plane.grid.dims == 2 else None
+        scatterers = plane().grid  # at the heights that an image would show
+        plane_m = float(scatterers.origin_m[2]) if scatterers.dims == 2 else None
         every_s = plan.map.every_s or (LIVE_S if job.live else WATCHED_S)
         job.map = MapStage(grid, plan.map.method, plan.detect.threshold, live=job.live, own_echo=own, every_s=every_s,
                            floor_z_m=plan.map.floor_z_m, target_z_m=plane_m,
