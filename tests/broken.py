@@ -1,4 +1,7 @@
-"""Give files to their readers, one after the other, and print one JSON line for each; run in a process of its own."""
+"""Give files to their readers, one after the other, and print one JSON line for each; run in a process of its own.
+
+Arguments: a folder to write in. Lines of input: reader, tab, file.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ def read_map_server(path: Path) -> object:
     """A map and its image in one file, as they were when they broke a reader: length of the text, text, image."""
     blob = path.read_bytes()
     size = int.from_bytes(blob[:4], "little")
-    home = Path(sys.argv[2])
+    home = Path(sys.argv[1])
     name = next((w for w in ("trinary.pgm", "raw.pgm", "scale.png") if w.encode() in blob[: 4 + size]), "m.pgm")
     (home / name).write_bytes(blob[4 + size :])
     (home / path.name).write_bytes(blob[4 : 4 + size])
@@ -74,18 +77,25 @@ def peak_mb() -> float:
 def main() -> None:
     warnings.simplefilter("ignore")
     warnings.simplefilter("error", DamageWarning)  # damaged messages are left out, and one line says so
-    reader = READERS[sys.argv[1]]
-    for name in sys.stdin.read().splitlines():
+    for line in sys.stdin.read().splitlines():
+        kind, name = line.split("\t")
         begun = time.process_time()
         said, trouble = "", ""
         try:
-            reader(Path(name))
+            READERS[kind](Path(name))
         except (ul.InputError, DamageWarning) as error:
             said = str(error)
         except Exception:
             trouble = traceback.format_exc()
         megabytes = peak_mb()
-        out = {"file": name, "said": said, "trouble": trouble, "mb": megabytes, "s": time.process_time() - begun}
+        out = {
+            "kind": kind,
+            "file": name,
+            "said": said,
+            "trouble": trouble,
+            "mb": megabytes,
+            "s": time.process_time() - begun,
+        }
         print(json.dumps(out), flush=True)
 
 

@@ -133,11 +133,11 @@ def test_the_report_needs_nothing_from_outside(place: Path) -> None:
     assert "Two walls" in page
 
 
-def test_a_run_is_measured_against_its_bounds(place: Path) -> None:
-    assert ullage("measure", cwd=place).returncode == 0
-    broken = ullage("run", "walls.yaml", "-o", "expect.frames={max: 3}", "--do", "detect", cwd=place)
-    assert broken.returncode == 0, broken.stderr
-    judged = ullage("measure", cwd=place)
+def test_a_run_is_measured_against_its_bounds(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert Told(("measure",), place, capsys).returncode in (0, None)
+    broken = Told(("run", "walls.yaml", "-o", "expect.frames={max: 3}", "--do", "detect"), place, capsys)
+    assert broken.returncode in (0, None), broken.stderr
+    judged = Told(("measure",), place, capsys)
     assert judged.returncode == 1
     assert "OUT" in judged.stdout
     (place / "runs" / "latest").unlink()

@@ -8,6 +8,7 @@ import importlib
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,12 @@ HEAVY = {
     "numpy",
     "pydantic",
 }
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a source file, made once."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:
@@ -55,14 +62,14 @@ def test_every_public_name_is_there_and_has_a_docstring(name: str) -> None:
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT / "src")))
 def test_a_file_says_what_it_is_for(path: Path) -> None:
-    assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    assert ast.get_docstring(parsed(path))
 
 
 def test_every_source_named_is_in_the_references() -> None:
     known = set(re.findall(r"@\w+\{([^,]+),", (ROOT / "docs" / "references.bib").read_text(encoding="utf-8")))
     missing = {}
     for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)):
                 keys = set(re.findall(r"\[([A-Z][A-Za-z-]*\d[\w-]*)", text)) - known
                 missing |= dict.fromkeys(keys, path.name)
@@ -71,7 +78,7 @@ def test_every_source_named_is_in_the_references() -> None:
 
 def test_kernels_know_none_of_our_types() -> None:
     for path in (ROOT / "src" / "ullage" / "kernels").glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ullage"):
                 assert node.module.startswith(("ullage.kernels", "ullage.geometry", "ullage.arrays")), path.name
 
@@ -98,10 +105,7 @@ def test_no_module_imports_itself_through_others() -> None:
     for path in SOURCES:
         parts = path.relative_to(ROOT / "src").with_suffix("").parts
         graph[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    edges = {
-        name: imported(ast.parse(path.read_text(encoding="utf-8"))) & graph.keys() - {name}
-        for name, path in graph.items()
-    }
+    edges = {name: imported(parsed(path)) & graph.keys() - {name} for name, path in graph.items()}
     graphlib.TopologicalSorter(edges).prepare()  # raises CycleError with the modules of a circle
 
 

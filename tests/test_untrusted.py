@@ -30,11 +30,11 @@ import readers as fuzzed  # noqa: E402  # the inputs of the fuzzer
 HARMLESS = {"OverflowError@grids.py:115.m.ply"}  # a sound map with one point far outside its grid: a warning
 
 
-def read_all(reader: str, files: list[Path], tmp_path: Path) -> list[dict[str, Any]]:
-    """What a process of its own says of each file."""
+def read_all(files: list[tuple[str, Path]], tmp_path: Path) -> list[dict[str, Any]]:
+    """What a process of its own says of each file, given its reader."""
     done = subprocess.run(
-        [sys.executable, str(HERE / "broken.py"), reader, str(tmp_path)], input="\n".join(map(str, files)),
-        capture_output=True, text=True, timeout=200, check=True, cwd=tmp_path,
+        [sys.executable, str(HERE / "broken.py"), str(tmp_path)], text=True, timeout=200, check=True, cwd=tmp_path,
+        input="\n".join(f"{reader}\t{file}" for reader, file in files), capture_output=True,
     )  # fmt: skip
     return [json.loads(line) for line in done.stdout.splitlines()]
 
@@ -50,15 +50,25 @@ def assert_refused(found: dict[str, Any], *, named: bool = True) -> None:
     assert found["s"] < 10
 
 
-@pytest.mark.parametrize(
-    "kind", ["map", "octo", "mcapmsg", "bag", "motive", "cli", "sdf", "urdf", "xacro", "scenario"]
-)  # fmt: skip
-def test_every_kept_file_that_broke_a_reader_is_refused_in_one_line(kind: str, tmp_path: Path) -> None:
+KINDS = ["map", "octo", "mcapmsg", "bag", "motive", "cli", "sdf", "urdf", "xacro", "scenario"]
+
+
+def kept_files(kind: str) -> list[Path]:
+    return sorted(path for path in (BROKEN / kind).iterdir() if path.is_file())
+
+
+@pytest.fixture(scope="module")
+def refusals(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """What one process says of all inputs that once broke a reader."""
     if not BROKEN.is_dir():
         pytest.skip("the inputs that once broke readers are not at hand")
-    files = sorted(path for path in (BROKEN / kind).iterdir() if path.is_file())
-    found = read_all(kind, files, tmp_path)
-    assert len(found) == len(files) > 0
+    return read_all([(kind, file) for kind in KINDS for file in kept_files(kind)], tmp_path_factory.mktemp("kept"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kept_file_that_broke_a_reader_is_refused_in_one_line(kind: str, refusals: list[dict[str, Any]]) -> None:
+    found = [one for one in refusals if one["kind"] == kind]
+    assert [one["file"] for one in found] == [str(file) for file in kept_files(kind)] != []
     for one in found:
         if Path(one["file"]).name not in HARMLESS:
             assert_refused(one, named=kind != "cli")
@@ -245,7 +255,7 @@ def test_headers_that_promise_200_gib_are_refused(reader: str, tmp_path: Path) -
         for name, data in files.items():
             (home / name).write_bytes(data)
         paths.append(home / next(iter(files)))
-    for found, (_, words) in zip(read_all(reader, paths, tmp_path), PROMISES[reader], strict=True):
+    for found, (_, words) in zip(read_all([(reader, path) for path in paths], tmp_path), PROMISES[reader], strict=True):
         assert_refused(found, named=False)
         assert words in found["said"]
 

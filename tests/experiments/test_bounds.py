@@ -1,11 +1,12 @@
 """The bounds of shipped scenarios: a sound mapper is inside them, one that is ruined is not."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from ullage.data import Trajectory
+from ullage.data import Frames, Trajectory
 from ullage.experiments.bounds import verdicts
 from ullage.experiments.catalog import find_scenario
 from ullage.experiments.run import of_scenario
@@ -25,6 +26,11 @@ def shifted(frames, step_m):
     return replace(frames, poses=moved, truth=path)
 
 
+def sound(frames, step_m):
+    """As the radars received them."""
+    return frames
+
+
 def deaf(frames, step_m):
     """Noise alone."""
     return replace(frames, samples=np.zeros_like(frames.samples))
@@ -32,19 +38,27 @@ def deaf(frames, step_m):
 
 @dataclass
 class Ruined:
-    source: Simulated
+    simulated: Simulated
+    pieces: list[dict[str, Frames]]
     ruin: object
 
     def stream(self):
-        for piece in self.source.stream():
-            yield {name: self.ruin(part, self.source.scenario.map.step_m) for name, part in piece.items()}
+        for piece in self.pieces:
+            yield {name: self.ruin(part, self.simulated.scenario.map.step_m) for name, part in piece.items()}
 
 
-def outside(name, folder, ruin=None):
-    """Bounds of a scenario that its run is outside of."""
+@lru_cache(maxsize=1)
+def received(name):
+    """A scenario, and what its radars receive: simulated once for all that is done to it."""
     simulated = prepare(find_scenario(name))
+    return simulated, list(simulated.stream())
+
+
+def outside(name, folder, ruin):
+    """Bounds of a scenario that its run is outside of."""
+    simulated, pieces = received(name)
     job = of_scenario(folder, simulated)
-    job.source = simulated if ruin is None else Ruined(simulated, ruin)
+    job.source = Ruined(simulated, pieces, ruin)
     execute(job, draw=False, log=lambda text: None)
     return [one.text for one in verdicts(folder) if not one.inside]
 
@@ -56,7 +70,7 @@ SLOW = ["ntnu-mapping-5cm", "ntnu-mapping-50cm", "ntnu-mapping-20cm", "cluttered
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
-@pytest.mark.parametrize("ruin", [None, too_long, shifted, deaf])
+@pytest.mark.parametrize("ruin", [sound, too_long, shifted, deaf])
 def test_a_ruined_mapper_is_out_of_bounds_and_a_sound_one_within(name, ruin, tmp_path):
     found = outside(name, tmp_path, ruin)
-    assert bool(found) == (ruin is not None), found
+    assert bool(found) == (ruin is not sound), found

@@ -14,24 +14,29 @@ from ullage.thesis.node import NodeCost, measure_node
 COST = NodeCost(flight_s=10.0, frames=680, start_cpu_s=1.0, cpu_s=0.5, import_mb=150.0, peak_mb=200.0, grid_kb=10.0)
 
 
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = ul.Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 10)
     frames = ul.simulate(ul.scenes.plate(1, 1, 2.0), path, ul.RadarSpec.preset("x4m05"), fidelity="thesis")
-    file = tmp_path / "plate.mcap"
+    file = tmp_path_factory.mktemp("node") / "plate.mcap"
     out = ul.sink(file)
     out.write({"front": frames})
     out.close()
     return file
 
 
-def test_the_node_is_measured_in_a_process_of_its_own(recording: Path) -> None:
-    cost = measure_node(recording, method="elfes", step_m=0.1, reach_m=5.0)
-    assert cost.frames == 21
-    assert cost.flight_s == pytest.approx(2.0)
-    assert 0 < cost.cpu_s < cost.start_cpu_s + 10
-    assert 20 < cost.import_mb <= cost.peak_mb
-    assert cost.grid_kb > 0
+@pytest.fixture(scope="module")
+def coarse(recording: Path) -> NodeCost:
+    """The node with cells of 0.1 m."""
+    return measure_node(recording, method="elfes", step_m=0.1, reach_m=25.0)
+
+
+def test_the_node_is_measured_in_a_process_of_its_own(coarse: NodeCost) -> None:
+    assert coarse.frames == 21
+    assert coarse.flight_s == pytest.approx(2.0)
+    assert 0 < coarse.cpu_s < coarse.start_cpu_s + 10
+    assert 20 < coarse.import_mb <= coarse.peak_mb
+    assert coarse.grid_kb > 0
 
 
 def test_the_memory_is_the_node_s_and_not_that_of_its_parent(recording: Path) -> None:
@@ -42,8 +47,8 @@ def test_the_memory_is_the_node_s_and_not_that_of_its_parent(recording: Path) ->
     assert cost.import_mb < 400
 
 
-def test_a_finer_map_needs_more_memory(recording: Path) -> None:
-    coarse, fine = (measure_node(recording, method="elfes", step_m=step, reach_m=25.0) for step in (0.1, 0.02))
+def test_a_finer_map_needs_more_memory(recording: Path, coarse: NodeCost) -> None:
+    fine = measure_node(recording, method="elfes", step_m=0.02, reach_m=25.0)
     assert fine.peak_mb > coarse.peak_mb + 30
 
 
