@@ -138,7 +138,7 @@ def test_frames_of_a_run_become_distances(autopilot: Autopilot, said: list[str])
     with sink(autopilot, said, pace=0) as out:
         out.write(ul.simulate(scene, path, rig, seed=1))
         out.write(scene)  # nothing for an autopilot
-    (first, *_, last) = autopilot.of("OBSTACLE_DISTANCE")
+    (first, *_, last) = autopilot.await_("OBSTACLE_DISTANCE", len(path))
     assert first.distances[0] == first.max_distance + 1  # a track needs three detections
     assert last.distances[0] == pytest.approx(220, abs=10)
 
@@ -154,7 +154,7 @@ def test_obstacles_of_the_run_replace_our_own(autopilot: Autopilot, said: list[s
         )
         out.write(frames)
         out.write(around(1.0, 1.5))
-    assert [one.distances[0] for one in autopilot.of("OBSTACLE_DISTANCE")] == [100, 150]
+    assert [one.distances[0] for one in autopilot.await_("OBSTACLE_DISTANCE", 2)] == [100, 150]
 
 
 def test_without_an_autopilot_it_is_said_at_the_end(said: list[str]) -> None:
