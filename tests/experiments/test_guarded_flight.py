@@ -19,7 +19,7 @@ from ullage.flight.airframe import airframe
 from ullage.world.scene import Scene
 
 HULL_M = airframe("hector").radius_m
-POINTS = np.array([[-1.2, 0.0, -0.3], [2.9, 0.0, -0.3]])
+POINTS = np.array([[-0.2, 0.0, -0.3], [2.9, 0.0, -0.3]])
 ROOM = ul.scenes.room(size_m=(6, 5, 3))
 
 
@@ -45,13 +45,13 @@ def test_a_flight_at_a_wall_stops_before_it_and_without_a_guard_hits_it() -> Non
 
 
 def test_a_radar_that_falls_silent_stops_the_flight_within_the_limit_of_staleness() -> None:
-    def without_front_after_3_s(chunk: dict[str, Frames]) -> dict[str, Frames]:
-        lost = int(next(iter(chunk.values())).t_ns[0]) > 3e9
+    def without_front_after_2_s(chunk: dict[str, Frames]) -> dict[str, Frames]:
+        lost = int(next(iter(chunk.values())).t_ns[0]) > 2e9
         return {name: part for name, part in chunk.items() if not (lost and name == "front")}
 
     plan = scenario(0.5)
-    lost = flight(plan, receive=without_front_after_3_s)
-    at_loss = np.searchsorted(lost.flown.t_ns, 3e9)
+    lost = flight(plan, receive=without_front_after_2_s)
+    at_loss = np.searchsorted(lost.flown.t_ns, 2e9)
     travelled = lost.flown.position[-1, 0] - lost.flown.position[at_loss, 0]
     assert lost.steps[-1].limit.state == "stop"
     assert lost.steps[-1].limit.sensor == "front"

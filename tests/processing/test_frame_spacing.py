@@ -29,7 +29,8 @@ def flown() -> tuple[ul.Scene, dict[str, ul.Frames]]:
 def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
     scene, frames = flown
     sparse = {name: part[::stride] for name, part in frames.items()}
-    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.plane_of(scene)), scene, frames)
+    judged_by = {name: part[::5] for name, part in frames.items()}  # the same surface in view for every stride
+    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.plane_of(scene)), scene, judged_by)
     assert found["f1"].value > 0.85
     assert found["precision"].value > 0.93
     assert found["surface_declared_free"].value < 0.01

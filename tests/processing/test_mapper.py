@@ -21,8 +21,8 @@ PLAN = world.box_plan(-4, 4, -3, 3)
 GRID = ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.1, z_m=0.0)
 
 
-def loop(*, rate=25.0):
-    corners = np.array([(-2.3, -1.2), (2.3, -1.3), (2.4, 1.3), (-2.4, 1.2), (-2.3, -1.2)])
+def loop(*, rate=12.5):
+    corners = np.array([(-1.7, -1.0), (1.7, -1.1), (1.8, 1.1), (-1.8, 1.0), (-1.7, -1.0)])
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     s = np.arange(0, way[-1], 0.5 / rate)
     xy = np.stack([np.interp(s, way, corners[:, k]) for k in (0, 1)], axis=1)
@@ -122,8 +122,8 @@ def test_copies_of_a_frame_give_the_map_of_one(flight):
 
 def test_pieces_give_the_map_of_the_whole_and_every_change_is_announced(flight, hall_map):
     mapper, patched = Mapper(GRID), np.full(GRID.shape, -1, np.int8)
-    for start in range(0, len(flight["front"]), 150):
-        mapper.update({name: f[start : start + 150] for name, f in flight.items()})
+    for start in range(0, len(flight["front"]), 60):
+        mapper.update({name: f[start : start + 60] for name, f in flight.items()})
         for (row, column), values in mapper.changed():
             patched[row : row + len(values), column : column + values.shape[1]] = values
         np.testing.assert_array_equal(patched, mapper.map().percent)
@@ -154,13 +154,13 @@ def test_sensors_may_differ_in_range_axis_and_rate(flight):
 
 
 def test_a_gap_and_a_jump_are_never_joined(flight):
-    holed = {n: f[np.r_[0:200, 330 : len(f)]] for n, f in flight.items()}
+    holed = {n: f[np.r_[0:80, 140 : len(f)]] for n, f in flight.items()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert score(ul.map_occupancy(holed, GRID), flight)["precision"] > 0.8
     front = flight["front"]
-    leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 300, [0.0, 0.9, 0.0], 0.0)
-    with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 301"):
+    leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 120, [0.0, 1.8, 0.0], 0.0)
+    with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 121"):
         ul.map_occupancy(moved(front, Trajectory(front.t_ns, leap, front.believed.quat_xyzw)), GRID)
 
 
@@ -172,7 +172,7 @@ def test_a_grid_too_large_says_how_large_before_it_is_made():
 def test_memory_follows_what_is_known(flight):
     mapper = UllageMapper(ul.Grid.covering([[-25, -25, -1], [25, 25, 1]], 0.05, z_m=0.0))
     assert mapper.blocks.nbytes < 25_000
-    part = {n: f[:60] for n, f in flight.items()}
+    part = {n: f[:30] for n, f in flight.items()}
     mapper.update(part)
     mapper.finish()
     assert mapper.blocks.nbytes < 0.5 * 4 * mapper.grid.size, "half of the same state kept densely"
@@ -192,7 +192,7 @@ def test_blocks_collapse_and_come_back():
 
 def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
     grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
-    omap = ul.map_occupancy({n: f[:300] for n, f in flight.items()}, grid)
+    omap = ul.map_occupancy({n: f[:120] for n, f in flight.items()}, grid)
     assert omap.percent.shape == grid.shape
     middle = omap.percent[len(grid.z_m) // 2]
     assert (middle[2] >= -2).all()
@@ -204,7 +204,7 @@ def test_work_that_is_spread_over_frames_changes_nothing_of_a_volume(flight):
     grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
     spread, at_once = Mapper(grid), Mapper(grid)
     waited = 0
-    for start in range(0, 120):
+    for start in range(0, 60):
         piece = {name: f[start : start + 1] for name, f in flight.items()}
         spread.update(piece)
         at_once.update(piece)
