@@ -47,8 +47,8 @@ def run(work: Workspace) -> None:
     levels(work, flights)
     shapes(work, flights)
     work.results.not_compared += [
-        "Figures 6.3 to 6.8 a and b, the real radar: the recordings behind them are not at hand, so "
-        "amplitudes, local maxima and images of the real targets cannot be set beside ours.",
+        "Figures 6.3 to 6.8 a and b, the real radar: the recordings behind them are not available. So amplitudes, "
+        "local maxima and images of the real targets cannot be compared with ours.",
         "The speed of the real flights: the thesis says it was higher than the simulator's 0.5 m/s, and gives no "
         "number. Our flights by hand are asked for 1 m/s, which is a choice.",
     ]

@@ -114,8 +114,8 @@ def run(work: Workspace) -> None:
 
 
 NOTE = (
-    "Three upright poles of 1 cm at 2 to 3 m before one X4M05 that passes 1.4 m at 0.5 m/s and 25 frames a second, "
-    "with the receiver's noise; cells of 1 cm; the nearest pole is measured. Mean over the flights and its 95 % "
+    "One X4M05 passes three upright poles of 1 cm at 2 to 3 m. It flies 1.4 m at 0.5 m/s and 25 frames a second, "
+    "with the receiver's noise. Cells of 1 cm; the nearest pole is measured. Mean over the flights and its 95 % "
     "interval by Student's t."
 )
 

@@ -104,8 +104,8 @@ def run(work: Workspace) -> None:
 
 
 NOTE = (
-    "Rounds of 27 s through a concrete room of 8 x 6 x 3 m with a steel plate, four X4M05, cells of 0.1 m but where "
-    "said, one bounce; mean over the flights and its 95 % interval by Student's t, at the fixed threshold. "
+    "Rounds of 27 s through a concrete room of 8 x 6 x 3 m with a steel plate. Four X4M05, one bounce, cells of 0.1 m "
+    "unless stated. Mean over the flights and its 95 % interval by Student's t, at the fixed threshold. "
     '"Walls given" makes no error: it draws the first Fresnel zone about the specular point of every keyframe.'
 )
 

@@ -155,13 +155,13 @@ def _state(
     hold("recorded clutter behind the reflector, rms under its peak", "beyond", clutter[0], "dB", low=-40, high=0)
     hold("simulated clutter there", "beyond", clutter[1], "dB", high=-20)
     work.results.notes.append(
-        f"The recorded echo lies {100 * bias:.0f} cm beyond the simulated one: the survey is of markers on the "
-        "reflector's front edge and on the radar's case, not of the two phase centres, and the range offset itself is "
+        f"The recorded range minus the simulated one is {100 * bias:.0f} cm. The survey is of markers on the "
+        "reflector's front edge and on the radar's case, not of the two phase centres. The range offset itself is "
         "known to 3 cm. "
-        f"The recording holds the echoes of a whole hall ({clutter[0]:.0f} dB under the reflector beyond it), the "
-        f"simulation those of a bare floor ({clutter[1]:.0f} dB): what stood in the hall is not written down. Near the "
-        "radar the recorded direct path rings on to about 2.5 m; the preset models the direct path of the X4 only. The "
-        "size of the real reflector is unknown, so levels are compared after one gain factor."
+        f"The recording holds the echoes of a whole hall: {clutter[0]:.0f} dB relative to the reflector, beyond it. "
+        f"The simulation holds those of a bare floor: {clutter[1]:.0f} dB. The contents of the hall are not recorded. "
+        "Near the radar the recorded direct path rings on to about 2.5 m. The preset models the direct path of the X4 "
+        "only. The size of the real reflector is unknown, so levels are compared after one gain factor."
     )
 
 

@@ -89,8 +89,8 @@ def state(work: Workspace, both: list[dict[str, float]]) -> None:
     rows = [(title, form.format(real[key]), form.format(ours[key])) for key, (title, form) in WORDS.items()]
     work.results.add_table("X4 at rest, N = 4", ("", "recorded", "simulated"), rows)
     work.results.notes.append(
-        "They differ in the spectrum, which falls lower at the band's edges in the recording (the real on-chip filter "
-        "is not published), and in strong bins: referred to the direct path the recorded ones keep 2 to 4.5 dB over "
-        "the additive noise, jitter that is not common to the frame and is not modelled. The room round the recorded "
+        "They differ in two points. The recorded spectrum falls lower at the band's edges; the real on-chip filter is "
+        "not published. Strong bins of the recording, relative to the direct path, keep 2 to 4.5 dB over the additive "
+        "noise. This is jitter that is not common to the frame, and it is not modelled. The room around the recorded "
         "radar is unknown, so echoes are not compared here."
     )

@@ -111,8 +111,8 @@ def run(work: Workspace) -> None:
 
 
 NOTE = (
-    "Rounds of 27 s that rise and sink by 0.9 m through a concrete room of 8 x 6 x 3 m with a steel plate, four X4M05, "
-    "cells of 0.1 m; mean over the flights and its 95 % interval by Student's t, at the fixed threshold."
+    "Rounds of 27 s that rise and sink by 0.9 m through a concrete room of 8 x 6 x 3 m with a steel plate. Four X4M05, "
+    "cells of 0.1 m. Mean over the flights and its 95 % interval by Student's t, at the fixed threshold."
 )
 OPEN = (
     "Shares of the cells 12 to 28 deg above and below each true foot of a perpendicular, at its range, in the beam and "
