@@ -140,6 +140,31 @@ def test_sources_link_to_the_references(pages: ModuleType) -> None:
     assert "[](){#Keller1962}**[Keller1962]** Keller." in entry
 
 
+GLOSSARY = """| term | meaning |
+|---|---|
+| range bin | one *sample* |
+| SAR, aperture | an antenna |
+| bin | a tub |
+"""
+
+
+def test_the_first_use_of_a_term_links_to_the_glossary() -> None:
+    markdown = pytest.importorskip("markdown")
+    links = pytest.importorskip("glossary_links").GlossaryLinks(GLOSSARY)
+    links.page = "tutorials/one.md"
+    text = "# A bin\n\nNo `range bin`, [bin](x.md), sar, cabin. **Range\nbins**, range bin, a bin; apertures, SAR."
+    html = markdown.markdown(text, extensions=[links])
+    assert "<h1>A bin</h1>" in html
+    assert 'No <code>range bin</code>, <a href="x.md">bin</a>, sar, cabin.' in html
+    assert re.findall(r'<a class="glossary" href="(\S+)" title="([^"]+)">([^<]+)</a>', html) == [
+        ("../glossary.md#range-bin", "one sample", "Range\nbins"),
+        ("../glossary.md#bin", "a tub", "bin"),
+        ("../glossary.md#sar-aperture", "an antenna", "apertures"),
+    ]
+    links.page = "glossary.md"
+    assert '<td id="sar-aperture">SAR, aperture</td>' in markdown.markdown(GLOSSARY, extensions=["tables", links])
+
+
 def test_the_first_python_block_is_at_most_twelve_lines() -> None:
     block = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
     assert block is not None

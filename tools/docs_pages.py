@@ -15,6 +15,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import ullage as ul
+from glossary_links import GlossaryLinks
 from ullage.cli import app
 
 GROUPS = {
@@ -40,6 +41,13 @@ while the documentation is built. [Exit codes](troubleshooting.md#exit-codes) ar
 """
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Let Markdown link terms to the glossary; mkdocs calls this."""
+    glossary = Path(config.docs_dir) / "glossary.md"
+    config.markdown_extensions.append(GlossaryLinks(glossary.read_text(encoding="utf-8")))
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of reference to the documentation; mkdocs calls this."""
     for name, text in {**api_pages(), "commands.md": commands_page()}.items():
@@ -48,7 +56,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Link sources such as [Keller1962] to the page of references; mkdocs calls this for every page."""
+    """Link sources such as [Keller1962] and terms of the glossary; mkdocs calls this for every page."""
+    for extension in config.markdown_extensions:
+        if isinstance(extension, GlossaryLinks):
+            extension.page = "" if page.file.generated_by or page.file.src_uri == "references.md" else page.file.src_uri
     bibtex = (Path(config.docs_dir) / "references.bib").read_text(encoding="utf-8")
     return with_sources(markdown, re.findall(r"^@\w+\{([^,\s]+),", bibtex, re.M))
 
