@@ -75,6 +75,10 @@ def test_the_verdict_warns_of_surface_that_is_marked_as_free(run_folder: Path) -
     assert re.search(r'class="bad">The map marks 5 % of the surface .* Do not fly by this map', page)
 
 
+def test_the_verdict_says_so_where_no_surface_is_marked_as_free(run_folder: Path) -> None:
+    assert "The map marks no surface in sight of the radars as free." in write_report(run_folder).read_text("utf-8")
+
+
 def test_metrics_are_grouped_defined_and_bounded(run_folder: Path) -> None:
     page = write_report(run_folder).read_text(encoding="utf-8")
     order = [page.index(f"<h3>{title}</h3>") for title in ("The map against the truth", "Safe to fly", "Radar and run")]
@@ -194,6 +198,16 @@ def test_in_chromium_the_replay_is_drawn_the_slider_moves_the_drone_and_an_echo_
     assert re.match(r"\S+ at \(-?\d+\.\d\d, .*\) m: (missed|not in sight)", page.inner_text("#explanation"))
     page.click("#theme")
     assert wrong == []
+    page.close()
+
+
+@pytest.mark.slow
+def test_on_a_phone_the_page_does_not_scroll_sideways_and_the_picture_fits(run_folder: Path, browser: Any) -> None:
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    page.goto(write_report(run_folder).as_uri())
+    page.wait_for_selector("body[data-ready]", state="attached")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.locator("#stage").bounding_box()["height"] < 350
     page.close()
 
 

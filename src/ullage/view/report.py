@@ -79,7 +79,8 @@ def verdict_lines(folder: Path, findings: Mapping[str, Any], metrics: Mapping[st
     out = _mapped(findings.get("objects", []), metrics)
     if (declared := _value(metrics, "surface_declared_free")) is not None:
         unsafe = declared > UNSAFE
-        text = f"The map marks {_percent(declared)} of the surface in sight of the radars as free."
+        share = f"{_percent(declared)} of the surface" if declared else "no surface"
+        text = f"The map marks {share} in sight of the radars as free."
         out.append(_line(text + (" Do not fly by this map." if unsafe else ""), "bad" if unsafe else ""))
     if (compared := findings.get("compared")) and (score := _value(compared["metrics"], "f1")) is not None:
         name = compared["name"][:1].upper() + compared["name"][1:]
