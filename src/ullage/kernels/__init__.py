@@ -13,8 +13,11 @@ from typing import Any
 def compiled(stem: str) -> bool:
     """Whether a module of kernels has a copy compiled from its source as it is, wherever Numba keeps them."""
     module = import_module(f"{__name__}.{stem}")
-    mine = [v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__ and hasattr(v, "stats")]
-    return not mine or any(_kept(kernel) for kernel in mine)  # none: Numba is turned off
+    mine = [v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__]
+    loops = [
+        v.compiled() if hasattr(v, "compiled") else v for v in mine if hasattr(v, "compiled") or hasattr(v, "stats")
+    ]
+    return not loops or any(_kept(kernel) for kernel in loops)  # none: Numba is turned off
 
 
 def _kept(kernel: Any) -> bool:

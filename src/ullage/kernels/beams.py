@@ -204,8 +204,8 @@ def _ends(beam, receiver, gate, faces, out, scratch):  # type: ignore[no-untyped
         at[0], at[1] = at[0] + 1, end
 
 
-@lean(nogil=True, error_model="numpy")
-def trace(origins, most, gate, mirrors, faces, out, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def trace(origins, most, gate, mirrors: ConvexMirrors, faces: EndFaces, out: BeamRows, scratch: BeamScratch):  # type: ignore[no-untyped-def]
     """Trace every beam of two or three bounces: over one or two mirrors, then on the face where it ends.
 
     Args:

@@ -52,8 +52,8 @@ class ReflectScratch(NamedTuple):
     field: Complexes  # (3)
 
 
-@lean(nogil=True, error_model="numpy")
-def stand_ins(middle, parts, points, which, least, cut, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def stand_ins(middle, parts: EdgeParts, points, which, least, cut, out):  # type: ignore[no-untyped-def]
     """Choose one point on each beam's lit part: the mirror point, or where the path over the outline is shortest.
 
     Args:
@@ -110,8 +110,8 @@ def _cross(image, target, normal, offset, out):  # type: ignore[no-untyped-def]
         out[k] = image[k] + share * (target[k] - image[k])
 
 
-@lean(nogil=True, error_model="numpy")
-def legs(beams, normals, offsets, origins, rows, lit, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def legs(beams: ImagePaths, normals, offsets, origins, rows, lit, out):  # type: ignore[no-untyped-def]
     """Find the corners (n, 5, 3) of each path from transmitter to receiver; with one mirror the first comes twice.
 
     Args:
@@ -235,8 +235,17 @@ def reflect_field(gamma, object_id, n, u, field):  # type: ignore[no-untyped-def
         field[k] -= twice * n[k]
 
 
-@lean(nogil=True, error_model="numpy")
-def reflect(paths, chains, ends_on, mirrors, antennas, factor, imaged, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def reflect(  # type: ignore[no-untyped-def]
+    paths,
+    chains,
+    ends_on,
+    mirrors: Mirrors,
+    antennas: Orientations,
+    factor,
+    imaged: Orientations,
+    scratch: ReflectScratch,
+):
     """Multiply paths by the effect of all reflections on the transmitted field, as the receiver's polarisation sees it.
 
     Args:

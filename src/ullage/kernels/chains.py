@@ -53,8 +53,8 @@ class WallPlaces(NamedTuple):
     weights: Floats  # weight of each
 
 
-@lean(nogil=True, error_model="numpy")
-def over_lines(ends, lines, body, steps, out, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def over_lines(ends, lines: WallLines, body: RoundBody, steps, out: LinePaths, scratch: LineScratch):  # type: ignore[no-untyped-def]
     """Find the shortest paths from one point to another over a line and one body, in some order, for each line.
 
     Args:
@@ -250,8 +250,8 @@ def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
     return a + share * (p + share * (bow + share * bend)), (p + share * (2 * bow + 3 * share * bend)) / step
 
 
-@lean(nogil=True, error_model="numpy")
-def sampled(lengths, slopes, there, step, cut, many, places):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def sampled(lengths, slopes, there, step, cut, many, places: WallPlaces):  # type: ignore[no-untyped-def]
     """Places for the sum along a wall: all about points of stationary phase.
 
     Args:
@@ -280,8 +280,8 @@ def sampled(lengths, slopes, there, step, cut, many, places):  # type: ignore[no
     return count
 
 
-@lean(nogil=True, error_model="numpy")
-def summed(lengths, slopes, step, seen, places, values, paths, rates):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def summed(lengths, slopes, step, seen, places: WallPlaces, values, paths, rates):  # type: ignore[no-untyped-def]
     """Compute the contribution of each place along a wall.
 
     Args:

@@ -8,7 +8,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
-from ullage.kernels.facets import BULK, ONE, _accumulate, same, te_share, toward, turned
+from ullage.kernels.facets import (
+    BULK,
+    ONE,
+    Antennas,
+    EchoSums,
+    PulseGrid,
+    Transmission,
+    _accumulate,
+    same,
+    te_share,
+    toward,
+    turned,
+)
 from ullage.kernels.loops import lean
 from ullage.kernels.near import spread
 
@@ -25,8 +37,10 @@ class ScattererTiles(NamedTuple):
     first: Longs  # (t + 1) first scatterer of each tile
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_diffuse_scatterers(tiles, lobes, between, antennas, pulse, sums):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def accumulate_diffuse_scatterers(  # type: ignore[no-untyped-def]
+    tiles: ScattererTiles, lobes, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums
+):
     """Add the echoes of scatterers to the delay grids; the echo of a tile is that of all its scatterers.
 
     Args:

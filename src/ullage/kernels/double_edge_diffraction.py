@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints
-from ullage.kernels.facets import FROM, ONE, TO, same, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, Antennas, EchoSums, PulseGrid, Transmission, same, toward, turned
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import accumulate_line
@@ -116,8 +116,16 @@ def _twice(pieces, k, end, pairs, width, wave, antennas, out):  # type: ignore[n
     return value, path + width
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_doubles(pieces, pairs, between, antennas, pulse, sums, rows):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def accumulate_doubles(  # type: ignore[no-untyped-def]
+    pieces: PairPieces,
+    pairs: EdgePairs,
+    between: Transmission,
+    antennas: Antennas,
+    pulse: PulseGrid,
+    sums: EchoSums,
+    rows,
+):
     """Add the echoes of waves that cross a face between two parallel edges, there and back, to the delay grids.
 
     Args:

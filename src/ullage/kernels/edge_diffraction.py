@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints
-from ullage.kernels.facets import FROM, ONE, TO, VERTEX, same, toward
+from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, toward
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import LineEcho, accumulate_pulses
@@ -193,8 +193,8 @@ def _best_seen(start, near, size, t, across, antennas):  # type: ignore[no-untyp
     return gain, most
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def audible(edges, across, antennas, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def audible(edges: EdgeLines, across, antennas: Antennas, wave, gate, least, t, out):  # type: ignore[no-untyped-def]
     """Find the edges that can return more than `least`, by the most that their strength and length allow.
 
     Args:
@@ -243,8 +243,10 @@ def audible(edges, across, antennas, wave, gate, least, t, out):  # type: ignore
         out[w] = 1.5 * edges.factors[w] * strong > least
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_edge_diffraction(edges, wedges, between, antennas, pulse, sums, rows):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def accumulate_edge_diffraction(  # type: ignore[no-untyped-def]
+    edges: EdgePieces, wedges: Wedges, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums, rows
+):
     """Add the echoes of pieces of edges, and of ends of edges, to the delay grids.
 
     Args:

@@ -432,8 +432,8 @@ def _outline(faces, p, length, limit, limits, outline, scratch):  # type: ignore
     return sign * winding / (2 * math.pi)
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def cut(patches, faces, origins, aside, limits, outline, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def cut(patches, faces: FaceOutlines, origins, aside, limits: CutLimits, outline: Outline, scratch: CutScratch):  # type: ignore[no-untyped-def]
     """Cut the outlines of faces within their limits: near the shortest path into pieces, elsewhere by their ends.
 
     Args:

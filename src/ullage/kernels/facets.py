@@ -109,8 +109,8 @@ class CornerScratch(NamedTuple):
     weight: Complexes  # (3) complex amplitude
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def split(clusters, dark, origins, limits, leaves, owner, stack):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def split(clusters: TriangleClusters, dark, origins, limits: PieceLimits, leaves, owner, stack):  # type: ignore[no-untyped-def]
     """Cut the triangles within the gate until each is small against the Fresnel zone.
 
     Args:
@@ -428,8 +428,15 @@ def _corners(pieces, k, lit, scratch):  # type: ignore[no-untyped-def]
     return bulge / 24, area, share
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate(pieces, lit, between, pulse, sums, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def accumulate(  # type: ignore[no-untyped-def]
+    pieces: TrianglePieces,
+    lit: LitFaces,
+    between: Transmission,
+    pulse: PulseGrid,
+    sums: EchoSums,
+    scratch: CornerScratch,
+):
     """Add the echo of every piece of a triangle to the delay grids.
 
     Args:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.edges import mirror
 from ullage.kernels.loops import core, lean
+from ullage.kernels.pairs import BodyPairs, PairPaths
 from ullage.kernels.vectors import dot, mirrored, unit_to
 
 BEFORE, BETWEEN, AFTER = 0, 1, 2  # where a path meets the face
@@ -84,8 +85,10 @@ def _height(n, offset, point):  # type: ignore[no-untyped-def]
     return n[0] * point[0] + n[1] * point[1] + n[2] * point[2] - offset
 
 
-@lean(nogil=True, error_model="numpy")
-def unfold(chains, origins, mirrors, bodies, limits, points, pairs):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def unfold(  # type: ignore[no-untyped-def]
+    chains: Chains, origins, mirrors: PlaneMirrors, bodies: RoundBodies, limits: Limits, points, pairs: BodyPairs
+):
     """Turn chains that may be loud into paths over two bodies: what lies beyond their faces is mirrored.
 
     Args:
@@ -160,8 +163,17 @@ def _drawn(point, centre, axis, ends, ball, bend, limits, out):  # type: ignore[
     return along, most
 
 
-@lean(nogil=True, error_model="numpy")
-def fold(chains, paths, pairs, bodies, mirrors, limits, out, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def fold(  # type: ignore[no-untyped-def]
+    chains: Chains,
+    paths: PairPaths,
+    pairs: BodyPairs,
+    bodies: RoundBodies,
+    mirrors: PlaneMirrors,
+    limits: Limits,
+    out: FoldedPaths,
+    scratch,
+):
     """Keep the chains that are loud and run as they should, with what lies beyond faces mirrored back.
 
     Args:

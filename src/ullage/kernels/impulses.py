@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels.bounces import reflect_field
-from ullage.kernels.facets import FROM, ONE, TO, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, Antennas, PulseGrid, toward, turned
 from ullage.kernels.loops import lean
 from ullage.kernels.vectors import dot, field_across, unit_to
 
@@ -27,8 +27,8 @@ class FieldScratch(NamedTuple):
     field: Complexes  # (3)
 
 
-@lean(nogil=True, error_model="numpy")
-def polarised(paths, gamma, antennas, scratch, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def polarised(paths: ReflectedPaths, gamma, antennas: Antennas, scratch: FieldScratch, out):  # type: ignore[no-untyped-def]
     """Compute the factor that the antennas and all reflections put on the wave of each path.
 
     Args:
@@ -55,8 +55,8 @@ def polarised(paths, gamma, antennas, scratch, out):  # type: ignore[no-untyped-
         out[i] = gain * dot(field, taken)
 
 
-@lean(nogil=True, error_model="numpy")
-def impulses(delays, values, pulse, shares, grids, echo):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def impulses(delays, values, pulse: PulseGrid, shares, grids, echo):  # type: ignore[no-untyped-def]
     """Add impulses to the delay grids, each spread by a cubic B-spline.
 
     Args:

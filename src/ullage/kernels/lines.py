@@ -77,8 +77,8 @@ def _slow_part(start, along, size, origins, wave, term, out):  # type: ignore[no
         out[1] = size
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
-def part(starts, ends, origins, gate, wave, out):  # type: ignore[no-untyped-def]
+@loop(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def part(starts, ends, origins, gate, wave, out: PartedLines):  # type: ignore[no-untyped-def]
     """Split lines: near the shortest path there is something to integrate, of the rest only the ends count.
 
     Args:

@@ -6,7 +6,8 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints, Longs
-from ullage.kernels.facets import ONE, toward
+from ullage.kernels.edges import FaceOutlines, Outline
+from ullage.kernels.facets import ONE, TriangleClusters, toward
 from ullage.kernels.loops import core, lean
 
 
@@ -207,8 +208,16 @@ def _faced(one, other, normal, offset, outward, inside):  # type: ignore[no-unty
     return not (ahead * behind <= 1e-9 or (out < 0 and not inside))
 
 
-@lean(nogil=True, error_model="numpy")
-def meet_faces(paths, items, faces, sides, bounds, met, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def meet_faces(  # type: ignore[no-untyped-def]
+    paths: MirrorPaths,
+    items,
+    faces: FaceOutlines,
+    sides: FaceSides,
+    bounds: EchoBounds,
+    met: MetFaces,
+    scratch: BoundScratch,
+):
     """Find the faces that each path reaches so that both legs end on the same side, of closed bodies on the outer one.
 
     Args:
@@ -264,8 +273,8 @@ def meet_faces(paths, items, faces, sides, bounds, met, scratch):  # type: ignor
     return count
 
 
-@lean(nogil=True, error_model="numpy")
-def outline_louds(outline, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def outline_louds(outline: Outline, gains, unit, louds, paths):  # type: ignore[no-untyped-def]
     """Bound the path gains of pieces and ends of outlines; an end from which a piece goes on counts with the piece.
 
     Args:
@@ -317,8 +326,8 @@ def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped
         out[i] = louds[i] != 0 and (held or abs(louds[i]) > least)
 
 
-@lean(nogil=True, error_model="numpy")
-def meet_triangles(paths, gate, clusters, normals, sides, lit):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def meet_triangles(paths: MirrorPaths, gate, clusters: TriangleClusters, normals, sides: FaceSides, lit):  # type: ignore[no-untyped-def]
     """Find the small triangles that each path reaches so that both legs end on the same side of them.
 
     Args:

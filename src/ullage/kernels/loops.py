@@ -17,6 +17,7 @@ import hashlib
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
@@ -29,6 +30,8 @@ from numba.core import typed_passes as typed
 from numba.core import untyped_passes as untyped
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager
+
+from ullage.kernels.fields import unpacking
 
 
 class Plain(CompilerBase):  # type: ignore[misc]
@@ -86,21 +89,27 @@ def _delete_old(place: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+_SETTING = threading.Lock()  # one thread at a time changes Numba's setting: loops are made at their first calls too
+
+
 @contextmanager
 def _cached() -> Iterator[None]:
     """Have Numba keep the copies of what is decorated meanwhile in `cache_folder`."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder() or before)
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = before
+    with _SETTING:
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(cache_folder() or before)
+        try:
+            yield
+        finally:
+            numba.config.CACHE_DIR = before
 
 
-def loop(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
+def loop(*, by_fields: bool = False, **settings: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a kernel that Python calls.
 
     Args:
+        by_fields: whether the fields of its NamedTuples are passed one by one, as `fields` explains. Its parameters
+            that are NamedTuples must be annotated, and no other kernel can call it.
         **settings: options of `numba.njit`.
     """
 
@@ -108,7 +117,10 @@ def loop(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
         with _cached():
             return njit(**{"cache": True, "no_cfunc_wrapper": True, "pipeline_class": Plain, **settings})(function)
 
-    return compile_loop
+    def wrap(function: Callable[..., Any]) -> Any:
+        return unpacking(function, compile_loop)
+
+    return wrap if by_fields and not numba.config.DISABLE_JIT else compile_loop
 
 
 inner = partial(loop, no_cpython_wrapper=True)

@@ -8,9 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.kernels.edges import FaceOutlines, Outline
 from ullage.kernels.facets import (
     EDGE,
     VERTEX,
+    EchoSums,
+    LitFaces,
+    PulseGrid,
+    Transmission,
     _accumulate,
     _late,
     _reflection,
@@ -59,8 +64,8 @@ class LineEcho(NamedTuple):
     bow: float  # as in `accumulate_line` [rad]
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def look_at(outline, normals, inward, spots, seats):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def look_at(outline: Outline, normals, inward, spots: Spots, seats):  # type: ignore[no-untyped-def]
     """Find points on faces from which pieces and ends of outlines are seen, `inward` of them [m].
 
     An end from which a piece goes on is seen where that piece is.
@@ -221,8 +226,10 @@ def _tip(ends, i, scale, extra, tap, lit, face, wave):  # type: ignore[no-untype
     return LineEcho(weight, 0j, ends[i, 3] / C0, ends[i, 3] / C0, 0.0), late
 
 
-@lean(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_outlines(echoes, lit, between, pulse, sums, known):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def accumulate_outlines(  # type: ignore[no-untyped-def]
+    echoes: OutlineEchoes, lit: LitFaces, between: Transmission, pulse: PulseGrid, sums: EchoSums, known: KnownEnd
+):
     """Add the echoes of faces to the delay grids: pieces of outlines, ends of outlines, and mirror points.
 
     Args:
@@ -303,8 +310,8 @@ def crossings(patches, windings, normals, offsets, origins, limits, points):  # 
     return count
 
 
-@lean(nogil=True, error_model="numpy")
-def look_about(points, which, faces, across, zone, wavelength, spots, within):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spots: Spots, within):  # type: ignore[no-untyped-def]
     """Find places in the first Fresnel zones of mirror points.
 
     Args:

@@ -29,8 +29,8 @@ class PairPaths(NamedTuple):
     bends: Floats  # (m, 2) second derivative of the path along either body's axis, all else at its best [1/m]
 
 
-@lean(nogil=True, error_model="numpy")
-def shortest(starts, stops, bodies, steps, out, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def shortest(starts, stops, bodies: BodyPairs, steps, out: PairPaths, scratch):  # type: ignore[no-untyped-def]
     """Find the shortest paths from one point over the first and then the last body of each pair to another point.
 
     Args:

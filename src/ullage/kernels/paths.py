@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
-from ullage.kernels.bounces import reflect_field
+from ullage.kernels.bounces import Mirrors, Orientations, reflect_field
 from ullage.kernels.edges import mirror
 from ullage.kernels.lit import spot as shortest
 from ullage.kernels.loops import core, lean
@@ -105,8 +105,8 @@ class FieldScratch(NamedTuple):
     waves: Complexes  # (2, 3)
 
 
-@lean(nogil=True, error_model="numpy")
-def lead(faces, antennas, origins, flat, extents, out, box):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def lead(faces, antennas: Orientations, origins, flat: FlatFaces, extents: FaceExtents, out: Leads, box):  # type: ignore[no-untyped-def]
     """Find where paths (n) over mirrors lead: images of the antennas, and the beams that leave the mirrors' boxes.
 
     Args:
@@ -226,8 +226,8 @@ def _stops(i, side, point, paths, flat, out):  # type: ignore[no-untyped-def]
     return count
 
 
-@lean(nogil=True, error_model="numpy")
-def corners(side, made, pairs, paths, flat, legs, segments):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def corners(side, made, pairs: PathPoints, paths: MirrorPaths, flat: FlatFaces, legs: KnownLegs, segments: Segments):  # type: ignore[no-untyped-def]
     """Find where one leg of each path meets its mirrors, and which segments must be free; each leg to a point once.
 
     Args:
@@ -310,8 +310,8 @@ def _followed(stops, faces, field, mirrors, last, wave):  # type: ignore[no-unty
     return cover
 
 
-@lean(nogil=True, error_model="numpy")
-def weigh(pairs, faces, fields, mirrors, scratch, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def weigh(pairs: Weighed, faces, fields, mirrors: Mirrors, scratch: FieldScratch, out):  # type: ignore[no-untyped-def]
     """Compute the effect of the bounces of each path on a wave by polarisation; the point reflects as a mirror.
 
     Args:
@@ -339,8 +339,10 @@ def weigh(pairs, faces, fields, mirrors, scratch, out):  # type: ignore[no-untyp
         out[j] = cover * (there[0] * back[0] + there[1] * back[1] + there[2] * back[2])
 
 
-@lean(nogil=True, error_model="numpy")
-def meet_wires(wires, paths, gate, fields, mirrors, flat, met, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def meet_wires(  # type: ignore[no-untyped-def]
+    wires, paths: MirrorPaths, gate, fields, mirrors: Mirrors, flat: FlatFaces, met: WireMeetings, scratch: FieldScratch
+):
     """Find the wires that each path reaches within the gate at its point of shortest path, and the field there.
 
     Args:

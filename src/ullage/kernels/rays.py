@@ -89,8 +89,8 @@ class RangeBins(NamedTuple):
     bin_m: float  # width of a bin [m]
 
 
-@lean(nogil=True)
-def refine_faces(hits, rays, mesh, nearest):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True)
+def refine_faces(hits: EmbreeHits, rays: Rays, mesh: MeshFaces, nearest: NearestHits):  # type: ignore[no-untyped-def]
     """Put the hits of one body into `nearest` where they are nearer than what is there.
 
     The float32 distance `tfar` only chooses between the plane and itself: where the float64 distance of the plane is
@@ -142,8 +142,8 @@ def aim(starts, ends, centre, before, after, origin, ray, reach):  # type: ignor
             origin[i, 0], reach[i] = _NOWHERE, 0.0
 
 
-@lean(nogil=True)
-def refine_wires(hits, rays, wires, nearest):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True)
+def refine_wires(hits: EmbreeHits, rays: Rays, wires: RoundWires, nearest: NearestHits):  # type: ignore[no-untyped-def]
     """Put the hits of round wires into `nearest`: distance and normal are those of the cylinder, not of its prism.
 
     Args:
@@ -183,8 +183,8 @@ def refine_wires(hits, rays, wires, nearest):  # type: ignore[no-untyped-def]
             nearest.cosine[i] = min(c, 1.0)
 
 
-@lean(nogil=True, error_model="numpy")
-def pass_transmissive(walk, met, table, slack, last, factor, late):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def pass_transmissive(walk: SheetWalk, met: MetSheets, table: SheetTable, slack, last, factor, late):  # type: ignore[no-untyped-def]
     """Take rays through the sheets that they meet next, and drop those that meet none before their points.
 
     Args:
@@ -233,8 +233,8 @@ def turn_fan(fan, rotation, out):  # type: ignore[no-untyped-def]
                 out[f, i, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
 
 
-@lean(nogil=True)
-def accumulate(hits, reflection, ranges, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True)
+def accumulate(hits: NearestHits, reflection, ranges: RangeBins, out):  # type: ignore[no-untyped-def]
     """Sum I_m cos(theta) (|v| / far_m)^2 of rays into range bins.
 
     Args:

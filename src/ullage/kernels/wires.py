@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ullage.arrays import Complexes, Floats, Ints
-from ullage.kernels.facets import FROM, TO, _mean_range, toward
+from ullage.kernels.facets import FROM, TO, Antennas, EchoSums, PulseGrid, Transmission, _mean_range, toward
 from ullage.kernels.loops import core, loop
 from ullage.kernels.near import spread
 from ullage.kernels.outlines import accumulate_line
@@ -121,8 +121,8 @@ def _element(pieces, k, end, axis, antennas, o, wave, out):  # type: ignore[no-u
     return g * (share * tm + (1 - share) * te)
 
 
-@loop(fastmath=True, nogil=True, error_model="numpy")
-def accumulate_wires(pieces, between, antennas, pulse, sums):  # type: ignore[no-untyped-def]
+@loop(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def accumulate_wires(pieces: WirePieces, between: Transmission, antennas: Antennas, pulse: PulseGrid, sums: EchoSums):  # type: ignore[no-untyped-def]
     """Add the echoes of pieces of wire to the delay grids.
 
     Args:

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Floats, Longs
-from ullage.kernels.facets import toward
+from ullage.kernels.facets import Antennas, toward
 from ullage.kernels.loops import core, lean
 
 
@@ -62,8 +62,8 @@ class Strengths(NamedTuple):
     axes: Floats  # (b, 2, 3) of its Fresnel zone, in the plane of incidence and across it, to where the phase is 1 [m]
 
 
-@lean(nogil=True, error_model="numpy")
-def strengths(paths, ends, faces, factor, antennas, wave, found, units):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def strengths(paths, ends: BeamEnds, faces: FacePlanes, factor, antennas: Antennas, wave, found: Strengths, units):  # type: ignore[no-untyped-def]
     """Find how strong paths would be if nothing stood in their way and faces had no ends, and the axes of their zones.
 
     Args:
