@@ -83,7 +83,8 @@ def _with_fields(loop: Callable[..., Any], parameters: list[str], groups: Mappin
     """Rewrite a loop to take all fields of its NamedTuples, and to make the tuples from them in its first lines."""
     classes: dict[str, Group] = {}
     making = "\n".join(f"{name} = {_making(name, kind, classes)}" for name, kind in groups.items())
-    module = ast.parse(textwrap.dedent(inspect.getsource(loop)))
+    before = "\n" * (loop.__code__.co_firstlineno - 1)  # errors and cached copies keep the loop's lines
+    module = ast.parse(before + textwrap.dedent(inspect.getsource(loop)))
     (function,) = (node for node in module.body if isinstance(node, ast.FunctionDef))
     for node in (first := ast.parse(making)).body:
         for part in ast.walk(node):
@@ -92,7 +93,6 @@ def _with_fields(loop: Callable[..., Any], parameters: list[str], groups: Mappin
     function.args.args = [ast.copy_location(ast.arg(name), function)
                           for parameter in parameters for name in _names(parameter, groups.get(parameter))]  # fmt: skip
     function.decorator_list = []
-    ast.increment_lineno(module, loop.__code__.co_firstlineno - 1)  # errors and cached copies keep the loop's lines
     scope = {**loop.__globals__, **classes}
     exec(compile(module, inspect.getfile(loop), "exec"), scope)
     return scope[loop.__name__]  # type: ignore[no-any-return]

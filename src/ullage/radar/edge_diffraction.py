@@ -10,7 +10,7 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
 from ullage.kernels import wires as string
-from ullage.kernels.facets import EchoSums, Transmission
+from ullage.kernels.facets import Antennas, EchoSums, Transmission
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown, transmission_to
@@ -52,8 +52,8 @@ def accumulate_edges(
     across = Transmission(seen.factor[count:], seen.delay_s[count:])
     beside = Transmission(seen.factor[seats], seen.delay_s[seats])
     over -= pairs.gaps[of, None] / 2
-    return [_accumulate_edge_diffraction(context, antennas, edges, alone, beside, grids),
-            _accumulate_doubles(context, antennas, pairs, over, of, across, grids)]  # fmt: skip
+    out = [_accumulate_edge_diffraction(context, antennas, edges, alone, beside, grids)]
+    return [*out, _accumulate_doubles(context, antennas, pairs, over, of, across, grids)] if len(of) else out
 
 
 def _middles(pieces: Floats) -> Floats:
@@ -79,21 +79,25 @@ def _heard(
     lit: Bools,
     factors: Floats | None = None,
 ) -> Longs:
-    """Which lit lines can be heard; `factors` are strengths over that of an edge by itself, of waves across a face."""
+    """Find the lit lines whose echoes are not too faint; `factors` (w) are strengths over that of an edge by itself."""
     strong = np.ones(len(lit)) if factors is None else factors
-    asked, heard = edge_diffraction.EdgeLines(starts, ends, lit, strong), np.zeros(len(lit), np.bool_)
-    for side in (
-        (slice(None),) if (antennas.origins[0] == antennas.origins[1]).all() else (slice(None), slice(None, None, -1))
-    ):
+    lines_ = edge_diffraction.EdgeLines(starts, ends, lit, strong)
+    wave, gate, found = context.pulse.omega / C0, np.array(context.gate), np.zeros(len(lit), np.bool_)
+    for radar in _both_directions(context.antennas(antennas)):
         out = np.empty(len(lit), np.bool_)
-        one, turn, field = (
-            np.ascontiguousarray(row[side])[None] for row in (antennas.origins, antennas.frames, antennas.fields)
-        )
-        radar = context.antennas(antennas)._replace(origins=one, frames=turn, fields=field)
-        edge_diffraction.audible(asked, factors is not None, radar, context.pulse.omega / C0, np.array(context.gate),
-                                 FAINT, np.empty(3), out)  # fmt: skip
-        heard |= out
-    return np.flatnonzero(heard)
+        edge_diffraction.audible(lines_, factors is not None, radar, wave, gate, FAINT, np.empty(3), out)
+        found |= out
+    return np.flatnonzero(found)
+
+
+def _both_directions(radar: Antennas) -> tuple[Antennas, ...]:
+    """Return a radar, and where its antennas are apart the radar that sends from its receiver."""
+    if (radar.origins[0, 0] == radar.origins[0, 1]).all():
+        return (radar,)
+    origins, frames, fields = (
+        np.ascontiguousarray(row[:, ::-1]) for row in (radar.origins, radar.frames, radar.fields)
+    )
+    return radar, radar._replace(origins=origins, frames=frames, fields=fields)
 
 
 def _cut(
@@ -125,7 +129,7 @@ def _parted(context: RadarContext, antennas: AntennaPair, starts: Floats, ends: 
     # pieces of a line come from its end to its start
     ties = np.where(sides == 0, np.searchsorted(owner, holders, "right") - 1, np.searchsorted(owner, holders))
     cut = sides < 0
-    cut |= owner[np.clip(ties, 0, len(owner) - 1)] == holders if len(owner) else False
+    cut |= owner[np.minimum(np.maximum(ties, 0), len(owner) - 1)] == holders if len(owner) else False
     return Parted(pieces, which[owner].astype(np.int32), tips[cut], which[holders[cut]].astype(np.int32),
                   np.where(sides < 0, -1, ties)[cut])  # fmt: skip
 
