@@ -18,6 +18,7 @@ from ullage.geometry import rpy_quat
 from ullage.radar import patches, physical
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
+from ullage.world.moving import LiveMotion
 from ullage.world.scene import Scene
 
 SPEC = ul.RadarSpec.preset("x4m05", noise=None)
@@ -86,7 +87,7 @@ def off_db(coarse: NDArray[np.complex64], fine: NDArray[np.complex64]) -> NDArra
 def truth(make: Callable[[float], Mesh], edge_m: float) -> NDArray[np.complex64]:
     """What a mesh echoes that is so fine that it is not cut."""
     scene = Scene.of_mesh(*make(edge_m), name="thing", made_of="pec")
-    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) is None
+    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) == [None]
     return frames(make(edge_m))
 
 
@@ -122,13 +123,53 @@ def test_turning_a_curved_thing_and_the_radar_changes_nothing(make):
                         closed=False), name="duct"),
 ], ids=["room", "ball", "cylinder", "duct"])  # fmt: skip
 def test_flat_things_and_those_with_a_closed_form_stay_as_they_are(scene):
-    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) is None
+    assert prepare(scene).patches(SPEC.wavelength_m, 0.5) == [None]
+
+
+def moving(mesh: Mesh, poses: list[tuple[NDArray[np.float64], Rotation]]) -> Scene:
+    """A mesh that goes through these positions and turns, one every 0.1 s."""
+    path = LiveMotion(poses[0][0], poses[0][1].as_quat())
+    for i, (place, turn) in enumerate(poses):
+        path.see(i * 10**8, place, turn.as_quat())
+    return Scene.of_mesh(*mesh, name="thing", made_of="pec", motion=path)
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_a_curved_thing_that_moves_echoes_as_it_does_at_rest_in_its_place(others):
+    vertices, faces = ellipsoid(0.088)
+    rng = np.random.default_rng(1)
+    where = [(rng.uniform((1.9, -0.1, -0.1), (2.1, 0.1, 0.1)), Rotation.random(random_state=i)) for i in range(4)]
+    beside = [Scene.of_mesh(*ring(0.08), name="ring", made_of="pec").moved((3.0, 1.0, 0.0))] * others
+    path = ul.Trajectory.stationary(n=4, rate_hz=10)
+    whole = Scene.union([moving((vertices, faces), where), *beside])
+    frames = physical.echoes(whole, path, SPEC)
+    for i, (place, turn) in enumerate(where):
+        there = Scene.of_mesh(turn.apply(vertices) + place, faces, name="thing", made_of="pec")
+        want = physical.echoes(Scene.union([there, *beside]), path[i : i + 1], SPEC)
+        assert abs(frames[i : i + 1] - want).max() < 1e-4 * abs(want).max()
+
+
+def test_a_body_of_revolution_that_turns_about_its_axis_has_no_doppler():
+    vertices, faces = shapes.ellipsoid((0.3, 0.3, 0.2), edge_m=0.08)
+    where = [(np.array([2.0, 0, 0]), Rotation.from_euler("z", a)) for a in np.linspace(0, 1, 9)]
+    frames = physical.echoes(moving((vertices, faces), where), ul.Trajectory.stationary(n=9, rate_hz=10), SPEC)
+    peak = frames[:, abs(frames).mean(0).argmax()]
+    assert 20 * np.log10(abs(peak / peak.mean() - 1).max()) < -34  # facets: -11
+
+
+def test_a_curved_thing_that_comes_closer_has_the_doppler_of_its_speed():
+    step_m = 0.004
+    where = [(np.array([2.0 - step_m * i, 0, 0]), Rotation.identity()) for i in range(9)]
+    frames = physical.echoes(moving(ellipsoid(0.088), where), ul.Trajectory.stationary(n=9, rate_hz=10), SPEC)
+    peak = frames[:, abs(frames).mean(0).argmax()]
+    turns = np.angle(peak[1:] / peak[:-1])
+    assert turns == pytest.approx(np.full(8, 4 * np.pi * step_m / SPEC.wavelength_m), rel=0.02)
 
 
 def test_pieces_stand_for_whole_facets_and_fill_the_surface():
     scene = Scene.of_mesh(*ring(0.051), name="ring", made_of="pec")
     world = prepare(scene)
-    found = world.patches(SPEC.wavelength_m, 0.5)
+    (found,) = world.patches(SPEC.wavelength_m, 0.5)
     assert found.small.all()
     assert found.planar.all()
     a, b, c = found.fine.corners.transpose(1, 0, 2)
@@ -145,7 +186,7 @@ def test_too_many_pieces_are_cut_more_coarsely_with_one_warning(monkeypatch):
     monkeypatch.setattr(patches, "MOST", 3000)
     scene = Scene.of_mesh(*ring(0.051), name="ring", made_of="pec")
     with pytest.warns(UllageWarning, match=r"ring: curved surfaces would take \d+ pieces; cut into \d+"):
-        found = prepare(scene).patches(SPEC.wavelength_m, 0.5)
+        (found,) = prepare(scene).patches(SPEC.wavelength_m, 0.5)
     assert 2000 < len(found.fine.corners) <= 3000  # 1950 facets
 
 

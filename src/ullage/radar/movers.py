@@ -11,6 +11,7 @@ import numpy as np
 from ullage.arrays import Bools, Floats, Ints
 from ullage.geometry import invert
 from ullage.radar.facets import PlanarPatches, Surfaces, gather, joined, only
+from ullage.radar.patches import Patches
 from ullage.radar.solids import Backs, Boxes
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -34,15 +35,8 @@ class Movers:
     def at(self, poses: Floats) -> Surfaces:
         """Where the objects have these poses (o, 4, 4)."""
         home, moves = self._home, poses @ self._start
-        led = (
-            home.object_ids[home.first[:-1]] if len(home.object_ids) else home.object_ids
-        )  # a cluster is of one object
         return replace(
-            home,
-            corners=_carried(home.corners, moves, home.object_ids),
-            normals=_turned(home.normals, moves, home.object_ids),
-            spheres=_rolled(home.spheres, moves, led),
-            backs=_backs(home.backs, moves, home.object_ids),
+            _moved(home, moves),
             planar=_planar(home.planar, moves),
             flat_backs=_backs(home.flat_backs, moves, home.planar.object_ids),
             rays=home.rays.standing(poses),
@@ -51,6 +45,33 @@ class Movers:
             poses=poses,
         )
 
+    @property
+    def home(self) -> Surfaces:
+        """The faces where they start."""
+        return self._home
+
+    def patches_at(self, patches: Patches, poses: Floats) -> Patches:
+        """Curved patches of these faces, cut where they start, where the objects have these poses (o, 4, 4)."""
+        moves = poses @ self._start
+        return replace(
+            patches,
+            fine=_moved(patches.fine, moves),
+            middles=_carried(patches.middles, moves, patches.owner),
+            facing=_turned(patches.facing, moves, patches.owner),
+        )
+
+
+def _moved(home: Surfaces, moves: Floats) -> Surfaces:
+    """Surfaces whose triangles, and no flat faces, have gone along with their objects."""
+    led = home.object_ids[home.first[:-1]] if len(home.object_ids) else home.object_ids  # a cluster is of one object
+    return replace(
+        home,
+        corners=_carried(home.corners, moves, home.object_ids),
+        normals=_turned(home.normals, moves, home.object_ids),
+        spheres=_rolled(home.spheres, moves, led),
+        backs=_backs(home.backs, moves, home.object_ids),
+    )
+
 
 def _together(parts: Sequence[Surfaces], solid: Scene) -> Surfaces:
     def loose(of: Callable[[Surfaces], Any]) -> Any:
@@ -58,6 +79,8 @@ def _together(parts: Sequence[Surfaces], solid: Scene) -> Surfaces:
 
     ends = np.cumsum([0, *(len(part.corners) for part in parts)])
     first = [part.first[1:] + end for part, end in zip(parts, ends, strict=False)]
+    ahead = np.cumsum([0, *(len(part.planar) for part in parts)])
+    flat_at = [part.flat_at + count for part, count in zip(parts, ahead, strict=False)]
     backs = Backs.joined([part.backs for part in parts])
     flat_backs = Backs.joined([part.flat_backs for part in parts])
     return Surfaces(
@@ -71,18 +94,37 @@ def _together(parts: Sequence[Surfaces], solid: Scene) -> Surfaces:
         flat_backs,
         Raycaster(solid),
         solid,
+        loose(lambda p: p.faces),
+        loose(lambda p: p.flat_faces),
+        np.concatenate(flat_at),
     )
 
 
 def _turned(rows: Floats, moves: Floats, owner: Ints) -> Floats:
     """Directions (n, ..., 3) of objects (n)."""
-    return np.asarray(np.einsum("nij,n...j->n...i", moves[owner, :3, :3], rows))
+    return _by_object(rows, moves, owner, 0.0)
 
 
 def _carried(rows: Floats, moves: Floats, owner: Ints) -> Floats:
     """Points (n, ..., 3) of objects (n)."""
-    shift = moves[owner, :3, 3].reshape(len(owner), *(1,) * (rows.ndim - 2), 3)
-    return np.ascontiguousarray(_turned(rows, moves, owner) + shift)
+    return _by_object(rows, moves, owner, 1.0)
+
+
+def _by_object(rows: Floats, moves: Floats, owner: Ints, shift: float) -> Floats:
+    """Turn rows (n, ..., 3) of objects (n) as these move, and shift them by so many times what these go."""
+    things = np.flatnonzero(np.bincount(owner))
+    if len(things) == 1:
+        return _along(rows, moves[things[0]], shift)
+    out = np.empty(rows.shape)
+    for k in things:  # one product for each object: few things move
+        mine = np.flatnonzero(owner == k)
+        out[mine] = _along(rows.take(mine, 0), moves[k], shift)
+    return out
+
+
+def _along(rows: Floats, move: Floats, shift: float) -> Floats:
+    x, y, z = rows.reshape(-1, 3).T  # by columns: BLAS would start threads for so little
+    return np.stack([a * x + b * y + c * z + shift * d for a, b, c, d in move[:3]], -1).reshape(rows.shape)
 
 
 def _rolled(spheres: Floats, moves: Floats, owner: Ints) -> Floats:

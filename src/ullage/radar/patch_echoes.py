@@ -15,18 +15,31 @@ from ullage.radar.wall_bounces import PULL_M
 
 
 def accumulate_curved(
-    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
-) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
-    """Add to the delay grids what curved surfaces that stand still echo; as `knuckles.accumulate_heads`."""
-    out, (small, large) = accumulate_heads(context, parts, antennas, grids)
+    context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, poses: Floats | None, grids: Complexes
+) -> tuple[list[EchoSet], list[tuple[Bools | None, Bools | None]]]:
+    """Add to the delay grids what curved surfaces echo.
+
+    Args:
+        context: radar and scene.
+        parts: what stands still and what moves.
+        antennas: where the radar is.
+        poses: (o, 4, 4) of the objects where any moves.
+        grids: (3, g) complex, added to.
+
+    Returns:
+        What was added; of each part which small triangles (f) and which flat faces (p) are done so.
+    """
+    out, heads = accumulate_heads(context, parts, antennas, grids)
     wavelength = context.spec.wavelength_m
-    patches = context.world.patches(wavelength, float(np.sqrt(wavelength * context.gate[1] / 2)))
-    if patches is None:
-        return out, (small, large)
-    out.append(_echoes_of(context, parts, patches, antennas, grids))
-    small = patches.small if small is None else small | patches.small
-    large = patches.planar if large is None else large | patches.planar
-    return out, (small, large)
+    widest = float(np.sqrt(wavelength * context.gate[1] / 2))
+    done = [heads, *[(None, None)] * (len(parts) - 1)]
+    for k, patches in enumerate(context.world.patches(wavelength, widest, poses)):
+        if patches is not None:
+            out.append(_echoes_of(context, parts, patches, antennas, grids))
+            small, planar = done[k]
+            done[k] = (patches.small if small is None else small | patches.small,
+                       patches.planar if planar is None else planar | patches.planar)  # fmt: skip
+    return out, done
 
 
 def _echoes_of(

@@ -35,7 +35,7 @@ MOST = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patches:
-    """Curved surfaces that stand still, and the facets that they stand in for."""
+    """Curved surfaces among what stands still, or among what moves, and the facets that they stand in for."""
 
     fine: Surfaces  # pieces of the curved surfaces
     depth: Floats  # (n) so far each piece lies off its facet at the most [m]
@@ -43,7 +43,8 @@ class Patches:
     middles: Floats  # (c, 3) of cells [m]
     facing: Floats  # (c, 3) their unit normals
     deep: Floats  # (c) as `depth`, of cells [m]
-    small: Bools  # (f) which small triangles of what stands still are done so
+    owner: Ints  # (c) object of each cell
+    small: Bools  # (f) which small triangles are done so
     planar: Bools  # (p) and which flat faces
 
 
@@ -58,20 +59,18 @@ class Curved:
     row: Longs  # (n) which small triangle each is, or counted on after these which flat face it belongs to
 
 
-def patches_of(
-    scene: Scene, still: Surfaces, claimed: Bools, *, wavelength_m: float, widest_m: float
-) -> Patches | None:
-    """Cut the curved surfaces among what stands still; None where there are none.
+def patches_of(scene: Scene, part: Surfaces, claimed: Bools, *, wavelength_m: float, widest_m: float) -> Patches | None:
+    """Cut the curved surfaces among some faces; None where there are none.
 
     Args:
         scene: the world.
-        still: what of it stands still.
+        part: what of it stands still, or what moves, where it starts.
         claimed: faces of the scene (s) that closed forms stand for.
         wavelength_m: of the radar [m].
         widest_m: facets wider than this are mirrors of their own [m].
     """
-    faces = np.concatenate([still.faces, still.flat_faces])
-    row = np.concatenate([np.arange(len(still.faces)), len(still.faces) + still.flat_at])  # small ones, then flats
+    faces = np.concatenate([part.faces, part.flat_faces])
+    row = np.concatenate([np.arange(len(part.faces)), len(part.faces) + part.flat_at])  # small ones, then flats
     corners, object_ids = scene.corners()[faces], scene.face_object[faces]
     found = smoothing.hinges(corners, welded(corners), object_ids)
     if not len(found):
@@ -80,7 +79,7 @@ def patches_of(
     control = point_normal.displacements(corners, smoothing.corner_normals(corners, found, given), found)
     sagitta = point_normal.sagitta(control)
     coarse = (_counts(sagitta, SHARE * wavelength_m) > 1) & ~claimed[faces]
-    region, rows = found.regions(len(faces)), len(still.faces) + len(still.planar)
+    region, rows = found.regions(len(faces)), len(part.faces) + len(part.planar)
     coarse = (np.bincount(region, coarse)[region] > 0) & (sagitta > LEAST * wavelength_m)  # shifted, if not cut
     taken = np.bincount(row, coarse, rows) > 0
     taken &= np.bincount(row, claimed[faces] | (_widths(corners) >= widest_m), rows) == 0
@@ -89,33 +88,35 @@ def patches_of(
         return None
     chosen = Curved(corners[mine], object_ids[mine], control[mine], sagitta[mine], row[mine])
     count = _bounded(chosen.sagitta, SHARE * wavelength_m, scene.name)
-    return _cut(chosen, count, still, taken, SIGHT * wavelength_m)
+    return _cut(chosen, count, part, taken, SIGHT * wavelength_m)
 
 
-def _cut(curved: Curved, count: Longs, still: Surfaces, taken: Bools, cell_m: float) -> Patches:
+def _cut(curved: Curved, count: Longs, part: Surfaces, taken: Bools, cell_m: float) -> Patches:
     """Make pieces, so many (n) along each edge, that stand in for rows `taken` (f + p); cells of rays are so wide."""
     pieces, of, within = point_normal.cut(curved.corners, curved.control, count)
     normals, area = smoothing.face_normals(pieces)
     kept = area > 1e-12
     pieces, normals, of, within = pieces[kept], normals[kept], of[kept], within[kept]
-    fine, order = strewn(pieces, normals, curved.object_ids[of], _sides(pieces, normals, curved.row[of], still), still)
+    fine, order = strewn(pieces, normals, curved.object_ids[of], _sides(pieces, normals, curved.row[of], part), part)
     depth = 2 * curved.sagitta[of][order]  # the middle of a triangle bows out 4/3 as far as those of its edges
     cell = _cells(curved.corners[of], of, within, cell_m)[order]
     cell[_longest(fine.corners) > 2 * cell_m] = -1
     of_pieces = np.column_stack([fine.corners.mean(1), fine.normals, depth])
     middles, facing, deep = np.split(_means(of_pieces, cell), [3, 6], axis=1)
     facing = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
-    small, planar = taken[: len(still.faces)], taken[len(still.faces) :]
-    return Patches(fine, depth, cell, middles, facing, deep[:, 0], small, planar)
+    owner = np.zeros(len(middles), np.int32)
+    owner[cell[cell >= 0]] = fine.object_ids[cell >= 0]
+    small, planar = taken[: len(part.faces)], taken[len(part.faces) :]
+    return Patches(fine, depth, cell, middles, facing, deep[:, 0], owner, small, planar)
 
 
-def _sides(pieces: Floats, normals: Floats, row: Longs, still: Surfaces) -> Backs:
+def _sides(pieces: Floats, normals: Floats, row: Longs, part: Surfaces) -> Backs:
     """Outer sides of pieces (n, 3, 3), turned as what they stand in for: a small triangle, or after these a flat."""
-    turned = np.concatenate([still.backs.outward, still.flat_backs.outward])[row, :3]
+    turned = np.concatenate([part.backs.outward, part.flat_backs.outward])[row, :3]
     outward = np.sign(np.einsum("ni,ni->n", turned, normals))[:, None] * normals
-    body = np.concatenate([still.backs.body, still.flat_backs.body])[row]
+    body = np.concatenate([part.backs.body, part.flat_backs.body])[row]
     level = -np.einsum("ni,ni->n", outward, pieces[:, 0])
-    return Backs(np.column_stack([outward, level]), body, still.backs.boxes)
+    return Backs(np.column_stack([outward, level]), body, part.backs.boxes)
 
 
 def _means(rows: Floats, cell: Longs) -> Floats:

@@ -109,9 +109,8 @@ def accumulate(
     """Adds every echo at one pose to the delay grids; `poses` (o, 4, 4) of the objects where any moves."""
     parts = context.world.parts(poses)
     antennas = _off(parts, antennas)
-    out, done = accumulate_curved(context, parts, antennas, grids)
-    for part in parts:
-        small, large = done if part is parts[0] else (None, None)
+    out, done = accumulate_curved(context, parts, antennas, poses, grids)
+    for part, (small, large) in zip(parts, done, strict=True):
         if len(part.corners):
             out.append(_accumulate_small(context, parts, part, antennas, grids, small))
         out += accumulate_planar(context, parts, part, antennas, grids, large)

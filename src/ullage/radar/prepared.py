@@ -34,7 +34,8 @@ class Prepared:
         self._movers = Movers(scene, self.moving) if self.moving.any() else None
         self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
         self.diffuse_scatterers: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
-        self._patches: dict[tuple[float, float], Patches | None] = {}
+        self._patches: dict[tuple[float, float], list[Patches | None]] = {}
+        self._moved_patches: tuple[tuple[tuple[float, float], bytes], Patches] | None = None
         self.edges = sharp_edges(scene, self.still.rays)
 
     @cached_property
@@ -55,20 +56,31 @@ class Prepared:
         walls = [wall for wall in self.rounds if not moves[wall.object_id]]
         return knuckles_of(self._shells, walls, self.still) if walls else ()
 
-    def patches(self, wavelength_m: float, widest_m: float) -> Patches | None:
-        """Curved surfaces of other shapes that stand still, cut for a wavelength [m], if there are any.
+    def patches(self, wavelength_m: float, widest_m: float, poses: Floats | None = None) -> list[Patches | None]:
+        """Curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None where there are none.
 
         Facets wider than `widest_m` [m] are left as they are.
         """
         key = wavelength_m, widest_m
         if key not in self._patches:
-            bent = self.still.planar.smooth.any() or len(self.still.corners)
-            self._patches[key] = (
-                patches_of(self.scene, self.still, self._claimed(), wavelength_m=wavelength_m, widest_m=widest_m)
-                if bent
-                else None
-            )
-        return self._patches[key]
+            self._patches[key] = [self._cut(part, *key) for part in self._at_start()]
+        out = self._patches[key]
+        if self._movers is None or out[1] is None:
+            return out
+        poses = self.scene.poses() if poses is None else poses
+        where = key, poses.tobytes()
+        known = self._moved_patches
+        if known is None or known[0] != where:
+            known = self._moved_patches = (where, self._movers.patches_at(out[1], poses))
+        return [out[0], known[1]]
+
+    def _cut(self, part: Surfaces, wavelength_m: float, widest_m: float) -> Patches | None:
+        if not (part.planar.smooth.any() or len(part.corners)):
+            return None
+        return patches_of(self.scene, part, self._claimed(), wavelength_m=wavelength_m, widest_m=widest_m)
+
+    def _at_start(self) -> list[Surfaces]:
+        return [self.still] if self._movers is None else [self.still, self._movers.home]
 
     def _claimed(self) -> Bools:
         """Faces of the scene (s) for which there are closed forms."""
