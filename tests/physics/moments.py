@@ -15,7 +15,7 @@ _INNER = np.array([[2 / 3, 1 / 6, 1 / 6], [1 / 6, 2 / 3, 1 / 6], [1 / 6, 1 / 6, 
 
 
 def grid(edges_m, corner, along, up):
-    """Triangles (t, 3, 3) of a rectangle spanned by two vectors from a corner, about `edges_m` long, finer at its rim."""
+    """Triangles (t, 3, 3) of a rectangle spanned by two vectors from a corner, finer at its rim."""
     sides = []
     for vector in (along, up):
         count = int(np.ceil(np.linalg.norm(vector) / edges_m)) + 1
@@ -220,7 +220,7 @@ class Moments:
         return out
 
     def path_gain(self, origins, fields, seen_fields=None):
-        """Path gain (d) back to each dipole of gain 1 across itself; `seen_fields` receive, by default the same fields."""
+        """Path gain (d) back to each dipole of gain 1 across itself; `seen_fields` receive (None: the same)."""
         places = np.asarray(origins, float)
         sent = self._tested(places, np.asarray(fields, float))
         seen = sent if seen_fields is None else self._tested(places, np.asarray(seen_fields, float))
