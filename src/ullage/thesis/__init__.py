@@ -1,1 +1,1 @@
-"""The thesis reproduced: each of its experiments run both ways, its statements checked with numbers [Billdal2018]."""
+"""Reproduce the thesis [Billdal2018]: run each experiment under both laws and check its statements with numbers."""

@@ -1,6 +1,6 @@
-"""The thesis' ray model, Elfes' grid and apex, each checked term by term against its own formula (4.2 to 5.3).
+"""Check the thesis' ray model, Elfes' grid and the apex term by term against their formulas (4.2 to 5.3).
 
-The flights of chapter 6 hardly notice a wrong term. Here each statement isolates one: a plate, one reading, one ridge.
+The flights of chapter 6 hardly show a wrong term. Here each statement isolates one: a plate, one reading, one ridge.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SPREAD_M = 0.15
 
 
 def run(work: Workspace) -> None:
-    """Every term once."""
+    """Check every term once."""
     work.log("eq. 4.2, term by term")
     intensity(work)
     axis(work)
@@ -46,18 +46,18 @@ def _received(scene: Scene, spec: RadarSpec, path: Trajectory = HERE) -> Frames:
 
 
 def _fine() -> RadarSpec:
-    """A fan so dense that a plate's area is known to 2 %, without noise."""
+    """Return a noiseless fan so dense that a plate's area is known to 2 %."""
     _, quiet = radars()
     return quiet.but(thesis=quiet.thesis.but(rays_per_side=300))
 
 
 def _strength(distance_m: float, yaw_deg: float = 0.0, material: str = "pec") -> float:
-    """Amplitude of a plate of 0.6 m, summed over range."""
+    """Return the amplitude of a plate of 0.6 m, summed over range."""
     return float(_received(scenes.plate(0.6, 0.6, distance_m, yaw_deg, material), _fine()).samples.sum())
 
 
 def intensity(work: Workspace) -> None:
-    """Range, cosine and coefficient of eq. 4.2; ranges of echoes; the moving average; the noise."""
+    """Check range, cosine and coefficient of eq. 4.2, the ranges of echoes, the moving average and the noise."""
     hold = work.results.add_statement
     hold("a plate's amplitude summed over range is the same at 2 and 4 m: the ray's area grows as eq. 4.2 has it",
          "eq. 4.2", decibel(_strength(4.0) / _strength(2.0)), "dB", low=-0.5, high=0.5)  # fmt: skip
@@ -96,7 +96,7 @@ def _maxima(frames: Frames) -> int:
 
 
 def axis(work: Workspace) -> None:
-    """R_max: what stands just inside is received, what stands just outside is not."""
+    """Check R_max: a plate just inside it is received, a plate just outside is not."""
     _, quiet = radars()
     near, far = (float(_received(scenes.plate(2, 2, at), quiet).samples.max()) for at in (9.7, 10.3))
     hold = work.results.add_statement
@@ -105,7 +105,7 @@ def axis(work: Workspace) -> None:
 
 
 def opening(work: Workspace) -> None:
-    """What four openings of 65 deg cover between them, by the rays and on the map."""
+    """Check what four openings of 65 deg cover together, by the rays and on the map."""
     _, quiet = radars()
     rig = Rig.preset("thesis-4", radar=quiet)
     turn = Trajectory(np.arange(360) * 10**8, np.zeros((360, 3)), rpy_quat(0, 0, np.radians(np.arange(360) + 0.5)))
@@ -130,17 +130,17 @@ def opening(work: Workspace) -> None:
 
 
 def _middle(frames: Frames) -> int:
-    """Heading at the middle of those that receive, on the circle [deg]."""
+    """Return the circular mean of the headings that receive [deg]."""
     at = np.flatnonzero(frames.samples.max(1) > 0)
     return round(float(np.degrees(np.angle(np.exp(1j * np.radians(at)).sum())))) % 360
 
 
 def readings(work: Workspace) -> None:
-    """Three readings, one over the other, against f_e, f_o and the four steps written out cell by cell."""
+    """Compare three readings of the same place with f_e, f_o and the four steps, cell by cell."""
     grid = Grid((-1.0, -3.0, 0.0), 0.25, (24, 24))
     path = Trajectory(np.arange(3) * 10**8, np.array([[0, 0, 0], [0, 0.1, 0], [0, 0, 0]]),
                       rpy_quat(0, 0, np.radians([0.0, 35.0, -35.0])))  # fmt: skip
-    reach = np.array([3.0, 1.8, 1.5])  # half of the later arcs lies where the first reading found nothing
+    reach = np.array([3.0, 1.8, 1.5])  # half of the later arcs is where the first reading found nothing
     spec = radars()[1]
     bins = np.round(reach / spec.bin_m).astype(int)
     rows = np.zeros((3, spec.bins), np.float32)
@@ -164,7 +164,7 @@ def readings(work: Workspace) -> None:
 
 
 def expected_percent(grid: Grid, path: Trajectory, reach_m: Floats, near_m: float) -> Floats:
-    """The map of some readings by the formulas of [Elfes1987], from arrays over all cells; -1 where unknown."""
+    """Map readings by the formulas of [Elfes1987] with arrays over all cells; -1: unknown."""
     y, x = np.meshgrid(grid.y_m, grid.x_m, indexing="ij")
     empty, occupied = np.zeros(grid.shape), np.zeros(grid.shape)
     yaw = 2 * np.arctan2(path.quat_xyzw[:, 2], path.quat_xyzw[:, 3])
@@ -178,7 +178,7 @@ def expected_percent(grid: Grid, path: Trajectory, reach_m: Floats, near_m: floa
         f_e = np.where(before, (1 - ((distance - near_m) / (reach - spread - near_m)) ** 2) * across, 0)
         empty += f_e - empty * f_e
         f_o = np.where(abs(distance - reach) <= spread, (1 - ((distance - reach) / spread) ** 2) * across, 0)
-        f_o *= 1 - empty  # cancelled by what is known to be empty
+        f_o *= 1 - empty  # cancelled by cells that are known to be empty
         f_o /= f_o.sum()  # normalised along the arc
         occupied += f_o - occupied * f_o
     percent = np.where(occupied >= empty, 50 + 50 * occupied, 50 - 50 * empty)
@@ -186,7 +186,7 @@ def expected_percent(grid: Grid, path: Trajectory, reach_m: Floats, near_m: floa
 
 
 def vertex(work: Workspace) -> None:
-    """The apex of a thin target's hyperbola, without noise: near the track it is no parabola."""
+    """Check the apex of a thin target's hyperbola without noise; near the track it is not a parabola."""
     _, quiet = radars()
     path = Trajectory.line((0, -2, 0), (0, 2, 0), 0.5, 25)
     frames = simulate(scenes.wire(0.005, 3.0, 1.0), path, quiet.but(antenna="isotropic"))

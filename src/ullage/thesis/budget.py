@@ -1,4 +1,4 @@
-"""The on-board budget (thesis table 5.1): the mapping node's CPU and memory beside those of a BeagleBone Black."""
+"""Compare the mapping node's CPU and memory with a BeagleBone Black (thesis table 5.1)."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ REFERENCE_S = 0.050
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A single-board computer, and how many of its seconds one second of the reference core takes."""
+    """Single-board computer, with its speed relative to the reference core."""
 
     name: str
     memory_mb: float
@@ -52,12 +52,12 @@ class Board:
 
     @property
     def integer(self) -> float:
-        """Slower than the reference core by CoreMark."""
+        """Ratio of the reference core's CoreMark to this board's."""
         return REFERENCE.coremark / self.coremark
 
     @property
     def double(self) -> float:
-        """Slower than the reference core by Whetstone."""
+        """Ratio of the reference core's Whetstone to this board's."""
         return REFERENCE.whetstone / self.whetstone
 
 
@@ -69,7 +69,7 @@ PI_4 = Board("Raspberry Pi 4", 4096, 4, 15_600 / 2, 5555.6)
 
 
 def yardstick(readings: int = 2000) -> float:
-    """Time Elfes' own kernel, so that figures of this machine can be set against the reference core [s of CPU]."""
+    """Time Elfes' kernel, to relate figures of this machine to the reference core [s of CPU]."""
     empty, box = np.zeros((500, 500), np.float32), np.zeros(4, np.int64)
     occupied = np.zeros_like(empty)
     cells, lobe, times = Cells(-25.0, -25.0, 0.1), Lobe(0.567, 0.15), []
@@ -82,7 +82,7 @@ def yardstick(readings: int = 2000) -> float:
 
 
 def loads(cost: NodeCost, board: Board, scale: float) -> tuple[float, float]:
-    """CPU the node would need at real time on a board, by CoreMark and by Whetstone [% of one core].
+    """Estimate the CPU of the node at real time on a board, by CoreMark and by Whetstone [% of one core].
 
     Args:
         cost: as measured here.
@@ -93,7 +93,7 @@ def loads(cost: NodeCost, board: Board, scale: float) -> tuple[float, float]:
 
 
 def run(work: Workspace) -> None:
-    """Measure the node on four recordings and set it against the boards."""
+    """Measure the node on four recordings and compare it with the boards."""
     costs, files = {}, {}
     for row, (scenario, options) in RUNS.items():
         if scenario not in files:
@@ -125,7 +125,7 @@ def record_part(path: Path, scenario: str, part_s: float) -> Path:
 
 
 def tabulate(work: Workspace, costs: dict[str, NodeCost], scale: float) -> None:
-    """CPU and memory of each run, here and on the boards."""
+    """Tabulate CPU and memory of each run, here and on the boards."""
     rows = []
     for name, cost in costs.items():
         spans = [_span(loads(cost, board, scale)) for board in (BEAGLEBONE, PI_4)]
@@ -150,7 +150,7 @@ def _span(pair: Sequence[float]) -> str:
 
 
 def state(work: Workspace, costs: dict[str, NodeCost], scale: float) -> None:
-    """What fits on the thesis' board."""
+    """State what fits on the thesis' board."""
     ours = [cost for name, cost in costs.items() if "ullage" in name]
     elfes = [cost for name, cost in costs.items() if "Elfes" in name]
     hold = work.results.add_statement
@@ -169,7 +169,7 @@ def state(work: Workspace, costs: dict[str, NodeCost], scale: float) -> None:
 
 
 def draw(path: Path, costs: dict[str, NodeCost], scale: float) -> None:
-    """CPU on the BeagleBone as bars from CoreMark to Whetstone; memory beside it."""
+    """Draw CPU on the BeagleBone as bars from CoreMark to Whetstone, and memory beside it."""
     names = list(costs)
     with drawing(path, size_in=(10.0, 3.4), columns=2) as (_, axes):
         for row, name in enumerate(names):

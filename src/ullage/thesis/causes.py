@@ -1,4 +1,4 @@
-"""Causes of the results that differ from the thesis' (7.1 to 7.3): controlled experiments, one change at a time."""
+"""Find causes of results that differ from the thesis' (7.1 to 7.3) by controlled experiments, one change each."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ullage.thesis.workspace import Workspace
 
 
 def run(work: Workspace) -> None:
-    """Image brightness, wire, flight by hand, east wall, cluttered room, CPU of a reading."""
+    """Run the experiments on image brightness, wire, flight by hand, east wall, cluttered room and CPU of a reading."""
     image_causes.run(work)
     map_causes.run(work)
     cpu_causes.run(work)

@@ -1,4 +1,4 @@
-"""Why the mapping node's CPU grows less than the thesis' in the hold (table 6.4)."""
+"""Explain why the mapping node's CPU grows less in the hold than the thesis' (table 6.4)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ THESIS_RATIO = 128 / 0.4 / 15
 
 
 def interpreted(kernel: Any) -> Any:
-    """A compiled function, and all that it calls of its module, as plain Python."""
+    """Return a compiled function, with the functions of its module that it calls, as plain Python."""
     module = dict(vars(sys.modules[kernel.py_func.__module__]))
     for name, value in list(module.items()):
         plain = getattr(value, "py_func", None)
@@ -37,7 +37,7 @@ def interpreted(kernel: Any) -> Any:
 
 
 def reading_cost(frames: dict[str, Frames], grid: Grid, kernel: Any = insert_reading) -> tuple[float, float]:
-    """CPU of a reading [s], the least of three, and the cells that it traverses, means over the readings.
+    """Measure the CPU of a reading [s], the least of three, and the cells it traverses, as means over the readings.
 
     Args:
         frames: by sensor.
@@ -60,7 +60,7 @@ def reading_cost(frames: dict[str, Frames], grid: Grid, kernel: Any = insert_rea
 
 
 def run(work: Workspace) -> None:
-    """Table 6.4: what one reading costs in the NTNU room, in the hold, and where nothing is in range."""
+    """Measure table 6.4: the cost of one reading in the NTNU room, in the hold, and with nothing in range."""
     work.log("CPU of a reading")
     cases: dict[str, tuple[dict[str, Frames], Grid]] = {}
     for name, scenario in ((ROOM, "ntnu-mapping"), (HOLD, "cargo-hold")):
@@ -79,12 +79,12 @@ def run(work: Workspace) -> None:
 
 
 def over_room(costs: Costs) -> dict[str, float]:
-    """CPU of a reading over that in the room."""
+    """Return the CPU of a reading relative to that in the room."""
     return {name: cost / costs[ROOM][0] for name, (cost, _) in costs.items()}
 
 
 def tabulate(work: Workspace, compiled: Costs, plain: Costs) -> None:
-    """Cells and CPU of a reading, and both over those in the room."""
+    """Tabulate cells and CPU of a reading, also relative to those in the room."""
     over = over_room(compiled), over_room(plain)
     cells = {name: compiled[name][1] / compiled[ROOM][1] for name in compiled}
     rows = [(name, f"{compiled[name][1]:.0f}", f"{cells[name]:.1f}",
@@ -99,7 +99,7 @@ def tabulate(work: Workspace, compiled: Costs, plain: Costs) -> None:
 
 
 def state(work: Workspace, compiled: Costs, plain: Costs) -> None:
-    """What the interpreter and the lack of echoes explain of the thesis' ratio."""
+    """State which part of the thesis' ratio the interpreter and the lack of echoes explain."""
     cells = {name: compiled[name][1] / compiled[ROOM][1] for name in compiled}
     fast, slow = over_room(compiled), over_room(plain)
     work.results.add_statement(

@@ -1,4 +1,4 @@
-"""Radar object detection (thesis 6.1): four targets strafed in the NTNU room, under both laws, straight and by hand."""
+"""Detect four targets in the NTNU room (thesis 6.1), under both laws, on straight flights and flights by hand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NEAR_M = 0.6
 
 
 def run(work: Workspace) -> None:
-    """Every target, four cases; figures 6.3 to 6.8 and what the thesis says of them."""
+    """Run every target in four cases; draw figures 6.3 to 6.8 and check the thesis' statements on them."""
     flights = {world: target(work, world) for world in TARGETS}
     work.log("drawing")
     for world, cases in flights.items():
@@ -55,7 +55,7 @@ def run(work: Workspace) -> None:
 
 
 def target(work: Workspace, world: str) -> dict[str, Flown]:
-    """One target, every case; in small only the plate is flown by hand."""
+    """Run one target in every case; the small run flies only the plate by hand."""
     cases = {
         case: tail for case, tail in CASES.items() if world == "ntnu-plate" or not work.quick or "hand" not in case
     }
@@ -63,7 +63,7 @@ def target(work: Workspace, world: str) -> dict[str, Flown]:
 
 
 def show_profiles(work: Workspace, world: str, cases: dict[str, Flown]) -> None:
-    """Figures 6.3 to 6.6: a row for each case."""
+    """Draw figures 6.3 to 6.6 with a row for each case."""
     path = work.folder / f"{world}.png"
     passes = [Pass(case, flown.only, middle(flown), true_range(flown)) for case, flown in cases.items()]
     title = TARGETS[world][1]
@@ -76,7 +76,7 @@ def show_profiles(work: Workspace, world: str, cases: dict[str, Flown]) -> None:
 
 
 def show_images(work: Workspace, world: str, cases: dict[str, Flown]) -> None:
-    """Figures 6.7 and 6.8: an image for each case and method."""
+    """Draw figures 6.7 and 6.8 with an image for each case and method."""
     path = work.folder / f"{world}_sar.png"
     images = {f"summation, {case}": image_of(flown, "summation") for case, flown in cases.items()}
     waves = {case: flown for case, flown in cases.items() if "physical" in case}
@@ -91,22 +91,22 @@ def show_images(work: Workspace, world: str, cases: dict[str, Flown]) -> None:
 
 
 def place(flown: Flown) -> Floats:
-    """Where the target's steel truly is, as the radar meets it (3) [m]: its near face, or a turned plate's middle."""
+    """Return the true place of the target's steel (3) [m]: its near face, or the middle of a turned plate."""
     return np.array([*target_place(flown.simulated.scenario.world.name), flown.height_m])
 
 
 def middle(flown: Flown) -> int:
-    """The frame taken nearest to the target."""
+    """Return the index of the frame nearest to the target."""
     return int(np.argmin(abs(flown.only.believed.position[:, 1] - place(flown)[1])))
 
 
 def true_range(flown: Flown) -> Floats:
-    """Distance from the sensor to the target in each frame (n) [m]."""
+    """Return the distance from the sensor to the target in each frame (n) [m]."""
     return np.asarray(np.linalg.norm(flown.only.believed.position - place(flown), axis=1))
 
 
 def image_of(flown: Flown, method: Any, *, around: Floats = IMAGE_BOX) -> Image:
-    """An image of the strafe, without the frames in which the drone stood still before and after."""
+    """Focus the strafe, without the frames in which the drone stood still before and after."""
     part = flown.only
     velocity, _ = part.believed.rates
     moving = np.linalg.norm(velocity, axis=1) > 0.2
@@ -114,7 +114,7 @@ def image_of(flown: Flown, method: Any, *, around: Floats = IMAGE_BOX) -> Image:
 
 
 def peak_range(frames: Frames, number: int, near_m: float) -> float:
-    """Range of the strongest echo within NEAR_M of a range, finer than a bin [m]."""
+    """Find the range of the strongest echo within NEAR_M of a range, finer than a bin [m]."""
     row = frames.amplitude[number].astype(float)
     k = int(np.argmax(np.where(abs(frames.range_m - near_m) < NEAR_M, row, -1)))
     k = min(max(k, 1), len(row) - 2)
@@ -124,7 +124,7 @@ def peak_range(frames: Frames, number: int, near_m: float) -> float:
 
 
 def ranges(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
-    """Amplitude maxima at the true ranges."""
+    """Check amplitude maxima at the true ranges."""
     for world in ("ntnu-plate", "ntnu-pole", "ntnu-wire"):
         for case in ("thesis law", "physical law"):
             if case == "thesis law" and world != "ntnu-plate":
@@ -145,7 +145,7 @@ def ranges(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
 
 
 def places(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
-    """Position from the hyperbola's apex, and from the focused image's peak, against the truth."""
+    """Compare positions from the hyperbola's apex and from the focused image's peak with the truth."""
     rows = []
     for world, cases in flights.items():
         truth = place(cases["thesis law"])[:2]
@@ -169,7 +169,7 @@ def places(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
 
 
 def levels(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
-    """How bright each target is in its summation image, over the brightest cell, and what the thesis says of it."""
+    """Check each target's level in its summation image, relative to the brightest cell, against the thesis."""
     found = {
         (world, case): level_db(image_of(flown, "summation"), place(flown))
         for world, cases in flights.items()
@@ -190,7 +190,7 @@ def levels(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
 
 
 def shapes(work: Workspace, flights: dict[str, dict[str, Flown]]) -> None:
-    """Local maxima of the snapshots, which the thesis counts by eye."""
+    """Check local maxima of the snapshots, which the thesis counts by eye."""
     counts = {
         case: np.mean([_tops(cases[case]) for cases in flights.values()]) for case in ("thesis law", "physical law")
     }
@@ -211,7 +211,7 @@ def _tops(flown: Flown) -> int:
 
 
 def from_steel(flown: Flown, point: Floats) -> float:
-    """Distance in plan from an estimate to the target's nearest steel [m]."""
+    """Return the horizontal distance from an estimate to the target's nearest steel [m]."""
     from shapely import MultiLineString, MultiPoint, Point
 
     steel = alone(flown.scene, TARGETS[flown.simulated.scenario.world.name][0])

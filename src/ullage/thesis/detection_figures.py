@@ -1,4 +1,4 @@
-"""Figures of the thesis' object detection (6.3 to 6.8): snapshot, sum of amplitudes, range over time; SAR images."""
+"""Draw the thesis' object detection (6.3 to 6.8): snapshot, sum of amplitudes, range over time, SAR images."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Pass:
 
 
 def draw_target(path: Path, passes: Sequence[Pass], *, title: str) -> None:
-    """A row for each strafe: one profile, the sum of all profiles, and range over time.
+    """Draw a row for each strafe: one profile, the sum of all profiles, and range over time.
 
     Args:
         path: picture file.
         passes: the targets.
-        title: above all.
+        title: of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -96,14 +96,14 @@ def _over_time(axes: Axes, one: Pass, figure: Any) -> None:
 def draw_images(
     path: Path, images: Mapping[str, Image], *, target_m: ArrayLike, walls: Scene, title: str, span_db: float = 35.0
 ) -> None:
-    """SAR images beside each other, each in dB under its own brightest 0.2 %.
+    """Draw SAR images side by side, each in dB under its own brightest 0.2 %.
 
     Args:
         path: picture file.
-        images: by what stands above each.
+        images: by title.
         target_m: true place of the target, x and y [m].
         walls: the world, whose outline at the images' height is drawn.
-        title: above all.
+        title: of the figure.
         span_db: range of the colours [dB].
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -138,7 +138,7 @@ def draw_images(
 
 
 def outline(axes: Axes, scene: Scene, z_m: float) -> None:
-    """What truly stands at a height, in thin lines; wires as dots."""
+    """Draw the world's section at a height in thin lines; wires as dots."""
     from matplotlib.collections import LineCollection
 
     axes.add_collection(LineCollection(list(section(scene, z_m)), color="#7bdff2", linewidth=0.7))

@@ -1,4 +1,4 @@
-"""What the thesis says of its targets (7.1), under both laws: each thing alone, without noise."""
+"""Check the thesis' statements on its targets (7.1) under both laws: each object alone, without noise."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LAWS: tuple[Fidelity, ...] = ("thesis", "physical")
 
 
 def brightness(work: Workspace) -> None:
-    """The plate brightest, the turned plate weak under the physical law only, the wire faint."""
+    """Check that the plate is brightest, the turned plate weak under the physical law only, and the wire faint."""
     best: dict[tuple[str, str], float] = {}
     opposite: dict[tuple[str, str], float] = {}
     summed: dict[tuple[str, str], float] = {}
@@ -50,7 +50,7 @@ def brightness(work: Workspace) -> None:
 
 
 def clutter(work: Workspace, scene: Scene, path: Trajectory, wire_m: Floats) -> None:
-    """The floor beside the wire, and how it goes when the height is known."""
+    """Check the floor's echo next to the wire, and its suppression when the height is known."""
     hold = work.results.add_statement
     _, quiet = radars()
     path = path[:: 4 if work.quick else 2]
@@ -79,7 +79,7 @@ def clutter(work: Workspace, scene: Scene, path: Trajectory, wire_m: Floats) -> 
 
 
 def _left(before: Frames, after: Frames, where: Bools, *, less: Frames | None = None) -> float:
-    """What suppression leaves within some bins, rms over rms [dB]; `less` holds what ought to be left.
+    """Return the level that suppression leaves within some bins, rms over rms [dB]; `less` holds the wanted rest.
 
     NaN where there was no echo to suppress.
     """
@@ -89,7 +89,7 @@ def _left(before: Frames, after: Frames, where: Bools, *, less: Frames | None = 
 
 
 def tail(work: Workspace, scene: Scene, path: Trajectory) -> None:
-    """What comes from beyond the last wall: nothing under the ray law."""
+    """Check the echoes from beyond the last wall: none under the ray law."""
     _, quiet = radars()
     few = path[:: max(1, len(path) // (2 if work.quick else 6))]
     rows = simulate(scene, few, quiet, fidelity="thesis"), simulate(scene, few, quiet, max_bounces=3)

@@ -1,4 +1,4 @@
-"""The flights by which every method is judged: rounds through one room, drawn by a seed, and errors of their poses."""
+"""Make the flights that test every method: rounds through one room, drawn by a seed, with errors of their poses."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ HOVER_S = 60.0
 
 
 def judged_room() -> Scene:
-    """A concrete room of 8 x 6 x 3 m with a steel plate of 1 x 2 m in it."""
+    """Return a concrete room of 8 x 6 x 3 m with a steel plate of 1 x 2 m in it."""
     return scenes.room(SIZE, plate={"width_m": 1.0, "height_m": 2.0, "distance_m": 2.6})
 
 
 def plane_of(scene: Scene) -> Grid:
-    """The plane of 0.1 m cells on which it is mapped."""
+    """Return the plane of 0.1 m cells for maps of a scene."""
     return Grid.covering(scene.bounds, 0.1, margin_m=1.0)
 
 
 def volume_of(scene: Scene) -> Grid:
-    """The volume of 0.1 m cells on which it is mapped."""
+    """Return the volume of 0.1 m cells for maps of a scene."""
     return Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5)
 
 
 def level_round(seed: int, *, rate_hz: float = 25.0) -> Trajectory:
-    """A round at 0.5 m/s and nearly one height; its corners are drawn."""
+    """Draw a round at 0.5 m/s and nearly constant height, with random corners."""
     corners = np.array([(-2.6, -1.4), (1.2, -1.5), (1.3, 1.4), (-2.5, 1.5), (-2.6, -1.2)])
     corners = corners + np.random.default_rng(seed).uniform(-0.25, 0.25, corners.shape)
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
@@ -71,7 +71,7 @@ def level_round(seed: int, *, rate_hz: float = 25.0) -> Trajectory:
 
 
 def rising_round(seed: int, *, rise_m: float = RISE_M) -> Trajectory:
-    """The same round, but rising and sinking by twice `rise_m`."""
+    """Draw the same round, rising and sinking by twice `rise_m`."""
     flat = level_round(seed)
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(flat.position, axis=0), axis=1))])
     position = flat.position.copy()
@@ -80,7 +80,7 @@ def rising_round(seed: int, *, rise_m: float = RISE_M) -> Trajectory:
 
 
 def hovering(path: Trajectory, rng: np.random.Generator, *, rate_hz: float = 25.0) -> Trajectory:
-    """60 s at the end of a flight, wandering by some centimetres as a drone does."""
+    """Append 60 s of hovering to a flight, with a drift of some centimetres as a drone has."""
     n = int(HOVER_S * rate_hz)
     t = np.arange(1, n + 1) / rate_hz
     phase, turn = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.2, 0.5, 3)
@@ -90,12 +90,12 @@ def hovering(path: Trajectory, rng: np.random.Generator, *, rate_hz: float = 25.
 
 
 def received(scene: Scene, path: Trajectory, seed: int, *, fidelity: Fidelity = "physical") -> Recordings:
-    """Frames of the thesis' four radars along a path."""
+    """Simulate the frames of the thesis' four radars along a path."""
     return dict(simulate(scene, path, Rig.preset("thesis-4"), fidelity=fidelity, seed=seed))
 
 
 def believed(frames: Mapping[str, Frames], offset: Floats) -> Recordings:
-    """Frames whose poses are off by so much (n, 3) [m]; where they truly were is kept."""
+    """Return frames whose estimated positions have an error (n, 3) [m]; the true poses are kept."""
     return {
         name: replace(f, poses=Trajectory(f.t_ns, f.believed.position + offset, f.believed.quat_xyzw))
         for name, f in frames.items()
@@ -103,19 +103,19 @@ def believed(frames: Mapping[str, Frames], offset: Floats) -> Recordings:
 
 
 def without_phase(frames: Mapping[str, Frames]) -> Recordings:
-    """Amplitudes alone."""
+    """Return the frames with amplitudes only."""
     return {name: replace(f, samples=f.amplitude) for name, f in frames.items()}
 
 
 def drift(n: int, size_m: float, rng: np.random.Generator) -> Floats:
-    """A smooth error of the poses (n, 3) of about so much, none at the start [m]."""
+    """Draw a smooth position error (n, 3) of about this size that starts at zero [m]."""
     phase, rate = rng.uniform(0, 6.28, 3), rng.uniform(0.7, 1.6, 3)
     out = size_m * np.sin(np.linspace(0, 6.28, n)[:, None] * rate + phase) * [1, 1, 0.3]
     return np.asarray(out - out[0])
 
 
 def errorless_map(scene: Scene, frames: Recordings, grid: Grid, *, zones: int = 1) -> OccupancyMap:
-    """What a map without any error holds: the surface within some Fresnel zones of a foot of the perpendicular."""
+    """Return an errorless map: the surface within some Fresnel zones of a specular point."""
     grid = grid.at_height(float(np.mean([f.believed.position[:, 2].mean() for f in frames.values()])))
     surface = surface_of(scene, grid, frames)
     lit = np.flatnonzero(surface.looks > 0)
@@ -134,17 +134,17 @@ def errorless_map(scene: Scene, frames: Recordings, grid: Grid, *, zones: int = 
 
 
 def values_of(scores: Mapping[str, Metric], keys: Sequence[str]) -> dict[str, float]:
-    """The numbers of some metrics."""
+    """Return the values of metrics by name."""
     return {key: scores[key].value for key in keys}
 
 
 def mean_of(scores: Scores, name: str, key: str) -> float:
-    """Mean over the flights."""
+    """Return the mean over the flights."""
     return float(np.mean([row[key] for row in scores[name]]))
 
 
 def interval(values: Sequence[float], *, scale: float = 1.0, digits: int = 3) -> str:
-    """Mean and 95 % interval of it over flights, by Student's t, in words; a dash where there is none."""
+    """Format the mean over flights and its 95 % interval by Student's t; a dash if there is none."""
     from scipy.stats import t
 
     count = len(values)
@@ -158,5 +158,5 @@ def interval(values: Sequence[float], *, scale: float = 1.0, digits: int = 3) ->
 
 
 def rows_of(scores: Scores, columns: Mapping[str, str]) -> list[tuple[str, ...]]:
-    """Lines of a table: each name, then mean and interval of each column."""
+    """Return the rows of a table: each name, then mean and interval of each column."""
     return [(name, *(interval([row[key] for row in rows]) for key in columns)) for name, rows in scores.items()]

@@ -1,4 +1,4 @@
-"""Mapping the cluttered room (thesis 6.2): twice with other noise; smears, ghosts in hover, space behind walls."""
+"""Map the cluttered room (thesis 6.2) twice with other noise: smears, ghosts in hover, space behind walls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FOUND_M = 0.15
 
 
 def run(work: Workspace) -> None:
-    """Two runs with each method, then a while of hovering; figures 6.11, 6.12b and 6.14."""
+    """Run each method twice, then hover; draw figures 6.11, 6.12b and 6.14."""
     show_world(
         work, "cluttered-room", work.folder / "world.png", "figures 6.11 and 6.12b",
         "The cluttered room without near walls and roof, and the path flown.",
@@ -59,7 +59,7 @@ def run(work: Workspace) -> None:
 
 
 def smears(work: Workspace, rays: list[Flown], waves: list[Flown]) -> None:
-    """False cells round two things, two runs with other noise, and both methods' scores."""
+    """Check false cells around two objects in two runs with other noise, and both methods' scores."""
     hold = work.results.add_statement
     elfes, ours = ({name: _false_near(runs, name) for name in SMALL_THINGS} for runs in (rays, waves))
     own = {name: float(np.mean([_own_smear(flown, name) for flown in rays])) for name in SMALL_THINGS}
@@ -91,13 +91,13 @@ def smears(work: Workspace, rays: list[Flown], waves: list[Flown]) -> None:
 
 
 def _false_near(runs: list[Flown], name: str) -> float:
-    """False cells round a thing, mean over the runs; NaN without runs."""
+    """Return the mean number of false cells around an object over the runs; NaN without runs."""
     counts = [false_cells(f.omap, f, around=[middle_of(f.scene, name)]) for f in runs if f.omap is not None]
     return float(np.mean(counts)) if counts else float("nan")
 
 
 def _own_smear(flown: Flown, name: str) -> float:
-    """False cells round a thing, less those that the same flight gives without it."""
+    """Return the false cells around an object, less those of the same flight without it."""
     if flown.omap is None:
         return float("nan")
     scenario, around = flown.simulated.scenario, [middle_of(flown.scene, name)]
@@ -112,7 +112,7 @@ def _unlike(first: OccupancyMap, second: OccupancyMap) -> float:
 
 
 def things(work: Workspace, rays: Flown, waves: Flown | None) -> None:
-    """How much of each thing's outline at the flight's height is on the map."""
+    """Check how much of each object's outline at the flight's height is on the map."""
     rows, found = [], {}
     for name in THINGS:
         line = [on_map(flown, name) for flown in (rays, waves) if flown is not None]
@@ -128,7 +128,7 @@ def things(work: Workspace, rays: Flown, waves: Flown | None) -> None:
 
 
 def on_map(flown: Flown, name: str) -> float:
-    """Share of a thing's outline at the flight's height that has an occupied cell within FOUND_M; 0 without a map."""
+    """Return the share of an object's outline with an occupied cell within FOUND_M; 0 without a map."""
     from scipy.spatial import cKDTree
 
     index = [i for i, thing in enumerate(flown.scene.objects) if thing.name.split("::")[0] == name]
@@ -151,21 +151,21 @@ def _occupied(omap: OccupancyMap, flown: Flown) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hover:
-    """A map on arrival and after the drone has waited there."""
+    """Map on arrival and after the drone has hovered there."""
 
     before: OccupancyMap
     after: OccupancyMap
-    false: tuple[int, int]  # cells far from everything true
+    false: tuple[int, int]  # cells far from every true surface
     at_person: tuple[int, int]  # occupied cells near the person
 
     @property
     def new_false(self) -> int:
-        """False cells that waiting added."""
+        """False cells that hovering added."""
         return self.false[1] - self.false[0]
 
     @property
     def new_at_person(self) -> int:
-        """Cells near the person that waiting added."""
+        """Cells near the person that hovering added."""
         return self.at_person[1] - self.at_person[0]
 
 
@@ -173,7 +173,7 @@ BY_FORMULAS, CAPPED, OURS = "Elfes", f"Elfes, limited to {LIMITED:g}", "ullage"
 
 
 def hovering(work: Workspace, rays: Flown, waves: Flown | None) -> None:
-    """The drone waits where the flight ends: what that does to the map already made."""
+    """Hover at the end of the flight, and measure how the map changes."""
     work.log("hovering")
     found = {BY_FORMULAS: hovered(rays, "elfes"), CAPPED: hovered(rays, "elfes", certain=LIMITED)}
     if waves is not None:
@@ -199,7 +199,7 @@ def hovering(work: Workspace, rays: Flown, waves: Flown | None) -> None:
 
 
 def state_hovers(work: Workspace, found: dict[str, Hover]) -> None:
-    """Ghosts that waiting makes, by the row of the table."""
+    """Check the ghosts that hovering makes, by row of the table."""
     hold, plain, limited = work.results.add_statement, found[BY_FORMULAS], found[CAPPED]
     hold("Elfes: hovering makes false cells", "7.2", plain.new_false, "cells", low=5)
     hold(f"Elfes limited to {LIMITED:g}: hovering beside the person makes cells along the lobe", "figure 6.14",
@@ -217,13 +217,13 @@ def state_hovers(work: Workspace, found: dict[str, Hover]) -> None:
 
 
 def _near(omap: OccupancyMap, flown: Flown, name: str) -> int:
-    """Occupied cells within 1.2 m of the middle of a thing."""
+    """Count occupied cells within 1.2 m of the middle of an object."""
     away = np.linalg.norm(_occupied(omap, flown) - middle_of(flown.scene, name), axis=1)
     return int(np.sum(away < 1.2))
 
 
 def hovered(flown: Flown, method: str, *, count: int = HOVER_FRAMES, **options: float) -> Hover:
-    """Map a flight, then a while of waiting at its end.
+    """Map a flight, then a time of hovering at its end.
 
     Args:
         flown: the flight, with its map.
@@ -246,7 +246,7 @@ def hovered(flown: Flown, method: str, *, count: int = HOVER_FRAMES, **options: 
 
 
 def _at_end(flown: Flown, count: int) -> dict[str, Frames]:
-    """Frames of a while of standing still at the end of a flight."""
+    """Simulate frames of a radar at rest at the end of a flight."""
     end = flown.track[-1:]
     still = np.zeros((count, 3))
     path = Trajectory(

@@ -1,4 +1,4 @@
-"""The cargo hold (thesis 6.3): along its walls, 0.1 m cells; and what a mapper costs where nothing is in range."""
+"""Map the cargo hold along its walls in 0.1 m cells (thesis 6.3), and measure a mapper's cost with nothing in range."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HIGH_M = 6.0
 
 
 def run(work: Workspace) -> None:
-    """The flight both ways, figures 6.15 to 6.18, and the cost far from everything."""
+    """Run the flight under both laws, draw figures 6.15 to 6.18, and measure the cost far from every surface."""
     show_world(
         work, "cargo-hold", work.folder / "world.png",
         "figures 6.15 to 6.17", "The hold, cut open, and the path flown.",
@@ -56,7 +56,7 @@ def run(work: Workspace) -> None:
 
 
 def state(work: Workspace, rays: Flown, waves: Flown) -> None:
-    """What ullage's map holds, beside Elfes' of the same flight."""
+    """Compare ullage's map with Elfes' of the same flight."""
     hold = work.results.add_statement
     hold("ullage: surface declared free (share)", "beyond", waves.number("surface_declared_free"), high=0.01)
     hold("ullage: cells held known over 0.3 m behind a surface (share)", "beyond", waves.number("known_behind"),
@@ -65,7 +65,7 @@ def state(work: Workspace, rays: Flown, waves: Flown) -> None:
 
 
 def far(work: Workspace, path: Trajectory) -> None:
-    """The same track in a room of 8 x 6 m and in empty space: CPU of each mapper for a profile."""
+    """Measure each mapper's CPU for a profile on the same track in a room of 8 x 6 m and in empty space."""
     work.log("cost of a profile near and far")
     loud, _ = radars()
     rig = Rig.preset("thesis-4", radar=loud)
@@ -97,7 +97,7 @@ def far(work: Workspace, path: Trajectory) -> None:
 
 
 def _cells(grid: Grid, scene: Scene, track: Trajectory) -> float:
-    """Cells in the square about the lobe (thesis 5.3.2), mean over readings of the four sensors."""
+    """Count the cells in the square about the lobe (thesis 5.3.2), mean over readings of the four sensors."""
     mapper, counts = ElfesMapper(grid), []
     found = simulate(scene, track[:20], Rig.preset("thesis-4"), fidelity="thesis", seed=7)
     for part in found.values():
@@ -109,7 +109,7 @@ def _cells(grid: Grid, scene: Scene, track: Trajectory) -> float:
 
 
 def _detected(work: Workspace, flown: Flown) -> None:
-    """How many profiles hold an echo over the threshold, which the thesis says hardly any do."""
+    """Check the share of profiles with an echo over the threshold; the thesis says hardly any."""
     rise = np.array([0.0, 0.0, HIGH_M - flown.height_m])
     track = replace(flown.track, position=flown.track.position + rise)[::4]
     high = simulate(flown.scene, track, flown.simulated.rig, fidelity="thesis", seed=flown.simulated.scenario.seed)

@@ -1,4 +1,4 @@
-"""Why the images differ from the thesis' (figures 6.7 to 6.9): one change at a time."""
+"""Find why the images differ from the thesis' (figures 6.7 to 6.9), with one change at a time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ullage.world.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class Strafe:
-    """One flight past a target: what is there, where the radar goes, what it is, and by which law it receives."""
+    """Flight past a target: scene, path, radar and law."""
 
     scene: Scene
     path: Trajectory
@@ -35,7 +35,7 @@ class Strafe:
 
 
 def run(work: Workspace) -> None:
-    """Brightness of targets, of the plate in the room, of the wire; flights by hand."""
+    """Run the experiments on brightness of targets, plate in the room and wire, and on flights by hand."""
     work.log("brightness of the targets in their images")
     brightness(work)
     if not work.quick:
@@ -47,14 +47,14 @@ def run(work: Workspace) -> None:
 
 
 def strafe_of(world: str, law: Fidelity = "thesis") -> Strafe:
-    """The straight flight past a target at 0.5 m/s and 25 frames a second, without noise."""
+    """Return the straight flight past a target at 0.5 m/s and 25 frames a second, without noise."""
     (x0, y0, z0, _), (x1, y1, z1, _) = WORLDS[world].path_xyzyaw
     path = Trajectory.line((x0, y0, z0), (x1, y1, z1), 0.5, 25)
     return Strafe(WORLDS[world].scene(), path[:: 2 if law == "physical" else 1], radars()[1], law)
 
 
 def target_level_db(flight: Strafe, world: str) -> float:
-    """Return how bright a world's target is in the summation image of a flight, over the brightest cell [dB]."""
+    """Return a target's level in the summation image of a flight, relative to the brightest cell [dB]."""
     bounces = {"max_bounces": 2} if flight.law == "physical" else {}
     frames: Frames = simulate(flight.scene, flight.path, flight.spec, fidelity=flight.law, **bounces)  # type: ignore[call-overload]
     return level_db(strafe_image(frames), target_place(world))
@@ -64,7 +64,7 @@ AS_FLOWN, NO_WALL = "as flown", "without the east wall, behind the target"
 
 
 def thesis_changes(flight: Strafe) -> Iterator[tuple[str, Strafe]]:
-    """One change each of world, radar and path."""
+    """Return flights with one change each of world, radar or path."""
     model, scene, spec = flight.spec.thesis, flight.scene, flight.spec
     yield AS_FLOWN, flight
     yield NO_WALL, replace(flight, scene=without_models(scene, "wall_east"))
@@ -84,12 +84,12 @@ def thesis_changes(flight: Strafe) -> Iterator[tuple[str, Strafe]]:
 
 
 def moved(path: Trajectory, shift_m: Floats) -> Trajectory:
-    """A path elsewhere."""
+    """Return a path shifted by an offset."""
     return Trajectory(path.t_ns, path.position + shift_m, path.quat_xyzw)
 
 
 def brightness(work: Workspace) -> None:
-    """Figures 6.7 and 6.8: why targets are darker than the brightest cell of their images."""
+    """Find why targets are darker than the brightest cell of their images (figures 6.7 and 6.8)."""
     worlds = ("ntnu-plate", "ntnu-plate45", "ntnu-pole")
     found: dict[str, dict[str, float]] = {}
     for world in worlds:
@@ -126,7 +126,7 @@ def _brightness_differs(work: Workspace, found: dict[str, dict[str, float]]) -> 
 
 
 def room_image(work: Workspace) -> None:
-    """Figure 6.9: why the plate is darker than the brightest cell of the room's image."""
+    """Find why the plate is darker than the brightest cell of the room's image (figure 6.9)."""
     flight = prepare(find_scenario("ntnu-mapping"))
     plate = middle_of(flight.scene, "steel_plate")
     box = np.stack([*flight.scene.bounds])
@@ -159,7 +159,7 @@ def room_image(work: Workspace) -> None:
 
 
 def wire(work: Workspace) -> None:
-    """Figure 6.8: what stands at the wire's place, under both laws."""
+    """Find the causes of the image at the wire's place under both laws (figure 6.8)."""
     laws: tuple[Fidelity, ...] = ("thesis", "physical")
     found: dict[str, list[float]] = {}
     for law in laws:
@@ -200,7 +200,7 @@ NO_WIRE, NO_PIPE, NEITHER = "without the wire", "without the half-pipe", "withou
 
 
 def wire_changes(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """One change each of the wire's world."""
+    """Return the wire's world with one change each."""
     half_pipe, steel = "steel_wire::half_pipe", "steel_wire::wire"
     yield AS_FLOWN, scene
     yield NO_WIRE, without_models(scene, steel)
@@ -232,10 +232,10 @@ COLUMNS: tuple[tuple[str, Fidelity], ...] = (
 
 
 def flights_by_hand(seed: int) -> dict[str, Trajectory]:
-    """A flight by hand past the wire at 25 frames a second, its parts, and the same track flown straight."""
+    """Return a flight by hand past the wire at 25 frames a second, its parts, and its track flown straight."""
     flown = prepare(find_scenario("ntnu-wire-by-hand", options=[f"seed={seed}"])).flown
     path = flown.at(np.arange(flown.t_ns[0], flown.t_ns[-1], round(1e9 / 25)))
-    path = path[np.linalg.norm(path.rates[0], axis=1) > 0.2]  # as the images of the flights: not while standing still
+    path = path[np.linalg.norm(path.rates[0], axis=1) > 0.2]  # as in the flights' images: without the drone at rest
     ahead = np.tile([0.0, 0.0, 0.0, 1.0], (len(path), 1))
     (*start, _), (*end, _) = WORLDS["ntnu-wire"].path_xyzyaw
     even = np.linspace(start, end, len(path))
@@ -248,7 +248,7 @@ def flights_by_hand(seed: int) -> dict[str, Trajectory]:
 
 
 def by_hand(work: Workspace) -> None:
-    """What in a flight by hand darkens the target: the place of the frames, or the direction of the boresight."""
+    """Find what darkens the target in a flight by hand: the place of the frames or the direction of the boresight."""
     columns = COLUMNS[3:] if work.quick else COLUMNS
     levels: dict[str, list[list[float]]] = {}
     for seed in SEEDS[: 1 if work.quick else None]:

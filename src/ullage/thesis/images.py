@@ -1,4 +1,4 @@
-"""Every way of making an image of the same three poles, five flights, judged by one evaluator."""
+"""Compare all imaging methods on three poles and five flights, with one evaluator."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SMOOTH, BOTH = "the same, smoothed over 0.6 m of track", "the same, smoothed, th
 
 
 def cases(seed: int) -> Iterator[tuple[str, Frames, Image]]:
-    """Rows of the table: name, frames with the poses believed, and their image."""
+    """Give the rows of the table: name, frames with estimated poses, and their image."""
     scene = Scene.union(
         [Scene.of_wires(np.array([x, y, -1.5]), np.array([x, y, 1.5]), 0.005, name=f"{x}") for x, y in POLES]
     )
@@ -67,14 +67,14 @@ def _moved(frames: Frames, position: Floats) -> Frames:
 
 
 def _smoothed(frames: Frames) -> Frames:
-    """Poses on a cubic of time over 0.6 m, as the mapper takes them."""
+    """Smooth poses by a cubic of time over 0.6 m, as the mapper does."""
     from scipy.signal import savgol_filter
 
     return _moved(frames, savgol_filter(frames.believed.position, 31, 3, axis=0))
 
 
 def scored(frames: Frames, image: Image, sharp: Image) -> dict[str, float]:
-    """Widths, side lobes and place of the nearest pole; entropy and peak of the image; error of the poses."""
+    """Measure widths, side lobes and place of the nearest pole, entropy and peak of the image, and pose errors."""
     got = image_quality(image, target_m=(*POLES[0], 0.0), search_m=SEARCH_M)
     truth = frames.believed if frames.truth is None else frames.truth
     off = (frames.believed.position - truth.position)[:, 0]
@@ -92,7 +92,7 @@ def scored(frames: Frames, image: Image, sharp: Image) -> dict[str, float]:
 
 
 def run(work: Workspace) -> None:
-    """The table of images and those of the first flight."""
+    """Make the table of images and the images of the first flight."""
     scores: Scores = {}
     panels: list[Panel] = []
     seeds = 1 if work.quick else flights.SEEDS
@@ -121,7 +121,7 @@ NOTE = (
 
 
 def state(work: Workspace, scores: Scores) -> None:
-    """Place, width and entropy of the images."""
+    """State place, width and entropy of the images."""
 
     def gain(key: str, over: str, name: str) -> float:
         return mean_of(scores, over, key) - mean_of(scores, name, key)

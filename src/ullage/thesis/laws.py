@@ -1,7 +1,7 @@
-"""The ray model of 2018 and the physical model side by side on the thesis' four targets [Billdal2018].
+"""Compare the ray model of 2018 and the physical model on the thesis' four targets [Billdal2018].
 
-A drone strafes past a facing steel plate, the plate turned by 45 degrees, a square pole and a wire, with one radar that
-looks ahead. The ray law is nearly blind to tilt and to thickness and ends at the last wall; physics is not.
+A drone strafes past a facing steel plate, the plate turned by 45 degrees, a square pole and a wire, with one radar to
+the front. The ray law hardly depends on tilt and thickness, and ends at the last wall. The physical law does not.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ WALL_M = 6.2  # from the track to the wall behind the targets
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """What both laws give for one target."""
+    """Echoes of one target under both laws."""
 
     world: str
     title: str
     across_m: Floats  # (n) the track [m]
     thesis: Frames  # with its noise
     physical: Frames  # with its noise and up to `max_bounces` reflections
-    steel: dict[str, Floats]  # strongest amplitude (n) of the steel alone, without noise, by law
+    steel: dict[str, Floats]  # peak amplitude (n) of the steel alone, without noise, by law
     summed: Floats  # amplitude (n) of the steel alone summed over range, ray law
     tail: dict[str, float]  # rms amplitude beyond TAIL_M without noise, by law
 
 
 def compare(world: str, *, step_m: float = 0.05, max_bounces: int = 3, seed: int = 7) -> Row:
-    """Both laws along the track past one target.
+    """Evaluate both laws along the track past one target.
 
     Args:
         world: one of TARGETS.
@@ -65,13 +65,13 @@ def compare(world: str, *, step_m: float = 0.05, max_bounces: int = 3, seed: int
 
 
 def under_plate_db(rows: list[Row]) -> dict[tuple[str, str], Floats]:
-    """Amplitude of each target's steel over the facing plate's strongest (n) [dB], by world and law."""
+    """Return each steel target's amplitude relative to the facing plate's peak (n) [dB], by world and law."""
     plate = rows[0].steel
     return {(row.world, law): decibel(row.steel[law] / plate[law].max()) for row in rows for law in plate}
 
 
 def numbers(rows: list[Row]) -> dict[str, float]:
-    """The statements of the figure as numbers.
+    """Return the statements of the figure as numbers.
 
     Returns:
         For each world and law "<world> <law> opposite": the level with the target straight ahead, and

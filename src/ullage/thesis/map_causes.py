@@ -1,4 +1,4 @@
-"""Why the maps differ from the thesis' (figures 6.13 and 6.14): one change at a time."""
+"""Find why the maps differ from the thesis' (figures 6.13 and 6.14), with one change at a time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ullage.world.scene import Scene
 
 
 def run(work: Workspace) -> None:
-    """The east wall of the NTNU room, and the things in the cluttered room."""
+    """Run the experiments on the east wall of the NTNU room and on the objects in the cluttered room."""
     work.log("the east wall")
     east_wall(work)
     work.log("the cluttered room")
@@ -30,7 +30,7 @@ def run(work: Workspace) -> None:
 
 
 def east_share(simulated: Simulated, *, step_m: float = 0.1, threshold: float | None = None) -> float:
-    """Share of the east wall that Elfes' map holds occupied within two cells of 0.1 m."""
+    """Return the share of the east wall with an occupied cell of Elfes' map within two cells of 0.1 m."""
     scene, walls = simulated.scene, WORLDS["ntnu-mapping"].scene().bounds
     frames = simulate(scene, simulated.flown, simulated.rig, fidelity="thesis", seed=simulated.scenario.seed)
     mapper = ElfesMapper(Grid.covering(walls, step_m, margin_m=1.0), threshold=threshold)
@@ -41,14 +41,14 @@ def east_share(simulated: Simulated, *, step_m: float = 0.1, threshold: float | 
 
 
 def flown_to(x_m: float, y_m: float = 1.9, z_m: float = 1.1) -> Simulated:
-    """The round through the NTNU room with other corners."""
+    """Return the round through the NTNU room with other corners."""
     corners = [[-2.8, -y_m, z_m, 0], [x_m, -y_m, z_m, 0], [x_m, -y_m, z_m, 90], [x_m, y_m, z_m, 90],
                [x_m, y_m, z_m, 180], [-2.8, y_m, z_m, 180], [-2.8, y_m, z_m, 270], [-2.8, -y_m, z_m, 270]]  # fmt: skip
     return prepare(find_scenario("ntnu-mapping", options=[f"flight.waypoints={corners}"]))
 
 
 def east_changes() -> Iterator[tuple[str, Callable[[], float]]]:
-    """One change each, and how to measure the wall with it."""
+    """Return single changes, each with a function that measures the wall."""
     flight = prepare(find_scenario("ntnu-mapping"))
 
     def world(*names: str) -> Callable[[], float]:
@@ -79,7 +79,7 @@ IN_SMALL = ("as flown", "without floor and ceiling", "threshold doubled, 0.076")
 
 
 def east_wall(work: Workspace) -> None:
-    """Figure 6.13 c: why the east wall is not on the map."""
+    """Find why the east wall is not on the map (figure 6.13 c)."""
     found = {name: share() for name, share in east_changes() if not work.quick or name in IN_SMALL}
     work.results.add_table(
         "East wall occupied on Elfes' map, 0.1 m: one change at a time",
@@ -104,7 +104,7 @@ def east_wall(work: Workspace) -> None:
 
 
 def cluttered(work: Workspace) -> None:
-    """Figure 6.14: why car and person are hardly on the map."""
+    """Find why car and person are hardly on the map (figure 6.14)."""
     flight = prepare(find_scenario("cluttered-room"))
     box = np.stack([np.minimum(flight.scene.bounds[0], flight.flown.position.min(0)),
                     np.maximum(flight.scene.bounds[1], flight.flown.position.max(0))])  # fmt: skip

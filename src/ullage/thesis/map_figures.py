@@ -1,4 +1,4 @@
-"""Figures of the thesis' mapping (6.9, 6.13, 6.14, 6.18): maps and images of one flight beside each other."""
+"""Draw maps and images of one flight side by side (figures 6.9, 6.13, 6.14, 6.18)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """One map or image and what stands above it."""
+    """One map or image with its title."""
 
     title: str
     shown: OccupancyMap | Image
@@ -39,16 +39,16 @@ def draw_panels(
     span_db: float = 40.0,
     view: Floats | None = None,
 ) -> None:
-    """Maps in white, black, grey and stripes, images in dB, the true walls over them.
+    """Draw maps in white, black, grey and stripes and images in dB, with the true walls on top.
 
     Args:
         path: picture file.
         rows: panels by row.
         walls: true outline as segments (s, 2, 2) [m].
-        title: above all.
+        title: of the figure.
         width_in: of one panel.
         span_db: range of an image's colours [dB].
-        view: what is shown, (2, 2) low and high corner [m]; 0.8 m beyond the walls without it.
+        view: low and high corner of the drawn area (2, 2) [m]; None: 0.8 m beyond the walls.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""What the mapping experiments share: scored maps of one flight, and counts of what went wrong where."""
+"""Score maps of one flight and count their errors by place, for all mapping experiments."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ HEAD = (
 
 
 def sampled_frames(flown: Flown, *, most: int = 400) -> dict[str, Frames]:
-    """Some frames of each radar: enough to know what was seen from where."""
+    """Return some frames of each radar, enough to determine the surfaces in view."""
     return {name: part[:: max(1, len(part) // most)] for name, part in flown.frames.items()}
 
 
 def map_at(flown: Flown, step_m: float, method: Any) -> tuple[OccupancyMap, dict[str, Metric]]:
-    """A flight's map on another grid, and its scores."""
+    """Map a flight on another grid and score it."""
     box = np.stack([np.minimum(flown.scene.bounds[0], flown.track.position.min(0)),
                     np.maximum(flown.scene.bounds[1], flown.track.position.max(0))])  # fmt: skip
     omap = map_occupancy(flown.frames, Grid.covering(box, step_m, margin_m=1.0), method=method)
@@ -54,7 +54,7 @@ def map_at(flown: Flown, step_m: float, method: Any) -> tuple[OccupancyMap, dict
 
 
 def row_of(name: str, omap: OccupancyMap, scores: dict[str, Metric]) -> tuple[str, ...]:
-    """A line for the table under HEAD; false area in place of false cells, so that grids compare."""
+    """Return a row of the table under HEAD, with false area instead of false cells so that grids compare."""
     values = [scores[key].value for key in MEASURES]
     values[-1] *= omap.grid.step_m**2
     return (name, *(f"{value:.3f}" for value in values[:-1]), f"{values[-1]:.2f}")
@@ -63,7 +63,7 @@ def row_of(name: str, omap: OccupancyMap, scores: dict[str, Metric]) -> tuple[st
 def false_cells(
     omap: OccupancyMap, flown: Flown, *, around: Sequence[Floats] | None = None, radius_m: float = 1.2
 ) -> int:
-    """Occupied cells farther than MATCH_M from everything true; only those near given points, if given."""
+    """Count occupied cells farther than MATCH_M from every true surface; only near given points, if given."""
     from scipy.spatial import cKDTree
 
     surface = surface_of(flown.scene, omap.grid, sampled_frames(flown, most=50))
@@ -78,21 +78,21 @@ def false_cells(
 
 
 def middle_of(scene: Scene, name: str) -> Floats:
-    """Middle of everything whose name starts so, in plan (2) [m]."""
+    """Return the horizontal middle of all objects with a name prefix (2) [m]."""
     mine = np.array([thing.name.split("::")[0] == name for thing in scene.objects])
     points = scene.corners()[mine[scene.face_object]].reshape(-1, 3)
     return np.asarray((points.min(0) + points.max(0))[:2] / 2)
 
 
 def walls_of(flown: Flown) -> Floats:
-    """True outline at the height of the flight (s, 2, 2) [m]."""
+    """Return the true outline at the height of the flight (s, 2, 2) [m]."""
     return section(flown.scene, flown.height_m)
 
 
 def show_world(work: Workspace, world: str, path: Path, figure: str, caption: str) -> None:
-    """The world as a cutaway, and a plan with the flight in it."""
+    """Draw the world as a cutaway, and a plan with the flight."""
     if work.quick:
-        return  # the docs have it
+        return  # the documentation shows it
     from ullage.view.world_picture import VIEWS, world_picture
 
     way = np.array(WORLDS[world].path_xyzyaw)

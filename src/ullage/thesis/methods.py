@@ -1,4 +1,4 @@
-"""Every way of mapping on the same five flights, judged by one evaluator, beside the targets."""
+"""Compare all mapping methods on five flights with one evaluator, and with the targets."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ IN_SMALL = (RAYS, EXACT)
 
 
 def cases(seed: int, scene: Scene, grid: Grid) -> Iterator[tuple[str, Recordings, dict[str, Any] | None]]:
-    """Rows of the table: name, what is mapped, and how; None for the map without any error."""
+    """Give the rows of the table: name, frames, and method; None for the errorless map."""
     path = flights.level_round(seed)
     frames = flights.received(scene, path, seed)
     yield ELFES, frames, {"method": "elfes"}
@@ -53,14 +53,14 @@ def cases(seed: int, scene: Scene, grid: Grid) -> Iterator[tuple[str, Recordings
 
 
 def mapped(scene: Scene, grid: Grid, frames: Recordings, how: dict[str, Any] | None) -> OccupancyMap:
-    """The map of one row."""
+    """Make the map of one row."""
     if how is None:
         return flights.errorless_map(scene, frames, grid)
     return map_occupancy(frames, **{"grid": grid, **how})
 
 
 def hovered(scene: Scene, grid: Grid, frames: Recordings, seed: int) -> dict[str, float]:
-    """What a minute's hover at the end of a flight changes of its map."""
+    """Measure how a minute's hover at the end of a flight changes its map."""
     path = flights.hovering(flights.level_round(seed), np.random.default_rng(seed + 200))
     still = flights.received(scene, path, seed + 200)
     alone, longer = Mapper(grid), Mapper(grid)
@@ -74,7 +74,7 @@ def hovered(scene: Scene, grid: Grid, frames: Recordings, seed: int) -> dict[str
 
 
 def run(work: Workspace) -> None:
-    """The table of methods, the targets, and the maps of the first flight."""
+    """Make the table of methods, the targets, and the maps of the first flight."""
     scene = flights.judged_room()
     grid = flights.plane_of(scene)
     scores: Scores = {}
@@ -118,7 +118,7 @@ def _show(work: Workspace, scene: Scene, panels: list[Panel]) -> None:
 
 
 def state(work: Workspace, scores: Scores) -> None:
-    """Ullage's map of exact poses, beside Elfes'."""
+    """Compare ullage's map from exact poses with Elfes'."""
     better = mean_of(scores, EXACT, "f1") - mean_of(scores, RAYS, "f1")
     work.results.add_statement("ullage's F1 over Elfes', both on their own frames", "beyond", better, low=0.1)
     for key, most in (("surface_declared_free", 0.01), ("known_behind", 0.005)):
@@ -128,7 +128,7 @@ def state(work: Workspace, scores: Scores) -> None:
 
 
 def state_targets(work: Workspace, scores: Scores, hover: list[dict[str, float]]) -> None:
-    """Every row against its target, and what hovering changes."""
+    """Compare every row with its target, and state how hovering changes the map."""
     hold = work.results.add_statement
     bounds = {EXACT: 0.92, BARE: 0.78, WHITE[0.003]: 0.88, WHITE[0.01]: 0.72, DRIFT_KNOWN: 0.85}
     for name, least in bounds.items():
@@ -144,7 +144,7 @@ def state_targets(work: Workspace, scores: Scores, hover: list[dict[str, float]]
 
 
 def _targets(scores: Scores, hover: list[dict[str, float]]) -> list[tuple[str, ...]]:
-    """Rows of how true the maps are: what, best seen elsewhere, target, ours."""
+    """Give rows of map quality: metric, best published, target, ours."""
 
     def of(name: str, key: str, scale: float = 1.0, digits: int = 3) -> str:
         return interval([row[key] for row in scores[name]], scale=scale, digits=digits)

@@ -1,4 +1,4 @@
-"""Frames of a moving radar: the mean of what it receives while it integrates one frame.
+"""Simulate the frames of a radar that moves while it integrates one frame.
 
 `simulate` evaluates each frame at one instant. A real X4 sums its `iterations` sweeps over the whole frame
 [NoveldaXTAN13]; a target that moves meanwhile turns the phase, and the sum loses amplitude. Here a frame is split into
@@ -19,23 +19,23 @@ from ullage.world.scene import Scene
 
 
 def integration_s(spec: RadarSpec) -> float:
-    """Time over which the X4 sums one frame: pulses of all DAC steps over the pulse repetition frequency [s]."""
+    """Return the time in which the X4 sums one frame: pulses of all DAC steps over the pulse rate [s]."""
     return spec.counts * (spec.dac_max - spec.dac_min + 1) / spec.prf_hz
 
 
 def blind_speed_m_s(spec: RadarSpec) -> float:
-    """Radial speed at which one frame sums a whole turn of the phase [m/s]."""
+    """Return the radial speed at which one frame sums a full turn of the phase [m/s]."""
     return spec.wavelength_m / (2 * integration_s(spec))
 
 
 def loss_db(radial_m_s: Floats | float, spec: RadarSpec) -> Floats:
-    """Amplitude that is left of an echo at a radial speed: a sinc of the Doppler shift times the integration [dB]."""
+    """Return an echo's level at a radial speed relative to rest: a sinc of Doppler shift times duration [dB]."""
     turns = 2 * np.asarray(radial_m_s, float) * integration_s(spec) / spec.wavelength_m
     return np.asarray(20 * np.log10(np.maximum(abs(np.sinc(turns)), 1e-6)))
 
 
 def groups_of(speed_m_s: float, spec: RadarSpec) -> int:
-    """Groups of sweeps, so many that the phase turns by at most an eighth within one (0.2 dB at most)."""
+    """Return the number of groups of sweeps such that the phase turns at most an eighth in each (0.2 dB at most)."""
     moved = abs(speed_m_s) * integration_s(spec)
     wanted = 16 * moved / spec.wavelength_m
     return int(min(2 ** np.ceil(np.log2(max(wanted, 1))), spec.iterations))
@@ -54,8 +54,8 @@ def fly_at(
     """Simulate the flight of a path at another speed, with frames that integrate while the radar moves.
 
     Args:
-        scene: what is there.
-        path: where the body flies, at `path_speed_m_s`.
+        scene: the world.
+        path: of the body at `path_speed_m_s`.
         rig: radars of one kind, at their frame rate.
         speed_m_s: speed to fly at [m/s].
         path_speed_m_s: speed of the path as given [m/s].

@@ -1,4 +1,4 @@
-"""The mapping node as a process of its own: its CPU time and memory while it maps a recording.
+"""Measure CPU time and memory of the mapping node, in a separate process, while it maps a recording.
 
 Run as `python -m ullage.thesis.node RECORDING OPTIONS`, with the options of `radar_mapping` as JSON. One
 line of JSON goes to stdout.
@@ -21,7 +21,7 @@ from ullage.errors import UllageError
 
 @dataclass(frozen=True, slots=True)
 class NodeCost:
-    """What the mapping node needed for one recording."""
+    """CPU time and memory of the mapping node for one recording."""
 
     flight_s: float
     frames: int
@@ -38,11 +38,11 @@ class NodeCost:
 
 
 def measure_node(recording: Path, **options: Any) -> NodeCost:
-    """Map a recording in a process of its own.
+    """Map a recording in a separate process.
 
     Args:
         recording: file with frames and poses.
-        **options: of `radar_mapping`, as `method` or `step_m`.
+        **options: of `radar_mapping`, such as `method` or `step_m`.
 
     Raises:
         UllageError: the process failed; its last line says why.

@@ -1,4 +1,4 @@
-"""The experiments of the thesis, in its order."""
+"""List the experiments of the thesis, in its order."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One experiment: its module in this package has a `run(work)`."""
+    """Experiment of the thesis; its module in this package has a `run(work)`."""
 
     name: str
     title: str
     section: str  # of the thesis
     quick: bool = True  # also done in small
-    weight: float = 1.0  # how long it takes, beside the others
+    weight: float = 1.0  # relative duration
     small: float = 1.0  # and in small
 
     def run(self, work: Workspace) -> None:
@@ -30,7 +30,7 @@ class Experiment:
         importlib.import_module(f"ullage.thesis.{self.name}").run(work)
 
     def reads(self, recordings: Path) -> list[Path]:
-        """Recordings it looks at, there or not."""
+        """Return the recordings that it reads, whether they exist or not."""
         module = importlib.import_module(f"ullage.thesis.{self.name}")
         return [recordings / name for name in getattr(module, "READS", ())]
 
@@ -55,10 +55,10 @@ EXPERIMENTS: tuple[Experiment, ...] = (
 
 
 def wanted(quick: bool, only: Sequence[str]) -> list[Experiment]:
-    """The experiments asked for, in order.
+    """Return the requested experiments in order.
 
     Raises:
-        InputError: there is none of such a name.
+        InputError: there is no experiment of such a name.
     """
     known = [experiment.name for experiment in EXPERIMENTS]
     if unknown := set(only) - set(known):

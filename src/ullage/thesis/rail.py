@@ -1,4 +1,4 @@
-"""A real rail recording beside a simulation of that rail, reflector and radar: pictures, waveforms, widths, clutter."""
+"""Compare a real rail recording with a simulation of it: pictures, waveforms, widths and clutter."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ CLUTTER_M = (5.5, 10.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Echoes:
-    """The reflector's echo in every frame."""
+    """Echo of the reflector in every frame."""
 
     waves: Floats  # (n, m) RF around the reflector, shifted by `lag`
     correlation: Floats  # (n) with the simulated one, at its best lag
-    lag_m: Floats  # (n) by how much the real echo lies beyond the simulated one [m]
+    lag_m: Floats  # (n) real range minus simulated range [m]
 
 
 def run(work: Workspace) -> None:
-    """The recording calibrated, the same rail simulated, both compared."""
+    """Calibrate the recording, simulate the same rail, and compare both."""
     folder = work.recordings / "pulson440" / "rail_a"
     if not folder.is_dir():
         work.results.skipped = f"the recordings are not part of the package, and {folder} is not here"
@@ -63,7 +63,7 @@ def run(work: Workspace) -> None:
 
 
 def simulated(real: Frames, place: Floats) -> Frames:
-    """The same track, radar and range axis; a corner reflector at the surveyed place on a concrete floor."""
+    """Simulate the same track, radar and range axis, with a corner reflector above a concrete floor."""
     path = real.believed
     middle = path.position.mean(0)
     away = place - middle
@@ -80,7 +80,7 @@ def simulated(real: Frames, place: Floats) -> Frames:
 
 
 def echoes(real: Frames, twin: Frames, place: Floats) -> Echoes:
-    """Real waveforms laid on the simulated ones, each by the lag that fits best."""
+    """Align each real waveform with the simulated one at the lag of highest correlation."""
     bin_m = real.spec.bin_m
     half, most = round(HALF_M / bin_m), round(0.25 / bin_m)
     reach = np.linalg.norm(real.believed.position - place, axis=1)
@@ -99,7 +99,7 @@ def echoes(real: Frames, twin: Frames, place: Floats) -> Echoes:
 
 
 def compare(work: Workspace, real: Frames, twin: Frames, place: Floats) -> None:
-    """Numbers and the figure."""
+    """State the numbers and draw the figure."""
     work.log("comparing")
     found = echoes(real, twin, place)
     bias = float(np.median(found.lag_m))

@@ -1,4 +1,4 @@
-"""A recording and a simulation of the same thing beside each other."""
+"""Draw a recording next to a simulation of the same scene."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ COLORS = {"recorded": "#22577a", "simulated": "#d1495b"}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rail:
-    """One side of the comparison: the frames of a rail, and what was measured in them."""
+    """One side of the comparison: the frames of a rail and their measured values."""
 
     name: str
     frames: Frames
     image: Image
     wave: Floats  # (m) mean waveform of the reflector's echo
     peaks: Floats  # (n) its peak in each frame
-    gain: float  # brings its amplitudes to those of the recording
+    gain: float  # scales its amplitudes to those of the recording
 
 
 def draw_rail(path: Path, rails: Sequence[Rail], *, place: Floats, reach_m: Floats, bias_m: float) -> None:
-    """Range-time pictures and images above, waveform, peaks and mean profile below.
+    """Draw range-time pictures and images above, and waveform, peaks and mean profile below.
 
     Args:
         path: picture file.
         rails: the recording first.
         place: surveyed place of the reflector (3) [m].
         reach_m: distance to it in each frame (n) [m].
-        bias_m: by how much the recorded echo lies beyond the simulated one [m].
+        bias_m: recorded range minus simulated range [m].
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

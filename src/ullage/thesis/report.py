@@ -1,4 +1,4 @@
-"""The report of the reproduction: one HTML page that a reader of the thesis knows his way around."""
+"""Write the report of the reproduction: one HTML page in the order of the thesis."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ copied here, hold it beside this page.</p>
 
 
 def write_page(done: Reproduction, *, quick: bool, wanted: int) -> Path:
-    """The page, with every figure inside it."""
+    """Write the page with all figures embedded."""
     page = Environment(autoescape=True, undefined=StrictUndefined).from_string(PAGE)
     holding, total = done.counts
     write_text(done.report, page.render(
@@ -104,7 +104,7 @@ ELSEWHERE = {
 
 
 def opening(chapters: Sequence[tuple[str, Results]]) -> dict[str, Any]:
-    """How the page opens: what holds, what differs, what could not be compared, and every figure by its number."""
+    """Return the page's summary: what holds, what differs, what was not compared, and every figure by number."""
     shown: dict[str, list[str]] = {}
     for title, found in chapters:
         for item in found.figures:
@@ -123,7 +123,7 @@ def opening(chapters: Sequence[tuple[str, Results]]) -> dict[str, Any]:
 
 
 def _numbers(figure: str) -> list[str]:
-    """Numbers in "figure 6.3", "figures 6.15 to 6.17" or "figures 6.11 and 6.12b"."""
+    """Return the numbers in "figure 6.3", "figures 6.15 to 6.17" or "figures 6.11 and 6.12b"."""
     ends = re.findall(r"6\.\d+", figure)
     if " to " in figure and len(ends) == 2:
         first, last = (int(end[2:]) for end in ends)

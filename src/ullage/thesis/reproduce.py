@@ -1,4 +1,4 @@
-"""Runs the thesis' experiments, each once: what is done is kept and not done again."""
+"""Run the thesis' experiments, each once: finished results are kept and not computed again."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def reproduce(
     jobs: int | None = 1,
     report_progress: Report = lambda *_: None,
 ) -> Reproduction:
-    """Run every experiment that is not yet done, then write the report.
+    """Run every unfinished experiment, then write the report.
 
     Args:
         out: folder of the results; one folder for each experiment, report.html above them.
         wanted: which.
-        recordings: folder of the real recordings; what needs those that are not there is left out.
+        recordings: folder of the real recordings; experiments without their recordings are left out.
         quick: small, in two minutes.
-        fresh: do again what is done.
+        fresh: repeat finished experiments.
         jobs: worker processes on this machine; 1: this process; None: one for each core. More than one needs Dask.
-        report_progress: called with the number of experiments done and what goes on.
+        report_progress: called with the number of finished experiments and the current work.
 
     Raises:
-        UllageError: an experiment failed; the others are done, and are kept.
+        UllageError: an experiment failed; results of the others are kept.
     """
     root = out / ("quick" if quick else "whole")
     code = code_now()

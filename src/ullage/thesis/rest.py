@@ -1,4 +1,4 @@
-"""A real X4 at rest beside a simulated one: noise, direct path, spectrum, phase."""
+"""Compare a real X4 at rest with a simulated one: noise, direct path, spectrum, phase."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WORDS = {
 
 
 def run(work: Workspace) -> None:
-    """The recording at rest and a simulated radar of the same settings, measured by the same code."""
+    """Measure the recording at rest and a simulated radar of the same settings with the same code."""
     file = work.recordings / READS[0]
     if not file.is_file():
         work.results.skipped = f"the recordings are not part of the package, and {file} is not here"
@@ -52,7 +52,7 @@ def run(work: Workspace) -> None:
 
 
 def measure(rows: Complexes, spec: RadarSpec) -> dict[str, float]:
-    """Noise, its spectrum, direct path and common phase of frames (n, b) at rest."""
+    """Measure noise, its spectrum, direct path and common phase of frames (n, b) at rest."""
     noise = np.diff(rows, axis=0)[:, QUIET:] / np.sqrt(2)
     power = float(np.mean(abs(noise) ** 2))
     bins = noise.shape[1]
@@ -72,7 +72,7 @@ def measure(rows: Complexes, spec: RadarSpec) -> dict[str, float]:
 
 
 def state(work: Workspace, both: list[dict[str, float]]) -> None:
-    """Each number of the recording beside the simulation's, with the bound on their difference."""
+    """Compare each number of the recording with the simulation's, with a bound on the difference."""
     real, ours = both
     less = {key: ours[key] - real[key] for key in real}
     noise = 20 * np.log10(ours["noise"] / real["noise"])

@@ -1,4 +1,4 @@
-"""What an experiment of the thesis gives: statements held against numbers, figures, tables."""
+"""Results of an experiment of the thesis: statements with numbers and bounds, figures, tables."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ullage.experiments.folder import read_json, write_json
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """Something the thesis says, or that has to hold here, with the number that decides it."""
+    """Statement of the thesis, or of this project, with the number that decides it."""
 
     text: str
     where: str  # section, figure or table of the thesis; "beyond" where it is about what came after
@@ -24,14 +24,14 @@ class Statement:
 
     @property
     def holds(self) -> bool:
-        """Whether the number is known and lies within its bounds."""
+        """Whether the number is known and within its bounds."""
         if not math.isfinite(self.value):
             return False
         return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
 
     @property
     def wanted(self) -> str:
-        """The bounds in words."""
+        """Bounds in words."""
         limits = [
             f">= {self.low:g}" if self.low is not None else "",
             f"<= {self.high:g}" if self.high is not None else "",
@@ -41,7 +41,7 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class ShownFigure:
-    """A figure: its file in the experiment's folder, the figure of the thesis it answers, and what it shows."""
+    """Figure: its file in the experiment's folder, the thesis' figure that it reproduces, and its caption."""
 
     file: str
     figure: str  # as "figure 6.3"; "" where the thesis has none
@@ -50,7 +50,7 @@ class ShownFigure:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of text under a head."""
+    """Rows of text under a header."""
 
     title: str
     head: tuple[str, ...]
@@ -60,7 +60,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A result of the thesis that comes out otherwise here, with its cause, or "unknown"."""
+    """Result of the thesis that differs here, with its cause or "unknown"."""
 
     where: str  # section, figure or table of the thesis
     thesis: str
@@ -70,17 +70,17 @@ class Difference:
 
 @dataclass(slots=True)
 class Results:
-    """Everything one experiment found."""
+    """All results of one experiment."""
 
     statements: list[Statement] = field(default_factory=list)
     figures: list[ShownFigure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     numbers: dict[str, float] = field(default_factory=dict)  # for the experiments that follow
     scenarios: list[str] = field(default_factory=list)  # folders of the runs, under the experiment's own
-    notes: list[str] = field(default_factory=list)  # plain sentences for the report
+    notes: list[str] = field(default_factory=list)  # sentences for the report
     differences: list[Difference] = field(default_factory=list)
-    not_compared: list[str] = field(default_factory=list)  # what of the thesis has nothing to be compared with, and why
-    skipped: str = ""  # why there is nothing
+    not_compared: list[str] = field(default_factory=list)  # results of the thesis without a counterpart here, and why
+    skipped: str = ""  # why there are no results
 
     def add_statement(
         self,
@@ -92,7 +92,7 @@ class Results:
         low: float | None = None,
         high: float | None = None,
     ) -> None:
-        """Adds a statement."""
+        """Add a statement."""
         self.statements.append(Statement(text, where, float(value), unit, low, high))
 
     def add_difference(self, where: str, thesis: str, here: str, cause: str) -> None:
@@ -100,20 +100,20 @@ class Results:
         self.differences.append(Difference(where, thesis, here, cause))
 
     def add_figure(self, path: Path, figure: str, caption: str) -> None:
-        """Adds a figure that lies in the experiment's folder."""
+        """Add a figure of the experiment's folder."""
         self.figures.append(ShownFigure(path.name, figure, caption))
 
     def add_table(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, note: str = "") -> None:
-        """Adds a table."""
+        """Add a table."""
         self.tables.append(Table(title, tuple(head), tuple(tuple(row) for row in rows), note))
 
     def write(self, path: Path, **also: Any) -> None:
-        """As JSON, whole or not at all; numbers that are not finite become null."""
+        """Write JSON atomically; numbers that are not finite become null."""
         write_json(path, _plain({**asdict(self), **also}))
 
 
 def read_results(path: Path) -> Results:
-    """Results as they were written.
+    """Read the results of an experiment.
 
     Raises:
         InputError: the file is missing or broken.

@@ -1,4 +1,4 @@
-"""Mapping the NTNU room (thesis 6.2): four grids from coarse to fine, Elfes beside ullage's own mapper."""
+"""Map the NTNU room on four grids from coarse to fine, with Elfes' method and ullage's (thesis 6.2)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SMALL = (0.2, 0.1)
 
 
 def run(work: Workspace) -> None:
-    """Maps at every resolution; figures 6.9, 6.10, 6.12a and 6.13."""
+    """Map at every resolution; draw figures 6.9, 6.10, 6.12a and 6.13."""
     show_world(
         work, "ntnu-mapping", work.folder / "world.png", "figures 6.10 and 6.12a",
         "The testing room with the plate, and the path flown.",
@@ -70,7 +70,7 @@ def _memory(step: float, omap: OccupancyMap) -> tuple[str, ...]:
 
 
 def _images(work: Workspace, rays: Flown, waves: Flown) -> None:
-    """Figure 6.9: the room as a SAR image."""
+    """Draw the room as a SAR image (figure 6.9)."""
     if rays.image is None:
         return
     grid = rays.image.grid
@@ -86,7 +86,7 @@ def _images(work: Workspace, rays: Flown, waves: Flown) -> None:
 
 
 def state(work: Workspace, rays: dict[float, Flown], ours: tuple[OccupancyMap, dict[str, Metric]]) -> None:
-    """What the thesis says of its maps, and what ullage's mapper adds.
+    """Check the thesis' statements on its maps, and compare ullage's mapper.
 
     Args:
         work: takes the statements.
@@ -124,7 +124,7 @@ def _cell_m(flown: Flown) -> float:
 
 
 def _memory_of_nodes(work: Workspace) -> None:
-    """Equation 5.2 and section 5.3.1: what the mapper itself holds for 50 x 50 m."""
+    """Check the mapper's memory for 50 x 50 m (equation 5.2, section 5.3.1)."""
     grid = Grid.covering([[0, 0, 0], [50, 50, 0]], 0.05, z_m=0.0)
     small, large = (ElfesMapper(grid, bits=bits).nbytes / 1e6 for bits in (8, 32))
     hold = work.results.add_statement
@@ -134,7 +134,7 @@ def _memory_of_nodes(work: Workspace) -> None:
 
 
 def _finest_differs(work: Workspace, flown: Flown) -> None:
-    """Figure 6.13: the finest grid."""
+    """State how the finest grid differs (figure 6.13)."""
     mapper = ElfesMapper(Grid.covering(flown.scene.bounds, 0.05, margin_m=1.0), spread_m=0.05)
     mapper.update(flown.frames)
     thin = map_quality(mapper.map(), flown.scene, flown.frames)
@@ -150,7 +150,7 @@ def _finest_differs(work: Workspace, flown: Flown) -> None:
 
 
 def _gap(omap: OccupancyMap, point: np.ndarray) -> float:
-    """Distance in plan from a point to the nearest occupied cell's border [m]."""
+    """Return the horizontal distance from a point to the nearest occupied cell's border [m]."""
     y, x = np.nonzero(omap.occupied)
     if not len(x):
         return float("inf")

@@ -1,4 +1,4 @@
-"""What speed and frame rate do to a frame, to SAR images, to the detection of a wire and to maps (thesis 7.1)."""
+"""Measure the effect of speed and frame rate on frames, SAR images, wire detection and maps (thesis 7.1)."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ METHODS: tuple[MapMethod, ...] = ("ullage", "elfes")
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One quantity against speed, and its law."""
+    """Quantity against speed, with its law."""
 
     speed_m_s: Floats
     value: Floats
 
 
 def run(work: Workspace) -> None:
-    """Measure all four, hold them against their laws, draw them."""
+    """Measure all four quantities, compare them with their laws, and draw them."""
     spec = RadarSpec.preset("x4m05")
     work.log("flying towards a plate and a wire")
     loss, found = towards_plate(spec), towards_wire(spec)
@@ -67,7 +67,7 @@ def _single(spec: RadarSpec) -> Rig:
 
 
 def towards_plate(spec: RadarSpec) -> Measured:
-    """Peak of a plate's echo against that at rest [dB], without noise."""
+    """Return the peak of a plate's echo relative to that at rest [dB], without noise."""
     quiet, scene = spec.but(noise=None), scenes.plate(0.5, 0.5, 4.0)
     path = Trajectory.line((0, 0, 0), (0.5, 0, 0), speed_m_s=0.5, rate_hz=50)
     levels = []
@@ -79,7 +79,7 @@ def towards_plate(spec: RadarSpec) -> Measured:
 
 
 def towards_wire(spec: RadarSpec) -> Measured:
-    """Share of frames in which a wire ahead is detected, within 0.2 m of its range, by CFAR."""
+    """Return the share of frames in which CFAR detects a wire ahead within 0.2 m of its range."""
     scene = Scene.of_wires(np.array([WIRE_M, 0, -1.5]), np.array([WIRE_M, 0, 1.5]), 0.002, name="wire")
     path = Trajectory.line((0, 0, 0), (3, 0, 0), speed_m_s=0.5, rate_hz=50)
     shares = []
@@ -94,7 +94,7 @@ def towards_wire(spec: RadarSpec) -> Measured:
 
 
 def past_wire(spec: RadarSpec, speeds: tuple[float, ...]) -> tuple[Measured, Measured]:
-    """Flown past sideways: energy of the image off the wire over all of it [dB], and the wire's -3 dB width [m]."""
+    """Fly past a wire; return the image's energy away from it over the total [dB], and its -3 dB width [m]."""
     scene = Scene.of_wires(np.array([*TARGET, -1.5]), np.array([*TARGET, 1.5]), 0.005, name="wire")
     path = Trajectory.line((0, -1.2, 0), (0, 1.2, 0), speed_m_s=0.5, rate_hz=50)
     off, width = [], []
@@ -107,7 +107,7 @@ def past_wire(spec: RadarSpec, speeds: tuple[float, ...]) -> tuple[Measured, Mea
 
 
 def ambiguous_db(image: Image) -> float:
-    """Energy farther than `NEAR_M` from the target over the whole energy [dB]."""
+    """Return the energy farther than `NEAR_M` from the target relative to the total [dB]."""
     power = np.asarray(image.amplitude, float) ** 2
     x, y = image.grid.x_m, image.grid.y_m
     away = np.hypot(x[None, :] - TARGET[0], y[:, None] - TARGET[1]) > NEAR_M
@@ -115,10 +115,10 @@ def ambiguous_db(image: Image) -> float:
 
 
 def round_room(spec: RadarSpec, speeds: tuple[float, ...], *, seed: int) -> dict[str, Measured]:
-    """F1 of maps of the room by which all methods are judged, by name of the row.
+    """Return the F1 of maps of the common test room, by name of the row.
 
-    Every map is scored against the surface in view from the first speed's frames, so that a fast flight answers for all
-    that a slow one sees.
+    Every map is scored against the surface in view from the first speed's frames, so that a fast flight is scored on
+    everything that a slow one sees.
     """
     scene, path, rig = flights.judged_room(), flights.level_round(seed), Rig.preset("thesis-4", radar=spec)
     grid = flights.plane_of(scene)
@@ -138,19 +138,19 @@ def round_room(spec: RadarSpec, speeds: tuple[float, ...], *, seed: int) -> dict
 
 
 def spacing(spec: RadarSpec, speed_m_s: Floats | float) -> Floats:
-    """Distance between frames over the wavelength."""
+    """Return the distance between frames in wavelengths."""
     return np.asarray(speed_m_s, float) / spec.fps / spec.wavelength_m
 
 
 def widest(spec: RadarSpec) -> float:
-    """Largest spacing without ambiguity within the beam's -3 dB edges, over the wavelength: 1 / (4 sin(half beam))."""
+    """Return the largest unambiguous spacing in the -3 dB beam, in wavelengths: 1 / (4 sin(half beam))."""
     return float(1 / (4 * np.sin(np.radians(spec.antenna.azimuth_deg / 2))))
 
 
 def state(
     work: Workspace, spec: RadarSpec, loss: Measured, found: Measured, image: Measured, scores: dict[str, Measured]
 ) -> None:
-    """Each measurement against its law."""
+    """Compare each measurement with its law."""
     hold = work.results.add_statement
     law = loss_db(loss.speed_m_s, spec)
     clear = law > -20
@@ -178,7 +178,7 @@ def state(
 def tabulate(
     work: Workspace, spec: RadarSpec, found: Measured, images: tuple[Measured, Measured], scores: dict[str, Measured]
 ) -> None:
-    """Numbers for the page."""
+    """Tabulate the numbers for the page."""
     image, width = images
     past = [
         (f"{v:g}", f"{spacing(spec, v):.2f}", f"{e:.1f}", f"{100 * w:.1f}")
@@ -207,7 +207,7 @@ def tabulate(
 def draw(
     path: Path, spec: RadarSpec, loss: Measured, found: Measured, image: Measured, scores: dict[str, Measured]
 ) -> None:
-    """Four panels: measured points, lines of theory."""
+    """Draw four panels with measured points and lines of theory."""
     fine = np.linspace(0.01, 1.05, 400)
     with drawing(path, size_in=(13.0, 3.4), columns=4) as (_, axes):
         axes[0].plot(fine, loss_db(fine, spec), color="tab:gray", label="sinc law")

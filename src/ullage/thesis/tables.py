@@ -1,4 +1,4 @@
-"""Speed, CPU and memory of every stage (thesis tables 6.1 to 6.4), the thesis' values beside them."""
+"""Measure speed, CPU and memory of every stage, next to the thesis' values (tables 6.1 to 6.4)."""
 
 from __future__ import annotations
 
@@ -36,26 +36,26 @@ PART_S = 6.0
 
 @dataclass(slots=True)
 class Spent:
-    """CPU time of each stage [s], for so much flight, and how large the map and image were [byte]."""
+    """CPU time of each stage [s], duration of the flight [s], and sizes of map and image [bytes]."""
 
     flight_s: float = 0.0
     cpu_s: dict[str, float] = field(default_factory=dict)
     held: dict[str, int] = field(default_factory=dict)
 
     def clocked(self, name: str, do: Callable[[], Any]) -> Any:
-        """Does something and adds its CPU time to a stage's."""
+        """Call a function and add its CPU time to a stage's."""
         start = time.process_time()
         out = do()
         self.cpu_s[name] = self.cpu_s.get(name, 0.0) + time.process_time() - start
         return out
 
     def percent(self, name: str) -> float:
-        """CPU of a stage at real time [% of a core]."""
+        """Return the CPU of a stage at real time [% of a core]."""
         return 100 * self.cpu_s.get(name, 0.0) / self.flight_s
 
 
 def run(work: Workspace) -> None:
-    """Tables 6.1 to 6.4, each under both laws."""
+    """Measure tables 6.1 to 6.4, each under both laws."""
     machine = provenance()["machine"]
     work.log("loading what is measured")  # or the first table would pay for it
     for options in ([], ["sensing.fidelity=physical", "map.method=ullage", "image.method=backprojection"]):
@@ -98,7 +98,7 @@ def run(work: Workspace) -> None:
 
 
 def state(work: Workspace, table: str, spent: Spent) -> None:
-    """Set speed and CPU of the thesis' methods against what a table of the thesis prints."""
+    """Compare speed and CPU of the thesis' methods with a table of the thesis."""
     _, speed, printed = PRINTED[table]
     faster = f"the thesis' methods run faster than the thesis' {speed:g} times real time"
     work.results.add_statement(faster, f"table {table}", _factor(spent), "times", low=speed)
@@ -121,12 +121,12 @@ def _speed(spent: Spent) -> str:
 
 
 def measure(scenario: str, options: list[str], part_s: float | None) -> Spent:
-    """Runs a scenario with every stage under its own clock.
+    """Run a scenario and time every stage separately.
 
     Args:
         scenario: name of a shipped one.
         options: `a.b=value` over it.
-        part_s: seconds of flight to measure; None: all. Flying is shared out by time.
+        part_s: seconds of flight to measure; None: all. The cost of flying is shared by time.
     """
     spent = Spent()
     plan = find_scenario(scenario, options=options)
@@ -161,7 +161,7 @@ print(next(line.split()[1] for line in open("/proc/self/status") if line.startsw
 
 
 def resident_bytes(grid: Grid) -> int:
-    """Most resident memory of a process that holds nothing but Elfes' mapper of a grid [byte]."""
+    """Return the peak resident memory of a process with only Elfes' mapper of a grid [bytes]."""
     command = [sys.executable, "-c", NODE, str(grid.step_m), str(grid.shape[-2]), str(grid.shape[-1])]
     told = subprocess.run(command, capture_output=True, text=True, check=True)
     return 1024 * int(told.stdout)
@@ -182,7 +182,7 @@ def _stages(simulated: Simulated) -> tuple[ImageStage, MapStage]:
 
 
 def stream_part(simulated: Simulated, part_s: float) -> Iterator[dict[str, Frames]]:
-    """Frames of the first seconds of a flight."""
+    """Give the frames of the first seconds of a flight."""
     count = int(np.searchsorted(simulated.flown.t_ns, part_s * 1e9)) + 1
     sensing = simulated.scenario.sensing
     yield from simulate_stream(

@@ -1,4 +1,4 @@
-"""The thesis' four targets: the track past each, the radars, the image of a track and the target's level in it."""
+"""The thesis' four targets: the track past each, the radars, and the target's level in an image of the track."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ OWN_M = 0.3
 
 
 def strafe(world: str, *, step_m: float = 0.05) -> Trajectory:
-    """The world's strafing track, one frame each `step_m`."""
+    """Return the world's strafing track with one frame per `step_m`."""
     (x0, y0, z0, yaw), (x1, y1, z1, _) = WORLDS[world].path_xyzyaw
     return Trajectory.line((x0, y0, z0), (x1, y1, z1), 0.5, 0.5 / step_m, yaw_deg=yaw)
 
 
 def radars() -> tuple[RadarSpec, RadarSpec]:
-    """The same front radar with and without noise (the ray law's own noise too)."""
+    """Return the front radar with and without noise, that of the ray law included."""
     loud = RadarSpec.preset("x4m05")
     return loud, loud.but(noise=None, thesis=loud.thesis.but(noise_sigma=0.0))
 
 
 def decibel(value: Any) -> Any:
-    """20 log10, nothing below -300 dB."""
+    """Return 20 log10 of an amplitude, at least -300 dB."""
     return 20 * np.log10(np.maximum(abs(np.asarray(value)), 1e-15))
 
 
 def target_place(world: str) -> Floats:
-    """Where the radar meets a target's steel (2) [m]: its near face, or the middle of a turned plate."""
+    """Return the place of a target's steel (2) [m]: its near face, or the middle of a turned plate."""
     low, high = alone(WORLDS[world].scene(), TARGETS[world][0]).bounds
     return np.array([(low[0] + high[0]) / 2 if world == "ntnu-plate45" else low[0], (low[1] + high[1]) / 2])
 
@@ -69,7 +69,7 @@ def strafe_image(
 
 
 def level_db(image: Image, target_m: Floats) -> float:
-    """Return the brightest cell near a target over the brightest of the image [dB]."""
+    """Return the brightest cell near a target relative to the brightest of the image [dB]."""
     y, x = np.meshgrid(image.grid.y_m, image.grid.x_m, indexing="ij")
     near = np.hypot(x - target_m[0], y - target_m[1]) < OWN_M
     return float(decibel(image.amplitude[near].max() / image.amplitude.max()))

@@ -1,4 +1,4 @@
-"""One experiment to do: where its results go, whether they are there already, and the doing of it."""
+"""Run one experiment of the thesis unless its results exist already."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ullage.thesis.workspace import Workspace
 
 @dataclass(frozen=True, slots=True)
 class Chapter:
-    """One experiment that is done."""
+    """Finished experiment."""
 
     experiment: Experiment
     folder: Path
@@ -33,7 +33,7 @@ class Chapter:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """All that was done, and whether it was cut short."""
+    """All finished experiments, and whether the run was interrupted."""
 
     folder: Path
     chapters: tuple[Chapter, ...]
@@ -42,7 +42,7 @@ class Reproduction:
 
     @property
     def broken(self) -> list[str]:
-        """Statements that do not hold and scenarios out of their bounds, in words."""
+        """List statements that do not hold and scenarios out of bounds, in words."""
         out = []
         for chapter in self.chapters:
             out += [
@@ -55,7 +55,7 @@ class Reproduction:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Statements and bounds that hold, and all of them."""
+        """Count the statements and bounds that hold, and all of them."""
         flags = [s.holds for c in self.chapters for s in c.results.statements]
         flags += [v.inside for c in self.chapters for _, v in c.verdicts]
         return sum(flags), len(flags)
@@ -63,7 +63,7 @@ class Reproduction:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentTask:
-    """An experiment, and where and how it is done."""
+    """Experiment with its folder and settings."""
 
     experiment: Experiment
     root: Path
@@ -88,33 +88,33 @@ class ExperimentTask:
 
     @property
     def folder(self) -> Path:
-        """Where its results go."""
+        """Folder of its results."""
         return self.root / self.name
 
     @property
     def mark(self) -> Path:
-        """The file that is there when it is done."""
+        """File that marks it as finished."""
         return self.folder / "results.json"
 
     @property
     def done(self) -> bool:
-        """Whether its results are there, from this code, these scenarios and these recordings."""
+        """Whether its results exist, from this code, these scenarios and these recordings."""
         return self.mark.is_file() and read_json(self.mark).get("inputs") == self.inputs
 
     @property
     def inputs(self) -> str:
-        """Stands for all that its result hangs on."""
+        """Return a hash of everything that its result depends on."""
         text = hashlib.sha256(json.dumps([self.experiment.name, self.quick, ullage.__version__, self.code]).encode())
         for path in self.experiment.reads(self.recordings):
             text.update(f"{path.name}:{path.stat().st_size if path.exists() else None}\n".encode())
         return text.hexdigest()[:16]
 
     def forget(self) -> None:
-        """Removes its results."""
+        """Remove its results."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def do(self, log: Callable[[str], None]) -> None:
-        """Do it anew.
+        """Run it again.
 
         Raises:
             InputError: the folder cannot be written.
@@ -131,14 +131,14 @@ class ExperimentTask:
         work.results.write(self.mark, inputs=self.inputs, quick=self.quick, machine=provenance()["machine"], **spent)
 
     def chapter(self) -> Chapter:
-        """What it found."""
+        """Return its results."""
         results, tree = read_results(self.mark), read_json(self.mark)
         judged = [(Path(run).name, verdict) for run in results.scenarios for verdict in verdicts(self.folder / run)]
         return Chapter(self.experiment, self.folder, results, tuple(judged), tree["took_s"], tree["cpu_s"])
 
 
 def code_now() -> str:
-    """Stands for this code, its scenarios and worlds."""
+    """Return a hash of this code, its scenarios and worlds."""
     text, here = hashlib.sha256(), Path(ullage.__file__).parent
     for path in sorted(p for kind in ("*.py", "*.yaml", "*.sdf", "*.obj") for p in here.rglob(kind)):
         text.update(f"{path.relative_to(here)}\n".encode())

@@ -1,4 +1,4 @@
-"""Single changes of a world or of its radars, for controlled experiments."""
+"""Make single changes of a world or of its radars, for controlled experiments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OPENINGS = ("door", "window_1", "window_2", "window_3", "window_1_frame", "windo
 
 
 def alone(scene: Scene, name: str) -> Scene:
-    """One object of a scene and nothing else."""
+    """Return one object of a scene alone."""
     index = scene.object(name)
     wires, mine = scene.wires, scene.wires.object_id == index
     kept = Wires(wires.start[mine], wires.end[mine], wires.radius_m[mine], np.zeros(int(mine.sum()), np.int32))
@@ -23,7 +23,7 @@ def alone(scene: Scene, name: str) -> Scene:
 
 
 def without_object(scene: Scene, name: str) -> Scene:
-    """A scene less one object that has faces."""
+    """Return a scene without one object that has faces."""
     kept = scene.face_object != scene.object(name)
     return Scene(scene.vertices, scene.faces[kept], scene.face_object[kept], scene.objects, scene.wires, scene.name)
 

@@ -1,4 +1,4 @@
-"""Maps in three dimensions, of five flights that rise and sink and of the same flown level, judged by one evaluator."""
+"""Compare maps in three dimensions of five flights that rise and sink, and of the same at one height."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ASIDE = np.radians([*range(-28, -11, 2), *range(12, 29, 2)])
 
 
 def cases(seed: int, frames: Recordings) -> Iterator[tuple[str, Recordings]]:
-    """Rows of the table: name, and frames as they are mapped."""
+    """Give the rows of the table: name and frames."""
     count = len(next(iter(frames.values())))
     rng = np.random.default_rng(seed + 100)
     yield EXACT, frames
@@ -46,7 +46,7 @@ def cases(seed: int, frames: Recordings) -> Iterator[tuple[str, Recordings]]:
 
 
 def beside_feet(scene: Scene, frames: Recordings, grid: Grid) -> NDArray[np.int64]:
-    """Cells (c, 3) at the range of a wall's true foot, but above or below it: what one straight leg leaves open."""
+    """Return cells (c, 3) above or below a wall's specular point at its range, which one track leaves open."""
     caster, out = Raycaster(scene), []
     for part in frames.values():
         path = part.believed
@@ -66,7 +66,7 @@ SIZE_HALF = tuple(size / 2 for size in flights.SIZE)
 def beside_foot(
     caster: Raycaster, eye: Floats, boresight: Floats, track: Floats, normal: Floats, half_m: float
 ) -> Floats:
-    """Points (p, 3) on the ring about the track that one wall's echo leaves open, 12 to 28 deg from its foot."""
+    """Return points (p, 3) on the range ring of one wall's echo, 12 to 28 deg from its specular point."""
     reach = half_m - float(eye @ normal)
     if boresight @ normal < BEAM or not caster.visible(eye, (eye + (reach - 0.01) * normal)[None])[0]:
         return np.zeros((0, 3))
@@ -77,7 +77,7 @@ def beside_foot(
 
 
 def flagged(omap: OccupancyMap, scene: Scene, frames: Recordings) -> dict[str, float]:
-    """What a level flight's map says of the cells that nothing but a second height could tell from a wall's foot."""
+    """Classify the cells of a level flight's map that only a second height could separate from a wall."""
     cells = beside_feet(scene, frames, omap.grid)
     centres = np.array(omap.grid.origin_m) + (cells[:, ::-1] + 0.5) * omap.grid.step_m
     room = np.all(abs(centres) < np.array(SIZE_HALF), axis=1)
@@ -88,7 +88,7 @@ def flagged(omap: OccupancyMap, scene: Scene, frames: Recordings) -> dict[str, f
 
 
 def run(work: Workspace) -> None:
-    """The tables of flights that rise and sink and of level ones."""
+    """Make the tables of flights that rise and sink and of level flights."""
     scene = flights.judged_room()
     grid = flights.volume_of(scene)
     scores: Scores = {}
@@ -121,7 +121,7 @@ OPEN = (
 
 
 def state(work: Workspace, scores: Scores) -> None:
-    """Scores of the maps, and what a level flight leaves open."""
+    """State the scores of the maps, and the cells that a level flight leaves open."""
     hold = work.results.add_statement
     hold(f"F1: {EXACT}", "beyond", mean_of(scores, EXACT, "f1"), low=0.8)
     hold("share of the cells that only a second height resolves which a level flight marks as ambiguous", "beyond",

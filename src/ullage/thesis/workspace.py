@@ -1,4 +1,4 @@
-"""What an experiment works with: its folder, its settings, its results, and a method that flies scenarios."""
+"""Workspace of an experiment: its folder, settings and results, and a method that runs scenarios."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ Log = Callable[[str], None]
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C while a scenario ran; what it had received is written."""
+    """Raised on Ctrl-C during a scenario, after its frames so far are written."""
 
 
 @dataclass(slots=True)
 class FrameCollector:
-    """Collect every frame: a sink in memory."""
+    """Sink that collects every frame in memory."""
 
     parts: dict[str, list[Frames]] = field(default_factory=dict)
 
     def write(self, item: Any) -> None:
-        """Keep frames; ignore everything else."""
+        """Keep frames; ignore other items."""
         if isinstance(item, Mapping):
             for name, part in item.items():
                 self.parts.setdefault(name, []).append(part)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
     def frames(self) -> dict[str, Frames]:
-        """All frames by sensor."""
+        """Return all frames by sensor."""
         return {name: joined(parts) for name, parts in self.parts.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
-    """A scenario that was run: world, flight, frames, and what was made of them."""
+    """Finished run of a scenario: world, flight, frames and results."""
 
     name: str
     simulated: Simulated
@@ -58,12 +58,12 @@ class Flown:
 
     @property
     def scene(self) -> Scene:
-        """The world."""
+        """World of the scenario."""
         return self.simulated.scene
 
     @property
     def track(self) -> Trajectory:
-        """The body's true path."""
+        """True path of the body."""
         return self.simulated.flown
 
     @property
@@ -73,11 +73,11 @@ class Flown:
 
     @property
     def only(self) -> Frames:
-        """Frames of the one radar, or of the first."""
+        """Frames of the only or first radar."""
         return next(iter(self.frames.values()))
 
     def number(self, name: str) -> float:
-        """A metric's value."""
+        """Return the value of a metric."""
         return self.metrics[name].value
 
 
@@ -92,7 +92,7 @@ class Workspace:
     results: Results = field(default_factory=Results)
 
     def fly(self, name: str, options: Sequence[str] = ()) -> Flown:
-        """Run a scenario into a run folder of its own and keep its frames.
+        """Run a scenario into its own run folder and keep its frames.
 
         Args:
             name: of a shipped scenario.
@@ -102,7 +102,7 @@ class Workspace:
             Interrupted: Ctrl-C.
         """
         scenario = find_scenario(name, options=options)
-        if options:  # the bounds are those of the scenario as it is shipped
+        if options:  # the bounds are those of the shipped scenario
             scenario = scenario.but(expect={})
         self.log(f"{name}: flying")
         simulated = prepare(scenario)
