@@ -30,9 +30,10 @@ demo: $(VENV)/.run
 thesis: $(VENV)/.run
 	$(BIN)/ullage run cargo-hold --force
 
+# three workers for two cores: tests of live ports spend most of their time waiting for their peers
 test: $(VENV)/.dev
 	@$(BIN)/python -c "from ullage.experiments import warmup; warmup.compiled() or warmup.compile_kernels(log=print)"
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 slow: $(VENV)/.dev
 	$(BIN)/python -m pytest -m slow -n 2 --dist loadfile --no-loadscope-reorder
