@@ -1,1 +1,1 @@
-"""How the drone moves, and what it believes of that."""
+"""Motion of the drone and its own estimate of it."""

@@ -149,7 +149,7 @@ AIRFRAMES: dict[str, Airframe] = {
 
 
 def airframe(vehicle: str | Airframe) -> Airframe:
-    """A vehicle by name; an `Airframe` passes through.
+    """Return a vehicle by name; an `Airframe` passes through.
 
     Raises:
         InputError: the name is unknown.

@@ -1,7 +1,7 @@
 """A multirotor that is steered while it flies: by height, velocity and heading, by rates, to a position, or by forces.
 
-The body, its rotors, the air and what it can hit are those of `fly`; only the reference is made on the way, each
-control step, from what is asked for at that moment.
+Body, rotors, air and obstacles are those of `fly`. Only the reference is made on the way, at each control step, from
+the request at that moment.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from ullage.flight.physics import CONTROL_EVERY, CONTROL_HZ, PHYSICS_HZ, Collisi
 from ullage.kernels.flight import command, wrench
 from ullage.world.scene import Scene
 
-_PULL_S = 1.2  # climb asked for per metre of height that is missing [1/s]
+_PULL_S = 1.2  # climb rate per metre of height error [1/s]
 _CLIMB_M_S, _ACCELERATION_M_S2 = 1.0, 1.5
 _GOAL_M_S = 1.0  # greatest level speed on the direct path to a position
 _AHEAD = 1.5  # how far ahead on a path the vehicle aims, over the distance at which it slows down
-_SPEED_S, _SMOOTH_S = 0.35, 0.08  # time constants of the speed and of the acceleration that is asked for [s]
+_SPEED_S, _SMOOTH_S = 0.35, 0.08  # time constants of the requested speed and acceleration [s]
 _TURN_S, _TURN_RAD_S = 1.5, math.radians(60)
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What the vehicle is asked to do; None: what it was asked for before, at first to hover."""
+    """Request to the vehicle; None: the previous request, at first to hover."""
 
     height_m: float | None = None  # z in the world
     velocity_m_s: tuple[float, float] | None = None  # forward and left, level
@@ -42,7 +42,7 @@ class Wish:
     turn_rad_s: float | None = None  # counter-clockwise, in place of a heading
     position_m: tuple[float, float, float] | None = None  # in the world, in place of height and velocity
     from_m: tuple[float, float, float] | None = None  # where the straight path to that position begins; None: anywhere
-    speed_m_s: float | None = None  # greatest level speed on the way to a position
+    speed_m_s: float | None = None  # greatest horizontal speed towards a position
 
     def then(self, later: Wish) -> Wish:
         """This one with the changes of a later one: a command replaces those before it on the same axes."""
@@ -66,7 +66,7 @@ class Wish:
         )
 
     def velocity(self, position: Sequence[float] | Floats, heading_rad: float) -> tuple[float, float, float]:
-        """The velocity in the world [m/s] that brings a vehicle at this place and heading to what is asked for."""
+        """Return the velocity in the world [m/s] that moves a vehicle at this place and heading to the request."""
         if self.position_m is not None:
             goal, most_m_s = self.goal(position), self.speed_m_s or _GOAL_M_S
             east, north = (_PULL_S * (goal[k] - float(position[k])) for k in range(2))
@@ -80,14 +80,14 @@ class Wish:
         return ahead * cos - aside * sin, ahead * sin + aside * cos, _climb(climb)
 
     def turn(self, heading_rad: float) -> float:
-        """The turn rate [rad/s] that brings a vehicle of this heading to what is asked for."""
+        """Return the turn rate [rad/s] that brings a vehicle of this heading to the request."""
         rate = self.turn_rad_s
         if rate is None:
             rate = _TURN_S * math.remainder((self.heading_rad or 0.0) - heading_rad, math.tau)
         return min(max(rate, -_TURN_RAD_S), _TURN_RAD_S)
 
     def goal(self, position: Sequence[float] | Floats) -> tuple[float, float, float]:
-        """Where to fly to now: the position asked for, or a point ahead on the straight path to it."""
+        """Return the current goal: the requested position, or a point ahead on the straight path to it."""
         end = self.position_m or (float(position[0]), float(position[1]), float(position[2]))
         if self.from_m is None:
             return end
@@ -152,7 +152,7 @@ class Steered:
 
     @property
     def touched(self) -> int:
-        """How often it has hit something."""
+        """Number of contacts so far."""
         return len(self._collisions.touches)
 
     @property
@@ -162,7 +162,7 @@ class Steered:
 
     @property
     def position(self) -> Floats:
-        """Where it is (3) [m]."""
+        """Position (3) [m]."""
         return np.array(self._collisions.data.qpos[:3])
 
     @property
@@ -181,7 +181,7 @@ class Steered:
         return np.array(self._collisions.data.qvel[3:6])
 
     def ask(self, wish: Wish) -> None:
-        """Change what is asked for."""
+        """Change the request."""
         self.wish = self.wish.then(wish)
 
     def advance(self, until_ns: int) -> None:

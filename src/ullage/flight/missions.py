@@ -1,4 +1,4 @@
-"""Where a drone is asked to fly: waypoints, and missions made of them."""
+"""Waypoints of a flight, and missions made of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Waypoints:
     Args:
         points: (n, 3) x, y, z [m] world ENU, or (n, 4) with yaw [deg] last.
         speed_m_s: speed on the straights [m/s].
-        yaw: "along" looks where it flies, "hold" keeps the heading of the start, a number is a heading [deg] for the
+        yaw: "along" points along the flight, "hold" keeps the heading of the start, a number is a heading [deg] for the
             whole flight, a list is one heading [deg] per point, turned evenly between them.
         stop: halts at every point and passes exactly through it; otherwise corners are rounded.
         hold_s: how long it hovers at each point [s]; above zero it stops there.
@@ -114,7 +114,7 @@ def erratic(mission: Waypoints, seed: int = 0, **changes: float) -> Waypoints: .
 @overload
 def erratic(mission: Trajectory, seed: int = 0, **changes: float) -> Trajectory: ...
 def erratic(mission: Waypoints | Trajectory, seed: int = 0, **changes: float) -> Waypoints | Trajectory:
-    """The same flown by hand: with smooth random wander in place, height and heading.
+    """Return a flight as flown by hand: with smooth random wander in place, height and heading.
 
     Args:
         mission: waypoints (the vehicle then flies the wander too), or a finished path, which is moved as it is.
@@ -200,7 +200,7 @@ def along_walls(
     speed_m_s: float = 0.5,
     look: Literal["along", "wall"] = "along",
 ) -> Waypoints:
-    """Once around a room at one height, keeping a distance from whatever stands at that height.
+    """Return a round of a room at one height, at a distance from all surfaces at that height.
 
     Args:
         scene: the room.
@@ -211,7 +211,7 @@ def along_walls(
         look: "along" the flight, or at the "wall" on its right.
 
     Raises:
-        InputError: nothing stands at this height, or there is no room to fly at this distance.
+        InputError: there is no surface at this height, or no space to fly at this distance.
     """
     from shapely import MultiLineString, MultiPoint, Point, box
     from shapely.geometry.polygon import orient
@@ -239,7 +239,7 @@ def along_walls(
 
 
 def _facing_right(points: Floats, speed_m_s: float) -> Waypoints:
-    """Legs flown sideways, each with its right-hand side ahead of the drone; it turns on the spot between them."""
+    """Return segments flown sideways, each with its right-hand side ahead of the drone, which turns between them."""
     legs = np.diff(points, axis=0)
     yaw = np.degrees(np.arctan2(legs[:, 1], legs[:, 0])) - 90.0
     both = np.stack([points[:-1], points[1:]], axis=1).reshape(-1, 3)

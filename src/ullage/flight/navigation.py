@@ -1,4 +1,4 @@
-"""What the drone believes about its own motion: the truth with white noise, smooth drift and a yaw error."""
+"""Estimate of the drone's own motion: the truth with white noise, smooth drift and a yaw error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def navigate(
     yaw_deg: float = 0.0,
     seed: int = 0,
 ) -> Trajectory:
-    """The flown path as the drone believes it to be.
+    """Return the drone's estimate of the flown path.
 
     All errors depend on the time of a sample alone, not on its place in the array, so cutting a flight changes no bit.
 

@@ -1,4 +1,4 @@
-"""What a drone can hit: how near it is, and whether a point lies inside a solid."""
+"""Obstacles of a drone: their distance, and whether a point is inside a solid."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ullage.world.scene import Motion, Scene
 
 @dataclass(frozen=True)
 class Body:
-    """Triangles and wires that move as one, in their own frame: all that stands still, or one moving object."""
+    """Triangles and wires that move together, in their own frame: all static objects, or one moving object."""
 
     corners: Floats  # (f, 3, 3) [m]
     owner: Longs  # (f) object of each triangle
     wires: Floats  # (w, 2, 3) ends [m]
     wire_radius: Floats  # (w) [m]
     wire_owner: Longs  # (w) object of each wire
-    motion: Motion | None = None  # world_from_body; None: stands still
+    motion: Motion | None = None  # world_from_body; None: static
 
     @cached_property
     def _balls(self) -> tuple[Floats, Floats]:
@@ -34,7 +34,7 @@ class Body:
 
         Args:
             point: (3) in the body's frame [m].
-            reach_m: how far to look [m].
+            reach_m: radius of the search [m].
             squash: heights count this many times; above one, the ball looked in becomes a flat ellipsoid.
 
         Returns:
@@ -64,7 +64,7 @@ class Body:
 
 
 def bodies(scene: Scene) -> list[Body]:
-    """The scene as bodies: first all that stands still, then each moving object; triangles without area left out."""
+    """Return the scene as bodies: first all static objects, then each moving one, without triangles of no area."""
     corners = scene.vertices[scene.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     real = np.linalg.norm(cross, axis=1) > 1e-12

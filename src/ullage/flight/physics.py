@@ -24,7 +24,7 @@ CONTROL_EVERY = 2  # physics steps per control step
 CONTROL_HZ = PHYSICS_HZ / CONTROL_EVERY
 
 _STIFF = [0.005, 1.0]  # contact's time constant [s] and damping ratio
-_SLACK = 0.25  # [m] how far the vehicle goes on one set of nearby triangles
+_SLACK = 0.25  # [m] length of flight on one set of nearby triangles
 _ALERT = 0.10  # [m] beyond the vehicle's radius, where contact is looked for
 
 

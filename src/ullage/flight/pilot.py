@@ -57,7 +57,7 @@ class Pilot:
         """Take a velocity command; whether it can be used (every number is finite).
 
         Args:
-            velocity: what is asked for; scaled down to the limits.
+            velocity: as requested; scaled down to the limits.
             now_s: time, on the clock of `request` [s].
         """
         if not all(map(math.isfinite, velocity)):
@@ -78,7 +78,7 @@ class Pilot:
 
         Args:
             position_m: where to hover.
-            heading_rad: counter-clockwise from east; None: as it is.
+            heading_rad: counter-clockwise from east; None: the present one.
         """
         if not all(map(math.isfinite, (*position_m, heading_rad or 0.0))):
             return False
@@ -89,7 +89,7 @@ class Pilot:
         return True
 
     def request(self, now_s: float) -> Wish | None:
-        """What to ask of the vehicle now; None: what was asked before."""
+        """Return the request to the vehicle now; None: no change."""
         if self._until_s is not None and now_s >= self._until_s:
             self._until_s = None
             self.stale += 1

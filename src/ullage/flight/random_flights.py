@@ -93,7 +93,7 @@ def _yaw(xy: Floats, at: Floats, seed: int, rng: np.random.Generator) -> Floats:
 
 
 def _level_path(area: Any, rng: np.random.Generator) -> Floats:
-    """A smooth path (n, 2) [m] that visits places far apart in the open area."""
+    """Return a smooth path (n, 2) [m] that visits places far apart in the open area."""
     from shapely import contains_xy
 
     region = _largest(area, CLEARANCE_M)
@@ -111,7 +111,7 @@ def _level_path(area: Any, rng: np.random.Generator) -> Floats:
 
 
 def _largest(area: Any, clearance_m: float) -> Any:
-    """The largest part of the area that keeps clear of its border; less clear where nothing would be left."""
+    """Return the largest part of the area at a distance from its border, at a smaller one if nothing is left."""
     from shapely import get_parts
 
     for share in (1.0, 0.85, 0.7):
@@ -159,7 +159,7 @@ def visit_far_places(
         length_m: the tour ends once it is so long, or everywhere has been reached [m].
 
     Returns:
-        The start, then the nodes of each leg, the last of which is the place visited.
+        The start, then the nodes of each segment, the last of which is the place visited.
     """
     here = int(rng.integers(len(nodes)))
     far, _ = _routes(graph, here)
@@ -185,7 +185,7 @@ def visit_far_places(
 
 
 def _smooth(coarse: Floats, area: Any) -> Floats:
-    """The path as a fine smooth line; smoothed less where it would come too near to something."""
+    """Return the path as a fine smooth line, smoothed less if it would come too near to an obstacle."""
     from scipy.ndimage import gaussian_filter1d
     from shapely import contains_xy
 

@@ -1,4 +1,4 @@
-"""A smooth reference through waypoints: straight legs at even speed, low-pass filtered by moving averages.
+"""Make a smooth reference through waypoints: straight segments at even speed, filtered by moving averages.
 
 Three moving averages over a piecewise linear motion give continuous position, velocity, acceleration and jerk, in
 closed form, never faster than the legs and never outside their hull [BiagiottiMelchiorri2012]. Where the raw motion
@@ -19,7 +19,7 @@ from ullage.flight.missions import Waypoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What the controller follows, at an even rate."""
+    """Reference of the controller, at an even rate."""
 
     rate_hz: float
     track: Floats  # (n, 14): position, velocity, acceleration, jerk, yaw, yaw rate
@@ -32,12 +32,12 @@ class _Schedule:
 
 
 def plan(waypoints: Waypoints, *, rate_hz: float, start: Floats | None = None, start_yaw_deg: float = 0.0) -> Reference:
-    """The reference for a mission.
+    """Make the reference for a mission.
 
     Args:
         waypoints: the mission.
         rate_hz: samples per second [Hz].
-        start: where the drone stands at first (3) [m]; None: at the first waypoint.
+        start: position of the drone at the start (3) [m]; None: the first waypoint.
         start_yaw_deg: heading held by yaw="hold" [deg].
     """
     goals = _headings(waypoints, start, start_yaw_deg)
@@ -59,7 +59,7 @@ def plan(waypoints: Waypoints, *, rate_hz: float, start: Floats | None = None, s
 
 
 def _headings(mission: Waypoints, start: Floats | None, start_yaw_deg: float) -> Floats:
-    """Unwrapped heading goal at each point [rad], the start included; for "along" that of the leg that leaves it."""
+    """Return the unwrapped goal heading at each point [rad], with the start; "along": of the segment that leaves it."""
     points = mission.points if start is None else np.vstack([start, mission.points])
     if isinstance(mission.yaw, str):
         legs = np.diff(points, axis=0)

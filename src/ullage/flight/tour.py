@@ -27,7 +27,7 @@ from ullage.world.scene import Scene
 
 CLEARANCES_M = (0.8, 0.6, 0.45)  # to the side; the first that leaves room to fly is taken
 HEADROOM_M = 0.25  # above and below the vehicle
-REACH_M = 5.0  # what stands within this distance is worth flying past
+REACH_M = 5.0  # objects within this distance are worth a visit
 SIGHT_M = 9.0  # a floor or roof within this distance is seen
 AROUND_M = 2.5  # room about the world's box
 WINDOW_M = 60.0  # longest edge of the area that is searched
@@ -155,7 +155,7 @@ def _moments(scene: Scene) -> Iterator[Floats]:
 
 
 def _seen_from_above(shapes: Floats, slab: tuple[float, float]) -> tuple[Floats, list[Floats]]:
-    """What of faces or wires (n, k, 3) lies between two heights: corners of small ones (d, 2), outlines of others."""
+    """Cut faces or wires (n, k, 3) between two heights: corners of small ones (d, 2), outlines of others."""
     low, high = shapes.min(1), shapes.max(1)
     met = (high[:, 2] >= slab[0]) & (low[:, 2] <= slab[1])
     small = met & (high - low < LATTICE_M / 2).all(1)
@@ -189,10 +189,10 @@ def _window(box: Floats, there: Floats) -> tuple[Floats, Floats]:
 
 
 def _spaces(world: _World, level: Level, clearance_m: float) -> list[Space]:
-    """The spaces of one level that are large enough, near something, and inside no solid."""
+    """Return the spaces at one height that are large enough, near a surface, and outside solids."""
     near = level.gap_m <= REACH_M
     beside = bool(near.any())
-    if not beside:  # nothing stands at this height: what is seen lies above or below
+    if not beside:  # no surface at this height: those in sight are above or below
         rows, columns = (np.abs(np.arange(n) - n // 2) * LATTICE_M < REACH_M / 2 for n in near.shape)
         near = rows[:, None] & columns
     part, count = label(near & (level.gap_m >= clearance_m + LATTICE_M), np.ones((3, 3)))
@@ -227,7 +227,7 @@ class _World:
         return bool((self.caster.hits(np.tile(points, (2, 1)), rays)[1] <= SIGHT_M).any())
 
     def enclosure(self, points: Floats) -> float:
-        """Share of the directions level and upward in which something stands, over points (n, 3) of a space."""
+        """Return the share of horizontal and upward directions with a surface, over points (n, 3) of a space."""
         some = points[:: -(-len(points) // RAYS)]
         turn = np.arange(8) * np.pi / 4
         level = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
@@ -238,7 +238,7 @@ class _World:
 
 
 def _route(space: Space, length_m: float | None) -> Floats:
-    """Waypoints (n, 3) through a space [m]: shortest paths between far places, cut to straight legs."""
+    """Return waypoints (n, 3) through a space [m]: shortest paths between far places, as straight segments."""
     if length_m is None:
         length_m = float(np.clip(LENGTH_SHARE * LATTICE_M * math.sqrt(space.cells.sum()), *LENGTH_M))
     cells, graph = np.argwhere(space.cells), lattice_graph(space.cells)
@@ -260,7 +260,7 @@ def _cut(points: Floats, length_m: float) -> Floats:
 
 
 def _straight(cells: Longs, free: Bools) -> list[int]:
-    """Indices of the cells (n, 2) of a path that are kept, so that each leg between them stays on free cells."""
+    """Return indices of the cells (n, 2) of a path to keep, so that each segment between them crosses free cells."""
     kept = [0]
     while kept[-1] < len(cells) - 1:
         here = kept[-1]
@@ -272,7 +272,7 @@ def _straight(cells: Longs, free: Bools) -> list[int]:
 
 
 def _clear(a: Longs, b: Longs, free: Bools) -> bool:
-    """Whether the straight line between two cells stays on free ones."""
+    """Return whether the straight line between two cells crosses free cells only."""
     n = 2 * int(np.abs(b - a).max()) + 1
     on = np.rint(np.linspace(a, b, n)).astype(int)
     return bool(free[on[:, 0], on[:, 1]].all())

@@ -37,7 +37,7 @@ class Contact:
     t_ns: int  # when the contact began
     until_ns: int  # when it was last felt
     point: tuple[float, float, float]  # where it began, world [m]
-    object: str  # name of what was touched
+    object: str  # name of the object in contact
     speed_m_s: float  # of the vehicle when it began [m/s]
 
     def __str__(self) -> str:
@@ -48,7 +48,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightLog:
-    """What happened on a flight, at the times of its trajectory."""
+    """Log of a flight, at the times of its trajectory."""
 
     contacts: tuple[Contact, ...]
     t_ns: Longs  # (n)
@@ -110,7 +110,7 @@ def fly_log(
     on_contact: Literal["record", "raise"] = "record",
     progress: Progress | None = None,
 ) -> tuple[Trajectory, FlightLog]:
-    """As `fly`, with a log: contacts, the reference, tracking error, rotor speeds.
+    """Fly as `fly` does, with a log: contacts, the reference, tracking error, rotor speeds.
 
     Returns:
         The true path, and the log at its times.
@@ -243,7 +243,7 @@ def check_clear(start: ArrayLike, vehicle: str | Airframe, scene: Scene) -> None
     Args:
         start: x, y, z [m] and, if given, yaw [deg].
         vehicle: name of a vehicle, or an `Airframe`.
-        scene: what it could hit.
+        scene: its obstacles.
 
     Raises:
         InputError: the start is inside a solid or nearer to a surface than the vehicle reaches, or the vehicle unknown.
@@ -259,7 +259,7 @@ def _clear(mission: Waypoints | None, place: Floats | None, frame: Airframe, sce
         spots.insert(0, ("the start", place))
     squash = frame.radius_m / frame.half_height_m
     for part in parts:
-        checked = spots if part.motion is None else spots[:1]  # where a moving thing will be later is not known here
+        checked = spots if part.motion is None else spots[:1]  # the future place of a moving object is not known here
         solids = Solids(part)
         local = [into(part, point, 0) for _, point in checked]
         held = [solids.holding(point) for point in local]

@@ -13,7 +13,7 @@ _WAVES = 64
 
 
 def philox(seed: int, component: int, counter: int = 0) -> np.random.Generator:
-    """The counter-based generator of one random component of a flight, at a place of its stream [SalmonEtAl2011]."""
+    """Return the counter-based generator of a flight's random component, at a place of its stream [SalmonEtAl2011]."""
     key = np.array([seed % 2**64, component], np.uint64)
     return np.random.Generator(np.random.Philox(key=key, counter=[0, counter % 2**64, 0, 0]))
 
@@ -53,7 +53,7 @@ class SmoothNoise:
 
 
 class Wander(Spec):
-    """How a person with a handset strays from the track meant: smooth, slow, seeded.
+    """Deviation of a human pilot from the intended track: smooth, slow, seeded.
 
     The pace is that of a human in a position loop, well below the crossover near 0.5 Hz [McRuerJex1967].
     """

@@ -1,1 +1,1 @@
-"""What is out there: materials, geometry, world files."""
+"""Worlds: materials, geometry and world files."""

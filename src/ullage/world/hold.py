@@ -85,12 +85,12 @@ class HoldPlan:
 
     @property
     def end_m(self) -> float:
-        """How far the plating runs from the middle, to the back of the corrugations."""
+        """Distance of the plating from the middle, to the back of the corrugations."""
         return self.length_m / 2 + self.corrugation_m / 2
 
     @property
     def frames_m(self) -> Floats:
-        """Where along x the side frames stand."""
+        """Positions of the side frames along x."""
         clear = self.length_m / 2 - self.corrugation_m / 2 - 0.3
         count = math.floor(clear / self.frame_spacing_m)
         return np.asarray(self.frame_spacing_m * np.arange(-count, count + 1), np.float64)
@@ -113,7 +113,7 @@ class HoldPlan:
 
 
 def hold_plan(**numbers: float) -> HoldPlan:
-    """A plan with these numbers in place of the usual ones.
+    """Return a plan with these numbers in place of the defaults.
 
     Raises:
         InputError: a name is unknown, or a number out of bounds.
@@ -145,12 +145,12 @@ def plating(plan: HoldPlan) -> list[Part]:
 
 
 def quad(corners: list[tuple[float, float, float]]) -> Shape:
-    """A flat sheet of two triangles through four corners."""
+    """Return a flat sheet of two triangles through four corners."""
     return np.array(corners, float), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
 def _deck(plan: HoldPlan) -> Shape:
-    """The cross decks before, between and behind the hatches, seen from below."""
+    """Return the cross decks before, between and behind the hatches, seen from below."""
     h, z = plan.hatch_half_m, plan.height_m
     edges = np.array([-plan.end_m, *(x for hatch in plan.hatches_m for x in hatch), plan.end_m]).reshape(-1, 2)
     return join(*(quad([(a, h, z), (b, h, z), (b, -h, z), (a, -h, z)]) for a, b in edges))
@@ -206,7 +206,7 @@ def _across(x: float, points: Floats) -> Floats:
 
 
 def bulkhead(plan: HoldPlan, *, ahead: bool) -> list[Part]:
-    """A corrugated transverse bulkhead with its stools, at the forward or the after end."""
+    """Return a corrugated transverse bulkhead with its stools, at the forward or the after end."""
     from shapely import Polygon, box
 
     section = Polygon(plan.section())
@@ -229,7 +229,7 @@ def bulkhead(plan: HoldPlan, *, ahead: bool) -> list[Part]:
 
 
 def corrugation(plan: HoldPlan) -> list[tuple[float, float]]:
-    """The bulkhead's line in plan: points (x, y) across the ship, symmetric, x growing toward the hold's end."""
+    """Return the bulkhead's line in plan: points (x, y) across the ship, symmetric, x toward the hold's end."""
     depth, a = plan.corrugation_m, plan.corrugation_flange_m
     b = depth / math.tan(math.radians(plan.corrugation_deg))
     pitch, reach = 2 * (a + b), plan.half_m + 2 * (a + b)
@@ -253,7 +253,7 @@ def _leaning(points: Floats, *, axis: int, at: tuple[float, float], depth: tuple
 
 
 def _level(section: Any, z: float, x0: float, x1: float) -> Shape:
-    """A level sheet across the hold at height z."""
+    """Return a horizontal sheet across the hold at height z."""
     from shapely import LineString
 
     y0, _, y1, _ = (section & LineString([(-1e3, z), (1e3, z)])).bounds
@@ -261,7 +261,7 @@ def _level(section: Any, z: float, x0: float, x1: float) -> Shape:
 
 
 def _ended(plan: HoldPlan, mesh: Shape, ahead: bool) -> Shape:
-    """A bulkhead drawn about x = 0 with the hold at negative x, put to the forward or the after end."""
+    """Move a bulkhead, drawn about x = 0 with the hold at negative x, to the forward or the after end."""
     vertices, faces = mesh
     if ahead:
         return vertices + np.array([plan.length_m / 2, 0, 0]), np.ascontiguousarray(faces[:, ::-1])

@@ -1,4 +1,4 @@
-"""The worlds that come with ullage: where their files are, where a drone starts, how far it may go, what it flies.
+"""Shipped worlds: their files, and the start, bounds and missions of flights in them.
 
 `python tools/write_worlds.py` of the repository writes the files.
 """
@@ -19,7 +19,7 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """One shipped world and how to fly it: its path keeps 0.8 m from everything."""
+    """Shipped world with a flight that keeps 0.8 m from every surface."""
 
     name: str
     title: str
@@ -34,11 +34,11 @@ class World:
 
     @property
     def start(self) -> Waypoint:
-        """Where the drone starts: x, y, z [m], yaw [deg]."""
+        """Start of the drone: x, y, z [m], yaw [deg]."""
         return self.path_xyzyaw[0]
 
     def scene(self) -> Scene:
-        """The world, loaded."""
+        """Load the world."""
         from ullage.world.load import load_scene
 
         return load_scene(self.path)

@@ -1,4 +1,4 @@
-"""What surfaces are made of: permittivity over frequency, thickness, roughness, and the thesis' reflection."""
+"""Materials of surfaces: permittivity over frequency, thickness, roughness, and the thesis' reflection."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _water(frequency_hz: float, celsius: float = 20.0) -> complex:
 
 
 def material(name: str) -> Material:
-    """A material by name.
+    """Return a material by name.
 
     Raises:
         InputError: the name is unknown.

@@ -26,7 +26,7 @@ Mesh = tuple[Floats, Ints]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFile:
-    """What a mesh file holds."""
+    """Contents of a mesh file."""
 
     vertices: Floats  # (v, 3) [m]
     faces: Ints  # (f, 3)
@@ -57,7 +57,7 @@ def read_mesh(path: Path, *, submesh: str = "", center: bool = False) -> MeshFil
     """Read a mesh file, with the normals that it gives to its corners.
 
     Args:
-        path: the file; its suffix says the format.
+        path: the file; its suffix gives the format.
         submesh: take only the part with this name.
         center: move the part's bounding box onto the origin.
 
@@ -98,7 +98,7 @@ def joined(parts: list[MeshFile]) -> MeshFile:
 
 
 def cleaned(mesh: MeshFile, *, where: str) -> MeshFile:
-    """The mesh without faces that have no area, with a warning that counts them.
+    """Remove faces without area from a mesh, with a warning that counts them.
 
     Raises:
         InputError: no face is left.
@@ -127,7 +127,7 @@ def _parts(path: Path) -> list[tuple[set[str], MeshFile]]:
         return _collada(raw, path) if kind == ".dae" else _by_trimesh(raw, path, kind[1:])
     except InputError:
         raise
-    except Exception as error:  # whatever a broken file brings a reader to raise
+    except Exception as error:  # a damaged file can raise any error in a reader
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(f"the mesh cannot be read: {reason}", where=path) from None
 
@@ -258,7 +258,7 @@ def _at_corners(normals: Any, index: NDArray[np.integer]) -> Floats | None:
 
 
 def _moved(mesh: MeshFile, matrix: Floats) -> MeshFile:
-    """The mesh moved by an affine matrix (4, 4); normals by its inverse transposed, and faces outward as they were."""
+    """Move the mesh by an affine matrix (4, 4); normals by its inverse transpose, with faces still outward."""
     linear = matrix[:3, :3]
     vertices, faces, normals = mesh.vertices @ linear.T + matrix[:3, 3], mesh.faces, mesh.corner_normals
     side = np.linalg.det(linear)

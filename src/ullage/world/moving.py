@@ -1,4 +1,4 @@
-"""What moves as we watch: a path that grows, straight lines and great arcs between the poses that came."""
+"""Motion that grows while a flight goes on: straight lines and great arcs between the poses received."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Poses = tuple[Longs, Floats, Floats]
 
 
 class LiveMotion:
-    """Poses of a thing as they come; before the first and after the last that is known it stands still.
+    """Poses of an object as they come; it is at rest before the first known pose and after the last.
 
     Args:
-        position: where it stands until it is seen (3), world ENU [m].
+        position: until the first pose (3), world ENU [m].
         quat_xyzw: world_from_object (4).
     """
 
@@ -53,19 +53,19 @@ class LiveMotion:
         self._add(t_ns, (np.asarray(position, float), np.asarray(quat_xyzw, float)))
 
     def stand_until(self, t_ns: int) -> None:
-        """It has not moved since its last pose, as far as is known."""
+        """Declare that it has not moved since its last pose."""
         if not self._times or t_ns > self._times[-1]:
             self._add(t_ns, self._poses[-1] if self._poses else self._rest)
 
     def forget(self, t_ns: int) -> None:
-        """Let go of what lies before a time [ns], save the last two poses: what comes out keeps its bits."""
+        """Drop poses before a time [ns] except the last two, so that results keep their bits."""
         first = max(int(np.searchsorted(self._times, t_ns)) - 2, 0)
         if first:
             del self._times[:first], self._poses[:first]
             self._known = None
 
     def at(self, t_ns: ArrayLike) -> Trajectory:
-        """Where it is at some times (m), strictly rising [ns]."""
+        """Return its poses at some times (m), strictly rising [ns]."""
         return between(self._all(), np.atleast_1d(np.asarray(t_ns, np.int64)))
 
     def _add(self, t_ns: int, pose: tuple[Floats, Floats]) -> None:
@@ -82,7 +82,7 @@ class LiveMotion:
 
 
 def between(poses: Poses, t_ns: NDArray[np.int64]) -> Trajectory:
-    """Poses at other times: straight lines in position, great arcs in attitude, whatever came before or after."""
+    """Interpolate poses at other times: straight lines in position, great arcs in attitude."""
     known, position, quat = poses
     if len(known) == 1:
         still = np.zeros((len(t_ns), 3))
@@ -99,7 +99,7 @@ def between(poses: Poses, t_ns: NDArray[np.int64]) -> Trajectory:
 
 
 def carried(motion: Any, pose: Floats) -> Any:
-    """A motion as it is after its world was taken through a rigid transform (4, 4)."""
+    """Return a motion after a rigid transform (4, 4) of its world."""
     if isinstance(motion, Trajectory):
         return _carried_path(motion, pose)
     if isinstance(motion, CarriedMotion):
@@ -125,7 +125,7 @@ class CarriedMotion:
 
 
 def _carried_path(path: Trajectory, pose: Floats) -> Trajectory:
-    """A path taken through a rigid transform; its angular velocity is that of the body and stays."""
+    """Apply a rigid transform to a path; the angular velocity is that of the body and stays."""
     velocity, spin = path.rates
     turned: Any = rotations().from_matrix(pose[:3, :3]) * rotations().from_quat(path.quat_xyzw)
     return Trajectory(path.t_ns, apply(pose, path.position), turned.as_quat(), velocity @ pose[:3, :3].T, spin)

@@ -1,4 +1,4 @@
-"""Draw random worlds by kind and seed: rooms, halls, tanks, hoppers and what stands in them.
+"""Draw random worlds by kind and seed: rooms, halls, tanks and hoppers with the objects in them.
 
 Each kind is one builder. It draws sizes, materials and objects, and states where a drone has room to fly. Thresholds
 may be tuned on the kinds in `TUNING` only. The kinds in `TESTING` are kept apart, so that a method is judged on worlds
@@ -51,10 +51,10 @@ class Plan:
     footprint: Any = None  # shapely polygon: the level area that the walls leave open [m]
     band_m: tuple[float, float] = (0.0, 0.0)  # least and greatest height of flight [m]
     parts: list[Solid] = field(default_factory=list)
-    obstacles: list[tuple[Any, float, float]] = field(default_factory=list)  # outline, foot and top [m]
+    obstacles: list[tuple[Any, float, float]] = field(default_factory=list)  # outline, bottom and top [m]
 
     def add(self, part: Solid, outline: Any, bottom_m: float, top_m: float) -> None:
-        """Add an object that stands in the way between two heights."""
+        """Add an object that blocks flight between two heights."""
         self.parts.append(part)
         self.obstacles.append((outline, bottom_m, top_m))
 
@@ -64,7 +64,7 @@ class Plan:
 
     @property
     def open_area(self) -> Any:
-        """The footprint without the obstacles at the heights of flight, a shapely geometry."""
+        """Return the footprint without the obstacles at the heights of flight, a shapely geometry."""
         low, high = self.band_m[0] - MARGIN_M, self.band_m[1] + MARGIN_M
         out = self.footprint
         for outline, bottom, top in self.obstacles:
@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def scene(self) -> Scene:
-        """The world itself."""
+        """Return the world."""
         name = f"{Path(self.kind).stem}-{self.seed}"
         added = scene_of(self.parts, name=name)
         return added if self.base is None else Scene.union([self.base, added], name=name)
@@ -107,7 +107,7 @@ def plan(kind: str, seed: int) -> Plan:
 
 @lru_cache(maxsize=8)
 def _planned(kind: str, seed: int, mtime_ns: int) -> Plan:
-    """As `plan`; `mtime_ns` makes a file that has changed a new key."""
+    """Return `plan`'s result from a cache; `mtime_ns` gives a changed file a new key."""
     if kind not in KINDS and not mtime_ns:
         near = difflib.get_close_matches(str(kind), KINDS, 1, 0.4)
         hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -196,7 +196,7 @@ def _corridor(made: Plan) -> None:
 
 
 def _left(polygon: Any) -> Any:
-    """The polygon with its outline turning left and no needless corners."""
+    """Return the polygon counter-clockwise and without redundant corners."""
     from shapely.geometry.polygon import orient
 
     return orient(polygon.simplify(1e-6))
@@ -393,7 +393,7 @@ def _office(made: Plan) -> None:
 
 
 def _desk(size: Floats) -> Shape:
-    """A desk's top on four legs, its foot at z = 0."""
+    """Return a desk's top on four legs, which end at z = 0."""
     x, y, z = size
     legs = [
         block((a - 0.03, b - 0.03, 0), (a + 0.03, b + 0.03, z - 0.03))
@@ -423,7 +423,7 @@ def _stand(
     *,
     shape: Callable[[Floats], Shape] | None = None,
 ) -> None:
-    """Stand an object of a size (3) [m] at a free place, turned at random; leave it out where there is none."""
+    """Place an object of a size (3) [m] at a free place with a random heading; leave it out if there is none."""
     from shapely import affinity
 
     size = np.asarray(size, float)
@@ -452,7 +452,7 @@ def _spot(made: Plan, radius_m: float, *, apart_m: float = 0.3) -> tuple[float, 
 
 
 def _of_file(made: Plan) -> None:
-    """A variation of a world file: other materials here and there, and up to three objects more."""
+    """Vary a world file: change some materials and add up to three objects."""
     from ullage.world.load import load_scene
 
     scene, rng = load_scene(made.kind), made.rng
@@ -470,7 +470,7 @@ def _of_file(made: Plan) -> None:
 
 
 def _inside(scene: Scene, band_m: tuple[float, float]) -> Any:
-    """The largest level area that no surface crosses at the heights of flight, a shapely polygon."""
+    """Return the largest horizontal area that no surface crosses at the heights of flight, a shapely polygon."""
     from shapely import MultiLineString, box, get_parts, unary_union
 
     from ullage.world.section import section, wire_section

@@ -91,9 +91,9 @@ class Raycaster:
         leave_m: float = 0.0,
         t_ns: ArrayLike | None = None,
     ) -> Bools:
-        """Whether nothing stands between origin (3) or (n, 3) and each target (n, 3).
+        """Return whether the line from origin (3) or (n, 3) to each target (n, 3) is free.
 
-        What stands within `slack_m` of the target or `leave_m` of the origin does not count.
+        Surfaces within `slack_m` of the target or `leave_m` of the origin do not count.
         """
         ends = np.ascontiguousarray(np.asarray(targets, np.float64).reshape(-1, 3))
         starts = np.ascontiguousarray(np.asarray(origin, np.float64).reshape(-1, 3))
@@ -107,7 +107,7 @@ class Raycaster:
         return np.ones(len(ends), bool) if clear is None else clear
 
     def standing(self, poses: Floats) -> Raycaster:
-        """The same with every object in one place from now on, by poses (o, 4, 4); `corners` and `normals` stay."""
+        """Return the caster with every object fixed at poses (o, 4, 4); `corners` and `normals` stay."""
         out = copy(self)
         out._bodies = tuple(replace(b, pose=None if b.motion is None else poses[b.thing]) for b in self._bodies)
         return out
@@ -131,7 +131,7 @@ _FAR = 1e30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Body:
-    """What moves together: an Embree scene about `centre`, and the exact geometry behind it."""
+    """Rigid group: an Embree scene about `centre`, and its exact geometry."""
 
     motion: Motion | None
     thing: int  # object that it is; -1: many that stand still
@@ -152,7 +152,7 @@ class _Body:
         return np.asarray(self.tree.run(near, rays.astype(np.float32), dists=reach.copy(), query=query))
 
     def open(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Bools:
-        """Whether nothing of this body stands between points, but for the first and last metres given."""
+        """Return whether this body leaves the lines between points free, except for given lengths at both ends."""
         if not len(ends):  # an empty Embree query takes as long as a hundred rays
             return np.ones(0, bool)
         origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)

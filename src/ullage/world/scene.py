@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Motion(Protocol):
-    """Where a thing is over time: a whole `Trajectory`, or one that grows as it is watched."""
+    """Poses of an object over time: a complete `Trajectory`, or one that grows during a live flight."""
 
     @property
     def t_ns(self) -> Longs:
@@ -37,7 +37,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """A thing with one name and one material; its triangles and wires carry its index."""
+    """Object with one name and one material; its triangles and wires carry its index."""
 
     name: str
     material: Material
@@ -120,7 +120,7 @@ class Scene(Displayed):
 
     @property
     def bounds(self) -> Floats:
-        """Lower and upper corner (2, 3) of everything that is there, moving things at their start [m]."""
+        """Lower and upper corner (2, 3) of all objects, moving ones at their start [m]."""
         points = [self.corners().reshape(-1, 3)]
         if len(self.wires):
             r = self.wires.radius_m[:, None]
@@ -132,7 +132,7 @@ class Scene(Displayed):
         return np.stack([cloud.min(0), cloud.max(0)])
 
     def poses(self, t_ns: ArrayLike | None = None) -> Floats:
-        """world_from_object (..., o, 4, 4) at times (...) [ns], held at the ends of what is known; None: the start."""
+        """Return world_from_object (..., o, 4, 4) at times (...) [ns], constant beyond known poses; None: the start."""
         shape = () if t_ns is None else np.shape(t_ns)
         out = np.tile(np.eye(4), (*shape, len(self.objects), 1, 1))
         for index, thing in enumerate(self.objects):
@@ -189,7 +189,7 @@ class Scene(Displayed):
         return rigs[model]
 
     def without(self, model: str) -> Scene:
-        """The scene less one model and what belongs to it, as the body that carries the radars."""
+        """Return the scene without one model and its parts, such as the body that carries the radars."""
         gone = self._of(model)
         if not gone.any():
             return self
@@ -207,14 +207,14 @@ class Scene(Displayed):
         )  # fmt: skip
 
     def has(self, model: str) -> bool:
-        """Whether anything that can be met belongs to this model."""
+        """Return whether any geometry belongs to this model."""
         return bool(self._of(model).any())
 
     def driven(self, model: str, motion: Motion) -> Scene:
         """Return the scene with one model of the world file moving rigidly along a given motion.
 
         Args:
-            model: its name; what of it moves already, as an actor, goes on as it did.
+            model: its name; parts that move already, such as actors, keep their motion.
             motion: world_from_model.
 
         Raises:
@@ -244,11 +244,11 @@ class Scene(Displayed):
 
         Args:
             shape: what to add, such as a scene of `ul.scenes` or a loaded model.
-            at: where the origin of `shape` goes (3) [m].
+            at: place of the origin of `shape` (3) [m].
             yaw_deg: turn about the vertical, positive to the left seen from above [deg].
             pitch_deg: turn about y, before the yaw [deg].
             roll_deg: turn about x, before the pitch [deg].
-            name: new name of a shape of one object, or what stands before the names of several, as NAME::part.
+            name: new name of a shape of one object, or the prefix of the names of several, as NAME::part.
 
         Returns:
             A new scene with the name of this one.
@@ -300,7 +300,7 @@ class Scene(Displayed):
         """
         mine = self._of(name) if name else np.ones(len(self.objects), bool)
         if not mine.any() and name:
-            self.object(name)  # says which names there are
+            self.object(name)  # raises an error that lists the names
         centre = _point(about, "about", "moved")
         angles = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_deg": yaw_deg}
         turn = transform(rpy_rad=np.radians([number(key, angle, "moved") for key, angle in angles.items()]))

@@ -1,9 +1,9 @@
 """Small worlds from numbers: one target in front of the origin, a room, a hold, and the shipped worlds by name.
 
 A distance runs from the origin along +x to the object's centre (a corner reflector's: to its fold or apex), so a radar
-at the origin with yaw 0 looks straight at the object. Without a distance the object stands at the origin, from which
-`scene.add(object, at=(x, y, z), yaw_deg=30)` puts it elsewhere. Flat things are two triangles; the vertices of curved
-things lie on the surface. Faces are two-sided and sheets have no thickness.
+at the origin with yaw 0 points straight at the object. Without a distance the object is at the origin, from which
+`scene.add(object, at=(x, y, z), yaw_deg=30)` puts it elsewhere. Flat objects are two triangles; the vertices of curved
+objects are on the surface. Faces are two-sided and sheets have no thickness.
 """
 
 from __future__ import annotations
@@ -322,7 +322,7 @@ def _placed(
 
 
 def _facet_edge(edge_m: float | None, radius: float, area: float, where: str) -> float:
-    """The facet edge asked for, or one whose facet sinks at most SAGITTA_M under the surface: e^2 / (6 r)."""
+    """Return the given facet edge, or one whose facet is at most SAGITTA_M under the surface: e^2 / (6 r)."""
     if edge_m is None:
         edge = min(0.03, math.sqrt(6 * radius * SAGITTA_M))
         edge = max(edge, math.sqrt(area / 1e5))  # a huge ball stays a mesh that fits in memory

@@ -50,7 +50,7 @@ def load_sdf(
         missing: refuse the file if one that it names is missing, or skip the model or shape with a warning.
 
     Raises:
-        InputError: something in it, or in what it includes, cannot be used.
+        InputError: an element of it, or of an included file, is not valid.
     """
     resolver = Resolver(path, search_path, missing=missing)
     with one_notice_per_kind():
@@ -58,7 +58,7 @@ def load_sdf(
 
 
 def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
-    """The scene of a world that was read."""
+    """Return the scene of a parsed world."""
     walk = SceneWalk(GeometryReader(resolver), geometry)
     frames = ScopeFrames(world)
     walk.add_scope(frames, "", nearest_tag(world.node))
@@ -73,7 +73,7 @@ def scene_of(world: Scope, resolver: Resolver, *, geometry: Geometry) -> Scene:
 
 @dataclass(slots=True)
 class SceneWalk:
-    """Goes through scopes and adds what it finds to a scene."""
+    """Visit scopes and add their shapes to a scene."""
 
     reader: GeometryReader
     geometry: Geometry

@@ -17,7 +17,7 @@ from ullage.world.sdf_geometry import SAGITTA_M, Rod
 
 @dataclass(slots=True)
 class SceneBuilder:
-    """What was read so far."""
+    """Parts read so far."""
 
     objects: list[SceneObject] = field(default_factory=list)
     meshes: list[tuple[Mesh, Floats]] = field(default_factory=list)  # with frame_from_shape; equal ones share arrays
@@ -50,7 +50,7 @@ class SceneBuilder:
         self.owners.append(owner)
 
     def scene(self, name: str) -> Scene:
-        """All that was gathered."""
+        """Return all gathered parts."""
         vertices, faces = self._placed()
         owner = np.repeat(np.array(self.owners, np.int32), [len(mesh[1]) for mesh, _ in self.meshes])
         wires = Wires()
@@ -60,7 +60,7 @@ class SceneBuilder:
         return Scene(vertices, faces, owner, tuple(self.objects), wires, name)
 
     def _placed(self) -> Mesh:
-        """All meshes as one, each written straight to its place: a large world holds no second copy meanwhile."""
+        """Join all meshes into one array without a second copy in memory."""
         vertices = np.empty((sum(len(mesh[0]) for mesh, _ in self.meshes), 3))
         faces = np.empty((self.faces, 3), np.int32)
         v = f = 0

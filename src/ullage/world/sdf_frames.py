@@ -1,4 +1,4 @@
-"""Where every frame of an SDF world is: the graph of `relative_to`, `attached_to` and `placement_frame`, solved."""
+"""Resolve the frames of an SDF world: the graph of `relative_to`, `attached_to` and `placement_frame`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ScopeFrames:
         return self.around.world_from_scope() @ self.around.scope_from(self.scope.name, at=self.scope.node.place)
 
     def scope_from_pose(self, pose: Pose, usual: str, *, at: Place) -> Floats:
-        """The transform of something with this pose, which without `relative_to` stands in the frame `usual`."""
+        """Return the transform of an element with this pose, which without `relative_to` is in the frame `usual`."""
         return self.scope_from(pose.relative_to or usual, at=pose.place or at) @ pose.matrix
 
     def scope_from(self, name: str, *, at: Place) -> Floats:
@@ -76,7 +76,7 @@ class ScopeFrames:
         return here
 
     def _step(self, name: str, at: Place) -> tuple[str, Floats, Place]:
-        """The frame that a frame's pose is in, its transform to that, and where this is written."""
+        """Return the parent frame of a frame's pose, the transform to it, and its place in the file."""
         thing = self.names.get(name)
         if thing is None:
             return self._outside(name, at)

@@ -49,7 +49,7 @@ class FuelName:
         return f"gz fuel download -u 'https://{self.server}/1.0/{self.owner}/{self.kind}/{self.name}'"
 
     def paths(self, caches: tuple[Path, ...]) -> list[Path]:
-        """Where caches hold it, the newest version first."""
+        """Return its paths in the caches, the newest version first."""
         servers = dict.fromkeys((self.server.lower(), *(_SERVERS if self.server.lower() in _SERVERS else ())))
         out = []
         for cache in caches:

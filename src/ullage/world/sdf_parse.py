@@ -1,4 +1,4 @@
-"""XML read safely, and the small things SDF writes in it: numbers, flags, poses; each complaint names file and line."""
+"""Parse XML safely, and SDF's numbers, flags and poses in it; each error names file and line."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _BARE_AMPERSAND = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where something is written."""
+    """Place of an element in a file."""
 
     file: Path
     line: int
@@ -151,7 +151,7 @@ class Node:
 
     @property
     def place(self) -> Place:
-        """Where it is written."""
+        """Place in the file."""
         return Place(self.file, self.element.sourceline or 1)
 
     @property
@@ -186,7 +186,7 @@ class Node:
         """Return the first child of this name.
 
         Raises:
-            InputError: there is none.
+            InputError: it is missing.
         """
         return self.child(tag) or self.place.refuse(f"<{self.tag}> has no <{tag}>")
 

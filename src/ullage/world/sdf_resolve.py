@@ -1,4 +1,4 @@
-"""Where the files are that a world names: model://, package://, file://, Fuel and relative URIs, on a search path.
+"""Find the files that a world names: model://, package://, file://, Fuel and relative URIs, on a search path.
 
 A file is opened only when it lies, links followed, under the folder of the file that was asked for, under the model or
 package that this folder belongs to (the nearest of three folders up that holds model.config or package.xml), or under
@@ -31,7 +31,7 @@ SEARCH_VARIABLES = (
 
 
 def search_folders(asked: Iterable[str | os.PathLike[str]]) -> tuple[Path, ...]:
-    """The folders asked for, then those of the environment, each once; those that do not exist are left out."""
+    """Return the requested folders, then those of the environment, each once; missing folders are left out."""
     named = [Path(one) for one in asked]
     for variable in SEARCH_VARIABLES:
         named += [Path(one) for one in os.environ.get(variable, "").split(os.pathsep) if one]
@@ -49,7 +49,7 @@ class Resolver:
     """Finds files for one world.
 
     Args:
-        main: the file that was asked for.
+        main: the requested file.
         search_path: folders, with those of the environment after them.
         missing: refuse a world of which a file is missing, or skip the model or shape with a warning.
     """
@@ -89,7 +89,7 @@ class Resolver:
         raise MissingFileError(f"{uri!r} is not found", where=at.file, line=at.line, allowed=allowed)
 
     def skips(self, error: MissingFileError, *, what: str) -> bool:
-        """Whether to go on without something, after a warning that names the missing file."""
+        """Return whether to continue without a file, after a warning that names it."""
         if self.missing == "skip":
             notify(f"{error}; the {what} is left out", kind=f"missing {what}")
         return self.missing == "skip"

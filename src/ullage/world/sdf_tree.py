@@ -1,4 +1,4 @@
-"""What an SDF file says, includes followed: scopes (a world or a model) that hold links, joints, frames and models."""
+"""Contents of an SDF file and its includes: scopes (a world or a model) with links, joints, frames and models."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Link:
 
 @dataclass(slots=True)
 class Joint:
-    """A joint is a frame too, at its child unless its pose says otherwise."""
+    """Joint, which is also a frame, at its child unless it has a pose."""
 
     name: str
     pose: Pose
@@ -40,7 +40,7 @@ class Joint:
 
 @dataclass(slots=True)
 class Frame:
-    """A named frame, at what it is attached to unless its pose says otherwise."""
+    """Named frame, at the element that it is attached to unless it has a pose."""
 
     name: str
     pose: Pose
@@ -50,7 +50,7 @@ class Frame:
 
 @dataclass(slots=True)
 class Scope:
-    """A world or a model: what it holds, and where it stands in the scope around it."""
+    """World or model: its contents, and its place in the parent scope."""
 
     name: str
     node: Node
@@ -80,7 +80,7 @@ class TreeReader:
         """The world of a file, or a world made of the models in it.
 
         Raises:
-            InputError: something in it, or in what it includes, cannot be used.
+            InputError: an element of it, or of an included file, is not valid.
         """
         root = self._root(path)
         self._open.append(path.resolve())
@@ -149,7 +149,7 @@ class TreeReader:
             self._open.pop()
 
     def _place(self, scope: Scope, model: Scope, include: Node) -> None:
-        """Put an included model into the scope, as its include says."""
+        """Put an included model into the scope, by the settings of its include."""
         placement = include.text_of("placement_frame")
         if include.child("pose") is not None:
             model.pose = read_pose(include)

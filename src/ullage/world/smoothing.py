@@ -1,4 +1,4 @@
-"""Corner normals of triangle meshes: where facets sample a curved surface, and which way that surface faces.
+"""Corner normals of triangle meshes: which facets sample a curved surface, and the surface's normals there.
 
 Two facets belong to one smooth surface where they meet at less than `CREASE_DEG`, in a region of `FEWEST` facets or
 more. The normal at a corner is the mean over the facets around it, weighted so that it is exact on spheres [Max1999].

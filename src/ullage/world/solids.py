@@ -1,4 +1,4 @@
-"""What worlds are built from: named parts of one material, and the ways to make their meshes."""
+"""Building blocks of worlds: named parts of one material, and functions that make their meshes."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def _link_poses(root: Node, joints: Mapping[str, float]) -> dict[str, Floats]:
         if set(joints) <= set(robot.joint_map):
             robot.update_cfg(values | {name: float(value) for name, value in joints.items()})
         poses = {link.name: np.asarray(robot.get_transform(link.name), float) for link in root.children("link")}
-    except Exception as error:  # whatever a malformed joint brings the reader to raise
+    except Exception as error:  # a malformed joint can raise any error in the reader
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         root.place.refuse(f"the joints cannot be read: {reason}")
     if unknown := set(joints) - set(robot.joint_map):

@@ -21,7 +21,7 @@ WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 class OutOfReach(BaseException):
-    """What the file asks for is not allowed; no `except Exception` in an expression hides it."""
+    """Raised if the file requests what is not allowed; no `except Exception` in an expression hides it."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Expand xacro, which evaluates Python, in a process of its own: no environment, little memory, little time.
+"""Expand xacro, which evaluates Python, in a separate process: no environment, little memory, little time.
 
 The child process reads below the search path only, writes nothing, and starts no other program. An audit hook of
 Python and limits of the operating system keep it to that. This stops files that are careless; it is no jail for those
@@ -31,7 +31,7 @@ def expand_xacro(path: Path, resolver: Resolver, *, longest_s: int = LONGEST_S) 
         longest_s: how long the expansion may take [s].
 
     Raises:
-        InputError: xacro fails, takes too long or too much, or wants what is out of its reach.
+        InputError: xacro fails, takes too much time or memory, or requests a forbidden resource.
     """
     roots = [str(folder) for folder in (*resolver.homes, *resolver.folders)]
     request = {
