@@ -11,7 +11,7 @@ from ullage.experiments.folder import read_json
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One metric and its bound."""
+    """Metric with its bound."""
 
     name: str
     value: float | None
@@ -27,7 +27,7 @@ class Verdict:
 
     @property
     def text(self) -> str:
-        """The metric, its value and its bound in a line."""
+        """Metric, value and bound in one line."""
         low, high = self.bound.min, self.bound.max
         limits = " and ".join(
             s for s in ("" if low is None else f">= {low:g}", "" if high is None else f"<= {high:g}") if s

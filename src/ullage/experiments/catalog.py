@@ -93,7 +93,7 @@ def suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def find_scenario(name_or_path: str, *, options: Sequence[str] = ()) -> Scenario:
-    """A shipped scenario by name, or one from a YAML file.
+    """Return a shipped scenario by name, or one from a YAML file.
 
     Files and folders that a YAML file names lie beside it, in the current folder, or in a folder of the environment's
     search path. Options may name any.
@@ -112,7 +112,7 @@ def find_scenario(name_or_path: str, *, options: Sequence[str] = ()) -> Scenario
 
 
 def _with_files(scenario: Scenario, file: Path, options: Sequence[str]) -> Scenario:
-    """The scenario with the files that it names found, each within reach."""
+    """Return the scenario with the files that it names resolved and checked against its search path."""
     world = scenario.world
     folders = tuple(_found(folder, "world.search_path", file, options) for folder in world.search_path)
     antenna = scenario.sensing.changes.get("antenna")
@@ -129,7 +129,7 @@ def _with_files(scenario: Scenario, file: Path, options: Sequence[str]) -> Scena
 
 
 def _found(name: str, field: str, file: Path, options: Sequence[str], *, near: Sequence[str] = ()) -> str:
-    """The path of a file or folder that a scenario file names; what an option names is taken as it is.
+    """Return the path of a file or folder that a scenario file names; a path from an option stays unchanged.
 
     Raises:
         InputError: it lies out of reach.

@@ -38,7 +38,7 @@ def each_done(
     """Yield (task, result, error) as the tasks end; a task whose worker is lost is given to another worker.
 
     Args:
-        work: called with a task and with a function that takes lines of progress; what it raises is the task's error.
+        work: called with a task and a function that takes lines of progress; its exception is the task's error.
         tasks: the work, in the order in which it is started.
         where: number of local worker processes, or address of a Dask scheduler.
         log: called with the dashboard's address and with what the workers report.
@@ -68,7 +68,7 @@ def _in_order(work: Work, tasks: Sequence[Any], log: Log) -> Generator[Done, Non
 
 
 def reason_of(error: Exception) -> UllageError:
-    """What a task's error says, as one of ullage's own errors."""
+    """Convert a task's error to one of ullage's errors."""
     if isinstance(error, UllageError):
         return error
     if type(error).__name__ == "KilledWorker":  # Dask gives a task up after four
@@ -171,7 +171,7 @@ def _on_cluster(client: Any, work: Work, tasks: Sequence[Any], log: Log) -> Gene
 
 
 def _room(client: Any, running: int) -> int:
-    """How many more tasks the workers should have; one even while all workers are being replaced.
+    """Return how many more tasks to submit; one even while all workers are being replaced.
 
     Raises:
         UllageError: the scheduler is gone.
@@ -205,7 +205,7 @@ def _in_worker(work: Work, topic: str, folder: str, task: Any) -> Any:
         nonlocal reported_s
         if time.monotonic() - reported_s > EVENT_S:
             reported_s = time.monotonic()
-            with suppress(OSError):  # nobody listens any more
+            with suppress(OSError):  # there is no receiver any more
                 worker.log_event(topic, text)
 
     with chdir(folder):  # so that relative paths mean the same
@@ -220,27 +220,27 @@ class Task(Protocol):
 
     @property
     def name(self) -> str:
-        """A name that no other task has."""
+        """Unique name of the task."""
 
     @property
     def title(self) -> str:
-        """What people read."""
+        """Title for users."""
 
     @property
     def cost(self) -> float:
-        """How long it takes beside the others."""
+        """Relative duration."""
 
     @property
     def done(self) -> bool:
-        """Whether its results are there."""
+        """Whether its results exist."""
 
     def do(self, log: Callable[[str], None]) -> None:
-        """Do it anew and report progress."""
+        """Run it again and report progress."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of tasks that leave their results in folders."""
+    """Outcome of tasks that leave their results in folders."""
 
     failed: dict[str, UllageError]  # why tasks failed, by name
     interrupted: bool  # by Ctrl-C
@@ -254,7 +254,7 @@ def carry_out(
     Args:
         tasks: in the order of the report.
         where: number of worker processes here, or address of a scheduler whose workers see the same folders.
-        report_progress: called with the number done and what goes on.
+        report_progress: called with the number of finished tasks and the current work.
         again: do those that are done once more.
 
     Raises:

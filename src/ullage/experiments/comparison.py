@@ -1,4 +1,4 @@
-"""The same flight once more with the echoes and the map of another law, for a fair comparison."""
+"""Repeat a flight with the echoes and the map of another law, for a fair comparison."""
 
 from __future__ import annotations
 

@@ -47,21 +47,21 @@ def dataset(
 
     Args:
         kinds: kinds of random worlds, "tuning", "testing" or "all", and world files.
-        to: the `.zarr` folder; a data card is written beside it.
+        to: the `.zarr` folder; a data card is written next to it.
         n: samples in all.
         seed: of the worlds, flights and noise.
         frames: of each radar in a sample.
         bounces: reflections that are computed; one of these is drawn for each sample.
         where: number of worker processes here (1: this process; None: one for each core), or the address of a Dask
             scheduler whose workers see the folder under the same path.
-        progress: called with samples done, samples in all and what goes on.
+        progress: called with finished samples, all samples and the current work.
 
     Returns:
         The folder.
 
     Raises:
         InputError: an argument cannot be used, the folder holds another data set, or another process writes to it.
-        UllageError: the disk is full or the cluster is lost; the folder can be read, and the same call goes on.
+        UllageError: the disk is full or the cluster is lost; the folder can be read, and the same call continues.
     """
     if n < 1:
         raise InputError(f"n is {n}", where="dataset", allowed="1 sample or more")
@@ -112,7 +112,7 @@ class Store:
                 about |= {key: tuple(about[key]) for key in ("kinds", "bounces", "digests")}
                 shard = int(about.pop("shard"))
                 return cls(where, SampleSpec(**about), shard, int(root["t_ns"].shape[0]))
-        except Exception:  # whatever the reader makes of a folder that is no data set
+        except Exception:  # a folder that is not a data set can raise any error in the reader
             raise InputError("no ullage data set", where=where, allowed="a new name, or a data set") from None
         raise InputError(f"a data set of format {made[0]}, made by ullage {made[1]}", where=where,
                          allowed=f"format {FORMAT}, as ullage {ullage.__version__} makes it")  # fmt: skip
@@ -190,7 +190,7 @@ def make_part(part: Part, log: Log) -> int:
 
 
 def _sample_or_reason(spec: SampleSpec, k: int) -> tuple[dict[str, Any], Row]:
-    """A sample, or no arrays and a row that says why it cannot be made; losses of memory or disk are no such reason."""
+    """Make a sample, or a row with the reason why it cannot be made; lack of memory or disk is raised instead."""
     try:
         return sample(spec, k)
     except (OSError, MemoryError):
@@ -235,7 +235,7 @@ def _create(path: Path, spec: SampleSpec, n: int) -> Store:
     """Make an empty data set, or open the one that is there and lengthen it to n samples.
 
     Raises:
-        InputError: what is there is no data set, or one with other settings.
+        InputError: the folder is not a data set, or one with other settings.
     """
     zarr: Any = need("zarr", extra="scale")
     if path.exists():

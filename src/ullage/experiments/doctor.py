@@ -33,7 +33,7 @@ OPTIONAL = {"pyoctomap": "octomap", "zarr": "zarr", "rerun": "view", "pymavlink"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing looked at."""
+    """Result of one check."""
 
     name: str
     sound: bool

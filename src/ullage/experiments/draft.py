@@ -1,4 +1,4 @@
-"""Run folders in the making: a run is written beside its final place and swapped in when it is complete.
+"""Drafts of run folders: a run is written next to its final place and swapped in when it is complete.
 
 `runs/.NAME-HASH8.draft` holds the run until then, and `runs/.NAME-HASH8.lock` is locked while its process lives. A kill
 leaves the draft, with `"state": "running"` in its provenance.json; no process holds its lock then.
@@ -40,7 +40,7 @@ class Draft:
 
     @property
     def path(self) -> Path:
-        """The folder to write to."""
+        """Folder to write to."""
         return draft_of(self.final)
 
     def finish(self, *, interrupted: bool = False) -> Path:
@@ -71,7 +71,7 @@ class Draft:
         self.release()
 
     def release(self) -> None:
-        """Let go of the folder; what is in the draft stays."""
+        """Release the folder; the contents of the draft stay."""
         if self.lock >= 0:
             with suppress(OSError):
                 lock_of(self.final).unlink(missing_ok=True)
@@ -106,7 +106,7 @@ def begin_run(name: str, digest: str, *, root: Path | None = None, force: bool =
 
 
 def place_of(name: str, digest: str, *, root: Path | None = None) -> Path:
-    """The final place of the run `NAME-DIGEST`."""
+    """Return the final place of the run `NAME-DIGEST`."""
     return (RUNS if root is None else root) / f"{name}-{digest}"
 
 
@@ -122,7 +122,7 @@ def check_free(final: Path, *, force: bool = False) -> None:
 
 
 def running() -> dict[str, object]:
-    """What marks a run that this process writes."""
+    """Return the mark of a run that this process writes."""
     return {"state": "running", "pid": os.getpid(), "host": socket.gethostname()}
 
 
@@ -149,7 +149,7 @@ def _lock(final: Path) -> int:
                 os.truncate(lock, 0)
                 os.write(lock, f"{os.getpid()}\n".encode())
                 return lock
-            os.close(lock)  # whoever held it has removed the file since
+            os.close(lock)  # its former owner has removed the file since
         except BlockingIOError:
             holder = os.read(lock, 32).decode(errors="replace").strip() or "unknown"
             os.close(lock)
@@ -172,7 +172,7 @@ def _old_of(final: Path) -> Path:
 
 
 def _swap_in(final: Path) -> None:
-    """Rename draft to final, and remove what was there before."""
+    """Rename draft to final, and remove the previous folder."""
     old = _old_of(final)
     if final.exists():
         if old.exists():

@@ -78,7 +78,7 @@ def _recording(folder: Path) -> Path:
 
 
 def _world(scenario: Any) -> Scene | None:
-    """The world of a simulated run; one that is gone costs a warning."""
+    """Load the world of a simulated run; a missing file gives a warning."""
     from ullage.experiments.simulated import load_world
 
     try:
@@ -100,7 +100,7 @@ def write_foxglove(folder: Path) -> Path:
 
 
 def topics_in(recording: Path) -> list[str]:
-    """The topics of an MCAP file, in order.
+    """Return the topics of an MCAP file in order.
 
     Raises:
         InputError: it cannot be read, or has no index.
@@ -119,7 +119,7 @@ def topics_in(recording: Path) -> list[str]:
 
 
 def foxglove_layout(topics: Sequence[str]) -> dict[str, Any]:
-    """Lay out the world in three dimensions, beside it the image and the range of the nearest echo of each radar.
+    """Arrange the world in three dimensions next to the image and the range of each radar's nearest echo.
 
     Args:
         topics: of the recording; only these are named.
@@ -144,7 +144,7 @@ def foxglove_layout(topics: Sequence[str]) -> dict[str, Any]:
 
 
 def _style(topic: str) -> dict[str, Any]:
-    """How a topic is drawn in three dimensions; nothing for one that is not."""
+    """Return how a topic is drawn in three dimensions; empty if it is not."""
     last = topic.rpartition("/")[2]
     points = {"visible": True, "colorField": "intensity", "colorMode": "colormap", "colorMap": "turbo"}
     if topic == "/map":

@@ -25,23 +25,23 @@ FINISHED = ("complete", "interrupted")
 
 
 def draft_of(final: Path) -> Path:
-    """Where a run is written until it is complete."""
+    """Return the folder of a run until it is complete."""
     return final.with_name(f".{final.name}.draft")
 
 
 def final_of(folder: Path) -> Path:
-    """The final place of a run, from that or from its draft."""
+    """Return the final place of a run, from that or from its draft."""
     name = folder.name
     return folder.with_name(name[1:-6]) if name.startswith(".") and name.endswith(".draft") else folder
 
 
 def lock_of(final: Path) -> Path:
-    """The file that a process locks while it writes a run."""
+    """Return the file that a process locks while it writes a run."""
     return final.with_name(f".{final.name}.lock")
 
 
 def state_of(folder: Path) -> State:
-    """How far a run came, from its provenance.json and from whether a process still writes it."""
+    """Return the state of a run, from its provenance.json and from the lock of a process that writes it."""
     try:
         about = read_json(folder / "provenance.json")
     except InputError:
@@ -58,7 +58,7 @@ def state_of(folder: Path) -> State:
 
 
 def describe(folder: Path) -> str:
-    """The state of a run in a few words, with the reason or the process where it is known."""
+    """Describe the state of a run in a few words, with the reason or the process if known."""
     state = state_of(folder)
     if state in FINISHED:
         return state
@@ -91,7 +91,7 @@ def find_folder(text: str | Path) -> Path:
     """A run folder by path, by name under runs/, or "latest"; an unfinished run is found by its final name too.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no such run.
     """
     places = (Path(text), RUNS / str(text))
     for place in (*places, *(draft_of(p) for p in places if p.name)):
@@ -130,7 +130,7 @@ def read_json(path: Path) -> Any:
 
 
 def provenance() -> dict[str, Any]:
-    """What made the run: versions, machine, command, time."""
+    """Return the origin of a run: versions, machine, command, time."""
     from importlib.metadata import version
 
     import ullage

@@ -86,7 +86,7 @@ class Step:
 
 @dataclass(slots=True, eq=False)
 class GuardedFlight:
-    """What came of a flight in closed loop."""
+    """Result of a flight in closed loop."""
 
     flown: Trajectory  # body, true, one sample a frame
     believed: Trajectory
@@ -113,7 +113,7 @@ def warn_of(flight: GuardedFlight) -> None:
 
 
 def _folds(flight: GuardedFlight) -> str:
-    """What to change where the world is longer than the radars' unambiguous range; nothing elsewhere."""
+    """Advise a change if the world is longer than the radars' unambiguous range; else return nothing."""
     some = next(iter(flight.frames[-1].values()), None)
     if some is None or some.simulated is None:
         return ""
@@ -217,7 +217,7 @@ class Loop:
         return {name: work.frames(name, job.result(), truth, believed=believed) for name, job in jobs.items()}
 
     def _sectors(self, stage: ObstacleStage, chunk: dict[str, Frames], t_ns: int) -> ObstacleSectors:
-        """The obstacles after these frames; the stage never gets the truth."""
+        """Return the obstacles after these frames; the stage never gets the truth."""
         known = {name: replace(part, truth=None, simulated=None) for name, part in chunk.items()}
         heard = self.receive(known) if self.receive is not None else known
         return list(stage.update(heard))[-1] if heard else stage.sectors(t_ns)
@@ -241,7 +241,7 @@ def _pose(vehicle: Steered) -> Trajectory:
 
 
 def _wish(velocity: Floats, heading_rad: float, believed: Trajectory) -> Wish:
-    """A velocity in the world as a request in the level frame of the believed heading."""
+    """Convert a velocity in the world to a request in the horizontal frame of the estimated heading."""
     x, y, z, w = believed.quat_xyzw[0]
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     forward = math.cos(yaw) * velocity[0] + math.sin(yaw) * velocity[1]

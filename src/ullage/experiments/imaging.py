@@ -1,4 +1,4 @@
-"""Which plane or volume a run images, whether targets lie there, and what is said about it."""
+"""Choose the plane or volume that a run images, and warn of targets off it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _OFF_M, _ALIKE_M = 0.2, 0.5  # how far from the plane that is; spread of reflect
 
 @dataclass(frozen=True, slots=True)
 class ImagePlane:
-    """Where an image is made, and why there."""
+    """Place of an image and its reason."""
 
     grid: Grid
     reason: str
 
     @property
     def text(self) -> str:
-        """The height or heights in words, for a figure or a report."""
+        """Height or heights in words, for a figure or a report."""
         if self.grid.dims == 3:
             half = self.grid.step_m / 2
             low, high = self.grid.z_m[0] - half, self.grid.z_m[-1] + half
@@ -61,10 +61,10 @@ def image_plane(
 
 
 def plane_findings(image: Image, frames: Mapping[str, Frames], *, marks: Floats | None = None) -> str:
-    """Warn where targets lie off the imaged plane; say what the track can tell about heights.
+    """Warn of targets off the imaged plane; report what the track reveals about heights.
 
     Args:
-        image: what was imaged; of a volume nothing is said.
+        image: the image; a volume gives no report.
         frames: of every sensor of the image, by name.
         marks: (m, 3) surveyed reflectors [m].
     """

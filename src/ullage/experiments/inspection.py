@@ -1,4 +1,4 @@
-"""What a map shows of each object: mapped, partly mapped, missed; for metrics and reports only."""
+"""Compare a map with each object: mapped, partly mapped, missed; for metrics and reports only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OBSERVED_FROM = 3
 
 @dataclass(frozen=True, slots=True)
 class ObjectOnMap:
-    """One object in sight of the flight, and how much of it the map shows."""
+    """Object in sight of the flight, with the share of it that the map shows."""
 
     name: str
     state: State
@@ -37,8 +37,8 @@ def inspect(omap: OccupancyMap, scene: Scene, frames: Mapping[str, Frames]) -> l
 
     Args:
         omap: the map.
-        scene: what was truly there.
-        frames: what the map was made from; their true poses say what was in sight.
+        scene: the true world.
+        frames: the input of the map; their true poses give the surfaces in sight.
 
     Returns:
         Each object with surface on the grid and in sight of the flight, in the scene's order.

@@ -27,7 +27,7 @@ FIELDS = (
 
 @dataclass(slots=True)
 class _Summary:
-    """What one radar found so far."""
+    """Distances of one radar so far."""
 
     times: int = 0
     seen: int = 0  # times with an obstacle
@@ -88,11 +88,11 @@ class ObstacleTable:
         return [f"{t_s:.3f}", name, *numbers, tracks, item.fault[k]]
 
     def lines(self) -> list[str]:
-        """One sentence a radar."""
+        """Return one sentence for each radar."""
         return [_sentence(name, one) for name, one in self._found.items()]
 
     def metrics(self) -> list[Metric]:
-        """The nearest obstacle of all, and the share of distances that are unknown."""
+        """Return the nearest obstacle, and the share of unknown distances."""
         parts = list(self._found.values())
         if not parts:
             return []

@@ -65,7 +65,7 @@ class RangeTime:
 
 @dataclass(slots=True)
 class SampledFrames:
-    """Every n-th frame of every sensor, at most `most` of each: enough to know what was seen from where."""
+    """Keep every n-th frame of each sensor, at most `most` of each: enough to find the surfaces in sight."""
 
     most: int = 400
     _stride: dict[str, int] = field(default_factory=dict)

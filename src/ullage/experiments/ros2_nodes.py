@@ -49,7 +49,7 @@ class Resumed:
     rest: Iterator[dict[str, Frames]]
 
     def stream(self) -> Iterator[dict[str, Frames]]:
-        """Every piece, once."""
+        """Give every chunk once."""
         yield self.first
         yield from self.rest
 
@@ -100,7 +100,7 @@ def map_frames(source: Any, peer: Peer, options: Spec) -> None:
 
 
 def open_radars(peer: Peer, options: Any, log: Callable[[str], None]) -> Any:
-    """Radars on whatever moves."""
+    """Radars on any moving body."""
     from ullage.ports.ros2.cosimulation import Ros2Radars
 
     return Ros2Radars("", options, log=log, peer=peer)
@@ -172,7 +172,7 @@ class Work:
 
 
 def make_node(name: str) -> Any:
-    """The managed node of this name.
+    """Return the managed node of this name.
 
     Raises:
         MissingExtra: there is no rclpy.
@@ -183,7 +183,7 @@ def make_node(name: str) -> Any:
     fine, refused = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
     class Managed(LifecycleNode):  # type: ignore[misc]
-        """Does its work while it is active; after deactivation, configure anew."""
+        """Managed node that works while it is active; configure it again after deactivation."""
 
         def __init__(self) -> None:
             super().__init__(name)
@@ -222,7 +222,7 @@ def declare(node: Any, kind: type[NodeOptions]) -> None:
 
 
 def read(node: Any, kind: type[NodeOptions]) -> Any:
-    """The options that the parameters tell.
+    """Read the options from the parameters.
 
     Raises:
         InputError: one is of no use.
@@ -233,7 +233,7 @@ def read(node: Any, kind: type[NodeOptions]) -> Any:
 
 
 def main(name: str, words: list[str] | None = None) -> int:
-    """Run a node until it is told to end.
+    """Run a node until it is asked to end.
 
     Args:
         name: of `NODES`.

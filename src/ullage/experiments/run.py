@@ -1,4 +1,4 @@
-"""One run: what it reads, makes and knows while it is under way, and what it gave when it is finished."""
+"""State of a run while it goes on, and its report when it is finished."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class Compared:
 
     @property
     def line(self) -> str:
-        """The comparison in one line."""
+        """Comparison in one line."""
         return f"{self.name} on the same flight: F1 {self.metrics['f1'].value:.3f}"
 
 
 @dataclass(slots=True)
 class Run:
-    """A run under way: what it reads, makes and knows."""
+    """Run in progress: its source, stages and settings."""
 
     folder: Path  # a draft until the run is complete
     scenario: Scenario
@@ -47,8 +47,8 @@ class Run:
     flown: Trajectory | None = None
     marks: Floats | None = None  # surveyed places of reflectors (m, 3) [m], for the pictures only
     settled: bool = False  # whether these settled clock and range
-    live: bool = False  # `flown` is then the first pose, and the rest is learned on the way
-    watched: bool = False  # a viewer or a live port takes what comes, so images are given as they grow
+    live: bool = False  # `flown` is then the first pose, and later poses follow during the run
+    watched: bool = False  # a viewer or a live port is attached, so growing images are sent too
     tasks: tuple[Task, ...] = ("detect", "image", "map")
     detect: DetectStage = field(default_factory=DetectStage)
     range_time: RangeTime = field(default_factory=RangeTime)
@@ -59,16 +59,16 @@ class Run:
     plane: ImagePlane | None = None
     map: MapStage | None = None
     obstacles: ObstacleTable | None = None
-    findings: list[str] = field(default_factory=list)  # what the report says in words
+    findings: list[str] = field(default_factory=list)  # sentences of the report
     timing: dict[str, float] = field(default_factory=dict)
     draft: Draft | None = None  # that folder, if it is one to be swapped in
-    sinks: list[Sink] = field(default_factory=list)  # those that were asked for, open
+    sinks: list[Sink] = field(default_factory=list)  # requested sinks, open
     rival: Callable[[], Compared] | None = None  # runs another method on the same flight
     objects: list[ObjectOnMap] = field(default_factory=list)  # what the map shows of each, where the world is known
 
     @property
     def title(self) -> str:
-        """What stands above its figures."""
+        """Title of its figures."""
         return self.scenario.title or self.scenario.name
 
     def discard(self) -> None:
@@ -81,7 +81,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a finished run gave."""
+    """Results of a finished run."""
 
     folder: Path
     outcome: Outcome
@@ -92,7 +92,7 @@ class Report:
 
 
 def of_scenario(folder: Path | Draft, simulated: Simulated) -> Run:
-    """A run of a simulated scenario, into a plain folder or a draft."""
+    """Make the run of a simulated scenario, in a plain folder or a draft."""
     scenario = simulated.scenario
     run = Run(Path(), scenario, simulated, simulated.scene, simulated.flown, tasks=scenario.do)
     return into(run, folder)

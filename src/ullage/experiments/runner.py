@@ -54,8 +54,8 @@ def execute(
 
     Args:
         job: what to run.
-        sinks: beside the folder's own recording.
-        progress: told the seconds of recording done.
+        sinks: besides the folder's own recording.
+        progress: called with the seconds of recording done.
         log: called with each step in a few words.
         draw: figures too; without them the report holds numbers only.
         under_way: kernels that are still being compiled; maps and images wait for theirs.
@@ -135,7 +135,7 @@ def _finish(job: Run, outcome: Outcome, origin: Mapping[str, object], log: Log |
 
 
 def _compared(job: Run, outcome: Outcome, log: Log | None) -> Compared | None:
-    """Run the other method on the whole flight, if one was asked for."""
+    """Run the other method on the whole flight, if requested."""
     if job.rival is None or outcome.interrupted:
         return None
     if log is not None:
@@ -144,7 +144,7 @@ def _compared(job: Run, outcome: Outcome, log: Log | None) -> Compared | None:
 
 
 def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
-    """What the report says first, as plain values."""
+    """Return the summary of the report as plain values."""
     other = {} if compared is None else {
         "compared": {"name": compared.name, "scenario": compared.scenario, "metrics": metric_tree(compared.metrics)}
     }  # fmt: skip
@@ -152,13 +152,13 @@ def _findings(job: Run, compared: Compared | None) -> dict[str, Any]:
 
 
 def _keep_what_came(job: Run, origin: Mapping[str, object], error: BaseException) -> None:
-    """Mark a run that was cut short as unfinished, with the reason; without any frames its folder goes."""
+    """Mark an interrupted run as unfinished, with the reason; remove its folder if it has no frames."""
     if not job.sampled.received:  # nothing is lost
         job.discard()
         return
     stopped = isinstance(error, KeyboardInterrupt)
     reason = str(error) if isinstance(error, UllageError) else "ended" if stopped else type(error).__name__
-    with suppress(UllageError):  # a full disk: the folder keeps its mark of a run under way, and no process holds it
+    with suppress(UllageError):  # a full disk: the folder keeps its mark of a run in progress, without a lock
         frames = {"frames": Metric("frames", job.sampled.received)}
         if not (job.folder / "metrics.json").exists():
             write_json(job.folder / "metrics.json", metric_tree(frames))
@@ -176,14 +176,14 @@ class Patient:
     log: Log
 
     def update(self, chunk: dict[str, Frames]) -> Iterable[Any]:
-        """What the stage makes of this piece."""
+        """Return the stage's results for this chunk."""
         if self.under_way.later:
             self.under_way.wait_later()
             self.log("receiving and mapping")
         return self.stage.update(chunk)
 
     def finish(self) -> Iterable[Any]:
-        """What the stage has left."""
+        """Return the stage's remaining results."""
         return self.stage.finish()
 
 
@@ -227,17 +227,17 @@ def _stages(job: Run) -> list[Stage]:
 
 
 def _seen_path(sampled: SampledFrames) -> Trajectory | None:
-    """The way of the first sensor that knew where it was."""
+    """Return the path of the first sensor with known poses."""
     return next((frames.poses for frames in sampled.frames().values() if frames.poses is not None), None)
 
 
 def _height(job: Run) -> float:
-    """The height of plans and planes: that at which the drone spent half its time above."""
+    """Return the median height of the flight, for plans and planes [m]."""
     return 0.0 if job.flown is None else float(np.median(job.flown.position[:, 2]))
 
 
 def _bounds(job: Run) -> np.ndarray:
-    """The box of world and flight, or what the flight could see of an unknown world."""
+    """Return the box of world and flight, or of the part of an unknown world in range of the flight."""
     if job.scene is not None and job.flown is not None:
         boxes = [job.scene.bounds, np.stack([job.flown.position.min(0), job.flown.position.max(0)])]
         return _in_range(job.source, job.flown, np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]]))
@@ -250,7 +250,7 @@ def _bounds(job: Run) -> np.ndarray:
 
 
 def _in_range(source: Source, flown: Trajectory, box: Floats) -> Floats:
-    """The part of a box that radars of a simulated flight reach: a large world needs no map of the rest."""
+    """Return the part of a box in range of a simulated flight's radars: a large world needs no map of the rest."""
     if not isinstance(source, Simulated):
         return box
     reach = max(float(spec.range_m[-1]) for spec in source.rig.sensors.values())
@@ -297,7 +297,7 @@ def _calibrated(job: Run) -> Frames | None:
 
 
 def _place(image: Image) -> list[Metric]:
-    """Where one radar's image holds its brightest thing: the hyperbola's apex of a summation, else the peak."""
+    """Return the place of the brightest target in one radar's image: the apex of a summation, else the peak."""
     from ullage.processing.summation import apex
 
     name, point = ("apex", apex(image)) if image.method == "summation" else ("peak", image.peak_m)
@@ -375,7 +375,7 @@ def _snapshot(path: Path, frames: list[Frames], index: int, job: Run) -> Path:
 
 
 def _explained(path: Path, name: str, frames: Frames, index: int, job: Run) -> Path:
-    """Where the echoes of one frame came from."""
+    """Return the origins of the echoes of one frame."""
     from ullage.radar.explain import explain
     from ullage.view.explain_figure import explain_figure
 

@@ -1,6 +1,6 @@
 """One sample of a training set: a random world, a flight through it, what four radars receive, and the truth.
 
-Sample k is drawn from the data set's seed and k alone, so it is the same whatever came before and wherever it is made.
+Sample k is drawn from the data set's seed and k alone, so it does not depend on earlier samples or on the machine.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 GROUPS = {"tuning": TUNING, "testing": TESTING, "all": KINDS}
 SEEDS = 2**31
 MOST_NOISE_M, MOST_DRIFT_M = 0.005, 0.05  # of the believed positions: white noise and slow drift
-THERMAL = (0.5, 2.0)  # thermal noise of the receivers, beside the measured one
+THERMAL = (0.5, 2.0)  # thermal noise of the receivers, besides the measured one
 
 
 @dataclass(frozen=True, slots=True)
 class SampleSpec:
-    """What the samples of a data set are made of; together with k it decides everything of sample k.
+    """Settings of a data set; together with k they determine sample k.
 
     Raises:
         InputError: a value is not allowed.
@@ -65,7 +65,7 @@ class SampleSpec:
 
     @classmethod
     def of(cls, words: Sequence[str], *, seed: int, frames: int, bounces: Sequence[int]) -> SampleSpec:
-        """Check what somebody asks for: kinds, groups of kinds ("tuning", "testing", "all") and world files.
+        """Check a request: kinds, groups of kinds ("tuning", "testing", "all") and world files.
 
         Raises:
             InputError: a word is none of them, or a value is not allowed.
@@ -87,7 +87,7 @@ class SampleSpec:
 
 
 class Axes(NamedTuple):
-    """What one array of a sample looks like."""
+    """Shape and type of one array of a sample."""
 
     shape: tuple[int, ...]
     names: tuple[str, ...]
@@ -97,7 +97,7 @@ class Axes(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """What is drawn for one sample before anything is simulated."""
+    """Random draws of one sample, before any simulation."""
 
     kind: str
     scene: Scene
@@ -223,7 +223,7 @@ def _echoes(scene: Scene, frames: dict[str, Frames], bounces: int) -> dict[str, 
 
 
 def layout(spec: SampleSpec) -> dict[str, Axes]:
-    """What each array of one sample looks like."""
+    """Return shape and type of each array of a sample."""
     bins, f, s, nan = len(RadarSpec.preset("x4m05").range_m), spec.frames, len(SENSORS), float("nan")
     track = {
         f"{name}_{what}": Axes((f, n), ("frame", axis), "f8", nan)

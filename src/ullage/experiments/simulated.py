@@ -27,10 +27,10 @@ class Simulated:
     flown: Trajectory  # body, true, one sample a frame
     believed: Trajectory
     rig: Rig
-    received: tuple[dict[str, Frames], ...] = ()  # of a flight in closed loop, which needs its frames on the way
+    received: tuple[dict[str, Frames], ...] = ()  # of a flight in closed loop, which needs its frames during the flight
 
     def stream(self) -> Iterator[dict[str, Frames]]:
-        """What each radar receives, piece by piece."""
+        """Give the frames of each radar, chunk by chunk."""
         if self.received:
             for start in range(0, len(self.received), PIECE):
                 yield gathered(self.received[start : start + PIECE])
@@ -55,7 +55,7 @@ def prepare(scenario: Scenario, *, scene: Scene | None = None, progress: Progres
     Args:
         scenario: the settings.
         scene: its world, if it is loaded already.
-        progress: told the share of the flight done, 0 to 1.
+        progress: called with the share of the flight done, 0 to 1.
 
     Raises:
         InputError: the world, the flight or the radars cannot be used.
@@ -83,7 +83,7 @@ def _guarded(scenario: Scenario, scene: Scene, rig: Rig, *, rate_hz: float, prog
 
 
 def radars_and_world(scenario: Scenario, scene: Scene | None = None) -> tuple[Rig, Scene]:
-    """The radars of a scenario and its world; a model of the world that carries the radars is taken out of it.
+    """Return a scenario's radars and its world, without the model that carries the radars.
 
     Args:
         scenario: the settings.
@@ -165,10 +165,10 @@ def _hovering(flown: Trajectory, hover_s: float, rate_hz: float) -> Trajectory:
 
 
 def waypoints_of(flight: FlightSpec, world: WorldSpec, scene: Scene) -> tuple[tuple[float, ...], ...]:
-    """The flight's own waypoints, or those its library world suggests, or a tour of the world's free space.
+    """Return the flight's waypoints, those of its library world, or a tour of the world's free space.
 
     Raises:
-        InputError: there are none, and the world leaves no room to fly.
+        InputError: there are none, and the world has no space to fly.
     """
     from ullage.flight.tour import tour
     from ullage.world.library import WORLDS

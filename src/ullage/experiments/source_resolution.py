@@ -29,7 +29,7 @@ from ullage.world.scene import Scene
 if TYPE_CHECKING:
     from ullage.ports.by_hand import Controls
 
-VEHICLE_M = 0.3  # assumed radius of what carries a real radar, where no setting says it [m]
+VEHICLE_M = 0.3  # assumed radius of a real radar's carrier, without a setting [m]
 CONTRADICTION = 3.0  # standard deviations between the floor's echo and a calibrated range axis
 FLOOR_CLOCK_S = 0.2  # sigma of the first clock offset where the range is calibrated again [s]
 
@@ -47,16 +47,16 @@ def make_run(
 ) -> Run:
     """Get a run ready: read the scenario and fly it, or open the recording.
 
-    Then open the sinks and make a draft folder. Whatever can be refused is refused before that.
+    Then open the sinks and make a draft folder. All checks come before that.
 
     Args:
         target: scenario name, scenario.yaml, world by name or file, recording, or live port.
-        tasks: what to do with the frames; None: what the scenario says, or what the recording allows.
+        tasks: what to do with the frames; None: those of the scenario, or all that the recording allows.
         options: `a.b=value` over the scenario.
         out: where run folders are made; None: ./runs.
         force: run again where the folder exists.
         progress: called with the share of the preparation done.
-        log: called with what was found.
+        log: called with lines for the user.
         to: sinks beside the run's own files; see `ullage.sink`.
 
     Raises:
@@ -85,7 +85,7 @@ def make_run(
 
 
 def is_world(target: str) -> bool:
-    """Whether a target is a world: a file by its suffix, or a shipped one that no scenario shares its name with."""
+    """Return whether a target is a world: a file by its suffix, or a shipped one without a scenario of its name."""
     from ullage.world.library import WORLDS
     from ullage.world.load import KINDS
 
@@ -95,7 +95,7 @@ def is_world(target: str) -> bool:
 def simulated_scenario(
     target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = ()
 ) -> Scenario | None:
-    """The scenario of what is simulated: a shipped one, a YAML file, or the defaults in a world; None: something else.
+    """Return the scenario to simulate: a shipped one, a YAML file, or the defaults in a world; None: not simulated.
 
     Args:
         target: what `ullage run` is given.
@@ -120,7 +120,7 @@ def simulated_scenario(
 def _with_flight(
     scenario: Scenario, target: str, options: Sequence[str], log: Callable[[str], None]
 ) -> tuple[Scenario, Scene]:
-    """A world's default flight, planned and reported, and the world; radars that it declares are used."""
+    """Plan and report a world's default flight; return its scenario and the world, with the radars it declares."""
     from ullage.experiments.simulated import load_world, radars_and_world, waypoints_of
 
     scene = load_world(scenario.world)
@@ -141,7 +141,7 @@ def run_name(text: str) -> str:
 
 
 def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False) -> Run:
-    """Open the sinks of a run and make its draft folder; where one is refused, what was opened is closed again."""
+    """Open the sinks of a run and make its draft folder; if one fails, close the others."""
     name, digest = run.scenario.name, run.scenario.digest
     with ExitStack() as opened:
         if hasattr(run.source, "close"):
@@ -167,7 +167,7 @@ def check_options(options: Sequence[str]) -> None:
 
 
 def tasks_of(text: str | None) -> tuple[Task, ...] | None:
-    """The tasks of text such as `detect,map`; None where nothing was asked for.
+    """Parse tasks such as `detect,map`; None if there is no text.
 
     Raises:
         InputError: there is no such task.
@@ -181,7 +181,7 @@ def tasks_of(text: str | None) -> tuple[Task, ...] | None:
 
 
 def record(run: Run) -> Sink:
-    """Open the recording in a run's folder, and give every sink the world; where that fails, the run's folder goes.
+    """Open the recording in a run's folder and give every sink the world; on failure remove the run's folder.
 
     Raises:
         InputError: the disk is full or the folder cannot be written.
@@ -267,7 +267,7 @@ def _of_live(
     options: Sequence[str],
     log: Callable[[str], None],
 ) -> Run:
-    """Listen until the first frames come: they show which radars there are and where the map belongs.
+    """Wait for the first frames, which show the radars and the place of the map.
 
     Where nothing is to be made of frames, none are waited for: a port may have only messages to pass on.
     """
@@ -284,20 +284,20 @@ def _of_live(
 
 
 def _of_now(kind: str) -> str:
-    """The name of a run that nobody named."""
+    """Return the name of a run without one."""
     return f"{kind}-{datetime.now(UTC):%Y%m%d-%H%M%S}"
 
 
 def _begun(
     source: Any, place: str, tasks: tuple[Task, ...] | None, plan: Callable[[tuple[Task, ...]], Scenario]
 ) -> Run:
-    """A run of a live source, once its first frames have come.
+    """Make the run of a live source after its first frames have come.
 
     Args:
         source: closed here where it gives nothing.
         place: for messages.
         tasks: what to do with the frames; none: nothing, and no frames are waited for; None: what they allow.
-        plan: gives the scenario for what is to be done.
+        plan: returns the scenario for the tasks.
     """
     try:
         wait = tasks != ()
@@ -315,7 +315,7 @@ def _begun(
 
 
 def flight_scenario(target: str, *, tasks: tuple[Task, ...] | None = None, options: Sequence[str] = ()) -> Scenario:
-    """The scenario of a flight by hand: one by name or file, or the defaults in a world by name or file.
+    """Return the scenario of a flight by hand: one by name or file, or the defaults in a world.
 
     Args:
         target: world name, world file, scenario name, or scenario.yaml; a scenario goes before a world of its name.
@@ -357,7 +357,7 @@ def make_flight(
         to: sinks beside the run's own files.
 
     Raises:
-        InputError: the world, the start, a sink, or whatever gives commands cannot be used.
+        InputError: the world, the start, a sink, or the source of commands cannot be used.
     """
     from ullage.experiments.simulated import radars_and_world, waypoints_of
     from ullage.ports.by_hand import FlyOptions, HandFlownSource
@@ -382,7 +382,7 @@ def make_flight(
 
 
 def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Controls:
-    """What gives commands."""
+    """Source of commands."""
     from ullage.ports.keyboard import HELP, Keyboard
 
     if by == "keys":
@@ -400,7 +400,7 @@ def _controls(by: str, scenario: Scenario, log: Callable[[str], None]) -> Contro
 def _on_one_clock(
     source: Any, report: Callable[[str], None], floor_z_m: float | None, places: Floats | None
 ) -> dict[str, Frames]:
-    """The frames with the radar's clock and zero range found against the track; what was found is reported."""
+    """Calibrate the radar's clock and zero range against the track, and report the result."""
     from ullage.data import sensors_of
 
     report("finding clock and range offsets")

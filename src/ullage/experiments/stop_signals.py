@@ -27,7 +27,7 @@ def stop_as_ctrl_c() -> Iterator[None]:
 
 
 def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
-    """Call what handles Ctrl-C at this moment, so that whoever defers it (a record half written) defers this too."""
+    """Call the current handler of Ctrl-C, so that code that defers it (a half-written record) defers this too."""
     handler = signal.getsignal(signal.SIGINT)
     if callable(handler):
         handler(number, frame)

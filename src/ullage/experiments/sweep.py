@@ -36,22 +36,22 @@ class Point:
 
     @property
     def name(self) -> str:
-        """The folder's name."""
+        """Name of the folder."""
         return self.folder.name
 
     @property
     def title(self) -> str:
-        """What is special about it."""
+        """Settings that differ from the other runs."""
         return " ".join([*(f"{key}={value}" for key, value in self.settings), f"seed={self.seed}"])
 
     @property
     def done(self) -> bool:
-        """Whether it ran to its end."""
+        """Whether it is complete."""
         return state_of(self.folder) == "complete"
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """What it gave."""
+        """Metrics of the run."""
         return {name: metric["value"] for name, metric in read_json(self.folder / "metrics.json").items()}
 
     def do(self, log: Callable[[str], None]) -> None:
@@ -78,7 +78,7 @@ class Sweep:
 
     @property
     def done(self) -> tuple[Point, ...]:
-        """The runs that are there."""
+        """Existing runs."""
         return tuple(point for point in self.points if point.done)
 
     def summary(self, metric: str) -> dict[Settings, tuple[int, float, float]]:
@@ -120,7 +120,7 @@ def axis_of(text: str) -> tuple[str, list[str]]:
 def plan(
     scenario: str, over: Mapping[str, Sequence[str]], *, seeds: int = 1, options: Sequence[str] = (), out: Path
 ) -> list[Point]:
-    """Every run of a sweep, each checked; nothing is run.
+    """Return all runs of a sweep after checks, without running them.
 
     Args:
         scenario: name or file.
@@ -153,14 +153,14 @@ def sweep(
     report_progress: Report = lambda *_: None,
     again: bool = False,
 ) -> Sweep:
-    """Run what is not there yet, several at a time, and write `sweep.csv`, a row for each run or for why it failed.
+    """Run the missing runs, several at a time, and write `sweep.csv` with a row for each run or its failure.
 
     Args:
         points: from `plan`.
         out: folder of the table.
         where: number of worker processes here, or address of a Dask scheduler whose workers see the same folders.
-        report_progress: called with the number done and what goes on.
-        again: run again what is there; each old run lives until its new one is complete.
+        report_progress: called with the number of finished runs and the current work.
+        again: repeat existing runs; each old run stays until its new one is complete.
 
     Raises:
         UllageError: the cluster is gone; the table holds the runs that were finished.

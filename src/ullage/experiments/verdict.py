@@ -1,4 +1,4 @@
-"""What a run on a recording shows, in sentences and as metrics: for people who did not fly it."""
+"""Summarise a run on a recording in sentences and metrics, for readers who did not fly it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def verdict(
     *,
     settled: bool = False,
 ) -> tuple[list[str], list[Metric]]:
-    """Say how certain the offsets are, what reflects coherently, and whether the map agrees with what is known.
+    """Describe the certainty of the offsets, coherent reflectors, and the map's agreement with known objects.
 
     Args:
         frames: calibrated, of one sensor.
@@ -60,7 +60,7 @@ def verdict(
 
 
 def _on_path(frames: Frames, omap: OccupancyMap, scatterers: Sequence[Scatterer], metrics: list[Metric]) -> list[str]:
-    """Say how near to the flown path something is occupied.
+    """Describe how near occupied cells are to the flown path.
 
     A plane shows scatterers of every height, so those of known height count in three dimensions.
     """

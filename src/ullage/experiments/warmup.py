@@ -34,11 +34,11 @@ LATER = ("elfes", "ullage", "likelihood", "backprojection")
 
 
 def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
-    """The parts of `NEEDED` that a scenario runs.
+    """Return the parts of `NEEDED` that a scenario runs.
 
     Args:
-        scenario: what is to be run.
-        scene: its world, for what the physical radar needs there; None: whatever there may be.
+        scenario: to run.
+        scene: its world, to find the parts that the physical radar needs; None: all parts.
     """
     parts = [scenario.flight.vehicle, *radar_parts(scenario.sensing.fidelity, scenario.sensing.max_bounces, scene)]
     parts += [scenario.map.method] if "map" in scenario.do else []
@@ -62,7 +62,7 @@ def begin(parts: Iterable[str], *, log: Log | None = None, work: Compiling | Non
 
     Args:
         parts: keys of `NEEDED`.
-        log: called with what is being compiled.
+        log: called with the part being compiled.
         work: one whose other process has started, as `ahead` gives it.
 
     Returns:
@@ -84,7 +84,7 @@ def ahead() -> Compiling:
 
 
 def compile_kernels(parts: Iterable[str] = tuple(NEEDED), *, log: Log | None = None) -> None:
-    """As `begin`, but all that these parts need is compiled when it returns."""
+    """Compile all kernels of these parts before returning, unlike `begin`."""
     wanted = set(parts)
     Compiling([job for job in JOBS if job.part in wanted], module=__name__, log=log).wait()
 
@@ -108,7 +108,7 @@ def _map(method: MapMethod) -> None:
 
 
 def _join_legs() -> None:
-    """What a volume does once several straight legs have heard a wall."""
+    """Run the kernels that a volume needs after several straight segments have detected a wall."""
     from ullage.processing.mapper_legs import LEAST_ECHOES, Legs
     from ullage.processing.mapper_tracks import Traced
 

@@ -1,4 +1,4 @@
-"""One frame explained: its profile with the strongest echoes marked, and a plan of where they came from."""
+"""Draw one frame's profile with its strongest echoes marked, and a plan of their origins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures for a report: axes with units, a colour bar, the true walls drawn over what was found."""
+"""Draw figures for a report: axes with units, a colour bar, and true walls over the results."""
 
 from __future__ import annotations
 

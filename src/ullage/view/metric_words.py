@@ -1,4 +1,4 @@
-"""What the metrics of a run mean: groups in the order of a report, and a definition of each metric."""
+"""Definitions of the metrics of a run, in groups in the order of a report."""
 
 from __future__ import annotations
 

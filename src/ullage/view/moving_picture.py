@@ -100,7 +100,7 @@ class _Camera:
 
     @classmethod
     def around(cls, points: Floats, shape: tuple[int, int]) -> _Camera:
-        """Look at points (n, 3) from outside and above, as near as all of them fit."""
+        """Place the camera outside and above points (n, 3), as near as all of them fit."""
         low, high = points.min(axis=0), points.max(axis=0)
         back = AWAY / np.linalg.norm(AWAY)
         right = np.cross([0.0, 0, 1], back)
@@ -142,7 +142,7 @@ class _Solid:
 
 
 class _Show:
-    """A replay as pictures: what stands still is cast once, what changes in each."""
+    """Render a replay as pictures: static parts once, moving parts in each."""
 
     def __init__(self, tree: Mapping[str, Any], width_px: int) -> None:
         self._tree, self._width = tree, width_px
@@ -183,7 +183,7 @@ class _Show:
         return self._framed(world, number, t)
 
     def _shine(self, radar: _Radar, number: int, color: Colors, depth: Floats) -> None:
-        """Blend one beam over the picture, where nothing stands before it."""
+        """Blend one beam over the picture where no surface hides it."""
         corners = radar.beam(number)
         rows, columns = self._camera.shape
         spot = self._camera.pixels(corners.reshape(-1, 3))
@@ -282,7 +282,7 @@ class _Map:
         return np.asarray((centers[:, None, None] + vertices[faces][None]).reshape(-1, 3, 3))
 
     def lay_over(self, color: Colors, depth: Floats) -> None:
-        """Blend free and ambiguous cells over the picture, where nothing stands before them."""
+        """Blend free and ambiguous cells over the picture where no surface hides them."""
         seen = self._reach[self._pixels] < depth[self._pixels]
         state = self._cells[self._under]
         for kind, (shade, alpha) in CELLS.items():

@@ -1,4 +1,4 @@
-"""What was removed as each radar's own echo, as a figure for a report."""
+"""Draw the part of each radar's signal removed as its own echo, for a report."""
 
 from __future__ import annotations
 

@@ -20,18 +20,18 @@ PLAIN_EVERY_S = 5.0
 
 
 def log(text: str, *, mark: str = "", style: str = "") -> None:
-    """One line, as it is: brackets in a name are no markup.
+    """Log one line verbatim: brackets in a name are not markup.
 
     Args:
         text: the line.
-        mark: what stands before it.
+        mark: prefix of the line.
         style: of the mark.
     """
     console.print(Text.assemble((mark, style), text))
 
 
 def log_report(page: Path) -> None:
-    """Where a report is, to be clicked on in terminals that can."""
+    """Print the path of a report, as a link in terminals that support it."""
     console.print(Text.assemble("report: ", (str(page), f"link {page.resolve().as_uri()}")))
 
 
@@ -57,7 +57,7 @@ class ProgressBar:
     first: tuple[float, float] | None = None  # amount that was done before, and when [s]
 
     def __call__(self, done: float) -> None:
-        """Tell how much is done, in the bar's unit."""
+        """Report the amount done, in the bar's unit."""
         forecast = self._forecast(done) if self.rated else ""
         self.bar.update(self.task, completed=done, forecast=forecast)
         if not console.is_terminal and time.monotonic() - self.last_s > PLAIN_EVERY_S:
@@ -77,12 +77,12 @@ class ProgressBar:
         return f"{60 * rate:.3g} {self.unit}/min, {left_s} left"
 
     def retitle(self, text: str) -> None:
-        """Change what the bar says it is doing, as often as one likes."""
+        """Change the bar's title, as often as needed."""
         self.title = text
         self.bar.update(self.task, description=text)
 
     def log(self, text: str) -> None:
-        """The same, in a line of its own where there is no terminal."""
+        """Do the same, in a separate line without a terminal."""
         self.retitle(text)
         if not console.is_terminal:
             log(text)
@@ -93,7 +93,7 @@ def progress_bar(title: str, *, total: float | None, unit: str = "", rated: bool
     """A progress bar for one job; call what it yields with the amount done.
 
     Args:
-        title: what is done.
+        title: of the job.
         total: amount in all.
         unit: of the amounts.
         rated: show the rate since the first call, and the remaining time at that rate; for jobs with few long steps.

@@ -1,4 +1,4 @@
-"""One figure that sets the simulated receiver beside a real recording of a radar that stands still."""
+"""Draw the simulated receiver next to a real recording of a radar at rest."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def draw_receiver(still: Frames, path: Path, *, counts: tuple[int, int] = (4, 1)
 
     Args:
         still: frames of a radar at rest, in the sensor's normalised units.
-        path: where the figure goes (.png, .svg or .pdf).
+        path: of the figure (.png, .svg or .pdf).
         counts: iterations and pulses per step of the recording.
         quiet_from: bin from which on there is hardly more than noise.
 

@@ -1,4 +1,4 @@
-"""What the report and the moving picture replay: world, flight, profiles, map over time, image, explained frames.
+"""Data of a replay in the report and the moving picture: world, flight, profiles, maps, image, explained frames.
 
 All of it is one JSON file, compressed, beside the run's other files: `replay.json.gz`. Arrays are little-endian numbers
 in base64, `{"type": "f4", "shape": [n, 3], "data": "..."}`. Positions are in metres and in the world frame, times in
@@ -51,7 +51,7 @@ class MapHistory:
     _now_ns: int = 0
 
     def write(self, item: Any) -> None:
-        """Keep a map if it is due; frames tell the time."""
+        """Keep a map if it is due by the frames' times."""
         if isinstance(item, Mapping):
             self._now_ns = max([self._now_ns, *(int(part.t_ns[-1]) for part in item.values())])
         if not isinstance(item, OccupancyMap):
@@ -84,7 +84,7 @@ class Explained:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a run has to replay; all but the frames may be absent."""
+    """Parts of a run to replay; all but the frames may be absent."""
 
     title: str
     frames: Mapping[str, Frames]

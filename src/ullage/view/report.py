@@ -35,7 +35,7 @@ UNSAFE = 0.01
 
 
 def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) -> Path:
-    """Write `report.html` from what lies in a run folder; an unfinished run gives what it has.
+    """Write `report.html` from the files of a run folder, also of an unfinished run.
 
     Args:
         folder: of the run.
@@ -75,7 +75,7 @@ def write_report(folder: Path, *, origin: Mapping[str, object] | None = None) ->
 
 
 def verdict_lines(folder: Path, findings: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Say in plain sentences what was mapped and what was missed; what is bad is marked."""
+    """Describe in sentences what was mapped and missed, with bad results marked."""
     out = _mapped(findings.get("objects", []), metrics)
     if (declared := _value(metrics, "surface_declared_free")) is not None:
         unsafe = declared > UNSAFE
@@ -90,7 +90,7 @@ def verdict_lines(folder: Path, findings: Mapping[str, Any], metrics: Mapping[st
 
 
 def _mapped(objects: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) -> list[dict[str, str]]:
-    """What of the surface and of the objects is on the map."""
+    """Describe the shares of surface and objects on the map."""
     out = []
     recall, precision, f1 = (_value(metrics, name) for name in ("recall", "precision", "f1"))
     if recall is not None and precision is not None and f1 is not None:

@@ -1,4 +1,4 @@
-"""What a radar at rest tells of itself: its standing echoes and direct path, its noise, and how bins share it."""
+"""Draw the properties of a radar at rest: standing echoes, direct path, noise and its correlation over bins."""
 
 from __future__ import annotations
 

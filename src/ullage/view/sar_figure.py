@@ -27,7 +27,7 @@ def sar_figure(
 
     Args:
         image: an image on a plane.
-        path: where to write the picture; the suffix says the format.
+        path: of the picture; the suffix gives the format.
         track: the sensor's path.
         truth_m: (k, 3) true places [m]; the first is drawn again, enlarged.
         title: over the picture.

@@ -24,7 +24,7 @@ class WindowSink:
     """Draws amplitude over range of each radar's newest frame, at most ten times a second.
 
     Args:
-        figure: to draw into; None: a window of its own.
+        figure: to draw into; None: a new window.
 
     Raises:
         InputError: there is no display.
@@ -91,7 +91,7 @@ def check_display() -> None:
     for backend in BACKENDS:
         try:
             plt.switch_backend(backend)
-        except Exception:  # whatever a toolkit raises that is missing or finds no display
+        except Exception:  # a toolkit that is missing or finds no display can raise any error
             continue
         return
     raise InputError(

@@ -1,7 +1,7 @@
 """Pictures of worlds: a cutaway seen from a corner, with true hiding, and a plan in metres with the flight in it.
 
-The picture is cast ray by ray, so that nothing is drawn in the wrong order; what stands between the eye and the inside
-(near walls, roof) is left out by starting the rays behind it.
+The picture is cast ray by ray, so that nothing is drawn in the wrong order. Rays start behind the surfaces between
+the eye and the inside (near walls, roof).
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def world_picture(
         scene: what to draw.
         path: PNG file to write, or None.
         elevation_deg: height of the eye over the horizon [deg].
-        azimuth_deg: where the eye stands, seen from the middle; 0 is +x, 90 is +y [deg].
+        azimuth_deg: direction of the eye from the middle; 0 is +x, 90 is +y [deg].
         cut_height_m: what lies above is left out [m]; None: nothing is.
         cut_side_m: what lies this near to the sides that face the eye is left out, along x and y [m]; 0: nothing.
         plan_height_m: height of the plan's section [m]; None: a third of the way up.
@@ -159,7 +159,7 @@ class _Eye:
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
     def origins(self) -> Floats:
-        """Where the rays of all pixels start (h w, 3), top row first."""
+        """Origins of the rays of all pixels (h w, 3), top row first."""
         rows, columns = self.shape
         u = self.extent[0] + (np.arange(columns) + 0.5) * self.pixel
         v = self.extent[3] - (np.arange(rows) + 0.5) * self.pixel
@@ -179,7 +179,7 @@ def _inside(box: Floats, toward: Floats, side_m: float | tuple[float, float]) ->
 
 
 class _Paint:
-    """The scene as rays see it: what is clear and what is not, and the colour of each face and wire."""
+    """Scene for ray casting: transparent and opaque parts, and the colour of each face and wire."""
 
     def __init__(self, scene: Scene, colors: Sequence[str] | None) -> None:
         from matplotlib.colors import to_rgb
@@ -231,7 +231,7 @@ class _Paint:
 
 
 def _openness(caster: Raycaster, point: Floats, normal: Floats, *, reach_m: float = 1.5) -> Floats:
-    """How free each point is of things near it, 0 to 1: corners come out darker."""
+    """Return each point's distance from near surfaces as 0 to 1, so that corners are darker."""
     turn = np.arange(20) * 2.39996  # a sunflower over the half sphere
     z = np.sqrt((np.arange(20) + 0.5) / 20)
     local = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
@@ -246,7 +246,7 @@ def _openness(caster: Raycaster, point: Floats, normal: Floats, *, reach_m: floa
 
 
 def _edges(depth: Floats, pixel: float) -> Bools:
-    """Where the depth jumps or the surface bends, from second differences."""
+    """Find depth jumps and bends of the surface from second differences."""
     far = np.nan_to_num(depth, posinf=1e4)
     out = np.zeros(depth.shape, bool)
     for axis in (0, 1):
@@ -272,7 +272,7 @@ def _draw_view(axes: Any, paint: _Paint, eye: _Eye, keep: list[tuple[Floats, flo
 
 
 def _draw_route(axes: Any, eye: _Eye, depth: Floats, route: Floats) -> None:
-    """The flight as a line, faint where something stands before it."""
+    """Draw the flight as a line, faint where a surface hides it."""
     fine = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(route)])
     spot = eye.project(fine)
     axes.plot(*spot.T, color=PATH_COLOR, lw=1.0, alpha=0.35)
@@ -291,7 +291,7 @@ def _draw_wires(axes: Any, eye: _Eye, depth: Floats, wires: Wires, keep: list[tu
 
 
 def _hidden(eye: _Eye, depth: Floats, points: Floats) -> Bools:
-    """Whether something stands between the eye and each point (n, 3)."""
+    """Return whether a surface hides each point (n, 3) from the eye."""
     spot = eye.project(points)
     column = np.clip(((spot[:, 0] - eye.extent[0]) / eye.pixel).astype(int), 0, eye.shape[1] - 1)
     row = np.clip(((eye.extent[3] - spot[:, 1]) / eye.pixel).astype(int), 0, eye.shape[0] - 1)
