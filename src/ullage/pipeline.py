@@ -1,4 +1,4 @@
-"""The one loop: a source gives frames in pieces, stages make things of them, sinks take everything.
+"""Main loop: a source gives frames in chunks, stages process them, and sinks take all results.
 
 Simulated, recorded and live frames come through here alike, piece by piece, so memory stays flat however long it runs.
 """
@@ -58,14 +58,14 @@ class Stage(Protocol):
     """Anything that makes something of frames; it sees each piece once."""
 
     def update(self, chunk: Chunk) -> Iterable[Any]:
-        """What this piece gave: Detections, OccupancyMap, Image; or nothing yet."""
+        """Return the results of this chunk: Detections, OccupancyMap, Image; or none yet."""
 
     def finish(self) -> Iterable[Any]:
-        """What is left to give when the frames have ended."""
+        """Return the remaining results after the last frames."""
 
 
 class Sink(Protocol):
-    """Anything that takes what flows: a recording, map files, a viewer, a live port."""
+    """Receiver of frames and results: a recording, map files, a viewer, a live port."""
 
     def write(self, item: Any) -> None:
         """Take one item; what a sink has no place for, it passes over."""
@@ -76,7 +76,7 @@ class Sink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run gave."""
+    """Results of a run."""
 
     frames: int  # of all sensors
     duration_s: float  # covered by the frames, by their own clock, without gaps as where a clock stepped
@@ -102,7 +102,7 @@ class _Count:
 
 
 def sink(target: str | Path, **options: Any) -> PortSink:
-    """Somewhere for what flows to go: a viewer, a recording or a map file, by the kind of name.
+    """Open a sink for frames and results: a viewer, a recording or a map file, by the kind of name.
 
     Args:
         target: `viewer:` for a window, `viewer:web` for a page that browsers open, `viewer:FILE.rrd` to look at it
@@ -130,7 +130,7 @@ def sink(target: str | Path, **options: Any) -> PortSink:
 
 
 def _viewer(target: str | Path, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """The place and options of `viewer:PLACE?key=value`."""
+    """Return place and options of `viewer:PLACE?key=value`."""
     from ullage.ports.live import Address
 
     address = Address.of(target, **options)
@@ -174,8 +174,8 @@ def run(
 
     Args:
         source: gives the frames; or frames in memory, of one sensor or a dict of several.
-        stages: see every piece in turn; what they return goes to the sinks.
-        sinks: take frames and results; closed at the end, whatever happens.
+        stages: process every chunk in turn; their results go to the sinks.
+        sinks: take frames and results; closed at the end in every case.
         progress: called with the seconds of recording done so far, after each piece.
 
     Returns:
@@ -241,7 +241,7 @@ class Due:
     _next_ns: int | None = None
 
     def reached(self, now_ns: int) -> bool:
-        """Whether it is due now, by the clock of the frames; after a step of the clock it starts anew."""
+        """Return whether it is due now, by the clock of the frames; a step of the clock restarts the interval."""
         period_ns, next_ns = round(self.every_s * 1e9), self._next_ns
         if next_ns is not None and next_ns - period_ns <= now_ns < next_ns:
             return False
@@ -308,7 +308,7 @@ class MapStage:
     _due: Due | None = None
 
     def update(self, chunk: Chunk) -> Iterable[OccupancyMap]:
-        """The map so far, once per `every_s` of recording."""
+        """Return the map so far, once per `every_s` of recording."""
         from ullage.processing.occupancy import Mapper
 
         if self.own_echo is not None:
@@ -346,7 +346,7 @@ class MapStage:
         return {name: chunk[name][row] for name, row in inside.items() if row.any()}
 
     def finish(self) -> Iterable[OccupancyMap]:
-        """The final map."""
+        """Return the final map."""
         if self._mapper is None:
             return ()
         self._mapper.finish()
@@ -455,7 +455,7 @@ class ImageStage:
                 self._early.merge(name, self._since.pop(name))
 
     def finish(self) -> Iterable[Image]:
-        """The image."""
+        """Return the image."""
         for name in list(self._held):
             self._release(name)
         for name in list(self._backlog):

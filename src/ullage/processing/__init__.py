@@ -1,1 +1,1 @@
-"""What the frames tell, blind to how they were made."""
+"""Detections, images and maps from frames of any origin."""

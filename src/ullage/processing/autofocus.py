@@ -1,4 +1,4 @@
-"""Poses corrected by the image they make: least entropy, held back by what is known of the navigation's errors."""
+"""Correct poses by minimum image entropy, with a prior from the navigation's errors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def autofocus(
         drift_m: sigma of the smooth error [m]; 0: none.
         knot_s: time between the spline's knots [s].
         patches: how many bright patches to use.
-        rounds: how often the echoes are read anew at the corrected ranges.
+        rounds: number of times that echoes are read again at the corrected ranges.
 
     Raises:
         InputError: no poses, no phase, or a prior out of bounds.

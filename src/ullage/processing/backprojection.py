@@ -65,15 +65,15 @@ def oversampled(samples: NDArray[np.complex64], factor: int, *, reach: int = 6) 
 
 
 def oversampling(spec: RadarSpec, bin_m: float) -> int:
-    """How much finer the profile must be for linear interpolation to err by less than -50 dB."""
+    """Return the upsampling of the profile that keeps the error of linear interpolation below -50 dB."""
     return max(1, math.ceil(bin_m / (C0 / (2 * spec.bandwidth_hz) / 16) - 1e-6))
 
 
 class Backprojector:
-    """Adds frames to an image as they come; memory is the grid's, whatever the length of the flight.
+    """Add frames to an image as they come; memory depends on the grid only, not on the length of the flight.
 
     Args:
-        grid: where to look; a plane without a height takes that of the first frames' sensors.
+        grid: of the image; a plane without a height takes that of the first frames' sensors.
         antenna: weigh each cell with the two-way pattern and leave cells out of the beam alone.
         min_weight: the pattern under which a cell is out of the beam.
         threads: 0 takes every core.
@@ -135,7 +135,7 @@ class Backprojector:
         self._weight += other._weight
 
     def copy(self) -> Self:
-        """A sum that goes on from here by itself."""
+        """Copy the sum, to continue independently."""
         other = copy(self)
         other._sums = self._sums.copy()
         return other
@@ -158,7 +158,7 @@ class Backprojector:
 
     @property
     def values(self) -> NDArray[np.complex64]:
-        """The complex image so far: an echo of amplitude 1 that every frame saw on boresight has the value 1."""
+        """Return the complex image so far: an echo of amplitude 1 on boresight in every frame has the value 1."""
         flat = (self._sums[:, 0] + 1j * self._sums[:, 1]) / np.float32(max(self._weight, 1e-30))
         return np.asarray(flat.reshape(self.grid.shape), np.complex64)
 
@@ -178,5 +178,5 @@ class Backprojector:
         return np.asarray(out.reshape(self.grid.shape), np.float32)
 
     def image(self) -> Image:
-        """The image so far, with its coherence."""
+        """Return the image so far with its coherence."""
         return Image(self.grid, self.values, self.coherence, "backprojection")

@@ -1,6 +1,6 @@
-"""Every kind of samples as complex baseband, and how much of it is noise.
+"""Convert all kinds of samples to complex baseband, and estimate their noise.
 
-An echo of delay tau has phase -2 pi f_c tau at its bin, whatever the sensor's output was.
+An echo of delay tau has phase -2 pi f_c tau at its bin for every sensor output.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ DISPERSION = 20.0  # of the motion likelihood, until it has been estimated
 POINT_DISPERSION = 5.0  # of the points' likelihood: side lobes and noise of neighbouring positions depend on each other
 LEVER_ARM_SIGMA_M = 0.05
 RATE_SIGMA = 5e-5  # of the radar's clock rate
-SURVEY_S = 0.15  # search for surveyed places around the clock that motion says [s]
+SURVEY_S = 0.15  # search for surveyed places around the clock offset from motion [s]
 LEAST_PER_SAMPLE = 1.2  # the same per independent sample, on tracks so long that chance finds more
 CLOCK_HALF_S, RANGE_STEP_M, REDRAWN_M = 0.08, 0.06, 0.2
 TAIL, TAIL_M = 1e-5, 0.5  # share and width of the range prior's tail: cables get exchanged
@@ -84,7 +84,7 @@ def calibrate(
     Args:
         frames: one radar's frames, or several by name (each is calibrated for itself), with `track` or `poses`.
         guess: prior: (clock offset, sigma) [s], or these and (range offset, sigma) [m], or a Calibration.
-        t_span_s: search clock offsets of at most this, of either sign [s]; None: wherever track and frames overlap.
+        t_span_s: search clock offsets of at most this, of either sign [s]; None: all at which track and frames overlap.
         range_span_m: search range offsets of at most this, positive or negative [m].
         reflectors: (r, 3) surveyed places of reflectors, world [m]; these alone then settle clock and range.
         lever_arm_sigma_m: how far the antenna may be from the tracked point, one sigma of each axis [m].
@@ -154,14 +154,14 @@ def _places(reflectors: ArrayLike) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """What is known of the offsets before."""
+    """Prior of the offsets."""
 
     t_s: float | None
     t_sigma_s: float
     range_m: float
     range_sigma_m: float  # infinite: unknown
     span_m: float
-    lever_sigma_m: float = 0.0  # of the antenna's place along the line of sight, which focus cannot tell from range
+    lever_sigma_m: float = 0.0  # of the antenna's place along the line of sight, which focus cannot separate from range
 
     @classmethod
     def of(cls, guess: Guess | None, frames: Frames, span_m: float) -> _Prior:
@@ -449,7 +449,7 @@ def _judged(focus: PointFocus, found: Bundle, prior: _Prior, precision: float) -
 
 
 def _surveyed(focus: PointFocus, mode_s: float, prior: _Prior, places: Floats) -> _Focus:
-    """The posterior from places that are known: all offsets near the mode are tried, then those near the best."""
+    """Return the posterior from known places: try all offsets near the mode, then those near the best."""
     clocks, ranges = mode_s + SURVEY_S * np.linspace(-1, 1, 41), prior.ranges()
     for _ in range(3):
         each = np.array([focus.brightness(places, float(t), ranges) for t in clocks])  # (clocks, ranges, places)

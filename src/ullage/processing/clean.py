@@ -1,4 +1,4 @@
-"""What is not of interest taken out of frames: background, direct path, the floor's echo, common phase noise."""
+"""Remove unwanted parts of frames: background, direct path, the floor's echo, common phase noise."""
 
 from __future__ import annotations
 

@@ -77,8 +77,8 @@ def detect(
         frames: one sensor's frames, or several by name.
         method: "first_peak" takes the first local maximum over the threshold, as the thesis does; "peaks" all of
             them; "cfar" and "os-cfar" all that exceed a threshold found from the bins around; "clean" takes the
-            strongest echo, subtracts the pulse it would have made, and looks again; "track" adds the power of the
-            frames around along the hyperbolas that things at rest draw, which shows wires no single frame does.
+            strongest echo, subtracts its pulse, and repeats; "track" adds the power of the
+            neighbouring frames along the hyperbolas of objects at rest, which shows wires that no single frame does.
         threshold: amplitude in the frames' unit. None: the level that the mapper uses (`processing.echoes`), 0.038 for
             the thesis' amplitudes. Not used by CFAR and track.
         min_range_m: nothing nearer is an object [m]; None: 0.45 m where the sensor leaks, 0.2 m for the thesis'
@@ -193,7 +193,7 @@ def roc(
     gate_m: float = 0.15,
     thresholds: ArrayLike | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """How often an object at a known range is found, against how often a bin without one alarms.
+    """Measure the detection rate of an object at a known range against the false alarm rate per bin.
 
     Args:
         frames_with: frames of a scene with the object.

@@ -184,7 +184,7 @@ def _linked(rows: Floats) -> Longs:
 
 
 def _is_flat(t_s: Floats, direction: Floats) -> bool:
-    """Whether the bearing of a run of echoes stays the same; that of a pole or a corner turns with the motion."""
+    """Return whether the bearing of a run of echoes is constant; that of a pole or a corner changes with motion."""
     if len(t_s) < LEAST_KEYFRAMES:
         return False
     angle = np.unwrap(np.arctan2(direction[:, 1], direction[:, 0]))

@@ -231,7 +231,7 @@ class WallFit:
         return slope
 
     def _split(self, miss: Floats) -> None:
-        """Give each run of echoes that misses its wall a new wall; then start all walls anew."""
+        """Give each run of echoes that misses its wall a new wall; then estimate all walls again."""
         count = int(self._wall.max()) + 1
         for track in np.unique(self._echoes.track):
             mine = self._echoes.track == track

@@ -17,7 +17,7 @@ LEAST_SCORE = 5.0  # standard deviations of the best offset over chance
 
 @dataclass(frozen=True, slots=True)
 class FloorEcho:
-    """Where the floor's echo lies."""
+    """Range of the floor's echo."""
 
     long_m: float  # range read minus height over the floor [m]
     sigma_m: float

@@ -25,13 +25,13 @@ from ullage.processing.obstacles import ObstacleSectors
 
 State = Literal["free", "limited", "stop", "back_off"]
 
-_LEAST_SPEED_M_S = 0.1  # below it, a closing speed says nothing about a bearing
+_LEAST_SPEED_M_S = 0.1  # below it, a closing speed gives no bearing
 _STOPPED_M_S = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limit:
-    """What the guard lets through."""
+    """Velocity that the guard allows."""
 
     velocity: Floats  # (3) in the world [m/s]
     state: State
@@ -60,7 +60,7 @@ class Guard:
         self._commands: deque[tuple[int, Floats]] = deque()  # time and velocity in the world of those that may act
 
     def limit(self, wanted: ArrayLike, sectors: ObstacleSectors, odometry: Trajectory | None) -> Limit:
-        """The velocity to fly now.
+        """Return the velocity to fly now.
 
         Args:
             wanted: velocity (3) in the world [m/s].
@@ -135,14 +135,14 @@ class Guard:
         return float(shares[worst]), int(table.sensor[worst]), float(table.approach.free_m[worst])
 
     def _recovered(self, speed: float, t_ns: int) -> float:
-        """The limit falls at once and grows slowly."""
+        """Lower the limit at once and raise it slowly."""
         step_s = 0.0 if self._last_ns is None else max(t_ns - self._last_ns, 0) * 1e-9
         self._last_ns = t_ns
         self._speed = min(speed, self._speed + self.spec.recovery_m_s2 * step_s)
         return self._speed
 
     def _back_off(self, own: Floats, sectors: ObstacleSectors, table: _Table) -> Floats | None:
-        """A velocity in the body that leaves an obstacle well inside the margin; None: not needed, or no room."""
+        """Return a velocity in the body away from an obstacle well inside the margin; None: not needed, or no space."""
         if not self.spec.back_off_m_s:
             return None
         near = (table.approach.free_m < -self.spec.back_off_share * self.spec.margin_m) & ~table.outside
@@ -172,12 +172,12 @@ class _Table:
         )
 
     def nearer_by(self, length_m: float) -> _Table:
-        """The same with less room."""
+        """Return the state with less space."""
         return replace(self, approach=replace(self.approach, free_m=self.approach.free_m - length_m))
 
 
 def _covered(want: Floats, sectors: ObstacleSectors) -> bool:
-    """Whether a working radar has the level part of a velocity in its main lobe; so it is for a vertical one."""
+    """Return whether a working radar has a velocity's horizontal part in its main lobe; true for a vertical one."""
     if math.hypot(want[0], want[1]) < 1e-3:
         return True
     return bool((sectors.covers(math.atan2(want[1], want[0])) & sectors.valid).any())
@@ -186,7 +186,7 @@ def _covered(want: Floats, sectors: ObstacleSectors) -> bool:
 def _closing(want: Floats, own: Floats, sectors: ObstacleSectors, table: _Table) -> Floats:
     """Greatest speed (m) at which a velocity in the body can close on each track.
 
-    Two bounds hold for a thing at rest at bearing u, and the smaller one counts. The main lobe bounds want . u by its
+    Two bounds hold for an object at rest at bearing u, and the smaller one counts. The main lobe bounds want . u by its
     edge nearest to the velocity. The present velocity v closes at c = v . u, which gives the part of want along v;
     the part across it closes at its full size at most.
     """

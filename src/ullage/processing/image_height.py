@@ -1,4 +1,4 @@
-"""At which height the surroundings of an image's brightest point focus best, as far as the track can say."""
+"""Find the height at which the surroundings of an image's brightest point focus best."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from ullage.grids import Grid, Image
 from ullage.processing.backprojection import Backprojector
 from ullage.processing.sar import frame_weights
 
-_REACH_M, _STEP_M = 2.4, 0.16  # heights tried, either way [m]
+_REACH_M, _STEP_M = 2.4, 0.16  # largest height offset tried, of either sign [m]
 _WINDOW_M, _CELL_M = 2.1, 0.03  # side and cells of the planes tried [m]
 _MOST_FRAMES, _AROUND_M = 160, 2.0  # used for them; as much farther than the nearest frame they may be [m]
-_FLAT_DB = 1.5  # a focus that loses less at most other heights tells no height
+_FLAT_DB = 1.5  # a focus that loses less at most other heights gives no height
 
 
 @dataclass(frozen=True, slots=True)
 class FocusHeight:
-    """How the focus around an image's brightest point changes with the height of the plane."""
+    """Focus around an image's brightest point against the height of the plane."""
 
     point_m: Floats  # (3) brightest point of the plane, steady ones first [m]
     best_m: Floats  # (3) brightest point over all heights tried [m]
     gain_db: float  # amplitude gained there over the plane [dB]
-    resolved: bool  # False: the track is too straight to tell heights apart
+    resolved: bool  # False: the track is too straight to separate heights
 
 
 def focus_height(frames: Frames, image: Image) -> FocusHeight:
@@ -52,7 +52,7 @@ def focus_height(frames: Frames, image: Image) -> FocusHeight:
 
 
 def _nearest(frames: Frames, point: Floats) -> Frames:
-    """The frames nearest to a point, evenly thinned."""
+    """Return the frames nearest to a point, evenly thinned."""
     away = np.linalg.norm(frames.believed.position - point, axis=1)
     near = np.flatnonzero(away < away.min() + _AROUND_M)
     return frames[near[:: max(1, -(-len(near) // _MOST_FRAMES))]]

@@ -55,7 +55,7 @@ class ImageSum:
             self._last_m[name] = other._last_m[name]
 
     def begin(self, name: str, position_m: Floats) -> None:
-        """Say where a sensor (3) was before its first frames, so that these weigh by the distance from there."""
+        """Set the place of a sensor (3) before its first frames, so that these have weights by distance from it."""
         self._last_m[name] = position_m
 
     def merge(self, name: str, other: Self) -> None:
@@ -67,7 +67,7 @@ class ImageSum:
             self._last_m[name] = other._last_m[name]
 
     def image(self) -> Image | None:
-        """The image so far; None: no frames came."""
+        """Return the image so far; None: no frames came."""
         if self._amplitudes:
             return Image(self.grid, np.sum(list(self._amplitudes.values()), axis=0), None, "summation")
         images = [summing.image() for summing in self._sums.values()]

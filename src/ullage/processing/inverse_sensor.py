@@ -1,4 +1,4 @@
-"""What a flat wall's echo can be through a sensor's antenna: how strong, and from which directions."""
+"""Level and possible directions of a flat wall's echo through a sensor's antenna."""
 
 from __future__ import annotations
 

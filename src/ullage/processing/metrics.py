@@ -1,4 +1,4 @@
-"""One evaluator for maps, whatever made them: against the scene they were flown in."""
+"""Evaluate maps of any method against the true scene."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class _Scored:
 def map_quality(
     omap: OccupancyMap, scene: Scene, frames: Recording, *, match_m: float = MATCH_M, min_looks: int = 3
 ) -> dict[str, Metric]:
-    """How true a map is, at its own fixed thresholds.
+    """Score a map at its own fixed thresholds.
 
     Surface counts as observable when at least `min_looks` looks (5 cm or 4 deg apart) had it in the antenna's 3 dB beam
     (65 deg for the X4), in range, in line of sight and, where it is smooth, within 10 deg of its normal (75 deg for the
@@ -65,8 +65,8 @@ def map_quality(
 
     Args:
         omap: the map.
-        scene: what was truly there.
-        frames: what the map was made from; their `truth` (else their poses) says what could be seen.
+        scene: the true world.
+        frames: the input of the map; their `truth` (else their poses) gives the surfaces in view.
         match_m: an occupied cell and a surface point this near count as the same [m].
         min_looks: looks that make a point observable.
 
@@ -175,7 +175,7 @@ def _shares(judged: _Scored) -> list[Metric]:
 
 
 def _flyable(judged: _Scored) -> list[Metric]:
-    """How much of the space that a drone can use is on the map, and how much of what the map offers it cannot use.
+    """Measure the share of usable space that the map shows as free, and the share of its free space that is unusable.
 
     The ball about a cell's centre must not touch a cell that is not free, nor what lies off the grid.
     """
@@ -263,7 +263,7 @@ def _small_objects(judged: _Scored, scene: Scene, within: float) -> list[Metric]
 
 
 def hover_change(before: OccupancyMap, after: OccupancyMap, scene: Scene, frames: Recording) -> dict[str, Metric]:
-    """What standing still did to a map: both maps scored on the same frames, later minus earlier."""
+    """Measure the effect of hovering on a map: scores of both maps on the same frames, later minus earlier."""
     first, second = (map_quality(m, scene, frames) for m in (before, after))
     names = ("f1", "surface_declared_free", "false_occupied")
     return {f"hover_{n}": Metric(f"hover_{n}", second[n].value - first[n].value, second[n].unit) for n in names}

@@ -1,4 +1,4 @@
-"""How sharp and clean an image is: widths, side lobes, place."""
+"""Measure the sharpness of an image: widths, side lobes, place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def image_quality(image: Image, *, target_m: ArrayLike | None = None, search_m: 
     Args:
         image: any image of two dimensions or the brightest slice of three.
         target_m: true place (3) [m]; the brightest point within `search_m` of it is measured, and its error.
-        search_m: how far from the target to look [m].
+        search_m: radius of the search around the target [m].
 
     Returns:
         width_x_3db, width_y_3db, width_x_6db, width_y_6db [m]; pslr and islr of the cut along x and y [dB];

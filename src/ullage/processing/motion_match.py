@@ -19,7 +19,7 @@ from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
 from ullage.processing.baseband import to_baseband
 
-BANDS = 4  # of range, each with directions of its own
+BANDS = 4  # of range, each with its own directions
 DIRECTIONS = 160
 LAGS = (1, 2, 4, 8, 16)  # frames before each one that predict it
 LAG_S = 0.02  # least spacing of these frames [s]
@@ -44,8 +44,8 @@ class MotionMatch:
     """The likelihood of clock offsets over one fixed set of frames.
 
     Args:
-        frames: of one radar, with a clock of its own.
-        track: world_from_sensor in the clock that is asked for.
+        frames: of one radar, with its own clock.
+        track: world_from_sensor in the wanted clock.
     """
 
     def __init__(self, frames: Frames, track: Trajectory) -> None:

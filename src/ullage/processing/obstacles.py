@@ -2,9 +2,9 @@
 
 Detections come from CFAR [Rohling1983] after the radar's own echo is removed. A Kalman filter follows each echo in
 range (`processing.range_tracks`). A radar measures no bearing, so an obstacle bounds the whole sector of its main
-lobe. Ego-motion tells the floor and side lobes apart: they do not close as fast as things in the main lobe must.
-Distances hold for the time asked for: between the frames of a sensor, its tracks move on at their closing speeds.
-A sensor that is silent, or repeats one frame, has an unknown distance: whoever steers has to stop.
+lobe. Ego-motion separates floor and side lobes: they do not close as fast as objects in the main lobe must.
+Distances hold for the requested time: between the frames of a sensor, its tracks move on at their closing speeds.
+A sensor that is silent, or repeats one frame, has an unknown distance: the pilot has to stop.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class ObstacleSectors:
 
 @dataclass(slots=True)
 class _Sensor:
-    """What is known of one radar."""
+    """State of one radar."""
 
     spec: RadarSpec
     tracker: RangeTracker
@@ -173,7 +173,7 @@ class ObstacleStage:
         return ()
 
     def sectors(self, t_ns: int) -> ObstacleSectors:
-        """What is known at a time, also when no frame has come [ns]."""
+        """Return the obstacles at a time, also when no frame has come [ns]."""
         parts = list(self._sensors.values())
         stale = np.array([s.fresh_ns is None or t_ns - s.fresh_ns > self.stale_s * 1e9 for s in parts], bool)
         fault = tuple(s.fault or ("no new frame" if late else "") for s, late in zip(parts, stale, strict=True))
@@ -208,7 +208,7 @@ class ObstacleStage:
             self._step(self._sensors[name], chunk[name], row, hits, slice(edges[row], edges[row + 1]))
             if index + 1 == len(events) or events[index + 1][0] != t_ns:
                 yield self.sectors(t_ns)
-        self._learn(chunk)  # whoever steers has its distances by now
+        self._learn(chunk)  # the pilot has its distances by now
 
     def _without_own_echo(self, chunk: Mapping[str, Frames]) -> Mapping[str, Frames]:
         if self.own_echo is None:

@@ -22,19 +22,19 @@ METHODS: Mapping[str, tuple[str, str]] = {
 
 
 class StreamingMapper(Protocol):
-    """What every mapper does."""
+    """Interface of every mapper."""
 
     def update(self, frames: Recording) -> None:
         """Add frames."""
 
     def map(self) -> OccupancyMap:
-        """The map so far."""
+        """Return the map so far."""
 
     def changed(self) -> Changes:
-        """The blocks in which the map differs from that of the last call."""
+        """Return the blocks that changed since the last call."""
 
     def finish(self) -> None:
-        """Use what was held back for lack of a successor."""
+        """Use the frames that waited for a successor."""
 
 
 def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMapper:  # noqa: N802
@@ -71,7 +71,7 @@ def map_occupancy(
     scatterer_pfa: float = PFA,
     **options: Any,
 ) -> OccupancyMap:
-    """The occupancy map that a recording gives.
+    """Map the occupancy from a recording.
 
     Args:
         frames: one sensor's, or several by name; sensors may differ in settings and rate.

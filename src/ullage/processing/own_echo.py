@@ -22,11 +22,11 @@ from ullage.processing.echoes import BLIND_M
 
 _PLACE = 0.25  # side of a place in wavelengths: frames of one place count once
 _LEAST_FRAMES = 3  # fewer have no statistics
-_LEAST_PLACES = 8  # fewer places say nothing about what moves with the track
+_LEAST_PLACES = 8  # fewer places cannot show what moves with the track
 _MOST_FRAMES = 600  # used for one estimate
 _ROUNDS, _REFINEMENTS = 12, 2  # of the robust mean; of the gains
 _STEADY = 5.0  # bins whose own echo exceeds its variation by this factor give the gain of a frame
-_SEPARABLE = 0.95  # a wall's mean phasor above which it and the own echo are not told apart
+_SEPARABLE = 0.95  # a wall's mean phasor above which it is not separable from the own echo
 _EXPLAINED = 0.5  # share of what remains that a wall must explain before it is held against the own echo
 _OVER_NOISE = 12.0  # of a mean's power over that of the noise left in it
 _MARGIN = 1.3  # on the steadiness that a wall may have
@@ -35,7 +35,7 @@ _LARGEST_CHANGE = 0.3  # of a frame's gain; a larger one is not believed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnEcho:
-    """What was estimated as one radar's own echo, and how well the track separates it from the world."""
+    """Estimate of one radar's own echo, and how well the track separates it from the world."""
 
     sensor: str
     range_m: Floats  # (b) [m]
@@ -135,7 +135,7 @@ class OwnEchoFilter:
             self._kept.setdefault(name, _Places()).add(part, self._most)
 
     def removed_from(self, chunk: Mapping[str, Frames]) -> dict[str, Frames]:
-        """Remove what is known of the own echo by now from sensors that were learned from."""
+        """Remove the present estimate of the own echo from sensors that have one."""
         for name in chunk:
             if self.is_due(name):
                 self.renew(name)

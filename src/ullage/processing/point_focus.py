@@ -45,7 +45,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Where to look for a scatterer: as the radar measured it, whatever the offsets."""
+    """Start of the search for a scatterer: as measured by the radar, independent of the offsets."""
 
     ray: Floats  # (3) direction from the track, world
     bin_m: float  # range on the frames' own axis [m]
@@ -68,7 +68,7 @@ class PointFocus:
     Args:
         frames: of one radar.
         track: world_from_sensor in its own clock.
-        offset_s: clock offset that is nearly right: it says which frames stand still.
+        offset_s: approximate clock offset, which selects the frames at rest.
     """
 
     def __init__(self, frames: Frames, track: Trajectory, offset_s: float) -> None:
@@ -304,7 +304,7 @@ class PointFocus:
         return out
 
     def _same(self, one: Point, other: Point, path: Floats) -> bool:
-        """Whether two places explain the same echo."""
+        """Return whether two places explain the same echo."""
         weight = one.amplitude * self.weight * (other.amplitude > 0)
         if not weight.any():
             return False

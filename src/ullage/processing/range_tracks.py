@@ -20,7 +20,7 @@ from ullage.arrays import Floats
 from ullage.specs import Spec
 
 _UNDECIDED, _OUTSIDE, _MOST_EVIDENCE = 0, 4, 6  # frames that contradict the main lobe
-_LEAST_SPEED_M_S = 0.1  # below it, ego-motion says nothing about a bearing
+_LEAST_SPEED_M_S = 0.1  # below it, ego-motion gives no bearing
 
 
 class TrackerSpec(Spec):
@@ -41,7 +41,7 @@ class TrackerSpec(Spec):
 
 @dataclass(slots=True)
 class Track:
-    """One echo followed in range."""
+    """Track of one echo in range."""
 
     number: int
     range_m: float
@@ -64,7 +64,7 @@ class Track:
         return -self.rate_m_s
 
     def after(self, time_s: float, noise: float) -> Track:
-        """The track a time later, without a new frame.
+        """Predict the track at a later time, without a new frame.
 
         Args:
             time_s: since its last frame [s].
@@ -84,20 +84,20 @@ class Track:
 
     @property
     def outside(self) -> bool:
-        """Whether ego-motion shows that a thing at rest lies outside the main lobe: floor, ceiling, side lobes."""
+        """Return whether ego-motion shows an object at rest outside the main lobe: floor, ceiling, side lobes."""
         return self.evidence >= _OUTSIDE
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What odometry knows of a sensor at one time."""
+    """Odometry of a sensor at one time."""
 
     velocity: Floats  # (3) in the world [m/s]
     boresight: Floats  # (3) unit vector in the world
     half_lobe_rad: float  # half the opening of the main lobe
 
     def closing_limits(self) -> tuple[float, float]:
-        """Least and greatest closing speed of things at rest in the main lobe [m/s]."""
+        """Return the least and greatest closing speed of objects at rest in the main lobe [m/s]."""
         speed = math.sqrt(float(self.velocity @ self.velocity))
         if speed < 1e-9:
             return 0.0, 0.0
@@ -127,7 +127,7 @@ class RangeTracker:
         """Predict all tracks to a frame and update them with its detections.
 
         Args:
-            t_ns: time of the frame [ns]; at or before the last one: the tracker starts anew.
+            t_ns: time of the frame [ns]; at or before the last one, the tracker restarts.
             range_m: ranges of the detections (d) [m].
             sigma_m: their standard deviations (d) [m].
             snr_db: their levels over noise (d) [dB].
@@ -241,5 +241,5 @@ def _weighed(track: Track, motion: Motion) -> int:
     closing = track.closing_m_s
     if closing + spread < least:
         return min(track.evidence + 1, _MOST_EVIDENCE)
-    # only a speed that nothing outside the lobe has, or that is dangerous, speaks for the lobe
+    # only a speed that no object outside the lobe has, or a dangerous one, is evidence for the lobe
     return max(track.evidence - 1, _UNDECIDED) if closing > least else track.evidence

@@ -30,11 +30,11 @@ def focus(
     threads: int = 0,
     remove_own_echo: bool = True,
 ) -> Image:
-    """An image of what stood where, from the frames of one sensor or several and their believed poses.
+    """Focus an image from the frames of one or several sensors and their estimated poses.
 
     Args:
         frames: one sensor's frames, or several by name or in a row.
-        grid: where to look; a plane without a height takes the sensors' mean height.
+        grid: of the image; a plane without a height takes the sensors' mean height.
         method: "backprojection" sums echoes in phase over the true distances to each cell; "summation" is the
             thesis' sum of amplitudes straight ahead.
         window: weight of each frame along the track: "path" by the distance moved, so that standing still adds

@@ -80,7 +80,7 @@ def find_scatterers(
     """
     if not 0 < pfa < 1:
         raise InputError(f"pfa is {pfa}", where="find_scatterers", allowed="between 0 and 1")
-    frames = as_baseband(frames)  # keeps out noise beside the band
+    frames = as_baseband(frames)  # removes noise outside the band
     focus = PointFocus(frames, frames.believed, 0.0)
     points = _points(focus) if len(focus.t_s) >= LEAST_POSES else []
     if not points:
@@ -154,14 +154,14 @@ def _boresight(frames: Frames, t_s: NDArray[np.floating]) -> Floats:
 
 
 def _in_front(place: Floats, amplitude: Floats, path: Floats, ahead: Floats) -> bool:
-    """Whether a place lies in the half space that the antenna faces, where it is received best."""
+    """Return whether a place is in the half space that the antenna faces, when its echo is strongest."""
     direction = place - path
     cosine = (direction * ahead).sum(1) / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)
     return bool((amplitude * cosine).sum() > 0)
 
 
 def _on_circle(place: Floats, path: Floats, ahead: Floats, z_m: float | None) -> Floats | None:
-    """The place at a height, in front of the antenna, that a straight level track cannot tell from this one.
+    """Return the place at a height, in front of the antenna, that a straight level track cannot separate from this.
 
     None where the circle about the track does not reach that height.
     """

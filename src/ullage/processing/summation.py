@@ -64,9 +64,9 @@ def apex(image: Image, *, look_deg: float | None = None) -> Floats:
 
 
 def _fit(image: Image, turn: int) -> tuple[float, Floats]:
-    """Misfit and vertex for a look along +x turned by `turn` quarter circles."""
+    """Return misfit and vertex for a view along +x, turned by `turn` quarter circles."""
     amplitude = np.asarray(image.amplitude if image.grid.dims == 2 else image.amplitude.max(0), np.float64)
-    view = np.rot90(amplitude, turn)  # rows run across the look, columns along it
+    view = np.rot90(amplitude, turn)  # rows run across the view, columns along it
     row, col = np.unravel_index(int(np.argmax(view)), view.shape)
     rows, cols = [int(row)], [int(col)]
     for side in (1, -1):

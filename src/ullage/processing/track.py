@@ -1,4 +1,4 @@
-"""Track before detect: what a single frame hides, the hyperbola of a thing at rest shows over slow time.
+"""Track before detect: integrate weak echoes of objects at rest along their hyperbolas over slow time.
 
 In noise alone the power of a bin over its mean is exponential, and that of different frames independent, so the sum
 over m frames is Gamma(m) [Marcum1960]. It exceeds its level with probability pfa / t, with t hyperbolas tried for each

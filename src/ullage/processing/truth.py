@@ -1,4 +1,4 @@
-"""What is truly there on a grid, and which of it the radars could have seen; for metrics only, never for processing."""
+"""True surfaces on a grid, and those that the radars could have seen; for metrics only, never for processing."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Surface:
     points: Floats  # (s, 3) [m]
     normals: Floats  # (s, 3), zero for wires: they have no one normal
     object_id: Longs  # (s) into scene.objects
-    looks: Longs  # (s) looks in beam, in range, in line of sight and near enough to the normal
+    looks: Longs  # (s) views in beam, in range, in line of sight and near enough to the normal
     seen: Bools  # (s) in beam, in range and in line of sight at least once, at any incidence
     in_view: Bools  # (s) in range and in line of sight from the flight in any direction: what a lidar there would see
     corners: Floats  # (c, 3) corners of triangles on a volume: surface too, but not spread by area [m]
 
     def observable(self, min_looks: int) -> Bools:
-        """Points that gave an echo in at least so many looks."""
+        """Mark the points that at least this many views could see."""
         return np.asarray(self.looks >= min_looks)
 
 
@@ -56,12 +56,12 @@ def spaced_looks(path: Trajectory, *, step_m: float = LOOK_M, turn_rad: float = 
 
 
 def true_path(frames: Frames) -> Trajectory:
-    """Where the sensor truly was, as far as is known."""
+    """Return the true poses of the sensor, as far as known."""
     return frames.believed if frames.truth is None else frames.truth
 
 
 def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float | None = None) -> Surface:
-    """Sample the true surfaces on the grid and count the looks that could see each point.
+    """Sample the true surfaces on the grid and count the views that could see each point.
 
     Raises:
         InputError: nothing of the scene lies on the grid.
@@ -87,7 +87,7 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
 
 
 def _on_grid(grid: Grid, points: Floats) -> Bools:
-    """Whether each point lies on the grid, its border on every side included: the walls of a room lie just there."""
+    """Return whether each point is on the grid with its whole border, since walls of a room are often just there."""
     low = np.asarray(grid.origin_m)[: grid.dims]
     high = low + grid.step_m * np.asarray(grid.shape)[::-1]
     hair, mine = BORDER * grid.step_m, points[:, : grid.dims]
@@ -229,14 +229,14 @@ def _points_on(scene: Scene, corners: Floats, piece: Longs) -> tuple[Floats, Flo
 def in_sight(
     scene: Scene, frames: Recording, points: Floats, *, eyes: int = EYES, reach_m: float = np.inf, slack_m: float = 1e-3
 ) -> Bools:
-    """Whether each point (p, 3) can be seen from anywhere on the flight, in any direction and at any incidence.
+    """Return whether each point (p, 3) is visible from any place of the flight, in any direction and at any incidence.
 
     Args:
         scene: what hides points.
         frames: one sensor's, or several.
         points: asked about (p, 3) [m].
         eyes: places of the flight that are tried.
-        reach_m: how far sight goes [m].
+        reach_m: range of sight [m].
         slack_m: what lies so near before a point does not hide it: the surface that the point is on [m].
     """
     spots = np.concatenate([true_path(p).position for p in sensors_of(frames)])
