@@ -69,8 +69,8 @@ SLOW = ["ntnu-mapping-5cm", "ntnu-mapping-50cm", "ntnu-mapping-20cm", "cluttered
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 @pytest.mark.parametrize("ruin", [sound, too_long, shifted, deaf])
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 def test_a_ruined_mapper_is_out_of_bounds_and_a_sound_one_within(name, ruin, tmp_path):
     found = outside(name, tmp_path, ruin)
     assert bool(found) == (ruin is not sound), found
