@@ -19,11 +19,53 @@ from ullage.view.replay import cell_states, images_of, map_tree, maps_of, read_r
 
 SMALL = ["image.step_m=0.2", "map.step_m=0.2", "flight.speed_m_s=2"]
 
+COLOUR = {"type": "string", "pattern": "^#[0-9a-f]{8}$"}
+TOPIC = {
+    "type": "object",
+    "properties": {
+        "visible": {"type": "boolean"},
+        "colorMode": {"enum": ["custom", "costmap", "map", "raw", "flat", "gradient", "colormap", "rgb", "rgba"]},
+        **dict.fromkeys(("minColor", "maxColor", "unknownColor", "invalidColor"), COLOUR),
+        "colorField": {"type": "string"}, "colorMap": {"enum": ["turbo", "rainbow"]}, "pointSize": {"type": "number"},
+        "type": {"enum": ["axis", "arrow", "line"]}, "lineWidth": {"type": "number"},
+        "gradient": {"type": "array", "items": COLOUR, "minItems": 2, "maxItems": 2},
+    },
+    "additionalProperties": False,
+}  # fmt: skip
+PATH = {
+    "type": "object",
+    "properties": {
+        "value": {"type": "string"}, "label": {"type": "string"}, "enabled": {"type": "boolean"},
+        "timestampMethod": {"enum": ["receiveTime", "headerStamp"]},
+    },
+    "required": ["value", "enabled", "timestampMethod"],
+    "additionalProperties": False,
+}  # fmt: skip
+PANELS = {
+    "^3D!": {
+        "followTf": {"type": "string"}, "followMode": {"enum": ["follow-pose", "follow-position", "follow-none"]},
+        "topics": {"type": "object", "additionalProperties": TOPIC}, "scene": {"type": "object"},
+    },
+    "^Image!": {"imageMode": {"type": "object", "properties": {"imageTopic": {"type": "string"}},
+                              "additionalProperties": False}},
+    "^Plot!": {
+        "foxglovePanelTitle": {"type": "string"}, "paths": {"type": "array", "items": PATH},
+        "xAxisVal": {"enum": ["timestamp", "index", "custom", "currentCustom"]}, "showLegend": {"type": "boolean"},
+    },
+}  # fmt: skip
+"""The panels' settings, as @foxglove/studio-base 1.48.0 declares them: RendererConfig, ImageModeConfig, PlotConfig."""
 LAYOUT = {
     "type": "object",
     "required": ["configById", "layout", "globalVariables", "userNodes"],
     "properties": {
-        "configById": {"type": "object", "additionalProperties": {"type": "object"}},
+        "configById": {
+            "type": "object",
+            "patternProperties": {
+                name: {"type": "object", "properties": fields, "additionalProperties": False}
+                for name, fields in PANELS.items()
+            },
+            "additionalProperties": False,
+        },
         "globalVariables": {"type": "object"},
         "userNodes": {"type": "object"},
         "playbackConfig": {"type": "object"},
@@ -83,10 +125,12 @@ def test_the_layout_names_topics_of_the_recording_only(finished: tuple[Path, Pat
     assert sorted(panels_of(layout["layout"])) == sorted(layout["configById"])
     named = topics_of(layout)
     assert named <= set(topics_in(recording)) == set(topics_in(folder / "frames.mcap"))
-    wanted = {"/map", "/image", "/path", "/world", "/radar/front/profile", "/radar/front/range"}
+    wanted = {"/map", "/map/plane", "/image", "/path", "/world", "/radar/front/profile", "/radar/front/range"}
     assert wanted <= named
     drawn = layout["configById"]["3D!ullage"]["topics"]["/map"]
     assert drawn["unknownColor"].endswith("00")  # clear
+    assert not drawn["visible"]  # /map/plane shows its cells, and the ambiguous ones
+    assert foxglove_layout(["/map"])["configById"]["3D!ullage"]["topics"]["/map"]["visible"]
 
 
 def test_a_recording_with_less_has_a_layout_with_less() -> None:

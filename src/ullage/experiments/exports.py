@@ -125,6 +125,8 @@ def foxglove_layout(topics: Sequence[str]) -> dict[str, Any]:
         topics: of the recording; only these are named.
     """
     shown = {topic: style for topic in topics if (style := _style(topic))}
+    if "/map/plane" in shown and "/map" in shown:  # the same cells, without those that are ambiguous
+        shown["/map"] |= {"visible": False}
     ranges = [topic for topic in topics if topic.startswith("/radar/") and topic.endswith("/range")]
     panels: dict[str, dict[str, Any]] = {
         "3D!ullage": {"followTf": "map", "followMode": "follow-none", "topics": shown,
@@ -133,9 +135,12 @@ def foxglove_layout(topics: Sequence[str]) -> dict[str, Any]:
     if "/image" in topics:
         panels["Image!ullage"] = {"imageMode": {"imageTopic": "/image"}}
     if ranges:
-        paths = [{"value": f"{topic}.range", "label": topic.split("/")[2], "enabled": True} for topic in ranges]
-        panels["Plot!ullage"] = {"title": "Range of the nearest echo [m]", "paths": paths, "xAxisVal": "timestamp",
-                                 "showLegend": True}  # fmt: skip
+        paths = [
+            {"value": f"{topic}.range", "label": topic.split("/")[2], "enabled": True, "timestampMethod": "receiveTime"}
+            for topic in ranges
+        ]
+        panels["Plot!ullage"] = {"foxglovePanelTitle": "Range of the nearest echo [m]", "paths": paths,
+                                 "xAxisVal": "timestamp", "showLegend": True}  # fmt: skip
     world, *beside = panels
     side: Any = {"first": beside[0], "second": beside[1], "direction": "column"} if beside[1:] else "".join(beside)
     whole = {"first": world, "second": side, "direction": "row", "splitPercentage": 65} if side else world
@@ -150,7 +155,7 @@ def _style(topic: str) -> dict[str, Any]:
     if topic == "/map":
         clear = {"unknownColor": CLEAR, "invalidColor": CLEAR}
         return {"visible": True, "colorMode": "custom", "minColor": "#ffffff8c", "maxColor": "#000000ff"} | clear
-    if topic in ("/world", "/map/cubes"):
+    if topic in ("/world", "/map/cubes", "/map/plane"):
         return {"visible": True}
     if topic == "/path":
         return {"visible": True, "type": "line", "lineWidth": 0.05, "gradient": ["#ff2e63ff", "#ff2e63ff"]}
