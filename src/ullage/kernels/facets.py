@@ -378,15 +378,22 @@ def te_share(fields, o, ux, uy, uz, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
-def _corners(pieces, k, lit, scratch):  # type: ignore[no-untyped-def]
-    """Gain over ranges, cos(incidence) and path length at the corners of piece k go to `scratch`.
+def _corners(leaves, k, normals, face, antennas, o, scratch):  # type: ignore[no-untyped-def]
+    """Gain over ranges, cos(incidence) and path length at the corners of a piece go to `scratch`.
+
+    Args:
+        leaves: (m, 3, 3) pieces [m].
+        k: which of them.
+        normals: (f, 3) unit normals of the triangles.
+        face: triangle of the piece.
+        antennas: `Antennas`.
+        o: radar that sees the piece.
+        scratch: `CornerScratch`.
 
     Returns:
         How far the chord lies beyond the curved path on average [m], the area [m^2] and the TE share of the power.
     """
-    leaves, normals, antennas, origins = pieces.corners, lit.normals, lit.antennas, lit.antennas.origins
-    base, cosine, tau = scratch.base, scratch.cosine, scratch.path
-    face, o = pieces.triangle[k], pieces.radar[k]
+    origins, base, cosine, tau = antennas.origins, scratch.base, scratch.cosine, scratch.path
     mono = same(origins, o)
     nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
     bulge, share = 0.0, 0.0
@@ -455,8 +462,9 @@ def accumulate(  # type: ignore[no-untyped-def]
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:
             continue
-        material, o = lit.materials[pieces.triangle[k]], pieces.radar[k]
-        early, area, share = _corners(pieces, k, lit, scratch)
+        face, o = pieces.triangle[k], pieces.radar[k]
+        material = lit.materials[face]
+        early, area, share = _corners(pieces.corners, k, lit.normals, face, lit.antennas, o, scratch)
         scale = 1j * area / (4 * math.pi) * between.factor[k] * lit.antennas.factor[o]
         for tap in range(gamma.shape[1]):
             if lag[material, tap, 0] < 0:
