@@ -313,7 +313,7 @@ def _dots(a: Floats, b: Floats) -> Floats:
 
 def _one_place(antennas: AntennaPair) -> bool:
     """Whether one antenna is the other."""
-    return bool((antennas.origins[0] == antennas.origins[1]).all() and (antennas.frames[0] == antennas.frames[1]).all())
+    return antennas.monostatic and bool((antennas.frames[0] == antennas.frames[1]).all())
 
 
 def reflection(

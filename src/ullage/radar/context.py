@@ -57,6 +57,16 @@ class AntennaPair:
     factor: complex = 1.0 + 0j  # of every echo
 
     @property
+    def monostatic(self) -> bool:
+        """Whether transmitter and receiver stand at one place."""
+        return bool(self.origins[0].tolist() == self.origins[1].tolist())
+
+    def swapped(self) -> AntennaPair:
+        """Return the radar that sends from this one's receiver."""
+        origins, frames, fields = (np.ascontiguousarray(row[::-1]) for row in (self.origins, self.frames, self.fields))
+        return AntennaPair(origins, frames, fields, self.factor)
+
+    @property
     def aside(self) -> Floats:
         """A hair (3) to the radar's side, as `edges.cut` wants it; it turns with the radar, as all else does [m]."""
         return np.asarray(_ASIDE_M @ self.frames[0])
@@ -187,7 +197,7 @@ def antenna_pair(spec: RadarSpec, position: Floats, turn: Floats) -> AntennaPair
     arm = turn[:, 1] * (spec.antenna_offset_m / 2)
     field = turn[:, 2] if spec.antenna.polarization == "vertical" else turn[:, 1]
     return AntennaPair(
-        np.stack([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), np.stack([field, field])
+        np.array([position + arm, position - arm]), np.array([turn.T, turn.T], order="C"), np.array([field, field])
     )
 
 

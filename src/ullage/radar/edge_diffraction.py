@@ -10,7 +10,7 @@ from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
 from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
 from ullage.kernels import wires as string
-from ullage.kernels.facets import Antennas, EchoSums, Transmission
+from ullage.kernels.facets import EchoSums, Transmission
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown, transmission_to
@@ -81,23 +81,15 @@ def _heard(
 ) -> Longs:
     """Find the lit lines whose echoes are not too faint; `factors` (w) are strengths over that of an edge by itself."""
     strong = np.ones(len(lit)) if factors is None else factors
-    lines_ = edge_diffraction.EdgeLines(starts, ends, lit, strong)
+    asked = edge_diffraction.EdgeLines(starts, ends, lit, strong)
     wave, gate, found = context.pulse.omega / C0, np.array(context.gate), np.zeros(len(lit), np.bool_)
-    for radar in _both_directions(context.antennas(antennas)):
+    for pair in (antennas,) if antennas.monostatic else (antennas, antennas.swapped()):
         out = np.empty(len(lit), np.bool_)
-        edge_diffraction.audible(lines_, factors is not None, radar, wave, gate, FAINT, np.empty(3), out)
+        edge_diffraction.audible(
+            asked, factors is not None, context.antennas(pair), wave, gate, FAINT, np.empty(3), out
+        )
         found |= out
     return np.flatnonzero(found)
-
-
-def _both_directions(radar: Antennas) -> tuple[Antennas, ...]:
-    """Return a radar, and where its antennas are apart the radar that sends from its receiver."""
-    if (radar.origins[0, 0] == radar.origins[0, 1]).all():
-        return (radar,)
-    origins, frames, fields = (
-        np.ascontiguousarray(row[:, ::-1]) for row in (radar.origins, radar.frames, radar.fields)
-    )
-    return radar, radar._replace(origins=origins, frames=frames, fields=fields)
 
 
 def _cut(

@@ -54,7 +54,7 @@ def accumulate_flat_pairs(
     some = largest(look * ~planar.smooth, FACES)
     held, shares = most_looked(look[some], FACES)
     faces = some[held]
-    rows, twice = _rows(len(faces), len(which), bool((antennas.origins[0] == antennas.origins[1]).all()))
+    rows, twice = _rows(len(faces), len(which), antennas.monostatic)
     if not len(rows):
         return []
     nth = rows[:, 1]

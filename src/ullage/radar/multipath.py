@@ -53,12 +53,11 @@ def accumulate_bounces(
     """
     if len(planar) < 2:
         return []
-    if (antennas.origins[0] == antennas.origins[1]).all():
+    if antennas.monostatic:
         return _traced(context, parts, planar, antennas, max_bounces, look, grids)
     half = replace(antennas, factor=0.5 * antennas.factor)
-    back = replace(half, **{row: getattr(antennas, row)[::-1].copy() for row in ("origins", "frames", "fields")})
     return [*_traced(context, parts, planar, half, max_bounces, look, grids),
-            *map(_turned, _traced(context, parts, planar, back, max_bounces, look, grids))]  # fmt: skip
+            *map(_turned, _traced(context, parts, planar, half.swapped(), max_bounces, look, grids))]  # fmt: skip
 
 
 def _turned(echoes: EchoSet) -> EchoSet:
@@ -119,7 +118,7 @@ def _wide(planar: PlanarPatches, least_m: float) -> Bools:
 
 def looks(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair) -> Floats:
     """How large each face (p) looks from the antenna nearer to it, less what it lacks of a zone; 0 beyond the gate."""
-    origins = antennas.origins[:1] if (antennas.origins[0] == antennas.origins[1]).all() else antennas.origins
+    origins = antennas.origins[:1] if antennas.monostatic else antennas.origins
     out = np.empty(len(planar))
     kernel.looks(planar.spheres, planar.widths, origins, context.gate[1], context.spec.wavelength_m, out)
     return out

@@ -86,7 +86,7 @@ def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair
     look = look * ~planar.smooth
     first = largest(look, FACES)
     taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
-    one = bool((antennas.origins[0] == antennas.origins[1]).all())
+    one = antennas.monostatic
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
     shares = np.concatenate([*(weights[which] for which, weights in taken), np.ones(1)])

@@ -145,7 +145,7 @@ def _off(parts: list[Surfaces], antennas: AntennaPair) -> AntennaPair:
     origins = antennas.origins
     for part in parts:
         normals, offsets = part.planar.normals, part.planar.offsets
-        some = origins[:1] if (origins[0] == origins[1]).all() else origins
+        some = origins[:1] if antennas.monostatic else origins
         gaps = np.array([normals @ origin for origin in some]) - offsets
         close = np.repeat(abs(gaps) < LEAST_M, 3 - len(some), 0)
         if close.any():

@@ -108,7 +108,7 @@ def accumulate_pairs(
 ) -> list[EchoSet]:
     """Adds the echoes over two round bodies to the delay grids, but for those too faint beside what these hold."""
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    bodies, together = bodies_of(rounds, narrow), bool((antennas.origins[0] == antennas.origins[1]).all())
+    bodies, together = bodies_of(rounds, narrow), antennas.monostatic
     if len(bodies.radii) < 2:
         return []
     which, weights, gaps = seen_bodies(context, bodies, antennas, BODIES)

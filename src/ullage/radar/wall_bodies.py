@@ -69,7 +69,7 @@ def accumulate_wall_bodies(
     body to the wall and back. What is too faint beside what the grids hold is left out.
     """
     out: list[EchoSet] = []
-    one = bool((antennas.origins[0] == antennas.origins[1]).all() and (antennas.fields[0] == antennas.fields[1]).all())
+    one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     least = FAINT * float(abs(grids).max())
     for wall in around(context, rounds, antennas):
         planes = planes_of(planar, wall, look) if most > 2 else []

@@ -91,7 +91,7 @@ def accumulate_walls(
     Two bounces; with three, another one at the wall, or one at a floor or a roof, those that look largest (p).
     """
     out: list[EchoSet] = []
-    one = bool((antennas.origins[0] == antennas.origins[1]).all() and (antennas.fields[0] == antennas.fields[1]).all())
+    one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     sides = [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, swapped(antennas)]
     for wall in around(context, rounds, antennas):
         planes = planes_of(planar, wall, look) if max_bounces > 2 else []
