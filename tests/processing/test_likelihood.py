@@ -76,6 +76,14 @@ def tank(centre, radius_m):
     return echo
 
 
+def slope(bearing_deg, distance_m, elevation_deg):
+    """A plane whose normal leaves the plane of flight, at its distance from the origin."""
+    unit = np.array([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]) * np.cos(
+        np.radians(elevation_deg)
+    )
+    return lambda at: (distance_m - at @ unit, np.tile(unit, (len(at), 1)), 0.4)
+
+
 def pipe(distance_m, above_m, *, strength):
     """A level pipe along x, above the plane of flight."""
 
@@ -154,7 +162,8 @@ def test_one_wall_is_one_surface_at_its_distance(bearing_deg):
 def test_round_surfaces_keep_their_centre_and_radius(echo, centre, radius_m):
     mapper = mapped(flown(curve(), echo))
     strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
-    _, bearing, curvature = strongest.state
+    _, bearing, curvature, cosine = strongest.state
+    assert cosine == 1.0
     found = strongest.position + np.array([np.cos(bearing), np.sin(bearing)]) / curvature
     assert np.linalg.norm(found - centre) < 0.2
     occupied = centres(mapper.map())
@@ -168,6 +177,24 @@ def test_what_lies_behind_a_stronger_wall_is_hidden():
     assert behind
     assert not any(one.on_map for one in behind)
     assert centres(mapper.map())[:, 1].max() < 2.2
+
+
+@pytest.mark.parametrize("elevation_deg", [30, -50])
+def test_a_slope_is_one_surface_of_its_elevation_and_no_wall(elevation_deg):
+    mapper = mapped(flown(curve(), slope(90, 2.0, elevation_deg)))
+    (found,) = mapper.surfaces()
+    cosine = np.cos(np.radians(elevation_deg))
+    range_m, bearing, curvature, share = found.state
+    assert share == pytest.approx(cosine, abs=0.01)
+    assert abs(share - cosine) < 4 * np.sqrt(found.covariance[3, 3])
+    assert range_m == pytest.approx(2.0 - cosine * found.position[1], abs=0.015)
+    assert abs(bearing - np.pi / 2) < np.radians(1.0)
+    assert abs(curvature) < 0.1
+    assert not found.on_map
+    omap = mapper.map()
+    assert not omap.occupied.any()
+    beyond, _ = GRID.index(np.array([[0.0, 2.0 / cosine, 0.0]]))
+    assert not omap.free[tuple(beyond.T)].any()
 
 
 @pytest.mark.parametrize("above_m", [0.2, 0.6])

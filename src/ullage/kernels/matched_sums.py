@@ -13,6 +13,7 @@ from ullage.kernels.loops import inner, loop
 LEAST_GAIN = 0.1  # amplitude against the sensor that faces the direction best; weaker sensors add noise only
 ROUNDS, STEPS = 5, 6  # of the search: each round has smaller steps
 SHRINK = 0.45
+LEAST_COSINE = 0.2  # of the elevation that the search tries
 GAIN_CELLS = 2000  # cells of the table of gains, even in 1 - cosine
 
 
@@ -149,10 +150,10 @@ def _fit(aperture, unit, curvature, place, gain, sums):  # type: ignore[no-untyp
 
 
 @inner()
-def _turn(level, bearing, unit):  # type: ignore[no-untyped-def]
-    """Unit vector of a level bearing [rad], or straight up or down where `level` is 0."""
-    if level > 0.5:
-        unit[0], unit[1], unit[2] = math.cos(bearing), math.sin(bearing), 0.0
+def _turn(cosine, bearing, unit):  # type: ignore[no-untyped-def]
+    """Level part of the unit vector at a bearing [rad] and an elevation; straight up or down where the cosine is 0."""
+    if cosine > 0:
+        unit[0], unit[1], unit[2] = cosine * math.cos(bearing), cosine * math.sin(bearing), 0.0
     else:
         unit[0], unit[1], unit[2] = 0.0, 0.0, math.copysign(1.0, bearing)
 
@@ -163,60 +164,63 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
 
     Args:
         aperture: the rows.
-        start: (4) level (1, or 0 for up and down), bearing [rad], curvature [1/bin] and range [bin].
-        steps: (3) of bearing, curvature and range in the first round.
+        start: (4) cosine of the elevation (0: straight up or down), bearing [rad], curvature [1/bin] and range [bin].
+        steps: (4) of bearing, curvature, range and cosine in the first round; 0 keeps a parameter.
         most_curvature: bound on its size [1/bin].
         sums: (s, 3) set to real and imaginary part of each sensor's sum, and its rows.
-        found: (5) set to energy explained, all energy, bearing, curvature and range.
+        found: (6) set to energy explained, all energy, bearing, curvature, range and cosine.
     """
     unit, gain = np.empty(3), np.empty(len(aperture.axes))
-    now, trial, size = np.empty(3), np.empty(3), np.empty(3)
-    for p in range(3):
-        now[p] = start[p + 1]
+    now, trial, size = np.empty(4), np.empty(4), np.empty(4)
+    for p in range(4):
+        now[p] = start[(p + 1) % 4]
         size[p] = steps[p]
-    _turn(start[0], now[0], unit)
+    if start[0] <= 0:
+        size[0] = size[3] = 0.0
+    _turn(now[3], now[0], unit)
     best, energy = _fit(aperture, unit, now[1], now[2], gain, sums)
     for _ in range(ROUNDS):
         for _ in range(STEPS):
             better = False
-            for move in range(6):
+            for move in range(8):
                 p = move // 2
-                if p == 0 and start[0] < 0.5:
+                if size[p] <= 0:
                     continue
-                for other in range(3):
+                for other in range(4):
                     trial[other] = now[other]
                 trial[p] += size[p] if move % 2 == 0 else -size[p]
                 trial[1] = min(max(trial[1], -most_curvature), most_curvature)
-                _turn(start[0], trial[0], unit)
+                if size[3] > 0:
+                    trial[3] = min(max(trial[3], LEAST_COSINE), 1.0)
+                _turn(trial[3], trial[0], unit)
                 value, all_energy = _fit(aperture, unit, trial[1], trial[2], gain, sums)
                 if value > best * 1.0005:
                     best, energy, better = value, all_energy, True
-                    for other in range(3):
+                    for other in range(4):
                         now[other] = trial[other]
             if not better:
                 break
-        for p in range(3):
+        for p in range(4):
             size[p] *= SHRINK
-    _turn(start[0], now[0], unit)
+    _turn(now[3], now[0], unit)
     best, energy = _fit(aperture, unit, now[1], now[2], gain, sums)
     found[0], found[1] = best, energy
-    for p in range(3):
+    for p in range(4):
         found[2 + p] = now[p]
 
 
 @loop(fastmath=True)
-def subtract(aperture, start, found, sums, pulse):  # type: ignore[no-untyped-def]
+def subtract(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
     """Take a reflector out of the samples: each sensor's mean amplitude along it, times a Gaussian pulse.
 
     Args:
         aperture: the rows; their samples change.
-        start: (4) as of `refine`.
-        found: (5) as `refine` gave it.
+        found: (6) as `refine` gave it.
         sums: (s, 3) as `refine` gave it.
         pulse: standard deviation of the pulse's envelope [bin].
     """
     samples, unit = aperture.samples, np.empty(3)
-    _turn(start[0], found[2], unit)
+    _turn(found[5], found[2], unit)
     reach = int(3 * pulse) + 1
     for i in range(samples.shape[0]):
         mine = aperture.sensor[i]

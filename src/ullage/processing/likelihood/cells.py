@@ -56,14 +56,18 @@ def render(
     percent[_body(grid, flown)] = FREE
     if surfaces:
         views, owner = _views(surfaces, wavelength_m, spec)
-        possible = ~(_flown_through(views, owner, flown) | _folded(surfaces, fold_m))
+        sloped = np.array([one.sloped for one in surfaces])
+        false = _flown_through(views, owner, flown) | _folded(surfaces, fold_m)
+        possible = ~(sloped | false)
         alive, evidence, level = _visible(plane, views, owner, possible, spec)
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         shown = evidence >= spec.evidence
         crossed = np.zeros(grid.size)
         find_crossed(plane, views, evidence, level, spec.evidence, alive, wavelength_m, spec.tube, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
-        clear = alive & _unobstructed(views, owner)
+        slopes = (sloped & ~false)[owner]
+        clear = (alive | slopes) & _unobstructed(views, owner)
+        views.state[slopes, 0] *= views.state[slopes, 3]  # up to the foot of the perpendicular
         percent[_freed(plane, views, clear, alive, occupied, wavelength_m, spec) & ~shown] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
@@ -167,7 +171,7 @@ def _folded(surfaces: list[Surface], fold_m: float) -> Bools:
         seen = list(one.sightings.values())
         place, mine = np.array([row.position for row in seen]), np.array([row.state for row in seen])
         step = (place[None] - reference[:, None]).reshape(-1, 2)
-        other = transported(np.repeat(state, len(seen), axis=0), step).reshape(len(surfaces), len(seen), 3)
+        other = transported(np.repeat(state, len(seen), axis=0), step).reshape(len(surfaces), len(seen), 4)
         apart_m = other[..., 0] - fold_m - mine[None, :, 0]
         turned = np.cos(other[..., 1] - mine[None, :, 1])
         same = (np.abs(apart_m) < FOLD_M) & (turned > np.cos(FOLD_RAD))

@@ -21,10 +21,16 @@ from ullage.processing.likelihood.spec import LikelihoodSpec
 
 FAR_END_M = 0.3  # of the range axis that the search leaves out
 LEAST_ROWS = 12  # of an aperture: three frames of four sensors
-BEARING_PRIOR_RAD, CURVATURE_PRIOR = 0.5, 1.0  # standard deviation of what an aperture may leave open
+BEARING_PRIOR_RAD, CURVATURE_PRIOR, COSINE_PRIOR = (
+    0.5,
+    1.0,
+    2.0,
+)  # standard deviation of what an aperture may leave open
 MOST_COHERENCE = 0.995
-COARSE, FINE = (1.5, 0.35, 0.5), (0.5, 0.05, 0.25)  # first steps of the search: deg, 1/m and bins
-AS_IT_IS = (0.0, 0.0, 0.0)  # no search
+COARSE, FINE = (1.5, 0.35, 0.5, 0.0), (0.5, 0.05, 0.25, 0.0)  # first steps: deg, 1/m, bins and cosine
+TILTED, SLOPES = (1.5, 0.2, 0.5, 0.04), (0.95, 0.87, 0.77, 0.64, 0.5)  # the same for slopes; their cosines
+AS_IT_IS = (0.0, 0.0, 0.0, 0.0)  # no search
+CLEAR = 0.97  # coherence of a level reflector from which no slope is tried
 SAME_RANGE_M = 0.1  # within which an echo may be that of a known surface
 
 Found = tuple[Floats, Floats, float, float, float]
@@ -35,8 +41,8 @@ class Echoes:
     """Level echoes of one keyframe, the strongest first."""
 
     position: Floats  # (2) of the keyframe [m]
-    state: Floats  # (e, 3) range [m], bearing [rad] and curvature of the range [1/m]
-    covariance: Floats  # (e, 3, 3)
+    state: Floats  # (e, 4) range [m], bearing [rad], curvature of the range [1/m] and cosine of the elevation
+    covariance: Floats  # (e, 4, 4)
     coherence: Floats  # (e) share of the energy that the echo explains
     level: Floats  # (e) amplitude times range, over the antenna's gain [m]
     nats: Floats  # (e) log-likelihood ratio of the echo against independent samples
@@ -56,13 +62,14 @@ class EchoFinder:
         self._level = np.concatenate([np.ones(len(bearing)), [0.0, 0.0]])
         level = np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
         self._directions = np.concatenate([level, [[0, 0, 1.0], [0, 0, -1.0]]])
+        self._slopes = np.concatenate([cosine * level for cosine in SLOPES])
 
     def find(self, key: Keyframe, known: Floats | None = None) -> Echoes:
         """Find the echoes of a keyframe.
 
         Args:
             key: the keyframe.
-            known: (s, 3) range [m], bearing [rad] and curvature [1/m] that known surfaces have from its place. A known
+            known: (s, 4) states that known surfaces have from its place. A known
                 surface explains an echo unless another hypothesis explains clearly more of it.
         """
         aperture, bins = key.aperture, key.aperture.samples.shape[1]
@@ -70,13 +77,13 @@ class EchoFinder:
         found: list[Found] = []
         if len(aperture.offset) >= LEAST_ROWS and low < high:
             poses, samples = AperturePoses(aperture, key.moment), aperture.samples.copy()
-            search = key, low, high, np.zeros((0, 3)) if known is None else known
+            search = key, low, high, np.zeros((0, 4)) if known is None else known
             found = self._clean(*search, poses)
             if poses.uncertain:  # all echoes together have shown the errors, so the samples are explained anew
                 aperture.samples[:] = samples
                 found = self._clean(*search, poses)
-        state = np.array([row[0] for row in found]).reshape(-1, 3)
-        covariance = np.array([row[1] for row in found]).reshape(-1, 3, 3)
+        state = np.array([row[0] for row in found]).reshape(-1, 4)
+        covariance = np.array([row[1] for row in found]).reshape(-1, 4, 4)
         rest = np.array([row[2:] for row in found]).reshape(-1, 3)
         return Echoes(key.position[:2], state, covariance, *rest.T)
 
@@ -122,7 +129,7 @@ class EchoFinder:
             The fit at corrected phases, and the echo.
         """
         start, fit = hypothesis
-        unit = _unit(start[0], fit[2])
+        unit = _unit(fit[5], fit[2])
         gains = gains_of(key.aperture, unit)
         phases = poses.phases(unit, gains / gains.max(), fit[3], fit[4])
         if poses.sigma is None:
@@ -130,9 +137,9 @@ class EchoFinder:
             poses.expect(self.pose_errors.sigma_m / key.bin_m)
         turn = poses.expected(unit, phases)
         poses.shift(unit, turn)
-        fit, sums = self._fitted(key, np.array([start[0], *fit[2:]]), AS_IT_IS)
+        fit, sums = self._fitted(key, np.array([fit[5], *fit[2:5]]), AS_IT_IS)
         echo = self._echo(key, fit, sums, left)
-        subtract(key.aperture, start, fit, sums, key.pulse)
+        subtract(key.aperture, fit, sums, key.pulse)
         poses.shift(unit, -turn)
         poses.correct(unit, phases)
         return fit, echo
@@ -146,24 +153,45 @@ class EchoFinder:
         fit, _ = self._fitted(key, start, COARSE)
         at_m = key.start_m + key.bin_m * fit[4]
         best, best_nats = (start, fit), self._nats(key, fit)
-        for range_m, bearing, curvature in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
-            rival = np.array([1.0, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m])
+        if start[0] > 0 and fit[0] < CLEAR * fit[1]:
+            rival = self._slope_near(key, fit)
+            slope, _ = self._fitted(key, rival, TILTED)
+            if self._gain(key, fit, slope) > self._spec.slope_nats:
+                best, best_nats = (rival, slope), self._nats(key, slope)
+        for range_m, bearing, curvature, cosine in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
+            rival = np.array([cosine, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m])
             fit, _ = self._fitted(key, rival, FINE)
             nats = self._nats(key, fit) + self._spec.known_nats
             if nats > best_nats:
                 best, best_nats = (rival, fit), nats
         return best
 
-    def _fitted(self, key: Keyframe, start: Floats, steps: tuple[float, float, float]) -> tuple[Floats, Floats]:
-        """Fit and sums of `refine` from a start, with first steps in degrees, 1/m and bins."""
-        sums, fit = np.zeros((len(key.aperture.axes), 3)), np.zeros(5)
-        size = np.array([math.radians(steps[0]), steps[1] * key.bin_m, steps[2]])
+    def _slope_near(self, key: Keyframe, fit: Floats) -> Floats:
+        """Start (4) of the slope that explains most energy near the range of a fit."""
+        at, reach = int(fit[4]), 2 * int(key.pulse) + 2
+        low, high = max(at - reach, 0), min(at + reach, key.aperture.samples.shape[1])
+        energy = np.zeros((1, len(self._slopes), high), np.float32)
+        sum_directions(key.aperture, self._slopes, 0.0, low, high, energy[0])
+        _, (_, d, k) = strongest(energy, np.ones(high), low, high)
+        x, y, _ = self._slopes[d]
+        return np.array([math.hypot(x, y), math.atan2(y, x), 0.0, k])
+
+    def _fitted(self, key: Keyframe, start: Floats, steps: tuple[float, float, float, float]) -> tuple[Floats, Floats]:
+        """Fit and sums of `refine` from a start, with first steps in degrees, 1/m, bins and cosine."""
+        sums, fit = np.zeros((len(key.aperture.axes), 3)), np.zeros(6)
+        size = np.array([math.radians(steps[0]), steps[1] * key.bin_m, steps[2], steps[3]])
         refine(key.aperture, start, size, self._spec.most_curvature * key.bin_m, sums, fit)
         return fit, sums
 
     def _nats(self, key: Keyframe, fit: Floats) -> float:
         """Log-likelihood ratio of a fit over all rows."""
         return len(key.aperture.offset) * -math.log(1 - min(fit[0] / max(fit[1], 1e-30), MOST_COHERENCE))
+
+    def _gain(self, key: Keyframe, fit: Floats, other: Floats) -> float:
+        """Nats by which another fit explains more, where errors of the poses leave part of all energy unexplained."""
+        lost = 1 - math.exp(-((4 * math.pi / key.wavelength_m * self.pose_errors.sigma_m) ** 2))
+        left = [1 - min(one[0] / max(one[1], 1e-30), MOST_COHERENCE) + lost for one in (fit, other)]
+        return len(key.aperture.offset) * math.log(left[0] / left[1])
 
     def _echo(self, key: Keyframe, fit: Floats, sums: Floats, left: float) -> Found:
         """State, covariance, coherence, level and log-likelihood ratio of one echo.
@@ -174,50 +202,53 @@ class EchoFinder:
             sums: as of `refine`.
             left: energy that stronger echoes may have left at its range; it counts as not explained.
         """
-        explained, energy, bearing, curvature, place = fit
+        explained, energy, bearing, curvature, place, cosine = fit
         coherence = min(explained / max(energy + left, 1e-30), MOST_COHERENCE)
         aperture = key.aperture
-        unit = np.array([math.cos(bearing), math.sin(bearing), 0.0])
-        gains = gains_of(aperture, unit)
+        ahead = np.array([math.cos(bearing), math.sin(bearing), 0.0])
+        gains = gains_of(aperture, cosine * ahead)
         active = (gains > LEAST_GAIN * gains.max())[aperture.sensor]
-        across = aperture.offset[active] @ [-unit[1], unit[0], 0.0] * key.bin_m
+        along = aperture.offset[active] @ ahead * key.bin_m
+        across = aperture.offset[active] @ [-ahead[1], ahead[0], 0.0] * key.bin_m
         loudest = int(np.argmax(gains))
         mean = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
         range_m = key.start_m + key.bin_m * place
-        state = np.array([range_m, bearing, curvature / key.bin_m])
+        state = np.array([range_m, bearing, curvature / key.bin_m, cosine])
         nats = active.sum() * -math.log(1 - coherence)
         return (
             state,
-            self._covariance(across, key.wavelength_m, coherence),
+            self._covariance(along, cosine * across, key.wavelength_m, coherence),
             coherence,
             mean / gains[loudest] * range_m,
             nats,
         )
 
-    def _covariance(self, across: Floats, wavelength_m: float, coherence: float) -> Floats:
-        """Covariance (3, 3) of range, bearing and curvature, by least squares on the phases along the aperture.
+    def _covariance(self, along: Floats, across: Floats, wavelength_m: float, coherence: float) -> Floats:
+        """Covariance (4, 4) of range, bearing, curvature and cosine, by least squares on the phases along the aperture.
 
         What is not coherent adds to the error of the phases.
 
         Args:
-            across: offsets of the rows across the direction [m].
+            along: level offsets of the rows along the direction [m].
+            across: offsets across it, times the cosine [m].
             wavelength_m: of the carrier [m].
             coherence: of the echo.
         """
         spec = self._spec
         sigma = spec.phase_sigma_rad * wavelength_m / (4 * math.pi) * math.sqrt(max(1 - coherence, 0.02) / 0.02)
-        design = np.stack([np.ones_like(across), -across, 0.5 * across**2], axis=1) / sigma
-        prior = np.diag([0.0, BEARING_PRIOR_RAD**-2, CURVATURE_PRIOR**-2])
+        design = np.stack([np.ones_like(across), -across, 0.5 * across**2, -along], axis=1) / sigma
+        prior = np.diag([0.0, BEARING_PRIOR_RAD**-2, CURVATURE_PRIOR**-2, COSINE_PRIOR**-2])
         inverse = np.linalg.inv(design.T @ design + prior)
-        out = np.diag([spec.range_sigma_m**2, math.radians(spec.bearing_sigma_deg) ** 2, spec.curvature_sigma**2])
+        bearing = math.radians(spec.bearing_sigma_deg)
+        out = np.diag([spec.range_sigma_m**2, bearing**2, spec.curvature_sigma**2, spec.cosine_sigma**2])
         out[1:, 1:] += inverse[1:, 1:]
         return out
 
 
-def _unit(level: float, bearing: float) -> Floats:
-    """Unit vector (3) of a level bearing [rad], or straight up or down where `level` is 0."""
-    if level > 0:
-        return np.array([math.cos(bearing), math.sin(bearing), 0.0])
+def _unit(cosine: float, bearing: float) -> Floats:
+    """Level part (3) of the unit vector at a bearing [rad] and elevation; straight up or down where the cosine is 0."""
+    if cosine > 0:
+        return np.array([cosine * math.cos(bearing), cosine * math.sin(bearing), 0.0])
     return np.array([0.0, 0.0, math.copysign(1.0, bearing)])
 
 

@@ -26,11 +26,11 @@ class MappedSurface:
     """A surface as the likelihood mapper estimates it."""
 
     position: Floats  # (2) that the state refers to [m]
-    state: Floats  # (3) range [m], bearing [rad] and curvature of the range [1/m] from there
-    covariance: Floats  # (3, 3)
+    state: Floats  # (4) range [m], bearing [rad], curvature of the range [1/m] and cosine of the elevation from there
+    covariance: Floats  # (4, 4)
     log_odds: float  # of its existence
     seen: int  # keyframes that saw it
-    on_map: bool  # False: hidden behind other surfaces, or flown through
+    on_map: bool  # False: a slope, hidden behind other surfaces, or flown through
 
 
 class LikelihoodMapper:

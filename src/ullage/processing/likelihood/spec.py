@@ -25,6 +25,7 @@ class LikelihoodSpec:
     most_echoes: int = 12  # of one keyframe
     least_snr: float = 20.0  # explained energy over noise; noise alone exceeds it in 2e-9 of all sums
     model_error: float = 0.02  # share of an echo's energy that the model leaves behind near its range
+    slope_nats: float = 40.0  # that a slope must explain more than an upright reflector; rows are not independent
     known_nats: float = 12.0  # by which a known surface is preferred to a new hypothesis for the same echo
     # surfaces
     least_coherence: float = 0.5  # share of the energy that an echo must explain to start a surface
@@ -32,7 +33,9 @@ class LikelihoodSpec:
     range_sigma_m: float = 0.012  # of an echo's range: a quarter of a range bin
     bearing_sigma_deg: float = 0.5  # added to what the phases give
     curvature_sigma: float = 0.1  # the same of the curvature [1/m]
+    cosine_sigma: float = 0.001  # the same of the cosine of the elevation
     process_noise: float = 1.0  # variance by which surfaces may bend; 1: (0.6 mm, 0.1 deg, 0.015 /m)^2 a keyframe
+    upright_nats: float = 20.0  # by which an upright surface is preferred to a slope at first: most are upright
     gate: float = 12.0  # greatest squared Mahalanobis distance of an echo: 99 % of three parameters
     echo_cost: float = 6.0  # nats that an echo must explain before it speaks for a surface
     dependence_m: float = 0.4  # track after which an echo counts in full: the length of the window
