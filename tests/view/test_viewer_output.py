@@ -53,8 +53,9 @@ def test_a_taken_port_is_one_line_be_it_that_of_the_page_or_of_its_data(taken: i
     assert "\n" not in str(error.value)
 
 
-def test_without_a_page_nothing_is_waited_for() -> None:
+def test_without_a_page_nothing_is_waited_for(capsys: pytest.CaptureFixture[str]) -> None:
     class Other:
         address = ""
 
     keep_serving([Other(), object()])
+    assert capsys.readouterr().out == ""  # nothing is announced
