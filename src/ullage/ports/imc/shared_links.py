@@ -5,29 +5,16 @@ Other systems know one address per system. If two links announce it with differe
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Hashable
-from dataclasses import dataclass, field
 from typing import Literal
 
 from ullage.ports.imc.link import Identity, Link, Wire
 from ullage.ports.imc.options import LinkOptions, endpoint
 from ullage.ports.imc.tcp import TcpWire
 from ullage.ports.intake import Counters, Log
+from ullage.ports.shared_links import SharedLinks
 
 Role = Literal["source", "sink", "vehicle"]
-
-
-@dataclass(slots=True)
-class _SharedLink:
-    """An open link and the roles that use it."""
-
-    link: Link
-    roles: set[Role] = field(default_factory=set)
-
-
-_open: dict[Hashable, _SharedLink] = {}
-_lock = threading.Lock()
+_links: SharedLinks[Link] = SharedLinks()
 
 
 def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log: Log) -> Link:
@@ -45,31 +32,23 @@ def open_link(place: str, options: LinkOptions, me: Identity, *, role: Role, log
     """
     where = endpoint(place)
     key = (where, me.system_id, me.name, options.interface, options.port, options.xml)
-    with _lock:
-        shared = _open.get(key)
-        if shared is not None and role != "vehicle" and role not in shared.roles and not shared.link.finished:
-            shared.roles.add(role)
-            shared.link.join(me, listens=role == "source")
-            return shared.link
-    counters = Counters(log)
-    wire = _wire(where, options, me, log, counters)
-    link = Link(wire, me, table=options.table(), log=log, listens=role != "sink", counters=counters)
-    with _lock:
-        if role != "vehicle":
-            _open[key] = _SharedLink(link, {role})
+
+    def make() -> Link:
+        counters = Counters(log)
+        wire = _wire(where, options, me, log, counters)
+        return Link(wire, me, table=options.table(), log=log, listens=role != "sink", counters=counters)
+
+    if role == "vehicle":
+        return make()
+    link, joined = _links.get(key, role, make, usable=lambda link: not link.finished)
+    if joined:
+        link.join(me, listens=role == "source")
     return link
 
 
 def leave(link: Link, role: Role) -> None:
     """Close the link, unless the other role still uses it."""
-    with _lock:
-        for key, shared in list(_open.items()):
-            if shared.link is link:
-                shared.roles.discard(role)
-                if shared.roles:
-                    return
-                del _open[key]
-    link.close()
+    _links.leave(link, role)
 
 
 def _wire(where: tuple[str, str, int], options: LinkOptions, me: Identity, log: Log, counters: Counters) -> Wire:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from ullage.errors import InputError
@@ -14,6 +13,7 @@ from ullage.ports.mavlink.dialect import Decoder, mavlink
 from ullage.ports.mavlink.options import LinkOptions, Place, place_of
 from ullage.ports.mavlink.timesync import ClockOffset
 from ullage.ports.mavlink.wire import Sender, Wire, open_wire
+from ullage.ports.shared_links import SharedLinks
 
 Role = Literal["source", "sink"]
 POSES = ("ODOMETRY", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ATTITUDE")
@@ -283,25 +283,16 @@ class Link:
             )  # fmt: skip
 
 
-@dataclass(slots=True)
-class _Shared:
-    """An open link, and who uses it."""
-
-    link: Link
-    roles: set[Role] = field(default_factory=set)
-
-
-_open: dict[Hashable, _Shared] = {}
-_open_lock = threading.Lock()
+_links: SharedLinks[Link] = SharedLinks()
 
 
 def open_link(text: str, options: LinkOptions, *, role: Role, log: Log) -> Link:
-    """The link to a place; a source and a sink of one program share it. `leave` closes it.
+    """Open a link to a place; a source and a sink of one program share it. `leave` closes it.
 
     Args:
         text: `udp://HOST:PORT`, `udpin://HOST:PORT` or `serial:///dev/NAME`.
-        options: where the link is open already, they stay as it was opened.
-        role: who asks.
+        options: of the link; an open link keeps the options that it was opened with.
+        role: that uses the link.
         log: takes lines for the user.
 
     Raises:
@@ -311,21 +302,10 @@ def open_link(text: str, options: LinkOptions, *, role: Role, log: Log) -> Link:
     mavlink()
     place = place_of(text)
     key: tuple[Place, int, str] = (place, options.port, options.interface)
-    with _open_lock:
-        shared = _open.get(key)
-        if shared is None or role in shared.roles:
-            shared = _open[key] = _Shared(Link(open_wire(place, options, log), options, log))
-        shared.roles.add(role)
-        return shared.link
+    link, _ = _links.get(key, role, lambda: Link(open_wire(place, options, log), options, log), usable=lambda _: True)
+    return link
 
 
 def leave(link: Link, role: Role) -> None:
-    """Close the link, unless the other one of a source and a sink still uses it."""
-    with _open_lock:
-        for key, shared in list(_open.items()):
-            if shared.link is link:
-                shared.roles.discard(role)
-                if shared.roles:
-                    return
-                del _open[key]
-    link.close()
+    """Close the link, unless the other role still uses it."""
+    _links.leave(link, role)
