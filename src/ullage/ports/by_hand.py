@@ -1,4 +1,4 @@
-"""The simulated multirotor flown by hand: commands come in, frames and the readings of its other sensors go out."""
+"""Fly the simulated multirotor by hand: receive commands, give frames and the readings of its other sensors."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class FlyOptions(PilotOptions):
     duration_s: float | None = Field(None, gt=0, description="ends after so long a flight")
 
     def place(self) -> tuple[float, ...] | None:
-        """Where the flight starts; None: not given.
+        """Return the start of the flight; None: not given.
 
         Raises:
             InputError: it is not three or four finite numbers.
@@ -78,15 +78,15 @@ class FlyOptions(PilotOptions):
 
 
 class Controls(Protocol):
-    """Where commands come from: a keyboard, topics."""
+    """Source of commands: a keyboard or topics."""
 
     counters: Counters  # of what could not be used
 
     def update(self, pilot: Pilot, now_s: float) -> None:
-        """Hand all commands since the last call to the pilot."""
+        """Pass all commands since the last call to the pilot."""
 
     def close(self) -> None:
-        """Let go of the terminal or the network."""
+        """Release the terminal or the network."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ class HandFlownSource(UnboundedSource):
             yield found
 
     def _behind_s(self) -> float:
-        """How much of the flight waits to be simulated [s]."""
+        """Return the part of the flight that waits for simulation [s]."""
         return len(self._states) / self._options.state_hz
 
     def _readings(self, state: State) -> Iterator[Passed]:
@@ -244,7 +244,7 @@ class HandFlownSource(UnboundedSource):
             yield Passed(t_ns, SONAR_TOPIC, encode.RANGE, message)
 
     def _warm_up(self) -> None:
-        """Load and compile while nobody flies."""
+        """Load and compile before the flight."""
         vehicle = self.flight.vehicle
         self._radars.advance(0, vehicle.position, vehicle.quat_xyzw)
         self._radars.reset()
@@ -261,7 +261,7 @@ class HandFlownSource(UnboundedSource):
                     if fresh:
                         self._lock.notify_all()
                 time.sleep(STEP_S)
-        except BaseException as error:  # raised where frames are asked for
+        except BaseException as error:  # raised when frames are requested
             with self._lock:
                 self._error = error
                 self._lock.notify_all()

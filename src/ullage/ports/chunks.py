@@ -1,4 +1,4 @@
-"""Chunks of MCAP recordings, unpacked within a limit whatever their headers promise."""
+"""Unpack chunks of MCAP recordings within a limit, whatever size their headers give."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A drone of others that a port can command: its state comes in, and velocities or set-points go out.
+"""Command an external drone through a port: receive its state, send velocities or set-points.
 
-`Guided` closes the loop between what is asked for (`flight.live.Wish`) and what the drone takes. It needs no
+`Guided` closes the loop between the request (`flight.live.Wish`) and the commands that the drone takes. It needs no
 middleware; the ports `ros2` and `gazebo` give a `Drone` each.
 """
 
@@ -32,7 +32,7 @@ REFERENCE_M = 1.0
 
 @dataclass(frozen=True, slots=True)
 class DroneState:
-    """Where a drone is and how it moves: world ENU, body FLU."""
+    """Pose and motion of a drone: world ENU, body FLU."""
 
     t_ns: int  # Unix time
     position: Floats  # (3) [m]
@@ -42,7 +42,7 @@ class DroneState:
 
 
 class DroneOptions(Spec):
-    """Topics of a drone; empty: what is usual for its kind."""
+    """Topics of a drone; empty: the defaults of its kind."""
 
     odom: str = ""
     cmd_vel: str = ""
@@ -50,12 +50,12 @@ class DroneOptions(Spec):
 
 
 class Drone(Protocol):
-    """A drone on somebody's network."""
+    """External drone on a network."""
 
     counters: Counters  # of messages that could not be used
 
     def states(self) -> list[DroneState]:
-        """The states since the last call, in order of time."""
+        """Return the states since the last call, in order of time."""
 
     def steer(self, velocity: Velocity) -> None:
         """Command a velocity in the level frame of the heading."""
@@ -128,7 +128,7 @@ class Guided:
         return None if self._state is None else self._state.position
 
     def ask(self, wish: Wish) -> None:
-        """Change what is asked for; forces cannot be commanded and are left out."""
+        """Change the request; forces cannot be commanded and are left out."""
         if wish.force_n is not None:
             if not self._force_said:
                 self._force_said = True

@@ -1,4 +1,4 @@
-"""One guard around the readers of recordings: whatever they raise becomes one line with file and place."""
+"""Guard the readers of recordings: any error of theirs becomes one line with file and place."""
 
 from __future__ import annotations
 
@@ -47,18 +47,18 @@ class GuardedSource:
         return found
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
-        """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
+        """Give the frames in order of time, at most `chunk` of each sensor at once."""
         pieces = self._call(lambda: iter(self._source.stream(chunk)))
         while (piece := self._call(lambda: next(pieces, None))) is not None:
             yield piece
 
     def trajectory(self) -> Trajectory | None:
-        """The path of the body, where it is known."""
+        """Return the body's path if it is known."""
         found: Trajectory | None = self._call(self._source.trajectory)
         return found
 
     def map(self) -> OccupancyMap | None:
-        """The last map recorded, where there is one."""
+        """Return the last recorded map, if any."""
         found: OccupancyMap | None = self._call(self._source.map)
         return found
 
@@ -75,6 +75,6 @@ def only_files(folder: Path) -> None:
             try:
                 mode = path.stat().st_mode
             except OSError:
-                continue  # a link that leads nowhere: readers say so
+                continue  # a broken link: the reader reports it
             if not stat.S_ISREG(mode):
                 raise InputError("is a pipe, a socket or a device", where=path, allowed="regular files")

@@ -1,4 +1,4 @@
-"""What a MEMS inertial unit on the simulated vehicle reads: true values and white noise [MPU6000]."""
+"""Readings of a MEMS inertial unit on the simulated vehicle: true values and white noise [MPU6000]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One policy for what arrives from outside: bad messages are counted, clocks are checked, frames wait for poses.
+"""Handle incoming data by one policy: count bad messages, check clocks, hold frames until their poses are known.
 
 Every live port and every reader of recordings uses these objects. None of them knows a middleware.
 
@@ -71,7 +71,7 @@ class _Entry(NamedTuple):
 
 @dataclass(slots=True)
 class _Reported:
-    """What was last reported of one topic and reason."""
+    """Last report of one topic and reason."""
 
     count: int = 0
     next_s: float = 0.0
@@ -98,7 +98,7 @@ class Counters:
         self._steps = 0
 
     def receive(self, topic: str, count: int = 1) -> None:
-        """Count messages that arrived, whatever becomes of them."""
+        """Count messages that arrived, used or not."""
         with self._lock:
             self._received[self._name(topic)] += count
 
@@ -130,7 +130,7 @@ class Counters:
 
     @property
     def steps(self) -> int:
-        """How often a clock stepped."""
+        """Number of steps of a clock."""
         return self._steps
 
     def dropped(self, reason: Reason | None = None, *, topic: str | None = None) -> int:
@@ -164,7 +164,7 @@ class Counters:
         return lines
 
     def values(self) -> list[tuple[str, str]]:
-        """The same as pairs of key and value, for `/diagnostics`."""
+        """Return the counts as pairs of key and value, for `/diagnostics`."""
         with self._lock:
             topics = sorted({entry.topic for entry in self._dropped} | self._received.keys())
             pairs = []
@@ -261,7 +261,7 @@ class Clock:
 
     @property
     def offset_ns(self) -> int:
-        """What is added to the newest stamps [ns]."""
+        """Offset that is added to the newest stamps [ns]."""
         return self._epoch.offset_ns if self._epoch is not None else 0
 
     @property
@@ -495,7 +495,7 @@ Placed = TypeVar("Placed")
 
 
 class Place(NamedTuple, Generic[Placed]):
-    """What is known of the pose of a frame."""
+    """State of the pose of a frame."""
 
     status: Literal["known", "wait", "never"]
     pose: Placed | None = None
@@ -553,6 +553,6 @@ class PoseQueue(Generic[ItemT]):
                 self.counters.drop(self.topic, "no pose", answer.missing)
 
     def clear(self, cause: str = "no pose will come") -> None:
-        """Drop whatever waits, as at the end of a run."""
+        """Drop all waiting frames, as at the end of a run."""
         self.counters.drop(self.topic, "no pose", cause, count=len(self._frames))
         self._frames.clear()

@@ -63,7 +63,7 @@ class Keyboard:
         self._before: list[Any] | None = _raw(self._fd)
 
     def update(self, pilot: Pilot, now_s: float) -> None:
-        """Hand the keys pressed since the last call to the pilot."""
+        """Pass the keys pressed since the last call to the pilot."""
         while self._before is not None and select.select([self._fd], [], [], 0)[0]:
             data = os.read(self._fd, 1024)
             if not data:

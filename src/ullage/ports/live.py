@@ -33,7 +33,7 @@ LISTED = ", ".join(f"{scheme}:" for scheme in LIVE)
 
 @runtime_checkable
 class LiveSource(Protocol):
-    """A peer that goes on measuring: its stream can be read once, and the past is not available."""
+    """Source that measures continuously: its stream can be read once, and the past is not available."""
 
     scene: Scene | None  # the world, if the port knows it
 

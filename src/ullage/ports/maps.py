@@ -1,4 +1,4 @@
-"""Maps as `map_server` has them: an image and a `.yaml` that says where it lies [MapServer].
+"""Read and write maps of `map_server`: an image and a `.yaml` with its place [MapServer].
 
 trinary: black is occupied, white free, grey (205) unknown. scale: grey levels between the thresholds, unknown is
 transparent, so the image is a PNG. raw: the pixel is the percent, 255 unknown; nothing is lost but the mark ambiguous.
@@ -88,7 +88,7 @@ def _write_image(pixels: NDArray[np.uint8], path: Path) -> None:
 
 
 def read_map_server(path: str | Path) -> OccupancyMap:
-    """Read a `map_server` map, ours or anybody's.
+    """Read a `map_server` map of any program.
 
     Args:
         path: of the `.yaml`.

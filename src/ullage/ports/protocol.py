@@ -60,7 +60,7 @@ Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors
 
 @runtime_checkable
 class Source(Protocol):
-    """Something that measured, or remembers measuring."""
+    """Source of frames: an instrument, a simulation or a recording."""
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class Sink(Protocol):
-    """Something that keeps or shows what it is handed."""
+    """Receiver that keeps or shows items."""
 
     def write(self, item: Item) -> None:
         """Take one item."""

@@ -1,4 +1,4 @@
-"""What radars simulated for a live vehicle did, for `/diagnostics`."""
+"""Counts of the radars simulated for a live vehicle, for `/diagnostics`."""
 
 from __future__ import annotations
 

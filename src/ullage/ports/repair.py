@@ -1,4 +1,4 @@
-"""Finish recordings that a kill left unfinished: their index, and rosbag2's metadata.yaml beside them."""
+"""Finish recordings that a kill left unfinished: their index, and rosbag2's metadata.yaml next to them."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _unfinished(target: Path) -> Path | None:
 
 @contextmanager
 def _owned(bag: Path) -> Iterator[bool]:
-    """Whether nobody writes the file: its writer holds a lock until it ends, also by a kill."""
+    """Return whether no process writes the file: a writer holds a lock until it ends, also by a kill."""
     try:
         file = open(bag, "rb")  # noqa: SIM115 (closed below)
     except OSError:

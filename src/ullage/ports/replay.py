@@ -1,4 +1,4 @@
-"""Reading recordings back: finished ones, and what is left of cut or damaged ones.
+"""Read recordings: complete ones, and the readable part of truncated or damaged ones.
 
 Files are read from front to back, a chunk at a time, so memory stays flat and no index is needed.
 """
@@ -122,7 +122,7 @@ class McapSource:
         """Take settings or a track."""
         try:
             known = conversions.settings_of(data) if kind == ros.SETTINGS else {"track": conversions.track_of(data)}
-        except Exception as error:  # whatever a damaged message makes the decoders raise
+        except Exception as error:  # a damaged message can raise any error in the decoders
             counters.drop(mine.stream.topic, "bad", f"{kind}: {type(error).__name__}")
             return
         mine.settings = {**mine.settings, **known}
@@ -139,7 +139,7 @@ class McapSource:
             yield out
 
     def trajectory(self) -> Trajectory | None:
-        """The path of the body as it was believed, where it is known."""
+        """Return the estimated path of the body, if known."""
         messages = [data for _, data in self._messages(ros.ODOMETRY, topic="/odom")]
         return conversions.odometry_path(messages) if messages else None
 
@@ -228,7 +228,7 @@ def _frames(
     try:
         t_ns = np.array([message.t_ns for message in messages])
         return conversions.frames_of([message.item for message in messages], name, settings, t_ns)
-    except Exception as error:  # whatever damaged messages make the decoders raise
+    except Exception as error:  # damaged messages can raise any error in the decoders
         if len(messages) == 1:
             counters.drop(name, "bad", str(error).partition("\n")[0] or type(error).__name__)
             return None
@@ -237,7 +237,7 @@ def _frames(
 
 
 def unreadable() -> tuple[type[Exception], ...]:
-    """What the MCAP reader raises on damaged bytes."""
+    """Errors of the MCAP reader on damaged bytes."""
     from mcap.exceptions import McapError
     from zstandard import ZstdError
 

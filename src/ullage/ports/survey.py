@@ -1,4 +1,4 @@
-"""Surveyed reflectors beside a recording: `reflectors.csv` with the columns `x_m`, `y_m`, `z_m` and, if wanted, `name`.
+"""Surveyed reflectors of a recording: `reflectors.csv` with the columns `x_m`, `y_m`, `z_m` and optionally `name`.
 
 Places are in the frame of reference of the track as ullage gives it: z up, metres; a Motive export becomes (X, -Z, Y).
 """
@@ -21,7 +21,7 @@ MOST_M, MOST_ROWS = 1e4, 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """Where reflectors stand."""
+    """Places of reflectors."""
 
     places: Floats  # (r, 3) world [m]
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Recordings of one radar with its track beside them: a folder, or plain arrays that hold both."""
+"""Recordings of one radar with its track: a folder, or plain arrays with both."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ TRACKS = ("mocap.csv", "track.csv", "track.txt", "track.tum")
 
 
 class RailSource(WholeSource):
-    """A radar recording beside the track of the radar, with reflectors where they were surveyed.
+    """Radar recording with the track of the radar and surveyed reflectors, if any.
 
     Args:
         frames: of the radar.
         path: of the body.
-        reflectors: (r, 3) where reflectors stand, for comparison [m].
+        reflectors: places of reflectors (r, 3), for comparison [m].
         survey: reflectors that may settle clock and range, from `reflectors.csv`; None: there is no such file.
         floor_z_m: height of the floor, where the track's kind says it [m].
     """
@@ -43,7 +43,7 @@ class RailSource(WholeSource):
         self.survey, self.floor_z_m = survey, floor_z_m
 
     def reflectors(self) -> Floats:
-        """Where the reflectors truly stood (r, 3), world ENU [m]: those of `reflectors.csv`, else Motive's."""
+        """True places of the reflectors (r, 3), world ENU [m]: those of `reflectors.csv`, else Motive's."""
         return self._reflectors if self.survey is None else self.survey.places
 
 

@@ -31,7 +31,7 @@ PART = re.compile(r"([\w/]+) (\w+/\w+):(.*)")
 
 
 class Entry(NamedTuple):
-    """One field of a ROS message, and what it is made of."""
+    """Field of a ROS message, with the IMC fields that it is made of."""
 
     path: tuple[str, ...]  # to the field; empty: the whole message
     how: str  # a key of CONVERSIONS, or `each`

@@ -1,4 +1,4 @@
-"""What can be set about an IMC port, by `imc:place?key=value`."""
+"""Options of an IMC port: `imc:place?key=value`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Group = TypeVar("Group", bound=Spec)
 
 
 class LinkOptions(Spec):
-    """Who we are on the wire, and how long we wait."""
+    """Our identity on the wire, and timeouts."""
 
     system_id: int = Field(0x9001, ge=1, lt=0xFFF0, description="our address; 0x9000 on: sensors of others than LSTS")
     name: str = Field("ullage", min_length=1, max_length=64, pattern=r"[^;=\n]+")
@@ -40,7 +40,7 @@ class LinkOptions(Spec):
 
 
 class PlaceOptions(LinkOptions):
-    """Where on earth the world lies."""
+    """Geodetic place of the world."""
 
     origin: str = Field("", description="latitude, longitude [deg], height [m] of the world's origin")
     labels: str = Field("", description="names of the radars as others see them: front=Nose,left=Port")
@@ -124,7 +124,7 @@ class SourceOptions(PlaceOptions):
         return [numbers_of(part, "mission", (3,)) for part in self.mission.split(";") if part.strip()]
 
     def place_of_start(self) -> tuple[float, ...]:
-        """Where the vehicle hovers at first."""
+        """Return the place where the vehicle first hovers."""
         return numbers_of(self.start, "start", (3, 4))
 
     def radars(self) -> RadarSpec | Rig:

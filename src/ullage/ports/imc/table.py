@@ -29,7 +29,7 @@ MEANINGS = {"=": "Enumerated", "|": "Bitfield"}
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """What the numbers of a field stand for."""
+    """Meanings of the numbers of a field."""
 
     unit: str  # Enumerated: one of them; Bitfield: a sum of them
     numbers: Mapping[str, int]  # by name

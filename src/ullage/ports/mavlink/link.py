@@ -1,4 +1,4 @@
-"""The link to an autopilot: who speaks, HEARTBEAT and TIMESYNC in both directions, and the messages of its vehicle."""
+"""Link to an autopilot: its identity, HEARTBEAT and TIMESYNC in both directions, and the messages of its vehicle."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Link:
                     for message in self._decoder(sender).feed(data):
                         self._take(message)
                 self._tick(time.monotonic())
-        except BaseException as error:  # raised where messages are sent or asked for
+        except BaseException as error:  # raised when messages are sent or requested
             self._error = error
 
     def _decoder(self, sender: Sender) -> Decoder:
@@ -221,7 +221,7 @@ class Link:
         now = time.monotonic_ns()
         if message.tc1 == 0:
             self.send(self.dialect.MAVLink_timesync_message(now, message.ts1))
-        elif message.ts1 in self._questions:  # else it answers somebody else
+        elif message.ts1 in self._questions:  # else it is the answer to another system
             self._questions.remove(message.ts1)
             self.clock.take(message.ts1, message.tc1, now)
 

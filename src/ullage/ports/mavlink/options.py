@@ -1,4 +1,4 @@
-"""What can be set about a MAVLink port, by `mavlink:place?key=value`."""
+"""Options of a MAVLink port: `mavlink:place?key=value`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OBSTACLE_AVOIDANCE = 196
 
 
 class Place(NamedTuple):
-    """Where an autopilot is reached."""
+    """Address of an autopilot."""
 
     kind: Literal["udp", "udpin", "serial"]
     host: str  # or the serial device
@@ -66,7 +66,7 @@ class SourceOptions(RadarOptions, LinkOptions):
 
 
 class SinkOptions(LinkOptions):
-    """What is sent to the autopilot."""
+    """Options of the distances sent to the autopilot."""
 
     pace: float = Field(1.0, ge=0, le=1000, description="times real time, for frames that are not of the present")
     obstacle_hz: float = Field(20.0, ge=1, le=200, description="most OBSTACLE_DISTANCE a second; autopilots want 10")

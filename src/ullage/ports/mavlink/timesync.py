@@ -25,7 +25,7 @@ TOPIC = "TIMESYNC"
 
 
 class Exchange(NamedTuple):
-    """One question and its answer."""
+    """Request and its answer."""
 
     at_ns: float  # middle of the round trip by this clock
     offset_ns: float  # the peer's clock less this one
@@ -58,7 +58,7 @@ class ClockOffset:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster the peer's clock goes, in millionths; 0 while it is not known."""
+        """Drift of the peer's clock relative to ours [ppm]; 0 while it is not known."""
         return self._line[2] * 1e6 if self._line is not None else 0.0
 
     def take(self, sent_ns: int, peer_ns: int, received_ns: int) -> None:
