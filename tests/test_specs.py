@@ -70,3 +70,11 @@ def test_bad_settings_are_refused_in_one_line(make, words: str) -> None:
     with pytest.raises(ul.InputError, match=words) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+def test_a_radar_prints_what_differs_from_its_defaults() -> None:
+    assert repr(ul.RadarSpec.preset("x4m05")) == "RadarSpec(name='x4m05')"
+    assert repr(ul.RadarSpec.preset("x4m300", noise=None, fps=20)) == (
+        "RadarSpec(name='x4m300', frame_area_offset_m=0.18, fps=20.0, noise=None)"
+    )
+    assert len(repr(ul.Rig.preset("thesis-4"))) < 500

@@ -7,6 +7,7 @@ Facts about the X4 come from [NoveldaXTAN13] (user guide), [NoveldaX4Driver] (pu
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, get_args
@@ -82,6 +83,13 @@ class Spec(BaseModel):
             raise refusal(error, type(self)) from None
         finally:
             _nested.reset(mark)
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Its name, and the fields that differ from their defaults; pydantic calls this."""
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if name == "name" or field.is_required() or value != field.get_default(call_default_factory=True):
+                yield name, value
 
     def but(self, /, **changes: Any) -> Self:
         """A checked copy with some fields changed."""

@@ -19,6 +19,7 @@ def test_both_calls_agree():
     frames = ul.simulate(scene, HERE, RADAR, max_bounces=2)
     assert [str(c) for c in ul.explain(frames, 0, scene=scene, max_bounces=2)] == [str(c) for c in ours]
     assert ours[0].object == "plate"
+    assert repr(ours[0]) == f"Contribution('plate', 1 bounce, 2.00 m, {ours[0].path_gain_db:.1f} dB)"
     assert ours[0].range_m == pytest.approx(2.0, abs=1e-3)
     assert ours[0].point == pytest.approx((2.0, 0, 0), abs=1e-6)
     assert all(a.path_gain_db >= b.path_gain_db for a, b in itertools.pairwise(ours))

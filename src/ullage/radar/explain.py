@@ -50,6 +50,10 @@ class Contribution:
         """All objects that the wave meets, in that order."""
         return (*self.via, self.object, *self.after)
 
+    def __repr__(self) -> str:
+        bounces = "1 bounce" if self.bounces == 1 else f"{self.bounces} bounces"
+        return f"Contribution({self.object!r}, {bounces}, {self.range_m:.2f} m, {self.path_gain_db:.1f} dB)"
+
     def __str__(self) -> str:
         x, y, z = self.point
         many = "s" if self.bounces > 1 else " "
