@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 import trimesh
+import typer
 import yaml
 
 import ullage as ul
-from ullage.cli import main
+from ullage.cli import app, main
 from ullage.experiments.catalog import Variant, families, scenario_names
 
 ROOM = """<?xml version="1.0"?><sdf version="1.9"><world name="w">
@@ -249,6 +250,15 @@ def test_the_overview_fits_a_screen_and_names_every_family(tmp_path: Path) -> No
     assert max(map(len, told[:10])) <= 80
     names = {line.split()[0].rstrip("*") for line in told if line.startswith(" ")}
     assert names >= set(families())
+
+
+def test_help_has_a_whole_sentence_for_every_command() -> None:
+    shown = [command.get_short_help_str() for command in typer.main.get_command(app).commands.values()]
+    assert [text for text in shown if not re.fullmatch(r"[A-Z][^.]*\.(html anew\.)?", text)] == []
+
+
+def test_nothing_is_got_ready_for_a_name_that_is_unknown(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert Told(("run", "nowhere"), place, capsys).stdout == ""
 
 
 @pytest.mark.parametrize(

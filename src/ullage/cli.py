@@ -159,18 +159,22 @@ def run(
     open_report: Annotated[bool, typer.Option("--open", help="Open the report in a browser.")] = False,
     trust_xacro: Trust = False,
 ) -> None:
-    """Simulate, record, replay, convert: take frames from SOURCE and make maps, images and detections of them."""
+    """Simulate, record, replay or convert.
+
+    Take frames from SOURCE and make maps, images and detections of them.
+    """
     repair(source)
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.comparison import fly_again, rival_scenario
     from ullage.experiments.runner import execute
-    from ullage.experiments.source_resolution import make_run, record, tasks_of
+    from ullage.experiments.source_resolution import check_target, make_run, record, tasks_of
     from ullage.pipeline import check_sink
     from ullage.view.progress import log, open_page, progress_bar
     from ullage.view.viewer_output import keep_serving
 
     tasks, options, sinks = tasks_of(do), option or [], to or []
     source = variant_name(source, law=law, by_hand=by_hand)
+    check_target(source)
     for target in sinks:
         check_sink(target)
     rival = rival_scenario(source, compare, options=options) if compare is not None else None
@@ -205,7 +209,10 @@ def fly(
     duration_s: Annotated[float | None, typer.Option("--duration-s", min=0.1, help="End after so long.")] = None,
     out: Out = None,
 ) -> None:
-    """Fly a multirotor by hand while its radars measure and the map grows; Ctrl-C ends the flight."""
+    """Fly by hand while the map grows.
+
+    The radars of a simulated multirotor measure on the way. Ctrl-C ends the flight.
+    """
     from ullage.experiments.catalog import variant_name
     from ullage.experiments.runner import execute
     from ullage.experiments.source_resolution import flight_scenario, make_flight, record, tasks_of
@@ -416,7 +423,10 @@ def show(run: Annotated[str, typer.Argument(help="Run folder, its name, or lates
 
 @app.command()
 def measure(run: Annotated[str, typer.Argument(help="Run folder, its name, or latest.")] = "latest") -> None:
-    """Hold a run against its scenario's bounds; exit 1 when one is broken."""
+    """Check a run against its bounds.
+
+    The scenario has them. Exit 1 when one is broken.
+    """
     from ullage.errors import InputError
     from ullage.experiments.bounds import verdicts
     from ullage.experiments.folder import FINISHED, describe, find_folder, state_of
@@ -468,7 +478,10 @@ def config(
     by_hand: ByHand = False,
     schema: Annotated[bool, typer.Option("--schema", help="The JSON schema of scenario files instead.")] = False,
 ) -> None:
-    """Print a scenario as commented YAML, ready to save and change."""
+    """Print a scenario as commented YAML.
+
+    Save it, change it, and run it.
+    """
     import json
 
     from ullage.config import scenario_schema, scenario_text
@@ -490,7 +503,10 @@ def validate(
         Path | None, typer.Option("--recordings", help="Compare with the real recordings here instead.", metavar="DIR")
     ] = None,
 ) -> None:
-    """Hold the physical radar against theory, or against recordings; exit 1 when a bound is broken."""
+    """Check the physical radar against theory.
+
+    Or against recordings. Exit 1 when a bound is broken.
+    """
     from ullage.experiments.validation.validate import against_recordings
     from ullage.experiments.validation.validate import validate as hold_against
     from ullage.view.progress import console, log
@@ -519,7 +535,10 @@ def reproduce(
     ] = Path("../shared/data"),
     jobs: Jobs = None,
 ) -> None:
-    """Run every experiment of the thesis, both ways; exit 1 when a bound is broken. Run again to go on after Ctrl-C."""
+    """Run the experiments of the thesis.
+
+    Each is run both ways. Exit 1 when a bound is broken. Run again to go on after Ctrl-C.
+    """
     from ullage.experiments.warmup import compile_kernels, compiled
     from ullage.thesis.plan import wanted
     from ullage.thesis.reproduce import reproduce as run_all
@@ -575,7 +594,10 @@ def sweep(
     scheduler: Scheduler = None,
     trust_xacro: Trust = False,
 ) -> None:
-    """Run a scenario with every combination of some settings; write a table. Run again to go on after Ctrl-C."""
+    """Run a scenario with many settings.
+
+    Run every combination of some settings and write a table. Run again to go on after Ctrl-C.
+    """
     from ullage.experiments import sweep as sweeps
     from ullage.experiments.catalog import variant_name
     from ullage.view.progress import log, progress_bar
@@ -618,7 +640,10 @@ def dataset(
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Make a training set of random worlds and flights. Run again to go on after Ctrl-C, or with a larger --n."""
+    """Make a training set of random flights.
+
+    Worlds and flights are random. Run again to go on after Ctrl-C, or with a larger --n.
+    """
     from ullage.errors import InputError
     from ullage.experiments import dataset as sets
     from ullage.experiments.warmup import compile_kernels, compiled
@@ -670,7 +695,10 @@ def _tabulate(done: Sweep, metrics: list[str]) -> None:
 def doctor(
     bag: Annotated[str, typer.Argument(help="Recording to repair: a run's or rosbag2 folder that a kill left.")] = "",
 ) -> None:
-    """Check this installation: libraries, kernels, worlds, disk; exit 1 when something is wrong. Or repair a BAG."""
+    """Check this installation, or repair a BAG.
+
+    Check libraries, kernels, worlds and disk. Exit 1 when something is wrong.
+    """
     from ullage.errors import InputError
     from ullage.experiments.doctor import checks
     from ullage.view.progress import log

@@ -62,6 +62,7 @@ def make_run(
     Raises:
         InputError: the target, an option or a sink cannot be used, or the run exists.
     """
+    check_target(target)
     for sink in to:
         check_sink(sink)
     path = Path(target)
@@ -75,13 +76,22 @@ def make_run(
         return _begin(of_scenario(Path(), prepare(scenario, scene=scene, progress=progress)), to, out, force=force)
     if there:
         target = str(path.resolve())  # `latest` will point elsewhere before it is read
-    if there or ":" in target:
-        return _begin(_of_recording(target, tasks, options, log), to, out, force=force)
-    raise InputError(
-        f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}",
-        allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a world file, a recording, or a live port: "
-        f"{LISTED}",
-    )
+    return _begin(_of_recording(target, tasks, options, log), to, out, force=force)
+
+
+def check_target(target: str) -> None:
+    """Refuse what names no scenario, world, recording or port, before any work.
+
+    Raises:
+        InputError: it names none of them.
+    """
+    known = is_world(target) or target in scenario_names() or Path(target).suffix in {".yaml", ".yml"}
+    if not (known or ":" in target or os.path.exists(target)):
+        raise InputError(
+            f"no scenario, recording or port {target!r}{suggestion(target, scenario_names())}",
+            allowed=f"a scenario ({', '.join(families())}), a scenario.yaml, a world file, a recording, "
+            f"or a live port: {LISTED}",
+        )
 
 
 def is_world(target: str) -> bool:
