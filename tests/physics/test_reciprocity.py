@@ -5,7 +5,7 @@ import pytest
 
 import ullage as ul
 from ullage.radar import physical
-from ullage.radar.multipath import accumulate_bounces, looks
+from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.world.library import WORLDS
 
 RADAR = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None).but(
@@ -74,7 +74,7 @@ def test_two_walls_give_the_wave_of_their_one_image_wherever_the_antennas_are(si
         one, other = apart(rng, -0.8 * half, 0.8 * half, distance)
         view, grids = sent(ready, one, other), np.zeros((3, ready.places), complex)
         parts = ready.world.parts()
-        laid = accumulate_bounces(ready, parts, flats, view, 2, looks(ready, flats, view), grids)
+        laid = accumulate_bounces(ready, parts, flats, view, 2, apparent_sizes(ready, flats, view), grids)
         delay = np.concatenate([part.delay_s for part in laid])
         for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # the four upright corners
             image = one.copy()

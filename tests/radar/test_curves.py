@@ -11,7 +11,7 @@ from ullage.experiments.validation.oracles import dense_tank
 from ullage.experiments.validation.rows import over
 from ullage.radar import ball_echoes, curves, paths, physical
 from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import beams_of, looks
+from ullage.radar.multipath import apparent_sizes, beams_of
 from ullage.radar.penetration import fresnel
 from ullage.radar.physical import path_gain_cw
 from ullage.world import scenes
@@ -172,7 +172,7 @@ def test_nothing_is_counted_twice():
     spec = radar()
     context = radar_context(scenes.tank(2.0, 1.2, strips=24), spec)
     planar, antennas = context.world.still.planar, antenna_pair(spec, np.array([0.3, 0.2, 0.5]), np.eye(3))
-    look = looks(context, planar, antennas)
+    look = apparent_sizes(context, planar, antennas)
     beams = beams_of(context, planar, antennas, 3, look)
     faces = np.column_stack([beams.chains, beams.ends_on])
     bent = (planar.smooth[faces] & (faces >= 0)).sum(1)
@@ -243,7 +243,9 @@ def test_echoes_over_the_floor_change_smoothly_along_a_track(monkeypatch):
     for place in path.position:
         context = radar_context(scene, spec)
         antennas = antenna_pair(spec, place, np.eye(3))
-        faces.add(tuple(paths.paths_of(context, planar, antennas, 2, looks(context, planar, antennas)).faces.ravel()))
+        faces.add(
+            tuple(paths.paths_of(context, planar, antennas, 2, apparent_sizes(context, planar, antennas)).faces.ravel())
+        )
     both = [ul.simulate(scene, path, spec, max_bounces=b).samples for b in (1, 2)]
     bare = [ul.simulate(scenes.room((5, 4, 2.4)), path, spec, max_bounces=b).samples for b in (1, 2)]
     change = abs(np.diff((both[1] - both[0]) - (bare[1] - bare[0]), axis=0)).max(1)

@@ -10,7 +10,7 @@ from ullage.experiments.validation.rows import radar
 from ullage.geometry import quat_matrix
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.flat_pairs import accumulate_flat_pairs
-from ullage.radar.multipath import looks
+from ullage.radar.multipath import apparent_sizes
 from ullage.radar.round_pairs import accumulate_pairs
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -49,7 +49,9 @@ def heard(scene, pose, spec, which=accumulate_flat_pairs, antennas=None):
     made, grids = context.world, np.zeros((3, context.places), complex)
     planar = made.still.planar
     more = () if which is accumulate_pairs else (planar,)
-    look = () if which is accumulate_pairs else (looks(context, planar, antennas) * (planar.widths.min(1) > 1),)
+    look = (
+        () if which is accumulate_pairs else (apparent_sizes(context, planar, antennas) * (planar.widths.min(1) > 1),)
+    )
     echoes = which(context, made.parts(), made.rounds, *more, antennas, *look, grids)
     return {
         (*(int(k) for k in part.via[i]), int(part.object_ids[i]), int(before)): part.echo[i]

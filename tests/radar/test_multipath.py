@@ -58,8 +58,8 @@ def test_the_choice_of_mirrors_changes_nothing_suddenly(monkeypatch):
     planar = prepare(room).still.planar
     context, sets = radar_context(room, radar), set()
     for place in path.position[::25]:
-        sizes = multipath.looks(context, planar, antenna_pair(radar, place, np.eye(3)))
-        sets.add(tuple(multipath.most_looked(sizes)[0]))
+        sizes = multipath.apparent_sizes(context, planar, antenna_pair(radar, place, np.eye(3)))
+        sets.add(tuple(multipath.choose_largest(sizes)[0]))
     both = [ul.simulate(room, path, radar, max_bounces=order).samples for order in (1, 2)]
     samples = both[1] - both[0]
     step = abs(np.diff(samples, axis=0)).max(1)
@@ -88,7 +88,7 @@ def test_a_face_that_a_beam_only_touches_passes_nothing_on(height):
     radar = ul.RadarSpec.preset("x4m05", noise=None)
     antennas = antenna_pair(radar, np.array([0.3, 0.2, height]), np.eye(3))
     context = radar_context(scene, radar)
-    beams = multipath.beams_of(context, planar, antennas, 3, multipath.looks(context, planar, antennas))
+    beams = multipath.beams_of(context, planar, antennas, 3, multipath.apparent_sizes(context, planar, antennas))
     sides = np.flatnonzero(planar.object_ids == 0)
     assert len(sides) == 2
     assert np.isin(beams.chains, sides).any()

@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import looks
+from ullage.radar.multipath import apparent_sizes
 from ullage.radar.paths import FACES, PAIRS, largest, paths_of
 
 
@@ -16,7 +16,7 @@ def found(bounces, *, offset_m=0.0, size=(6, 4, 3), position=(0.3, 0.2, 0.1)):
     context = radar_context(ul.scenes.room(size), spec)
     antennas = antenna_pair(spec, np.array(position), np.eye(3))
     planar = context.world.still.planar
-    return paths_of(context, planar, antennas, bounces, looks(context, planar, antennas)), context
+    return paths_of(context, planar, antennas, bounces, apparent_sizes(context, planar, antennas)), context
 
 
 def legs_of(paths):

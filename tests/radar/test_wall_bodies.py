@@ -9,7 +9,7 @@ import ullage as ul
 from ullage.experiments.validation.rows import radar
 from ullage.experiments.validation.validate import drum_heard, over_wall
 from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import looks
+from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, accumulate_wall_bodies, lines_over
@@ -67,7 +67,7 @@ def heard(scene, pose, spec, bounces):
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     world, grids = context.world, np.zeros((3, context.places), complex)
     planar = world.still.planar
-    look = looks(context, planar, antennas)
+    look = apparent_sizes(context, planar, antennas)
     return accumulate_wall_bodies(context, world.parts(), world.rounds, planar, antennas, bounces, look, grids)
 
 

@@ -11,7 +11,7 @@ from ullage.experiments.validation.rows import radar
 from ullage.experiments.validation.validate import walls_heard
 from ullage.radar import wall_bounces
 from ullage.radar.context import antenna_pair, radar_context
-from ullage.radar.multipath import looks
+from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
 from ullage.radar.rounds import rounds_of, shells_of
 from ullage.world import scenes
@@ -42,7 +42,7 @@ def walls(scene, pose, spec, bounces=2):
     context = radar_context(scene, spec)
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
-    look, world = looks(context, planar, antennas), context.world
+    look, world = apparent_sizes(context, planar, antennas), context.world
     echoes = wall_bounces.accumulate_walls(context, world.parts(), world.rounds, planar, antennas, bounces, look, grids)
     return sum((part.echo.sum() for part in echoes), 0j)
 

@@ -260,7 +260,7 @@ def _image(point, normal, offset, out):  # type: ignore[no-untyped-def]
 
 
 @lean(nogil=True, error_model="numpy")
-def looks(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-untyped-def]
+def apparent_sizes(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-untyped-def]
     """Compute the apparent size of faces from the nearest antenna, reduced for faces smaller than a Fresnel zone.
 
     Faces beyond the gate get 0.
@@ -280,16 +280,16 @@ def looks(spheres, widths, origins, gate, wavelength, out):  # type: ignore[no-u
             gap = math.sqrt(square) + 1e-3
             if gap - spheres[i, 3] <= gate:
                 zone = math.sqrt(0.5 * wavelength * gap)
-                look = spheres[i, 3] / gap * min(widths[i, 0] / zone, 1.0) * min(widths[i, 1] / zone, 1.0)
-                out[i] = max(out[i], look)
+                size = spheres[i, 3] / gap * min(widths[i, 0] / zone, 1.0) * min(widths[i, 1] / zone, 1.0)
+                out[i] = max(out[i], size)
 
 
 @lean(nogil=True, error_model="numpy")
-def largest(look, fade, most, which, weights):  # type: ignore[no-untyped-def]
+def largest(sizes, fade, most, which, weights):  # type: ignore[no-untyped-def]
     """Choose the faces of the largest apparent size, fewer than `most` has places, and weigh all of them.
 
     Args:
-        look: (n) how large each looks.
+        sizes: (n) apparent size of each.
         fade: they fade in over this share of the size at which they are taken.
         most: (count + 1) scratch.
         which: (n) gets those that are larger than the largest one left out.
@@ -301,18 +301,18 @@ def largest(look, fade, most, which, weights):  # type: ignore[no-untyped-def]
     last = len(most) - 1
     for k in range(last + 1):
         most[k] = 0.0
-    for i in range(len(look)):
-        if look[i] > most[last]:
+    for i in range(len(sizes)):
+        if sizes[i] > most[last]:
             k = last
-            while k > 0 and most[k - 1] < look[i]:
+            while k > 0 and most[k - 1] < sizes[i]:
                 most[k] = most[k - 1]
                 k -= 1
-            most[k] = look[i]
-    least, count = most[last] if len(look) > last else 0.0, 0
-    for i in range(len(look)):
+            most[k] = sizes[i]
+    least, count = most[last] if len(sizes) > last else 0.0, 0
+    for i in range(len(sizes)):
         weights[i] = 0.0
-        if look[i] > least:
-            weights[i] = min((look[i] / max(least, 1e-12) - 1) / fade, 1.0)
+        if sizes[i] > least:
+            weights[i] = min((sizes[i] / max(least, 1e-12) - 1) / fade, 1.0)
             which[count] = i
             count += 1
     return count

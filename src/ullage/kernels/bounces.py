@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Complexes, Floats, Ints, Longs
+from ullage.kernels.edges import Outline
 from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import field_across, mirrored, unit_to
 
@@ -19,15 +20,6 @@ class Mirrors(NamedTuple):
     widths: Floats  # (p, 2) extent of each along its longest edge and across it [m]
     gamma: Complexes  # (s, 1, 2, c) reflection over cos(incidence), TE and TM
     wavelength_m: float  # of the carrier, for Fresnel zones
-
-
-class EdgeParts(NamedTuple):
-    """Outlines of the lit parts of beams, as `edges.cut` returns them."""
-
-    pieces: Floats  # (m, 12) pieces of edge
-    owner: Ints  # (m) beam of each piece
-    tips: Floats  # (n, 9) ends of edges
-    holders: Ints  # (n) beam of each end
 
 
 class ImagePaths(NamedTuple):
@@ -53,18 +45,18 @@ class ReflectScratch(NamedTuple):
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
-def stand_ins(middle, parts: EdgeParts, points, which, least, cut, out):  # type: ignore[no-untyped-def]
+def stand_ins(middle, outline: Outline, points, which, least, cut, out):  # type: ignore[no-untyped-def]
     """Choose one point on each beam's lit part: the mirror point, or where the path over the outline is shortest.
 
     Args:
         middle: (b, 3) a point well inside each lit part [m].
-        parts: `EdgeParts`.
+        outline: `edges.Outline` of the lit parts, whose faces are the beams.
         points: (k, 3) mirror points [m].
         which: (k) beam of each.
         least, cut: (b), (b), scratch.
         out: (b, 3) gets the points, slightly inside the outline [m].
     """
-    pieces, owner, tips, holders = parts
+    pieces, owner, tips, holders = outline.pieces, outline.owner, outline.tips, outline.holders
     count = len(middle)
     for i in range(count):
         least[i], cut[i] = math.inf, False

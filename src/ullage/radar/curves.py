@@ -114,7 +114,7 @@ def _accumulate_small(
     pieces, between = TrianglePieces(leaves.take(at, 0), owner[at], of), Transmission(factor[free], np.zeros(len(free)))
     seen = _bare(context).lit(antennas, part)
     seen = seen._replace(antennas=paths.antennas(seen.antennas))
-    return [paths.told(accumulate_triangles(context, pieces, seen, between, grids), of)]
+    return [paths.with_paths(accumulate_triangles(context, pieces, seen, between, grids), of)]
 
 
 def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
@@ -179,7 +179,7 @@ def _accumulate_strips(
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
     seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), strips.of), context.reflection)
     echoes, owner = accumulate_parted(context, faces, many, outline, limits, shaded, seen, grids)
-    return [paths.told(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
+    return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
 
 
 def outlines_heard(context: RadarContext, outline: Outline, gains: Floats, rest: float) -> Bools:

@@ -19,7 +19,7 @@ from ullage.kernels.pairs import BodyPairs, PairPaths
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.multipath import most_looked
+from ullage.radar.multipath import choose_largest
 from ullage.radar.paths import FACES, largest
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies, shortest
@@ -52,7 +52,7 @@ def accumulate_flat_pairs(
         return []
     which, weights, _ = seen_bodies(context, bodies, antennas, MOST)
     some = largest(look * ~planar.smooth, FACES)
-    held, shares = most_looked(look[some], FACES)
+    held, shares = choose_largest(look[some], FACES)
     faces = some[held]
     rows, twice = _rows(len(faces), len(which), antennas.monostatic)
     if not len(rows):

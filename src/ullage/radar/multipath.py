@@ -1,9 +1,9 @@
-"""Echoes over several surfaces: mirror images of the radar, beams clipped by every mirror, physical optics at the end.
+"""Add the echoes of paths over several flat faces.
 
-A path of k bounces goes over k - 1 flat mirrors by geometrical optics; the part of the last face that the beam lights
-is done by its clipped rim, as in single bounce, so corners, truncated mirrors and rooms come out of one rule.
-Every ordered sequence of faces is followed once; delays are those of the image method [AllenBerkley1979].
-A mirror that does not cover its Fresnel zone passes on only the part that it covers.
+A path of k bounces is reflected by k - 1 flat mirrors by geometrical optics. Physical optics then gives the echo of the
+part of the last face that the beam lights, from its clipped outline, as for a single bounce. Corners, truncated
+mirrors and rooms need no other rule. Every ordered sequence of faces is followed once. Delays are those of the image
+method [AllenBerkley1979]. A mirror that does not cover its first Fresnel zone reflects only the part that it covers.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from ullage.radar.visibility import between
 from ullage.radar.zones import shares, strengths
 
 MIRRORS = 32
-"""At most so many mirrors are used, those that look largest from the radar."""
+"""Greatest number of mirrors of a frame: those of the largest apparent size."""
 FADE = 0.1
-"""Mirrors and end faces fade in over this share of the size at which they are taken, so that none comes at a stroke."""
+"""Mirrors and end faces fade in over this share of the size at which they are chosen, so that none appears at once."""
 FAINT = 1e-3
-"""Beams over mirrors that cover less of their Fresnel zones than this are left out; all are less by as much."""
+"""Beams whose mirrors cover less of their Fresnel zones are left out; the weights of all are reduced by it."""
 EXCESS_M = 0.5
-"""Rims whose path exceeds the mirror path by more are left out [m]."""
+"""Edges whose path exceeds the mirror path by more are left out [m]."""
 
 
 def accumulate_bounces(
@@ -43,55 +43,54 @@ def accumulate_bounces(
     planar: PlanarPatches,
     antennas: AntennaPair,
     max_bounces: int,
-    look: Floats,
+    sizes: Floats,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes of two and three bounces between flat faces, which look so large (p), to the delay grids.
+    """Add the echoes of two and three bounces between flat faces to the delay grids (3, g).
 
-    Mirrors come before the face that is integrated over. Antennas apart each send half: what one sends over a mirror
-    and a face comes, by reciprocity, also over the face and then the mirror.
+    A wave meets the mirrors before the face that is integrated over. Where the antennas are apart, each sends half: by
+    reciprocity, the reversed radar gives the waves that meet that face first.
+
+    Args:
+        context: what all frames share.
+        parts: everything that can hide a path.
+        planar: the flat faces (p).
+        antennas: the radar.
+        max_bounces: 2 or 3.
+        sizes: (p) apparent size of each face.
+        grids: delay grids, added to.
     """
     if len(planar) < 2:
         return []
-    if antennas.monostatic:
-        return _traced(context, parts, planar, antennas, max_bounces, look, grids)
     half = replace(antennas, factor=0.5 * antennas.factor)
-    return [*_traced(context, parts, planar, half, max_bounces, look, grids),
-            *map(_turned, _traced(context, parts, planar, half.swapped(), max_bounces, look, grids))]  # fmt: skip
+    out: list[EchoSet] = []
+    for radar in (antennas,) if antennas.monostatic else (half, half.swapped()):
+        beams = beams_of(context, planar, radar, max_bounces, sizes)
+        if len(beams):
+            echoes = _accumulate(context, parts, planar, radar, beams, grids)
+            out.append(_reversed(echoes) if out else echoes)
+    return out
 
 
-def _turned(echoes: EchoSet) -> EchoSet:
-    """Echoes traced from the receiver, as the wave runs: it meets the face at the end first, then the mirrors."""
+def _reversed(echoes: EchoSet) -> EchoSet:
+    """Reverse echoes traced from the receiver: the wave meets the face at the end first, then the mirrors."""
     if echoes.via is None:
         return echoes
     via = np.where(echoes.via[:, 1:] >= 0, echoes.via[:, ::-1], echoes.via)
     return replace(echoes, via=via, before=np.zeros(len(via), np.int64))
 
 
-def _traced(
-    context: RadarContext,
-    parts: list[Surfaces],
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    max_bounces: int,
-    look: Floats,
-    grids: Complexes,
-) -> list[EchoSet]:
-    beams = beams_of(context, planar, antennas, max_bounces, look)
-    return _accumulate(context, parts, planar, antennas, beams, grids) if len(beams) else []
-
-
 def beams_of(
-    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, max_bounces: int, look: Floats
+    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, max_bounces: int, sizes: Floats
 ) -> Beams:
-    """All beams of two bounces up to as many as told, over the mirrors that look largest (p) from one pose."""
-    chosen = _chosen(planar, look, context.gate[1], context.spec.wavelength_m)
+    """Trace all beams of two to `max_bounces` bounces over the mirrors of the largest apparent sizes (p)."""
+    chosen = _chosen(planar, sizes, context.gate[1], context.spec.wavelength_m)
     return trace(planar, antennas, max_bounces, context.gate[1], chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """Mirrors (convex parts) and faces where paths end, of all there are those that look largest."""
+    """Mirrors (convex parts) and faces where paths end, those of the largest apparent sizes."""
 
     mirrors: Longs  # (m)
     mirror_weights: Floats  # (c) of all convex parts, 0 where not chosen
@@ -99,40 +98,43 @@ class Chosen:
     target_weights: Floats  # (p) of all faces
 
 
-def _chosen(planar: PlanarPatches, look: Floats, gate_m: float, wavelength_m: float) -> Chosen:
-    """The mirrors and end faces to use: those that look largest, less what they lack of a Fresnel zone.
+def _chosen(planar: PlanarPatches, sizes: Floats, gate_m: float, wavelength_m: float) -> Chosen:
+    """Choose the mirrors and end faces of the largest apparent sizes (p).
 
-    Each has a weight that rises from 0 as it comes to look larger than the largest one left out, so that the choice,
-    made anew at each pose, changes nothing suddenly along a track.
+    The choice is made anew at each pose. The weight of a face rises from 0 as its size exceeds the largest one left
+    out, so that nothing changes suddenly along a track.
     """
-    look = look * _wide(planar, np.sqrt(wavelength_m * gate_m / 2))
-    mirrors, mirror_weights = most_looked(look[planar.flat_of])
-    return Chosen(mirrors, mirror_weights, *most_looked(look))
+    sizes = sizes * _wide(planar, np.sqrt(wavelength_m * gate_m / 2))
+    mirrors, mirror_weights = choose_largest(sizes[planar.flat_of])
+    return Chosen(mirrors, mirror_weights, *choose_largest(sizes))
 
 
 @lru_cache(maxsize=8)
 def _wide(planar: PlanarPatches, least_m: float) -> Bools:
-    """Which faces (p) are no narrow facets of curved surfaces: those are done by `curves`, with one bounce at them."""
+    """Find the faces (p) that are no narrow facets of curved surfaces; `curves` adds the echoes of those."""
     return np.asarray(~(planar.smooth & (planar.widths.min(1, initial=np.inf) < least_m)))
 
 
-def looks(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair) -> Floats:
-    """How large each face (p) looks from the antenna nearer to it, less what it lacks of a zone; 0 beyond the gate."""
+def apparent_sizes(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair) -> Floats:
+    """Compute the apparent size of each face (p) from the nearest antenna; 0 beyond the gate.
+
+    It is reduced for faces smaller than a Fresnel zone.
+    """
     origins = antennas.origins[:1] if antennas.monostatic else antennas.origins
     out = np.empty(len(planar))
-    kernel.looks(planar.spheres, planar.widths, origins, context.gate[1], context.spec.wavelength_m, out)
+    kernel.apparent_sizes(planar.spheres, planar.widths, origins, context.gate[1], context.spec.wavelength_m, out)
     return out
 
 
-def most_looked(look: Floats, count: int | None = None) -> tuple[Longs, Floats]:
-    """Which of all (n) look largest, `MIRRORS` or so many, and what each of all counts."""
-    which, weights = np.empty(len(look), np.int64), np.empty(len(look))
-    made = kernel.largest(look, FADE, np.empty((MIRRORS if count is None else count) + 1), which, weights)
+def choose_largest(sizes: Floats, count: int | None = None) -> tuple[Longs, Floats]:
+    """Choose the largest of some sizes (n), fewer than `count` (`MIRRORS`), and weigh all of them (n)."""
+    which, weights = np.empty(len(sizes), np.int64), np.empty(len(sizes))
+    made = kernel.largest(sizes, FADE, np.empty((MIRRORS if count is None else count) + 1), which, weights)
     return which[:made], weights
 
 
 def trace(planar: PlanarPatches, antennas: AntennaPair, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:
-    """All beams of two bounces up to as many as told within the gate."""
+    """Trace all beams of two to `bounces_` bounces within the gate [m]."""
     rooms = [1024, 8192]
     mirrors = kernel.ConvexMirrors(chosen.mirrors, planar.mirrors, planar.sizes, planar.flat_of)
     faces = kernel.EndFaces(chosen.targets, planar.normals, planar.offsets, planar.spheres, planar.loop_of,
@@ -162,7 +164,8 @@ def _accumulate(
     antennas: AntennaPair,
     beams: Beams,
     grids: Complexes,
-) -> list[EchoSet]:
+) -> EchoSet:
+    """Add the echoes of beams (b) to the delay grids."""
     gate = np.array(context.gate[1:])
     on, starts, ends = beams.ends_on, np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])
     normals, offsets, spheres = planar.normals.take(on, 0), planar.offsets[on], planar.spheres.take(on, 0)
@@ -181,8 +184,7 @@ def _accumulate(
     count = draw.crossings(which, outline.windings, normals, offsets, origins, gate, points)
     points, which = points[:count], which[:count]
     lit = np.empty((many, 3))
-    cut = bounces.EdgeParts(outline.pieces, outline.owner, outline.tips, outline.holders)
-    bounces.stand_ins(middles, cut, points, which, np.empty(many), np.empty(many, np.bool_), lit)
+    bounces.stand_ins(middles, outline, points, which, np.empty(many), np.empty(many, np.bool_), lit)
     owner = np.concatenate([outline.owner, outline.holders, which])
     path, factor = _through(planar, antennas, beams, lit), np.zeros(many, complex)
     factor[owner] = weights[owner] * antennas.factor  # most beams hold nothing that echoes
@@ -201,21 +203,21 @@ def _accumulate(
     lit_faces = LitFaces(normals, plain, radars, context.reflection)
     echoes = accumulate_outline(outline, points, which, between, lit_faces, context.pulse_grid, grids)
     via = np.where(beams.chains >= 0, planar.object_ids[beams.chains], -1)
-    return [replace(echoes, object_ids=planar.object_ids[on][owner], via=via[owner])]
+    return replace(echoes, object_ids=planar.object_ids[on][owner], via=via[owner])
 
 
 def _radars(antennas: AntennaPair, beams: Beams) -> Floats:
-    """The radars (b, 2, 3) of beams: the transmitter's images, and the receiver [m]."""
+    """Return the radars (b, 2, 3) of beams: the transmitter's images, and the receiver [m]."""
     out = np.empty((len(beams), 2, 3))
     out[:, 0], out[:, 1] = beams.images, antennas.origins[1]
     return out
 
 
 def _both_paths(planar: PlanarPatches, beams: Beams) -> Floats:
-    """How often each beam counts: a small face is no mirror, so its double bounces count twice from the large one.
+    """Return how often each beam (b) counts: 0, 1 or 2 times.
 
-    Mirror first or last is the same wave by reciprocity, if the antennas change places; physical optics belongs on the
-    smaller face.
+    By reciprocity a double bounce is the same wave with the mirror first or last, if the antennas change places. It
+    counts twice with physical optics on the smaller face, and not at all with physical optics on the larger one.
     """
     mirror, end = planar.spheres[beams.chains[:, 0], 3], planar.spheres[beams.ends_on, 3]
     share = np.where(mirror > 1.2 * end, 2.0, np.where(end > 1.2 * mirror, 0.0, 1.0))
@@ -223,14 +225,14 @@ def _both_paths(planar: PlanarPatches, beams: Beams) -> Floats:
 
 
 def _through(planar: PlanarPatches, antennas: AntennaPair, beams: Beams, lit: Floats) -> Floats:
-    """Corners (b, 5, 3) of each beam's path from transmitter to receiver over a point (b, 3) of its end."""
+    """Find the corners (b, 5, 3) of each beam's path from transmitter to receiver over a point (b, 3) of its end."""
     path = np.empty((len(beams), 5, 3))
     bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, np.arange(len(beams)), lit, path)
     return path
 
 
 def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> Bools:
-    """Whether each path (b, 5, 3) that is wanted (not 0) is free on all its legs."""
+    """Find which paths (b, 5, 3) that are wanted (not 0) are free all along."""
     out = wanted != 0
     starts, ends = np.empty((2, 4 * len(path), 3))
     owner = np.empty(4 * len(path), np.int64)
@@ -240,7 +242,7 @@ def clear(parts: list[Surfaces], path: Floats, wanted: Floats) -> Bools:
 
 
 def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> Floats:
-    """Path lengths there and back [m] of every mirror path of one order between flat faces, shadows aside."""
+    """Compute the lengths there and back [m] of all mirror paths of one order between flat faces, without shadows."""
     planar = context.world.still.planar
     gate = np.array(context.gate[1:])
     if order == 1:
@@ -249,7 +251,7 @@ def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> F
         first, starts, ends = planar.first, planar.starts, planar.ends
         origins = antennas.origins[None]
     else:
-        beams = beams_of(context, planar, antennas, order, looks(context, planar, antennas))
+        beams = beams_of(context, planar, antennas, order, apparent_sizes(context, planar, antennas))
         on, first = beams.ends_on, beams.first
         asked = (beams.chains[:, 1] >= 0) == (order == 3)
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])

@@ -1,9 +1,10 @@
-"""Ways over large flat faces to what is no mirror, and back: curved surfaces and wires over a floor, beside a wall.
+"""Find paths over large flat faces to curved surfaces and wires, and back.
 
-A way goes over one or two of the faces that look largest, before the thing, after it, or one each; the mirror images of
-the radar see the thing as the radar itself does [AllenBerkley1979]. A way and its reverse are one wave twice where the
-antennas are in one place. All ways of a frame are followed at once, and what none of their beams meets within
-the gate is left out before anything else is asked of it: cost follows what is heard, not the size of the world.
+A path is reflected by one or two of the faces of the largest apparent size: before the scatterer, after it, or once
+each. The mirror images of the radar see the scatterer as the radar itself does [AllenBerkley1979]. Where the antennas
+stand in one place, a path and its reverse are the same wave twice. All paths of a frame are followed at once. What
+none of their beams meets within the gate is left out first, so that the cost depends on the echoes, not on the size
+of the world.
 """
 
 from __future__ import annotations
@@ -22,29 +23,29 @@ from ullage.kernels.lit import MirrorPaths
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.multipath import most_looked
+from ullage.radar.multipath import choose_largest
 from ullage.radar.visibility import between
 
 Legs = tuple[tuple[int, ...], tuple[int, ...]]
 
 FACES = 3
-"""Only so many flat faces, those that look largest, pass on waves to curved surfaces and wires."""
+"""Number of flat faces, those of the largest apparent size, that reflect waves to curved surfaces and wires."""
 PAIRS = 2
-"""So many where a wave goes over two of them."""
+"""The same for waves that two of them reflect."""
 _CHAINS: dict[int, tuple[tuple[int, int], ...]] = {2: ((1, 0), (0, 1)), 3: ((1, 1), (2, 0), (0, 2))}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSet:
-    """Ways there and back, over none, one or two faces on each leg."""
+    """Paths there and back, over none, one or two faces on each leg."""
 
     faces: Longs  # (n, 2, 2) of each leg from its antenna on, -1 for none
-    via: Longs  # (n, 2) objects that mirror on the way, as the wave meets them, -1 for none
-    legs: Longs  # (n, 2) legs that are alike have one number
+    via: Longs  # (n, 2) objects that mirror along it, as the wave meets them, -1 for none
+    legs: Longs  # (n, 2) equal legs have one number
     weights: Floats  # (n)
     images: Floats  # (n, 2, 3, 3) each antenna, then its images, the last one again where there are fewer [m]
     frames: Floats  # (n, 2, 3, 3) of the last images
-    planes: Floats  # (n, 20, 4) that bound what a way can reach
+    planes: Floats  # (n, 20, 4) that bound what a path can reach
     counts: Longs  # (n) how many of them there are
 
     def __len__(self) -> int:
@@ -57,7 +58,7 @@ class PathSet:
 
     @property
     def ends(self) -> Floats:
-        """The radars (n, 2, 3) as what the ways lead to sees them [m]."""
+        """The radars (n, 2, 3) as seen from the ends of the paths [m]."""
         return np.ascontiguousarray(self.images[:, :, 2])
 
     @property
@@ -65,27 +66,28 @@ class PathSet:
         """The paths as kernels take them."""
         return MirrorPaths(self.images, self.frames, self.faces, self.planes, self.counts, self.weights)
 
-    def told(self, echoes: EchoSet, of: Longs) -> EchoSet:
-        """Echoes with the ways (m) by which they come."""
+    def with_paths(self, echoes: EchoSet, of: Longs) -> EchoSet:
+        """Return echoes (m) with the objects that mirror on their paths `of` (m)."""
         there = self.faces[:, 0] >= 0
         return replace(echoes, via=self.via[of], before=(there[:, 0].astype(np.int64) + there[:, 1])[of])
 
     def antennas(self, radar: Antennas, of: Longs | None = None) -> Antennas:
-        """One radar as what the ends of all paths, or of some (m), see of it: its images, one for each path."""
+        """Return the images of one radar that the ends of all paths, or of some (m), see: one for each path."""
         some = slice(None) if of is None else of
         fields = np.repeat(radar.fields, len(self.weights[some]), 0)
         return radar._replace(origins=self.ends[some], frames=self.frames[some], fields=fields,
                               factor=radar.factor * self.weights[some])  # fmt: skip
 
 
-def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, most: int, look: Floats) -> PathSet:
-    """Ways of two bounces up to as many over the faces that look largest (p), those that fade in as mirrors do.
+def paths_of(context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, most: int, sizes: Floats) -> PathSet:
+    """Find the paths of two to `most` bounces over the faces of the largest apparent sizes (p).
 
-    Facets of curved surfaces are none of these; ways that lead beyond the gate are left out.
+    Faces fade in as mirrors do. Facets of curved surfaces do not reflect here. Paths that lead beyond the gate are left
+    out.
     """
-    look = look * ~planar.smooth
-    first = largest(look, FACES)
-    taken = [most_looked(look[first], count) for count in (FACES, PAIRS)[: most - 1]]
+    sizes = sizes * ~planar.smooth
+    first = largest(sizes, FACES)
+    taken = [choose_largest(sizes[first], count) for count in (FACES, PAIRS)[: most - 1]]
     one = antennas.monostatic
     rows, over, twice, legs = _rows(tuple(len(which) for which, _ in taken), one)
     chosen = np.concatenate([*(first[which] for which, _ in taken), np.array([-1])])
@@ -106,35 +108,40 @@ def flat_faces(planar: PlanarPatches) -> kernel.FlatFaces:
     return kernel.FlatFaces(planar.normals, planar.offsets, planar.first, planar.starts, planar.ends)
 
 
-def largest(look: Floats, count: int) -> Longs:
-    """So many of all (p) that look largest, and the next one, in order."""
-    return np.sort(np.argpartition(look, -count - 1)[-count - 1 :]) if len(look) > count else np.arange(len(look))
+def largest(sizes: Floats, count: int) -> Longs:
+    """Find the `count` largest sizes of all (p), and the next one, in order of their places."""
+    return np.sort(np.argpartition(sizes, -count - 1)[-count - 1 :]) if len(sizes) > count else np.arange(len(sizes))
 
 
 @lru_cache(maxsize=64)
 def _rows(counts: tuple[int, ...], one: bool) -> tuple[Longs, Longs, Floats, Longs]:
-    """Ways over so many faces for two bounces and for three, by places in one list of all these and then of none.
+    """List the paths over so many faces for two bounces and for three.
 
-    Places of the faces (n, 2, 2) of both legs and, as the wave meets them, (n, 2); how often each way counts (n); a
-    number (n, 2) for each leg that differs.
+    Faces are places in one list of all these faces, followed by -1 for none.
+
+    Returns:
+        The faces (n, 2, 2) of both legs; the faces (n, 2) as the wave meets them; how often each path counts (n); a
+        number (n, 2) for each leg that differs.
     """
-    told: list[Legs] = []
+    paths: list[Legs] = []
     for bounces, count in enumerate(counts, 2):
         start = sum(counts[: bounces - 2])
         for chains in _CHAINS[bounces]:
             if not (one and chains[0] < chains[1]):
-                told += _picks(range(start, start + count), chains, one)
-    rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in told]
-    over = [(*there, *back[::-1], -1)[:2] for there, back in told]
-    twice = np.array([2.0 if one and there != back else 1.0 for there, back in told])
+                paths += _picks(range(start, start + count), chains, one)
+    rows = [[(*leg, -1, -1)[:2] for leg in legs] for legs in paths]
+    over = [(*there, *back[::-1], -1)[:2] for there, back in paths]
+    twice = np.array([2.0 if one and there != back else 1.0 for there, back in paths])
     known: dict[tuple[int, tuple[int, ...]], int] = {}
-    legs = [[known.setdefault((0 if one else side, leg), len(known)) for side, leg in enumerate(way)] for way in told]
+    legs = [
+        [known.setdefault((0 if one else side, leg), len(known)) for side, leg in enumerate(path)] for path in paths
+    ]
     return (np.array(rows, np.int64).reshape(-1, 2, 2), np.array(over, np.int64).reshape(-1, 2), twice,
             np.array(legs, np.int64).reshape(-1, 2))  # fmt: skip
 
 
 def _picks(ids: range, chains: tuple[int, int], one: bool) -> Iterator[Legs]:
-    """Faces for both legs, as many as `chains` says; where antennas are in one place no path and its reverse."""
+    """Choose the faces of both legs, `chains` of them on each; in one place no path and its reverse."""
     if chains == (1, 1):
         for i, a in enumerate(ids):
             yield from (((a,), (b,)) for b in (ids[i:] if one else ids))
@@ -147,19 +154,19 @@ def _picks(ids: range, chains: tuple[int, int], one: bool) -> Iterator[Legs]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reached:
-    """Which points ways reach, and how."""
+    """Points that paths reach, and how."""
 
     stops: Floats  # (q, 4, 3) corners of legs [m]
-    rows: Longs  # (m, 2) legs of each pair of way and point; -1 where none was followed
-    free: Bools  # (m) whether all is met and free
+    rows: Longs  # (m, 2) legs of each pair of path and point; -1 where none was followed
+    free: Bools  # (m) whether both legs meet their faces and are free
 
 
 def reached(
     parts: list[Surfaces], planar: PlanarPatches, paths: PathSet, of: Longs, points: Floats, at: Longs | None = None
 ) -> Reached:
-    """Follows both legs of ways (m) to points (m, 3) [m], or to those of them that `at` (m) names.
+    """Follow both legs of paths (m) to points (m, 3) [m], or to the points whose places are `at` (m).
 
-    Each leg to a point is followed once, the one back first, and the one there only where that is free.
+    Each leg to a point is followed once: the leg back first, the leg there only where that is free.
     """
     at = np.arange(len(of)) if at is None else at
     room = 2 * len(of)
@@ -172,7 +179,7 @@ def reached(
     for side in (1, 0):
         made, count, others = kernel.corners(side, made, pairs, paths.over_mirrors, flat, legs, segments)
         free[owner[:count][~between(parts, a[:count], b[:count])]] = False
-        # most are blocked at the point: then the rest need not be asked
+        # most are blocked at the point: then the rest needs no rays
         asked = many - others + np.flatnonzero(free[owner[many - others :]])
         free[owner[asked[~between(parts, a.take(asked, 0), b.take(asked, 0))]]] = False
     return Reached(stops, rows, (rows[:, 0] >= 0) & free[rows[:, 0]])

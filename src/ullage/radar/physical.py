@@ -42,7 +42,7 @@ from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.edge_diffraction import accumulate_edges
 from ullage.radar.facets import PlanarPatches, Surfaces, joined
 from ullage.radar.flat_pairs import accumulate_flat_pairs
-from ullage.radar.multipath import accumulate_bounces, looks
+from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.radar.patch_echoes import accumulate_curved
 from ullage.radar.paths import paths_of
 from ullage.radar.planar import accumulate_planar
@@ -126,14 +126,14 @@ def accumulate(
         out.append(accumulate_diffuse_scatterers(context, parts, antennas, poses, grids))
     if max_bounces > 1:
         planar = joined([part.planar for part in parts])
-        look = looks(context, planar, antennas)
-        out += accumulate_bounces(context, parts, planar, antennas, max_bounces, look, grids)
+        sizes = apparent_sizes(context, planar, antennas)
+        out += accumulate_bounces(context, parts, planar, antennas, max_bounces, sizes, grids)
         loud = grids.sum(0) if arcs else grids  # what arcs add rises with f, which no kind of echo does alone
         out += _accumulate_over(
-            context, parts, planar, antennas, poses, max_bounces, look, float(abs(loud).max()), grids
+            context, parts, planar, antennas, poses, max_bounces, sizes, float(abs(loud).max()), grids
         )
         if rounds:
-            out += _accumulate_round(context, parts, rounds, planar, antennas, max_bounces, look, grids)
+            out += _accumulate_round(context, parts, rounds, planar, antennas, max_bounces, sizes, grids)
     return out
 
 
@@ -163,15 +163,18 @@ def _accumulate_over(
     antennas: AntennaPair,
     poses: Floats | None,
     most: int,
-    look: Floats,
+    sizes: Floats,
     peak: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes of what is no mirror by way of the flat faces that look largest, all others being that loud."""
+    """Add the echoes of curved surfaces and wires over the flat faces of the largest apparent sizes (p).
+
+    `peak` is the greatest sum so far: what is far weaker is left out.
+    """
     curved = planar.smooth.any() or any(len(part.corners) for part in parts)
     if not (curved or len(context.lines)) or planar.smooth.all():
         return []
-    paths = paths_of(context, planar, antennas, most, look)
+    paths = paths_of(context, planar, antennas, most, sizes)
     out = accumulate_curves(context, parts, planar, antennas, paths, peak, grids) if curved else []
     return out + (
         accumulate_wire_bounces(context, parts, planar, antennas, poses, paths, grids) if len(context.lines) else []
@@ -185,16 +188,16 @@ def _accumulate_round(
     planar: PlanarPatches,
     antennas: AntennaPair,
     most: int,
-    look: Floats,
+    sizes: Floats,
     grids: Complexes,
 ) -> list[EchoSet]:
     """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
-    out = accumulate_walls(context, parts, rounds, planar, antennas, most, look, grids)
+    out = accumulate_walls(context, parts, rounds, planar, antennas, most, sizes, grids)
     out += accumulate_inside(context, parts, antennas, most, grids)
     if len(rounds) > 1:
-        out += accumulate_wall_bodies(context, parts, rounds, planar, antennas, most, look, grids)
+        out += accumulate_wall_bodies(context, parts, rounds, planar, antennas, most, sizes, grids)
         out += accumulate_pairs(context, parts, rounds, antennas, grids)
-    return out + (accumulate_flat_pairs(context, parts, rounds, planar, antennas, look, grids) if most > 2 else [])
+    return out + (accumulate_flat_pairs(context, parts, rounds, planar, antennas, sizes, grids) if most > 2 else [])
 
 
 def _accumulate_wires(

@@ -21,7 +21,7 @@ from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
 from ullage.radar.mirrors import dot
-from ullage.radar.multipath import most_looked
+from ullage.radar.multipath import choose_largest
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, accumulate
@@ -134,7 +134,7 @@ def seen_bodies(
     """Which of all bodies (m) look largest, so many, what each counts, and how far both antennas are (2, m) [m]."""
     gaps = _gaps(bodies, antennas)
     look = np.where(gaps.min(0) < context.gate[1] + bodies.radii, bodies.radii / np.maximum(gaps.max(0), 1e-6), 0.0)
-    return *most_looked(look, count), gaps
+    return *choose_largest(look, count), gaps
 
 
 @lru_cache(maxsize=8)  # asked twice in a frame

@@ -21,7 +21,7 @@ from ullage.kernels import chains as kernel
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.multipath import most_looked
+from ullage.radar.multipath import choose_largest
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import BODIES, FAINT
 from ullage.radar.rounds import Round
@@ -96,7 +96,7 @@ def _within(
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
     bodies = [b for b in rounds if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
     gaps = np.array([np.linalg.norm(antennas.origins - body.centre, axis=1).max() for body in bodies])
-    which, weights = most_looked(np.array([body.radius for body in bodies]) / gaps, BODIES)
+    which, weights = choose_largest(np.array([body.radius for body in bodies]) / gaps, BODIES)
     for k in which:
         yield bodies[k], float(weights[k])
 

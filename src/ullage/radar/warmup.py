@@ -338,26 +338,26 @@ def _echoes() -> None:
 
 
 def _beams() -> None:
-    from ullage.radar.multipath import beams_of, looks
+    from ullage.radar.multipath import apparent_sizes, beams_of
 
     context, antennas, planar = _bench(_room())
-    beams_of(context, planar, antennas, 3, looks(context, planar, antennas))
+    beams_of(context, planar, antennas, 3, apparent_sizes(context, planar, antennas))
 
 
 def _paths() -> None:
     """The kernels of `multipath` beyond beams and rims, on no paths at all."""
     from ullage.kernels import bounces
+    from ullage.kernels.edges import Outline
 
     context, antennas, planar = _bench(_room())
-    none, long, row, tips = np.zeros(0, np.int32), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 9))
+    long, row, tips = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 9))
     points, paths, chains = np.zeros((0, 3)), np.zeros((0, 5, 3)), np.zeros((0, 2), np.int64)
     bounces.middles(np.zeros(1, np.int32), np.zeros((0, 2, 3)), points)
     beams = bounces.ImagePaths(points, points, chains)
     bounces.legs(beams, planar.normals, planar.offsets, antennas.origins, long, points, paths)
     bounces.stretches(paths, row, points, points, long)
     bounces.cover(paths, chains, planar.normals, planar.widths, context.spec.wavelength_m, np.zeros(3), row)
-    parts = bounces.EdgeParts(np.zeros((0, 12)), none, tips, none)
-    bounces.stand_ins(points, parts, tips, long, row, row > 0, points)
+    bounces.stand_ins(points, Outline.none(0), tips, long, row, row > 0, points)
     bounces.reflect(
         paths, chains, long, context.mirrors(planar), bounces.Orientations(antennas.frames, antennas.fields), row + 0j,
         bounces.Orientations(np.zeros((0, 2, 3, 3)), np.zeros((0, 2, 3))),
@@ -370,12 +370,12 @@ def _paths_over_faces() -> None:
     from ullage.kernels import lit, paths
     from ullage.kernels.edges import Outline
     from ullage.radar import curves
-    from ullage.radar.multipath import looks
+    from ullage.radar.multipath import apparent_sizes
     from ullage.radar.paths import flat_faces, paths_of, reached
 
     context, antennas, planar = _bench(_room())
     still, none, long, both = context.world.still, np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 2), complex)
-    led = paths_of(context, planar, antennas, 3, looks(context, planar, antennas))
+    led = paths_of(context, planar, antennas, 3, apparent_sizes(context, planar, antennas))
     known = reached([], planar, led, long, none)
     mirrors = context.mirrors(planar)
     pairs = paths.Weighed(known.stops, known.rows, long, long, np.zeros(0, np.int32))

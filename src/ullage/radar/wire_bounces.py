@@ -64,7 +64,7 @@ def accumulate_wire_bounces(
 
     between = Transmission(free.astype(complex), np.zeros(len(pieces)))
     echoes = echo_set(put, between, grids, lines.object_ids[met.on[owner]], middle)
-    return [paths.told(echoes, met.of[owner])]
+    return [paths.with_paths(echoes, met.of[owner])]
 
 
 def _met(
