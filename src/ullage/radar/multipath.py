@@ -64,11 +64,11 @@ def accumulate_bounces(
         return []
     half = replace(antennas, factor=0.5 * antennas.factor)
     out: list[EchoSet] = []
-    for radar in (antennas,) if antennas.monostatic else (half, half.swapped()):
+    for radar, back in ((antennas, False),) if antennas.monostatic else ((half, False), (half.swapped(), True)):
         beams = beams_of(context, planar, radar, max_bounces, sizes)
         if len(beams):
             echoes = _accumulate(context, parts, planar, radar, beams, grids)
-            out.append(_reversed(echoes) if out else echoes)
+            out.append(_reversed(echoes) if back else echoes)
     return out
 
 
