@@ -140,7 +140,7 @@ def _frames(corners, i, lines, body, rows):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
-    """Second and first derivatives of a path: columns 0 to 4, and 5, of `table`; how many unknowns there are.
+    """Write second and first derivatives of a path to columns 0 to 4, and 5, of `table`; return the unknowns' number.
 
     A line has one, along it; a body two, around and along its axis. Columns 6 to 8 are made unit vectors along the
     axes of the surfaces. Of `rows`, as `_frames` gives them, 15 is made use of.
@@ -159,14 +159,14 @@ def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
             for b in range(free):
                 other, total = rows[3 * s + b], 0.0
                 for leg in range(s, s + 2):
-                    way = rows[9 + leg]
-                    total += ((1.0 if a == b else 0.0) - dot(one, way) * dot(other, way)) / sizes[leg]
+                    direction = rows[9 + leg]
+                    total += ((1.0 if a == b else 0.0) - dot(one, direction) * dot(other, direction)) / sizes[leg]
                 if a == b and not walls[s] and (a == 0 or ball):
                     total -= dot(turn, rows[3 * s + 2]) / radius
                 table[first + a, first + b] = total
             for b in range(0 if s + 1 == many else (1 if walls[s + 1] else 2)):
-                other, way = rows[3 * s + 3 + b], rows[10 + s]
-                mixed = (dot(one, way) * dot(other, way) - dot(one, other)) / sizes[s + 1]
+                other, direction = rows[3 * s + 3 + b], rows[10 + s]
+                mixed = (dot(one, direction) * dot(other, direction) - dot(one, other)) / sizes[s + 1]
                 table[first + a, first + free + b], table[first + free + b, first + a] = mixed, mixed
         table[first + free - 1, 6 + s] = 1.0
         first += free
@@ -175,7 +175,7 @@ def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _step(corners, i, walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
-    """Moves the corners of a path by what Newton's method tells; how far it told them to go [m]."""
+    """Move the corners of a path by a step of Newton's method; return the length of the step [m]."""
     total, wide, row = 0.0, 1e-12, 0
     for s in range(len(walls)):
         if not walls[s]:
@@ -218,7 +218,7 @@ def _record(i, walls, size, out, rows, table):  # type: ignore[no-untyped-def]
 
 @lean(nogil=True, error_model="numpy")
 def beside(corners, at, out, up, spreads, slopes, least, rows):  # type: ignore[no-untyped-def]
-    """Slopes of paths from line to line, and their spreads times what Kirchhoff's integral has at the wall.
+    """Compute the slopes of paths from line to line, and their spreads times what Kirchhoff's integral has at the wall.
 
     Args:
         corners: (s + 2, n, 3) of the paths [m]; at: which surface is the wall that is integrated over.
@@ -243,7 +243,7 @@ def beside(corners, at, out, up, spreads, slopes, least, rows):  # type: ignore[
 
 @core(nogil=True, error_model="numpy")
 def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
-    """Path [m] by a share of the way from line i to the next, and how fast it grows, by a cubic through both."""
+    """Compute the path [m] at a share of the distance from line i to the next, and its slope, by a cubic."""
     j = (i + 1) % len(lengths)
     a, b, p, q = lengths[i], lengths[j], step * slopes[i], step * slopes[j]
     bow, bend = 3 * (b - a) - 2 * p - q, 2 * (a - b) + p + q
@@ -252,7 +252,7 @@ def _between(lengths, slopes, i, share, step):  # type: ignore[no-untyped-def]
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
 def sampled(lengths, slopes, there, step, cut, many, places: WallPlaces):  # type: ignore[no-untyped-def]
-    """Places for the sum along a wall: all about points of stationary phase.
+    """Choose places for the sum along a wall: all about points of stationary phase.
 
     Args:
         lengths, slopes: (n) of the paths over lines along the wall [m]; there: (n) whether there are such paths.
@@ -299,7 +299,7 @@ def summed(lengths, slopes, step, seen, places: WallPlaces, values, paths, rates
 
 @lean(nogil=True, error_model="numpy")
 def gathered(first, share, leads, many, echo, led, total):  # type: ignore[no-untyped-def]
-    """Adds up the echoes of places (m) by which of some of them, `leads`, is next round a wall of so many lines.
+    """Add up the echoes of places (m) by which of some of them, `leads`, is next round a wall of so many lines.
 
     `led` (m) gets that, `total` the sums.
     """

@@ -21,7 +21,7 @@ HEAD, TAIL = 20, 2
 
 @loop()
 def crc16(data: np.ndarray, start: int) -> np.int64:
-    """CRC-16/ARC of bytes (polynomial 0x8005, reflected) that go on from `start`."""
+    """Compute the CRC-16/ARC of bytes (polynomial 0x8005, reflected) that go on from `start`."""
     crc = np.int64(start)
     for byte in data:
         crc = np.int64(TABLE[(crc ^ np.int64(byte)) & 0xFF]) ^ (crc >> 8)
@@ -30,7 +30,7 @@ def crc16(data: np.ndarray, start: int) -> np.int64:
 
 @loop()
 def running(data: np.ndarray, out: np.ndarray) -> None:
-    """CRC of the first k bytes, for each k, in `out` (n + 1)."""
+    """Write the CRC of the first k bytes, for each k, to `out` (n + 1)."""
     crc = np.int64(0)
     out[0] = crc
     for k in range(len(data)):
@@ -40,7 +40,7 @@ def running(data: np.ndarray, out: np.ndarray) -> None:
 
 @loop()
 def powers(out: np.ndarray) -> None:
-    """What a CRC of 0x8000 (the polynomial 1) has become after k zero bytes, in `out`."""
+    """Write to `out` the CRC that k zero bytes make of 0x8000 (the polynomial 1), for each k."""
     crc = np.int64(0x8000)
     for k in range(len(out)):
         out[k] = crc
@@ -49,7 +49,7 @@ def powers(out: np.ndarray) -> None:
 
 @loop()
 def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> np.int64:
-    """CRC of bytes start..end by the running ones: a CRC is linear, so the part before is shifted and taken off."""
+    """Compute the CRC of bytes start..end from the running ones: a CRC is linear, so the part before is taken off."""
     left, factor, shifted = np.int64(crcs[start]), np.int64(power[end - start]), np.int64(0)
     for bit in range(15, -1, -1):
         if (left >> bit) & 1:
@@ -62,7 +62,7 @@ def stretch(crcs: np.ndarray, power: np.ndarray, start: int, end: int) -> np.int
 def find(
     data: np.ndarray, crcs: np.ndarray, power: np.ndarray, start: int, minor: int, lost: bool
 ) -> tuple[int, int, np.int64]:
-    """The next packet from `start` on.
+    """Find the next packet from `start` on.
 
     Returns:
         What it is, where it begins and how long it is. WHOLE: a packet of this version. OTHER: one of another version.

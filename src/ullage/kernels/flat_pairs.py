@@ -61,7 +61,7 @@ class FoldedPaths(NamedTuple):
 
 @lean(nogil=True, error_model="numpy")
 def gaps(origins, centres, axes, ends, balls, out):  # type: ignore[no-untyped-def]
-    """How far points (s, 3) lie from the centres of balls or the axes of drums: (s, m) [m]; bodies as in `unfold`."""
+    """Write how far points (s, 3) lie from the centres of balls or axes of drums (s, m) [m]; bodies as in `unfold`."""
     for s in range(len(origins)):
         for i in range(len(centres)):
             out[s, i] = _gap(centres[i], axes[i, 2], ends[i], balls[i], origins[s])
@@ -81,7 +81,7 @@ def _gap(centre, axis, ends, ball, point):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _height(n, offset, point):  # type: ignore[no-untyped-def]
-    """How far a point lies before a face [m]."""
+    """Compute how far a point lies before a face [m]."""
     return n[0] * point[0] + n[1] * point[1] + n[2] * point[2] - offset
 
 
@@ -236,7 +236,7 @@ def fold(  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _back(at, n, offset, start, other, stop):  # type: ignore[no-untyped-def]
-    """Brings back what lies beyond a face: the path's start, or its end and the body that it meets after the face."""
+    """Mirror back what lies beyond a face: the path's start, or its end and the body that it meets after the face."""
     if at == BEFORE:
         _over(n, offset, start)
     else:
@@ -254,7 +254,7 @@ def _over(n, offset, point):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _passed(before, foot, then, widths, wavelength, way):  # type: ignore[no-untyped-def]
-    """What a face that does not cover its Fresnel zone passes on."""
+    """Compute the share of a wave that a face reflects if it does not cover its Fresnel zone."""
     there, back = unit_to(before, foot, way), unit_to(foot, then, way)
     zone = math.sqrt(wavelength * there * back / (there + back))
     return min(widths[0] / zone, 1.0) * min(widths[1] / zone, 1.0)

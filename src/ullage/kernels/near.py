@@ -51,7 +51,7 @@ def lifted(r, cosine):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def height(ahead, behind):  # type: ignore[no-untyped-def]
-    """How far (at least `LEAST_M`) and on which side of a plane a radar is, where its other antenna is told too."""
+    """Compute how far (at least `LEAST_M`) and on which side of a plane an antenna is, given both antennas."""
     if abs(ahead) >= LEAST_M:
         return ahead
     if abs(behind) >= LEAST_M:

@@ -81,7 +81,7 @@ def shortest(starts, stops, bodies: BodyPairs, steps, out: PairPaths, scratch): 
 
 @core(nogil=True, error_model="numpy")
 def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-untyped-def]
-    """Puts the middle corners of a path where each body looks both ways, those of drums as high as its ends."""
+    """Put the middle corners of a path where each body faces both neighbours, those of drums as high as its ends."""
     for side in range(2):
         along, axis = 0.0, axes[side, i, 2]
         if not balls[side, i]:
@@ -100,7 +100,7 @@ def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-un
 
 @core(nogil=True, error_model="numpy")
 def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignore[no-untyped-def]
-    """Second and first derivatives of a path along frames of both bodies: columns 0 to 3 and 4 of `table`.
+    """Write the second and first derivatives of a path along frames of both bodies: columns 0 to 3 and 4 of `table`.
 
     Columns 5 and 6 are made unit vectors, along the axes of both. Of `rows`, 0 and 1 get the first body's frame, 2 its
     normal, 4 to 6 those of the last; 12 to 14 the directions of the legs, and 15 their lengths [m].
@@ -124,15 +124,15 @@ def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignor
             for b in range(2):
                 other, total = rows[4 * side + b], 0.0
                 for leg in range(side, side + 2):
-                    way = rows[12 + leg]
-                    total += ((1.0 if a == b else 0.0) - dot(one, way) * dot(other, way)) / rows[15, leg]
+                    direction = rows[12 + leg]
+                    total += ((1.0 if a == b else 0.0) - dot(one, direction) * dot(other, direction)) / rows[15, leg]
                 if a == b and (a == 0 or balls[side, i]):
                     total += bent
                 table[2 * side + a, 2 * side + b] = total
     for a in range(2):
         for b in range(2):
-            one, other, way = rows[a], rows[4 + b], rows[13]
-            mixed = (dot(one, way) * dot(other, way) - dot(one, other)) / rows[15, 1]
+            one, other, direction = rows[a], rows[4 + b], rows[13]
+            mixed = (dot(one, direction) * dot(other, direction) - dot(one, other)) / rows[15, 1]
             table[a, 2 + b], table[2 + b, a] = mixed, mixed
     for row in range(4):
         table[row, 5], table[row, 6] = 1.0 if row == 1 else 0.0, 1.0 if row == 3 else 0.0
@@ -140,7 +140,7 @@ def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignor
 
 @core(nogil=True, error_model="numpy")
 def eliminate(table, size):  # type: ignore[no-untyped-def]
-    """Solves so many first rows and columns of a table for its other columns, in their place; their determinant."""
+    """Solve the first rows and columns of a table for its other columns, in place; return the determinant."""
     columns, area = table.shape[1], 1.0
     for c in range(size):
         best = c

@@ -37,7 +37,10 @@ def convolve(grids, taps, every, shift, out):  # type: ignore[no-untyped-def]
             start, stop = max(low - first, 0), min(high - first, long)
             x, y = 0.0, 0.0
             for h in range(start, stop):
-                at, tap = np.uint64(first + h), np.uint64(h)  # never negative: what may be is looked at one by one
+                at, tap = (
+                    np.uint64(first + h),
+                    np.uint64(h),
+                )  # never negative: numbers that may be negative cost a test each
                 x += real[at] * turned[tap] - imag[at] * leaned[tap]
                 y += real[at] * leaned[tap] + imag[at] * turned[tap]
             out[m] += complex(x, y)

@@ -17,7 +17,7 @@ from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.radar.wires import moved
 
 WIDEST_M = 1.0
-"""Edges farther apart than this know nothing of each other [m]."""
+"""Greatest distance of two edges between which a wave is followed [m]."""
 _AT_ONCE = 100_000  # pairs: all of a large mesh would fill the memory
 
 
@@ -38,7 +38,7 @@ class Pairs:
         return len(self.object_ids)
 
     def take(self, index: Bools | Longs) -> Pairs:
-        """Some of them."""
+        """Select some of them."""
         return Pairs(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
@@ -52,7 +52,7 @@ def facing_pairs(
     object_ids: Ints,
     surfaces: Longs,
 ) -> Pairs:
-    """Pairs among edges that bound the same smooth surface; arguments as the fields of `diffraction.Edges`."""
+    """Find pairs of edges that bound the same smooth surface; arguments as the fields of `diffraction.Edges`."""
     edge = np.repeat(np.arange(len(angles)), 2)
     side = np.tile([0, 1], len(angles))
     keep = (side == 0) | (angles[edge] < 2 - 1e-6)  # both faces of a rim are one
@@ -89,7 +89,7 @@ def facing_pairs(
 
 
 def _within(bound: Longs) -> Iterator[tuple[Longs, Longs]]:
-    """All pairs i < j within each run of rows, about `_AT_ONCE` at a time."""
+    """Yield all pairs i < j within each run of rows, about `_AT_ONCE` at a time."""
     row = np.arange(bound[-1])
     count = np.repeat(bound[1:], np.diff(bound)) - row - 1
     total = np.cumsum(count)
@@ -101,12 +101,16 @@ def _within(bound: Longs) -> Iterator[tuple[Longs, Longs]]:
 
 
 def strung(parts: list[Pairs]) -> Pairs:
-    """The pairs of several bodies as one."""
+    """Join the pairs of several bodies."""
     return Pairs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pairs)))
 
 
 def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools]:
-    """Pairs wide enough, edges of thin bodies as rims; whether the wave runs over both sides; which are sheets."""
+    """Select the pairs that are wide enough [m]; edges of thin bodies become edges of sheets.
+
+    Returns:
+        The pairs (p), whether the wave of each runs over both sides, and which of them are sheets.
+    """
     held = pairs.take(np.linalg.norm(pairs.gaps, axis=1) >= narrow_m)
     transmissive = held.angles > 2 - 1e-6
     thin = (held.others < narrow_m) | transmissive
@@ -118,7 +122,7 @@ def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools]:
 
 
 def placed(pairs: Pairs, poses: Floats | None) -> Pairs:
-    """The pairs in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
+    """Place the pairs in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
     if poses is None:
         return pairs
     starts, ends = moved((pairs.starts, pairs.ends), pairs.object_ids, poses)

@@ -23,9 +23,9 @@ from ullage.radar.physical import accumulate, passive, radio
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
 
-_CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are told as one
+_CELL_M = 0.11  # echoes of one object within this much range, about half a pulse, are reported as one
 _APART_M = 0.5  # but not where nothing of the object lies between, over more than this and than a face fills of a cell
-_IN_STEP = 1 / 8  # waves by the same objects in other orders that differ by no more of a period are told as one
+_IN_STEP = 1 / 8  # waves by the same objects in other orders that differ by no more of a period are reported as one
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,23 +132,23 @@ def contributions(
     seed: int = 0,
     count: int | None = None,
 ) -> list[Contribution]:
-    """The contributions at the sensor's one pose, strongest first, all of them or so many."""
+    """List the contributions at the sensor's one pose, strongest first: all of them, or the first `count`."""
     context = radar_context(scene, spec, seed=seed)
     grids = np.zeros((3, context.places), complex)
     antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     echoes = accumulate(context, antennas, context.world.poses(pose.t_ns)[0], max_bounces, grids)
     rows = _rows(echoes)
     found = _alike(spec, list(_clusters(rows)))
-    told = sorted(found, key=lambda c: -np.abs(c.total) * _landing(context, c)[2])[:count]
-    whole = passive(_heard(context, grids))
-    return [_told(context, scene, rows, echoes, one, whole) for one in told]
+    strongest = sorted(found, key=lambda c: -np.abs(c.total) * _landing(context, c)[2])[:count]
+    whole = passive(_range_bins(context, grids))
+    return [_contribution(context, scene, rows, echoes, one, whole) for one in strongest]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
     """All echoes of a frame that are not 0."""
 
-    at: Longs  # (n) number among all that are laid
+    at: Longs  # (n) number among all echoes
     echo: Complexes  # (n)
     delay_s: Floats  # (n)
     points: Floats  # (n, 3) [m]
@@ -160,7 +160,7 @@ class _Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cluster:
-    """Echoes that are told as one."""
+    """Echoes that are reported as one."""
 
     rows: Longs  # (k)
     shares: Floats  # (k) of each
@@ -169,12 +169,12 @@ class _Cluster:
     delay_s: float
     chain: tuple[int, ...]  # objects in the order in which the wave meets them
     scatterer: int  # which of them holds the point
-    ray: bool  # told by a mirror point
+    ray: bool  # whether a mirror point stands for it
     whole: bool  # more than what the rims of faces add
 
 
 def _rows(echoes: list[EchoSet]) -> _Rows:
-    """Images and rims together, so that one face's echo is told once."""
+    """Gather mirror points and edges, so that one face's echo is reported once."""
     chains, scatterers = [], []
     for part in echoes:
         many = np.arange(len(part.echo))
@@ -257,16 +257,16 @@ def _places(points: Floats, apart_m: float) -> list[Longs]:
 
 
 def _one(rows: _Rows, mine: Longs, shares: Floats) -> _Cluster:
-    """Some echoes as one, told by their mirror point if it counts for much.
+    """Join some echoes; the mirror point stands for all if it is strong enough.
 
-    Else by what lies at their common delay, -d(phase) / d(omega).
+    Otherwise the echo at their common delay, -d(phase) / d(omega), stands for them.
     """
     echo = rows.echo[mine] * shares
     total, delays, loud = complex(echo.sum()), rows.delay_s[mine], abs(echo)
     ray = np.where(rows.rays[mine], loud, 0.0)
     lead = int(ray.argmax())
-    delay, told = float(delays[lead]), bool(ray[lead] >= max(0.3 * abs(total), 1e-300))
-    if not told:
+    delay, mirrored = float(delays[lead]), bool(ray[lead] >= max(0.3 * abs(total), 1e-300))
+    if not mirrored:
         strong = np.flatnonzero(loud >= 0.1 * loud.max())
         delay = float(((echo * delays).sum() * total.conjugate()).real) / max(abs(total) ** 2, 1e-300)
         delay = min(max(delay, float(delays[strong].min())), float(delays[strong].max()))
@@ -274,11 +274,11 @@ def _one(rows: _Rows, mine: Longs, shares: Floats) -> _Cluster:
     row = mine[lead]
     whole = bool((loud * rows.whole[mine]).max() > 0.3 * abs(total))
     return _Cluster(mine, shares, total, rows.points[row], delay, tuple(int(k) for k in rows.chains[row] if k >= 0),
-                    int(rows.scatterers[row]), told, whole)  # fmt: skip
+                    int(rows.scatterers[row]), mirrored, whole)  # fmt: skip
 
 
 def _alike(spec: RadarSpec, found: list[_Cluster]) -> list[_Cluster]:
-    """Those that met the same objects in another order, as one where they come as one.
+    """Join clusters that met the same objects in another order, where their delays do not differ.
 
     Between faces at right angles all orders have the same length, whatever the antennas' distance: mirror images in
     them commute. Between others with antennas d apart, two orders differ by 2 d . n at most; where that is more than
@@ -301,7 +301,7 @@ def _alike(spec: RadarSpec, found: list[_Cluster]) -> list[_Cluster]:
 
 
 def _joined(one: _Cluster, other: _Cluster) -> _Cluster:
-    """Both as one, told by that with a mirror path; of equals by that whose point lies on the last face."""
+    """Join two clusters: that with a mirror path stands for both, of equals that whose point lies on the last face."""
 
     def rank(c: _Cluster) -> tuple[bool, bool, float]:
         return c.ray, c.scatterer == len(c.chain) - 1 and abs(c.total) > 0.5 * loudest, abs(c.total)
@@ -327,10 +327,10 @@ def _landing(context: RadarContext, one: _Cluster) -> tuple[float, float, float]
     return at, float(np.angle(np.exp(1j * phase))), float(left) if beyond else 1.0
 
 
-def _told(
+def _contribution(
     context: RadarContext, scene: Scene, rows: _Rows, echoes: list[EchoSet], one: _Cluster, whole: float
 ) -> Contribution:
-    """The contribution of a cluster, whose samples keep the share `whole` of what is laid."""
+    """Describe a cluster, whose samples keep the share `whole` of its echoes."""
     names, here = [scene.objects[k].name for k in one.chain], one.scatterer
     at, phase, left = _landing(context, one)
     x, y, z = (float(v) for v in one.point)
@@ -341,7 +341,7 @@ def _told(
 
 
 def _samples(context: RadarContext, echoes: list[EchoSet], rows: _Rows, one: _Cluster, whole: float) -> Samples:
-    """What a cluster adds to a frame (b): its echoes laid once more, without all others."""
+    """Compute what a cluster adds to a frame (b), from its echoes alone."""
     grids = np.zeros((3, context.places), complex)
     shares = np.zeros(sum(len(part.echo) for part in echoes), complex)
     np.add.at(shares, rows.at[one.rows], one.shares)
@@ -351,12 +351,12 @@ def _samples(context: RadarContext, echoes: list[EchoSet], rows: _Rows, one: _Cl
         first += len(part.echo)
         if mine.any():
             part.again(mine, grids)
-    out = _heard(context, grids) * whole
+    out = _range_bins(context, grids) * whole
     return radio(out[None], context.spec)[0] if context.spec.output == "rf" else out.astype(np.complex64)
 
 
-def _heard(context: RadarContext, grids: Complexes) -> Complexes:
-    """The bins (b) of delay grids."""
+def _range_bins(context: RadarContext, grids: Complexes) -> Complexes:
+    """Convolve delay grids with the pulse to range bins (b)."""
     out = np.zeros(context.spec.bins, complex)
     pulses.convolve(grids, context.pulse.taps, context.pulse.every, context.shift, out)
     return out

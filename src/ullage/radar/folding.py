@@ -27,9 +27,9 @@ FOLDS = 2
 
 
 def limits_of(planar: PlanarPatches, antennas: AntennaPair, gate_m: float, fold_s: float) -> NDArray[np.float64]:
-    """How far the echoes of each face (p) are followed [m]: to the gate, or where it mirrors the radar, to the folds.
+    """Compute how far the echoes of each face (p) are followed [m]: to the gate, or to the folds for a mirror.
 
-    Faces that mirror are those whose plane lies at the ranges of the folds, with the perpendicular's foot near them.
+    Faces that mirror have planes at the ranges of the folds, and the radar's specular point on or near them.
     """
     far_m = gate_m + FOLDS * fold_s * C0 / 2
     origin = (antennas.origins[0] + antennas.origins[1]) / 2

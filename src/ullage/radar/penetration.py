@@ -27,7 +27,7 @@ _FAINT = 10 ** (-50 / 20)  # inner echoes below this are left out
 
 
 def fresnel(eps: complex, cosine: ArrayLike) -> tuple[Complexes, Complexes]:
-    """Reflection of a half-space from air, TE and TM, against cos(incidence); of air from air none, at grazing too."""
+    """Compute the reflection of a half-space in air, TE and TM, against cos(incidence); air itself has none."""
     c = np.asarray(cosine, float)
     inner = np.sqrt(eps - (1 - c * c) + 0j)
     if eps == 1:
@@ -38,7 +38,7 @@ def fresnel(eps: complex, cosine: ArrayLike) -> tuple[Complexes, Complexes]:
 def slab(
     eps: complex, thickness_m: float, frequency_hz: float, cosine: ArrayLike
 ) -> tuple[Complexes, Complexes, Complexes, Complexes]:
-    """Reflection TE, TM and transmission TE, TM of a slab in air; transmission relative to the same path without it.
+    """Compute reflection and transmission of a slab in air, TE and TM; transmission relative to the path without it.
 
     All inner reflections are summed [Orfanidis, ch. 8]; the transmitted wave's phase is that of the slab less that of
     the air it replaces.
@@ -59,7 +59,7 @@ def slab(
 
 @lru_cache(maxsize=512)
 def _tables(material: Material, center_hz: float, bandwidth_hz: float) -> tuple[Complexes, Floats, Complexes]:
-    """Echoes of a surface (TAPS, 2, COSINES), their delays [s] (TAPS, COSINES), and what bounces (1, 2, COSINES).
+    """Compute a surface's echoes (TAPS, 2, COSINES), delays (TAPS, COSINES) [s] and reflection (1, 2, COSINES).
 
     Unused taps have delay -1.
     """
@@ -111,7 +111,7 @@ def _fill_dielectric(
 
 
 def coherent(roughness: float, cosine: ArrayLike) -> Floats:
-    """Share of the amplitude that a rough surface keeps coherent; `roughness` is k times the rms height.
+    """Compute the share of the amplitude that a rough surface keeps coherent; `roughness` is k times the rms height.
 
     exp(-(2 k s cos)^2 / 2): the mean of the phase 2 k s cos over Gaussian heights, so that the *power* falls by
     exp(-(2 k s cos)^2) [Ament1953].
@@ -120,7 +120,7 @@ def coherent(roughness: float, cosine: ArrayLike) -> Floats:
 
 
 def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[Complexes, Floats, Complexes]:
-    """Reflection of every material at the radar's carrier, against cos(incidence), TE and TM.
+    """Compute the reflection of every material at the radar's carrier, against cos(incidence), TE and TM.
 
     Returns:
         Echoes (m, TAPS, 2, COSINES) of face, back and inner reflections, their delays (m, TAPS, COSINES) [s], and the
@@ -147,7 +147,7 @@ class Transmissive:
 
 
 def transmissive_of(materials: Sequence[Material], spec: RadarSpec) -> Transmissive:
-    """Two-way transmission of every object's slab; what costs more than 50 dB there and back is opaque.
+    """Compute the two-way transmission of every object's slab; one that costs more than 50 dB is opaque.
 
     Raises:
         InputError: the carrier lies outside a material's data.

@@ -43,12 +43,12 @@ class Pulse:
 
 
 def filtered(spec: RadarSpec) -> bool:
-    """Whether the X4's on-chip filter shapes the output: decimated baseband only."""
+    """Return whether the X4's on-chip filter shapes the output: decimated baseband only."""
     return spec.output == "baseband" and spec.decimation == 8
 
 
 def chip_filter(frequency_hz: Floats, sampling_hz: float) -> Floats:
-    """Response of the X4's 32-tap on-chip low-pass at offsets from the carrier, free of its delay, 1 at 0.
+    """Compute the response of the X4's 32-tap on-chip low-pass at offsets from the carrier, without its delay, 1 at 0.
 
     The taps are the Hamming-windowed design that reproduces the measured noise correlation and pulse width of the
     recordings [X4Recordings].
@@ -60,7 +60,7 @@ def chip_filter(frequency_hz: Floats, sampling_hz: float) -> Floats:
 
 
 def spectrum(spec: RadarSpec, frequency_hz: Floats) -> Floats:
-    """Amplitude spectrum of the received pulse at offsets from the carrier [Hz], 1 at the carrier."""
+    """Compute the amplitude spectrum of the received pulse at offsets from the carrier [Hz], 1 at the carrier."""
     if spec.pulse == "raised-cosine":
         out = _raised_cosine(frequency_hz * _RAISED / spec.bandwidth_hz)
     else:
@@ -69,12 +69,12 @@ def spectrum(spec: RadarSpec, frequency_hz: Floats) -> Floats:
 
 
 def _raised_cosine(x: Floats) -> Floats:
-    """Spectrum of the envelope cos^2(pi t / T), |t| < T / 2, over x = f T [Harris1978]."""
+    """Compute the spectrum of the envelope cos^2(pi t / T), |t| < T / 2, over x = f T [Harris1978]."""
     return np.asarray(0.5 * np.sinc(x - 1) + np.sinc(x) + 0.5 * np.sinc(x + 1))
 
 
 def envelope(spec: RadarSpec, t_s: Floats) -> Floats:
-    """The pulse p(t) of a point echo, 1 at its peak."""
+    """Compute the pulse p(t) of a point echo, 1 at its peak."""
     offsets, weight = _quadrature(spec)
     return np.asarray(np.cos(2 * np.pi * np.multiply.outer(t_s, offsets)) @ weight)
 
@@ -105,7 +105,7 @@ def _tabulated(spec: RadarSpec) -> Pulse:
 
 
 def tabulate(spec: RadarSpec) -> Pulse:
-    """The radar's pulse, ready for `kernels.pulse.convolve`.
+    """Tabulate the radar's pulse for `kernels.pulse.convolve`.
 
     Raises:
         InputError: the pulse is wider than the frame.

@@ -1,4 +1,4 @@
-"""The X4 receiver: what it adds to clean echoes, in the order in which it happens.
+"""The X4 receiver: the effects on clean echoes, in the order in which they occur.
 
 Direct path, then phase and amplitude common to a whole frame, the DAC window, additive noise through the on-chip
 filter, and the lattice of the counts. The values are those of real recordings [X4Recordings]; names of settings and
@@ -43,35 +43,35 @@ class Draws:
         self._state = self._bits.state  # putting a state back costs a fifth of making a new generator
 
     def of(self, frame: int) -> np.random.Generator:
-        """The generator as it stands at the start of a frame; asking for the next frame moves it."""
+        """Return the generator at the start of a frame; the next call moves it."""
         self._state["state"]["counter"] = np.array([0, 0, 0, frame], np.uint64)
         self._bits.state = self._state
         return self._numbers
 
 
 def normalised(count: Floats, spec: RadarSpec) -> Floats:
-    """Counts of one RF sample in the sensor's normalised units [NoveldaX4Driver]."""
+    """Return the counts of one RF sample in the sensor's normalised units [NoveldaX4Driver]."""
     return np.asarray(np.asarray(count) * lattice(spec) - dac_limit(spec))
 
 
 def counted(value: Floats, spec: RadarSpec) -> Longs:
-    """The counts that a normalised RF value stands for, between none and all of them."""
+    """Convert a normalised RF value to counts, between none and all of them."""
     count = np.rint((np.asarray(value) + dac_limit(spec)) / lattice(spec))
     return np.clip(count, 0, round(2 * dac_limit(spec) / lattice(spec))).astype(np.int64)
 
 
 def dac_limit(spec: RadarSpec) -> float:
-    """Largest RF amplitude that the DAC window holds, in normalised units."""
+    """Return the largest RF amplitude that the DAC window holds, in normalised units."""
     return (spec.dac_max - spec.dac_min + 1) / 2048
 
 
 def lattice(spec: RadarSpec) -> float:
-    """Step between possible RF values, in normalised units."""
+    """Return the step between possible RF values, in normalised units."""
     return float(2**spec.dac_step / (1024 * spec.counts))
 
 
 def noise_sigma(spec: RadarSpec) -> float:
-    """Sigma of the additive noise of one output sample in normalised units: of |c| at baseband, of x at RF.
+    """Return the sigma of the additive noise of one output sample in normalised units: of |c| at baseband, of x at RF.
 
     It falls with the root of the counts. A coarser DAC step leaves out thresholds, each with noise of its own.
     """
@@ -82,30 +82,30 @@ def noise_sigma(spec: RadarSpec) -> float:
 
 
 def unit(spec: RadarSpec) -> float:
-    """Normalised units of the output per unit of sqrt(path gain)."""
+    """Return the normalised units of the output per unit of sqrt(path gain)."""
     noise = spec.noise or NoiseSpec()
     return noise.unit_gain * (noise.baseband_gain if spec.output == "baseband" else 1.0)
 
 
 def noise_floor(spec: RadarSpec) -> float:
-    """Sigma of the additive noise in the unit of the frames, sqrt(received / transmitted power)."""
+    """Return the sigma of the additive noise in the unit of the frames, sqrt(received / transmitted power)."""
     return noise_sigma(spec) / unit(spec)
 
 
 def phase_sigma(spec: RadarSpec) -> float:
-    """Sigma of a frame's common phase [rad]: a floor, and a part that falls with the root of the counts."""
+    """Return the sigma of a frame's common phase [rad]: a floor, and a part that falls with the root of the counts."""
     if spec.noise is None:
         return 0.0
     return float(np.hypot(spec.noise.phase_rad, spec.noise.phase_thermal_rad / np.sqrt(spec.counts)))
 
 
 def fold_range_m(range_m: Floats | float, spec: RadarSpec) -> Floats:
-    """Where an echo from this range appears: the pulses repeat, and so do the ranges [m]."""
+    """Compute the range at which an echo from this range appears [m]: the pulses repeat, and so do the ranges."""
     return np.asarray(np.mod(range_m, spec.unambiguous_range_m))
 
 
 def fold(profile: NDArray[Any], spec: RadarSpec) -> NDArray[Any]:
-    """Lay echoes from beyond the unambiguous range over the frame.
+    """Add echoes from beyond the unambiguous range to the frame.
 
     Args:
         profile: clean echoes (n, b') on the radar's bins and on as many more beyond them as there are.
@@ -137,7 +137,7 @@ def fold(profile: NDArray[Any], spec: RadarSpec) -> NDArray[Any]:
 
 
 def receive(clean: NDArray[Any], spec: RadarSpec, *, seed: int, first_frame: int = 0) -> Samples:
-    """What the receiver makes of clean echoes.
+    """Apply the receiver to clean echoes.
 
     Args:
         clean: complex baseband (n, b), or real RF when `spec.output` is "rf", in sqrt(received / transmitted power);
@@ -200,14 +200,14 @@ def _receive_rf(
 
 
 def _turned(row: Floats, phase: float) -> Floats:
-    """One RF profile with its carrier turned by a phase [rad]: all its frequencies, through its analytic signal."""
+    """Turn the carrier of one RF profile by a phase [rad]: all its frequencies, through its analytic signal."""
     turned = np.fft.rfft(row)
     turned[1:] *= np.exp(1j * phase)
     return np.fft.irfft(turned, len(row))
 
 
 def chip_taps(decimation: int = 8) -> Floats:
-    """Taps of the on-chip low-pass, Hamming-windowed, four output bins long [X4Recordings].
+    """Compute the taps of the on-chip low-pass, Hamming-windowed, four output bins long [X4Recordings].
 
     32 taps of 0.5 GHz at 23.328 GS/s reproduce the measured correlation between bins; other rates scale with it.
     """
@@ -220,7 +220,7 @@ def chip_taps(decimation: int = 8) -> Floats:
 
 @lru_cache(maxsize=8)
 def short_filter(decimation: int = 8) -> Floats:
-    """Four real taps that give white noise at the bins the covariance that the on-chip filter leaves there.
+    """Compute four real taps that give white noise at the bins the covariance that the on-chip filter leaves there.
 
     The filter is four bins long, so its output, mixed down, is correlated over three neighbours: a moving average of
     that order, found by spectral factorisation (roots inside the unit circle), is the same process for a quarter of
@@ -234,7 +234,7 @@ def short_filter(decimation: int = 8) -> Floats:
 
 
 def baseband_noise(spec: RadarSpec, seed: int, frames: range) -> Complexes:
-    """Additive noise (n, bins) at baseband in normalised units, correlated over bins as behind the on-chip filter."""
+    """Draw additive noise (n, bins) at baseband, normalised, correlated over bins as the on-chip filter leaves it."""
     taps = short_filter(spec.decimation)
     draws = Draws(seed, THERMAL)
     white = np.stack([draws.of(i).standard_normal((spec.bins + len(taps) - 1, 2)) for i in frames])
@@ -246,7 +246,7 @@ def baseband_noise(spec: RadarSpec, seed: int, frames: range) -> Complexes:
 
 
 def receive_thesis(clean: NDArray[Any], spec: RadarSpec, *, seed: int, first_frame: int = 0) -> Singles:
-    """The receiver of the ray model: white noise on each bin, then the moving average that clean profiles already had.
+    """Apply the receiver of the ray model: white noise on each bin, then the moving average of clean profiles.
 
     Args:
         clean: amplitudes (n, b) from `echoes_thesis`.
