@@ -108,6 +108,27 @@ def cube(edge, *, at=(3.0, 0, 0), made_of="steel"):
     return Scene.of_mesh(body.vertices + np.asarray(at), body.faces, name="box", made_of=made_of)
 
 
+def test_a_straight_edge_is_one_however_a_mesh_cuts_it():
+    box = trimesh.creation.box((0.6, 0.4, 0.3)).subdivide().subdivide()
+    found = edges_of(
+        Scene.of_mesh(np.asarray(box.vertices) + np.array([3, 0, 0]), np.asarray(box.faces, np.int32), name="box")
+    )
+    length = np.linalg.norm(found.ends - found.starts, axis=1)
+    assert np.sort(length) == pytest.approx(np.repeat([0.3, 0.4, 0.6], 4))
+
+
+def test_a_plate_of_needles_echoes_as_one_of_two_triangles():
+    whole = ul.scenes.plate(0.5, 0.5, 3.0, yaw_deg=25)
+    across = whole.vertices[[0, 1]] if abs(np.diff(whole.vertices[[0, 1], 2])) < 1e-9 else whole.vertices[[0, 3]]
+    line = across[0] + np.linspace(0, 1, 201)[:, None] * (across[1] - across[0])
+    vertices = np.concatenate([line * [1, 1, 0] + [0, 0, z] for z in (-0.25, 0.25)])
+    k = np.arange(200)
+    faces = np.concatenate([np.stack([k, k + 1, k + 202], 1), np.stack([k, k + 202, k + 201], 1)])
+    cut = Scene.of_mesh(vertices, faces.astype(np.int32), name="plate", made_of="pec")
+    want, ours = (path_gain_cw(scene, HERE, radar())[0] for scene in (whole, cut))
+    assert abs(ours / want - 1) < 1e-6  # each needle's edge by itself: 3e-3
+
+
 def test_smooth_meshes_dielectrics_and_what_touches_have_no_edges():
     assert len(edges_of(ul.scenes.sphere(0.3, 3.0))) == 0
     assert len(edges_of(cube(0.4, made_of="wood"))) == 0

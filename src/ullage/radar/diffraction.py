@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +21,15 @@ from ullage.radar.wires import moved
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
+if TYPE_CHECKING:
+    from scipy.sparse import coo_array
+
 TURN_DEG = 40.0
 """A mesh that turns by less at an edge stands for a smooth surface [deg]."""
 NARROW = 0.25
 """Faces narrower than this part of a wave are the side of a thin plate, or no face at all."""
 _AROUND_M = 0.01  # nothing may cut a circle of this radius about an edge
+_STRAIGHT_RAD = 1e-3  # edges that turn by less, and lie off one line by a smaller share of it, are one
 _FEW = 100  # so many corners are looked at twice sooner than sorted
 _STEP_M = 0.25  # an edge is tested at its middle, and cut so that there is one at least so often
 
@@ -177,7 +182,51 @@ def _edges(scene: Scene, chosen: Bools) -> Edges:
     n1, n2, angle = _open(into, normals[tri[lead]])
     surfaces = smooth[tri[pairs]]
     widths = _widths(corners, smooth, a, into, surfaces)
-    return Edges(a, b, angle, into, np.stack([n1, n2], 1), widths, object_ids[tri[lead]], surfaces)
+    found = Edges(a, b, angle, into, np.stack([n1, n2], 1), widths, object_ids[tri[lead]], surfaces)
+    return _joined(found, edge[lead])
+
+
+def _joined(edges: Edges, ids: Longs) -> Edges:
+    """Join edges that continue each other along one line, by ids (w, 2) of their corners; the first of each stays.
+
+    A mesh may cut a straight edge into any number of parts. Each part alone would end in two waves of its own.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    total, line = connected_components(_continued(edges, ids), directed=False)
+    lead = np.full(total, len(edges))
+    np.minimum.at(lead, line, np.arange(len(edges)))
+    points, of = np.stack([edges.starts, edges.ends], 1).reshape(-1, 3), np.repeat(line, 2)
+    places = np.einsum("ni,ni->n", points, (edges.ends - edges.starts)[lead[of]])
+    order = np.lexsort((places, of))
+    begin = np.searchsorted(of[order], np.arange(total + 1))
+    low, high = points[order[begin[:-1]]], points[order[begin[1:] - 1]]
+    chord = high - low
+    square = np.maximum((chord**2).sum(1), 1e-300)
+    bent = np.zeros(total)
+    np.maximum.at(bent, of, np.linalg.norm(np.cross(points - low[of], chord[of]), axis=1) / square[of])
+    whole = bent < _STRAIGHT_RAD
+    starts, ends = edges.starts.copy(), edges.ends.copy()
+    starts[lead[whole]], ends[lead[whole]] = low[whole], high[whole]
+    kept = ~whole[line] | (lead[line] == np.arange(len(edges)))
+    return replace(edges, starts=starts, ends=ends).take(kept)
+
+
+def _continued(edges: Edges, ids: Longs) -> coo_array:
+    """Links (w, w) between edges of the same two surfaces that meet at a corner and hardly turn there."""
+    from scipy.sparse import coo_array
+
+    count = len(edges)
+    swapped = edges.surfaces[:, 0] > edges.surfaces[:, 1]
+    sides = np.where(swapped[:, None], edges.surfaces[:, ::-1], edges.surfaces)
+    inward = np.where(swapped[:, None, None], edges.inward[:, ::-1], edges.inward)
+    at, of = ids.reshape(-1), np.repeat(np.arange(count), 2)
+    order = np.lexsort((of, sides[of, 1], sides[of, 0], at))
+    at, of = at[order], of[order]
+    a, b = of[:-1], of[1:]
+    alike = (at[:-1] == at[1:]) & (sides[a] == sides[b]).all(1)
+    alike &= np.einsum("nfi,nfi->nf", inward[a], inward[b]).min(1) > np.cos(_STRAIGHT_RAD)
+    return coo_array((np.ones(alike.sum(), np.int8), (a[alike], b[alike])), shape=(count, count))
 
 
 def _halves(corners: Floats) -> tuple[Longs, Longs]:
