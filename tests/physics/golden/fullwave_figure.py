@@ -14,12 +14,13 @@ Curves = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np
 COLORS = ("#22577a", "#d1495b", "#57a773", "#edae49")
 
 
-def draw_fullwave(path: Path, panels: Mapping[str, tuple[str, str, Curves]]) -> None:
+def draw_fullwave(path: Path, panels: Mapping[str, tuple[str, str, Curves]], solver: str = "gprMax") -> None:
     """Draws a panel for each scene: dots of the full-wave solver, lines of ours.
 
     Args:
         path: .png, .svg or .pdf.
         panels: by title: label across, label up, and by name of the curve: place, full-wave, ours (each (n)).
+        solver: name of the full-wave solver.
     """
     with drawing(path, size_in=(4.2 * len(panels), 4.0), columns=1) as (figure, first):
         first.remove()
@@ -28,7 +29,7 @@ def draw_fullwave(path: Path, panels: Mapping[str, tuple[str, str, Curves]]) -> 
         ):
             for color, (name, (x, wave, ours)) in zip(COLORS, curves.items(), strict=False):
                 axes.plot(x, ours, "-", color=color, lw=1.4, label=f"{name}: ullage")
-                axes.plot(x, wave, "o", color=color, ms=5, mfc="none", label=f"{name}: gprMax")
+                axes.plot(x, wave, "o", color=color, ms=5, mfc="none", label=f"{name}: {solver}")
             axes.set_title(title, fontsize=10)
             axes.set_xlabel(across)
             axes.set_ylabel(up)
