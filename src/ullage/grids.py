@@ -273,6 +273,21 @@ def _cut(values: NDArray[np.int8], edge: int) -> NDArray[np.int8]:
     return padded.reshape(parts).transpose([*range(0, len(parts), 2), *range(1, len(parts), 2)])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedSurface:
+    """A surface as a mapper estimates it."""
+
+    kind: str  # "plane", "cylinder", "edge", or "slope" where its normal leaves the plane
+    position: Floats  # (2) that the state refers to [m]
+    state: Floats  # (4) range [m], bearing [rad], curvature of the range [1/m] and cosine of the elevation from there
+    covariance: Floats  # (4, 4)
+    log_odds: float  # of its existence
+    seen: int  # keyframes that saw it
+    on_map: bool  # False: a slope, hidden behind other surfaces, or flown through
+    points: Floats  # (seen, 2) specular points, which show its extent [m]
+    normals: Floats  # (seen, 2) level unit vectors from there towards the sensor
+
+
 class OccupancyMap(Displayed):
     """What is known of each cell: 0..100 percent chance of being occupied, -1 unknown, -2 ambiguous.
 
@@ -285,17 +300,19 @@ class OccupancyMap(Displayed):
         method: what made it.
         occupied_from: percent at and above which a cell counts as occupied.
         free_to: percent at and below which it counts as free.
+        surfaces: that the cells were drawn from; none where the method estimates none, or a file held the map.
 
     Raises:
         InputError: the cells are not int8, not of the grid's shape, or out of range; or the levels are.
     """
 
-    __slots__ = ("_view", "free_to", "grid", "method", "occupied_from", "tiles")
+    __slots__ = ("_view", "free_to", "grid", "method", "occupied_from", "surfaces", "tiles")
     grid: Grid
     tiles: Tiles
     method: str
     occupied_from: int
     free_to: int
+    surfaces: tuple[MappedSurface, ...]
     _view: weakref.ref[NDArray[np.int8]] | None
 
     def __init__(
@@ -305,6 +322,7 @@ class OccupancyMap(Displayed):
         method: str = "",
         occupied_from: int = 65,
         free_to: int = 35,
+        surfaces: tuple[MappedSurface, ...] = (),
     ) -> None:
         if percent.shape != grid.shape or (isinstance(percent, np.ndarray) and percent.dtype != np.int8):
             kind = "blocks" if isinstance(percent, Tiles) else percent.dtype
@@ -316,7 +334,7 @@ class OccupancyMap(Displayed):
             levels = f"free_to {free_to}, occupied_from {occupied_from}"
             raise InputError(levels, where="OccupancyMap", allowed="0 <= free_to <= occupied_from <= 100")
         tiles = percent if isinstance(percent, Tiles) else Tiles.of(percent)
-        self.__setstate__((grid, tiles, method, occupied_from, free_to))
+        self.__setstate__((grid, tiles, method, occupied_from, free_to, surfaces))
 
     def __repr__(self) -> str:
         counts = (("occupied", self.occupied), ("free", self.free), ("ambiguous", self.ambiguous))
@@ -327,10 +345,10 @@ class OccupancyMap(Displayed):
         raise AttributeError(f"an OccupancyMap does not change: {name}")
 
     def __getstate__(self) -> tuple[Any, ...]:
-        return self.grid, self.tiles, self.method, self.occupied_from, self.free_to
+        return self.grid, self.tiles, self.method, self.occupied_from, self.free_to, self.surfaces
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
-        names = ("grid", "tiles", "method", "occupied_from", "free_to", "_view")
+        names = ("grid", "tiles", "method", "occupied_from", "free_to", "surfaces", "_view")
         for name, value in zip(names, (*state, None), strict=True):
             object.__setattr__(self, name, value)
 

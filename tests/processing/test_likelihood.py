@@ -377,3 +377,30 @@ def test_bad_input_is_refused_in_one_line():
 def test_grids_that_do_not_hold_the_flight_are_refused():
     with pytest.raises(ul.InputError, match="does not hold the flight"):
         ul.map_occupancy(flown(curve()), ul.Grid.covering([[2, 2, 0], [3, 3, 0]], 0.1), method="likelihood")
+
+
+def test_a_map_holds_its_surfaces_with_kind_and_extent(tmp_path):
+    import trimesh
+
+    from ullage.ports.ply import write_surfaces
+
+    frames = flown(curve(), wall(180, 2.6), pillar((0.3, 2.6), 0.0, strength=0.5), pillar((1.8, -2.9), 0.6))
+    omap = ul.map_occupancy(frames, GRID, method="likelihood")
+    flat = next(one for one in omap.surfaces if one.kind == "plane" and one.on_map)
+    assert np.abs(flat.points[:, 0] + 2.6).max() < 0.05
+    assert np.abs(flat.normals - [1.0, 0.0]).max() < 0.05
+    assert len(flat.points) == flat.seen
+    pole = next(one for one in omap.surfaces if one.kind == "edge")
+    assert np.linalg.norm(pole.points - [0.3, 2.6], axis=1).max() < 0.15
+    assert any(one.kind == "cylinder" for one in omap.surfaces)
+    write_surfaces(omap, tmp_path / "surfaces.ply")
+    cloud = trimesh.load(tmp_path / "surfaces.ply")
+    shown = np.concatenate([one.points for one in omap.surfaces if one.on_map])
+    assert np.allclose(cloud.vertices[:, :2], shown, atol=1e-4)
+    with pytest.raises(ul.InputError, match="the map holds no surfaces"):
+        write_surfaces(ul.map_occupancy(frames, GRID, method="elfes"), tmp_path / "none.ply")
+
+
+def test_a_slope_is_listed_as_one():
+    omap = ul.map_occupancy(flown(curve(), slope(90, 2.0, 30)), GRID, method="likelihood")
+    assert [one.kind for one in omap.surfaces] == ["slope"]

@@ -58,6 +58,37 @@ def write_ply(omap: OccupancyMap, path: str | Path, *, normals: Floats | None = 
     write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
 
 
+def write_surfaces(omap: OccupancyMap, path: str | Path) -> None:
+    """Write the surfaces of a map: each specular point with its normal, and the number and log-odds of its surface.
+
+    Surfaces that are not on the map are left out. A comment names the kind of each surface.
+
+    Args:
+        omap: of `method="likelihood"`.
+        path: of the `.ply` file.
+
+    Raises:
+        InputError: the map holds no surfaces, or the folder cannot be written.
+    """
+    if not omap.surfaces:
+        raise InputError("the map holds no surfaces", where=path, allowed='a map of method="likelihood"')
+    shown = [(number, one) for number, one in enumerate(omap.surfaces) if one.on_map]
+    names = ("x", "y", "nx", "ny", "z", "nz", "log_odds")
+    points = np.zeros(sum(one.seen for _, one in shown), [(name, "<f4") for name in names] + [("surface", "<i4")])
+    start = 0
+    for number, one in shown:
+        part = points[start : start + one.seen]
+        for name, values in zip(names[:4], (*one.points.T, *one.normals.T), strict=True):
+            part[name] = values
+        part["log_odds"], part["surface"] = one.log_odds, number
+        start += one.seen
+    points["z"] = np.nan_to_num(omap.grid.origin_m[2])
+    head = ["ply", "format binary_little_endian 1.0"]
+    head += [f"comment surface {number} {one.kind}" for number, one in shown] + [f"element vertex {len(points)}"]
+    head += [f"property float {name}" for name in names] + ["property int surface", "end_header", ""]
+    write_whole(Path(path), lambda out: out.write("\n".join(head).encode() + points.tobytes()))
+
+
 def read_ply(path: str | Path, *, step_m: float | None = None) -> OccupancyMap:
     """Read points as occupied cells; all others are unknown.
 

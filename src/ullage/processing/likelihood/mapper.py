@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ullage.arrays import Bools, Floats
+from ullage.arrays import Bools
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
-from ullage.grids import Changes, Grid, OccupancyMap
+from ullage.grids import Changes, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
 from ullage.processing.likelihood.cells import render
 from ullage.processing.likelihood.echoes import EchoFinder
 from ullage.processing.likelihood.keyframes import KeyframeSelector
 from ullage.processing.likelihood.spec import LikelihoodSpec
-from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker
+from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, smoothed
 from ullage.processing.mapper_door import in_order, plane_of
 
 CELL_M = 0.05  # places of the track are kept apart by as much
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MappedSurface:
-    """A surface as the likelihood mapper estimates it."""
-
-    position: Floats  # (2) that the state refers to [m]
-    state: Floats  # (4) range [m], bearing [rad], curvature of the range [1/m] and cosine of the elevation from there
-    covariance: Floats  # (4, 4)
-    log_odds: float  # of its existence
-    seen: int  # keyframes that saw it
-    on_map: bool  # False: a slope, hidden behind other surfaces, or flown through
 
 
 class LikelihoodMapper:
@@ -109,16 +95,14 @@ class LikelihoodMapper:
         return omap, surfaces, kept
 
     def map(self) -> OccupancyMap:
-        """The map so far."""
-        return self._rendered()[0]
+        """The map so far, with its surfaces."""
+        omap, surfaces, kept = self._rendered()
+        return OccupancyMap(omap.grid, omap.tiles, omap.method, surfaces=_mapped(surfaces, kept))
 
     def surfaces(self) -> list[MappedSurface]:
         """The surfaces that are sure so far, in order of their first echo."""
         _, surfaces, kept = self._rendered()
-        return [
-            MappedSurface(one.position, one.state, one.covariance, one.log_odds, len(one.sightings), bool(on_map))
-            for one, on_map in zip(surfaces, kept, strict=True)
-        ]
+        return list(_mapped(surfaces, kept))
 
     @property
     def pose_sigma_m(self) -> float:
@@ -127,7 +111,18 @@ class LikelihoodMapper:
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""
-        now = self.map()
+        now = self._rendered()[0]
         out = now.changes(self._published)
         self._published = now
         return out
+
+
+def _mapped(surfaces: list[Surface], kept: Bools) -> tuple[MappedSurface, ...]:
+    out = []
+    for one, on_map in zip(surfaces, kept, strict=True):
+        place = np.array([seen.position for seen in one.sightings.values()])
+        state, _ = smoothed(one)
+        normal = -np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
+        given = one.position, one.state, one.covariance, one.log_odds, len(place), bool(on_map)
+        out.append(MappedSurface(one.kind, *given, place - state[:, :1] * normal, normal))
+    return tuple(out)

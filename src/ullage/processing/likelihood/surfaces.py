@@ -29,6 +29,7 @@ FOOT_M, VIEW_M = 0.05, 0.15  # a specular point seen from nearly the same place 
 FORGET_M = 1.5  # track after which a surface of few echoes is forgotten
 CONSISTENT_M = 0.03  # a smoothed range this near to the measured one replaces it
 SLOPE, SLOPE_SIGMA = 0.85, 0.2  # cosine of the elevation of a slope, before any echo has shown it
+FLAT = 0.05  # curvature that a plane may have [1/m]
 LEAST_COSINE = 0.1  # bound of the cosine
 MOST_BEHIND = 20.0  # nats by which a rival may be behind and still take an echo
 WORST = 60.0  # bound on the squared distance that counts against a rival
@@ -60,6 +61,17 @@ class Surface:
     def sloped(self) -> bool:
         """Whether its direction leaves the plane."""
         return bool(self.evidence[1] > self.evidence[0])
+
+    @property
+    def kind(self) -> str:
+        """Slope, plane, edge (a centre of curvature at the surface) or cylinder."""
+        range_m, _, curvature, _ = self.state
+        doubt = 2 * math.sqrt(self.covariance[2, 2]) + FLAT
+        if self.sloped:
+            return "slope"
+        if abs(curvature) < doubt:
+            return "plane"
+        return "edge" if abs(curvature - 1 / range_m) < doubt else "cylinder"
 
     @property
     def state(self) -> Floats:
