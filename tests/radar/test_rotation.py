@@ -55,11 +55,28 @@ def test_turning_the_world_changes_no_sample(name, count):
     assert change_db(name, range(1, 2), count, 3).max() < -60
 
 
+@pytest.mark.parametrize("bounces", [1, 2])
+def test_turning_triangles_at_the_end_of_the_frame_changes_no_sample(bounces):
+    """What lies just beyond the gate folds to the start of the frame, or not; the world's axes must not decide that."""
+    rng = np.random.default_rng(5)
+    corners = rng.normal([9.9, 0.0, 0.0], [0.2, 1.0, 1.0], (400, 1, 3)) + rng.normal(0, 0.04, (400, 3, 3))
+    cloud = ul.scenes.plate(1, 1, 1)
+    faces = np.arange(1200, dtype=np.int32).reshape(-1, 3)
+    cloud = replace(cloud, vertices=corners.reshape(-1, 3), faces=faces, face_object=np.zeros(400, np.int32))
+    floor = ul.scenes.plate(16, 16, 1.5, name="floor")
+    floor = replace(floor, vertices=Rotation.from_euler("y", 90, degrees=True).apply(floor.vertices))
+    scene, path = ul.Scene.union([cloud, floor]), ul.Trajectory.stationary((0, 0, 0), 0.0, 1)
+    still = echoes(scene, path, RADAR, max_bounces=bounces)
+    for seed in (1, 2, 3):
+        change = abs(echoes(*turned(scene, path, seed), RADAR, max_bounces=bounces) - still)
+        assert 20 * np.log10(change.max() / abs(still).max() + 1e-12) < -100
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(WORLDS))
 def test_turning_any_shipped_world_changes_no_sample(name):
-    # in 1 of 48 poses rounding decides whether nine pieces of curved facets are halved once more: -73 dB
-    assert change_db(name, range(1, 4), 16, 1).max() < (-70 if name == "cluttered-room" else -80)
+    assert change_db(name, range(1, 4), 16, 1).max() < -80
     change = change_db(name, range(1, 4), 16, 3)
     assert np.median(change) < -80
-    assert change.max() < -50
+    # in 1 of 48 poses a ray to one piece passes an edge 0.2 um from it, which Embree's single precision cannot tell
+    assert change.max() < (-50 if name == "cluttered-room" else -60)

@@ -21,6 +21,8 @@ C0 = 299_792_458.0
 BULK, EDGE, VERTEX = np.int64(0), np.int64(1), np.int64(2)  # spectral kinds, rows of the delay grids
 ONE = np.int64(0)  # the radar, where there is but one
 FROM, TO = np.int64(0), np.int64(1)  # ends of a piece
+BALL = 0.67
+"""Radius of a ball about a triangle's centre that holds it, over its longest edge: 2/3 of a median is shorter."""
 
 
 class Antennas(NamedTuple):
@@ -186,7 +188,7 @@ def _longest(t, origins, limits):  # type: ignore[no-untyped-def]
         if square > longest * 1.000001:  # equal edges: always the same one, so that pieces nest
             longest, which = square, e
     size = math.sqrt(longest)
-    if r - 0.67 * size > limits.gate[1] or r + 0.67 * size < limits.gate[0]:
+    if r - BALL * size > limits.gate[1] or r + BALL * size < limits.gate[0]:
         return -2
     near = max(r, 3 * TOUCH_M)
     if across > limits.kappa_lambda * near or size > limits.reach * near:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.kernels.edges import FaceOutlines, Outline
-from ullage.kernels.facets import ONE, TriangleClusters, toward
+from ullage.kernels.facets import BALL, ONE, TriangleClusters, toward
 from ullage.kernels.loops import core, lean
 
 
@@ -326,6 +326,21 @@ def sift(louds, paths, long, rest, least, sums, out):  # type: ignore[no-untyped
         out[i] = louds[i] != 0 and (held or abs(louds[i]) > least)
 
 
+@core(nogil=True, error_model="numpy")
+def _near(corners, one, other, gate):  # type: ignore[no-untyped-def]
+    """Whether some of a ball about a triangle lies within the gate of a path that ends at two images."""
+    square, here, there = 0.0, 0.0, 0.0
+    for e in range(3):
+        edge = 0.0
+        for k in range(3):
+            edge += (corners[e, k] - corners[e - 1, k]) ** 2
+        square = max(square, edge)
+    for k in range(3):
+        centre = (corners[0, k] + corners[1, k] + corners[2, k]) / 3
+        here, there = here + (centre - one[k]) ** 2, there + (centre - other[k]) ** 2
+    return 0.5 * (math.sqrt(here) + math.sqrt(there)) - BALL * math.sqrt(square) <= gate
+
+
 @lean(by_fields=True, nogil=True, error_model="numpy")
 def meet_triangles(paths: MirrorPaths, gate, clusters: TriangleClusters, normals, sides: FaceSides, lit):  # type: ignore[no-untyped-def]
     """Find the small triangles that each path reaches so that both legs end on the same side of them.
@@ -353,7 +368,9 @@ def meet_triangles(paths: MirrorPaths, gate, clusters: TriangleClusters, normals
                     ahead += normals[f, k] * (one[k] - corners[f, 0, k])
                     behind += normals[f, k] * (other[k] - corners[f, 0, k])
                 if ahead * behind > 0 and (out >= 0 or inside[f]):
-                    lit[i, f] = _cornered(planes[i], counts[i], corners[f], 0, 3)
+                    lit[i, f] = _cornered(planes[i], counts[i], corners[f], 0, 3) and _near(
+                        corners[f], one, other, gate
+                    )
 
 
 @lean(nogil=True, error_model="numpy")

@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.kernels.facets import BALL
 from ullage.radar.solids import EVEN, Backs, backs, welded
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
@@ -463,9 +464,16 @@ def _clusters(centres: Floats, sizes: Floats) -> tuple[Longs, Ints]:
 
 
 def _spheres(corners: Floats, first: Ints) -> Floats:
-    out = np.zeros((len(first) - 1, 4))
+    """Spheres (k, 4) about clusters of triangles (f, 3, 3) that hold the sphere of each of them.
+
+    Kernels leave out clusters beyond the gate, then triangles beyond it. Clusters follow the axes of the world. They
+    must leave out nothing that the test of a triangle keeps: its range may fold to the start of the frame.
+    """
+    out, centres = np.zeros((len(first) - 1, 4)), corners.mean(1)
+    radii = BALL * np.linalg.norm(np.roll(corners, -1, 1) - corners, axis=2).max(1, initial=0.0)
     for k in range(len(out)):
-        points = corners[first[k] : first[k + 1]].reshape(-1, 3)
+        mine = slice(first[k], first[k + 1])
+        points = corners[mine].reshape(-1, 3)
         middle = (points.min(0) + points.max(0)) / 2
-        out[k, :3], out[k, 3] = middle, np.linalg.norm(points - middle, axis=1).max()
+        out[k, :3], out[k, 3] = middle, (np.linalg.norm(centres[mine] - middle, axis=1) + radii[mine]).max()
     return out
