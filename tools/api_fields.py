@@ -36,7 +36,7 @@ class ApiFields(griffe.Extension):
 def fields_of(cls: griffe.Class) -> Iterator[tuple[str, str]]:
     """Name and text of each field that has no docstring of its own."""
     for name, attr in cls.attributes.items():
-        field = "instance-attribute" in attr.labels and "property" not in attr.labels
+        field = "instance-attribute" in attr.labels and "property" not in attr.labels and attr.annotation is not None
         if field and not name.startswith("_") and attr.docstring is None:
             if isinstance(attr.value, griffe.ExprCall) and str(attr.value.function) == "Field":
                 yield name, _field(attr.value)
