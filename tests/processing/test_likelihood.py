@@ -270,9 +270,9 @@ def test_pieces_of_any_size_give_the_map_of_the_whole():
 
 
 def test_a_hall_is_mapped_better_than_by_the_baseline():
-    from test_mapper import HALL, PLAN, loop
+    from test_mapper import HALL, LONG_LOOP, PLAN, loop
 
-    frames = world.rig(loop(rate=8.0), PLAN, seed=1)
+    frames = world.rig(loop(LONG_LOOP, rate=8.0), PLAN, seed=1)
     score = {}
     for method in ("likelihood", "elfes"):
         quality = ul.metrics.map_quality(ul.map_occupancy(frames, GRID, method=method), HALL, frames)
@@ -349,9 +349,9 @@ def test_large_errors_correct_nothing():
 
 @pytest.mark.slow
 def test_a_hall_is_mapped_with_errors_of_3_mm_almost_as_at_exact_poses():
-    from test_mapper import HALL, PLAN, loop
+    from test_mapper import HALL, LONG_LOOP, PLAN, loop
 
-    exact = world.rig(loop(rate=8.0), PLAN, seed=1)
+    exact = world.rig(loop(LONG_LOOP, rate=8.0), PLAN, seed=1)
     score = [
         ul.metrics.map_quality(ul.map_occupancy(frames, GRID, method="likelihood"), HALL, exact)["f1"].value
         for frames in (exact, shaken(exact, 0.003))

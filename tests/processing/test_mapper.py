@@ -21,8 +21,11 @@ PLAN = world.box_plan(-4, 4, -3, 3)
 GRID = ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.1, z_m=0.0)
 
 
-def loop(*, rate=12.5):
-    corners = np.array([(-1.7, -1.0), (1.7, -1.1), (1.8, 1.1), (-1.8, 1.0), (-1.7, -1.0)])
+SHORT_LOOP = np.array([(-1.7, -1.0), (1.7, -1.1), (1.8, 1.1), (-1.8, 1.0), (-1.7, -1.0)])
+LONG_LOOP = np.array([(-2.3, -1.2), (2.3, -1.3), (2.4, 1.3), (-2.4, 1.2), (-2.3, -1.2)])
+
+
+def loop(corners=SHORT_LOOP, *, rate=12.5):
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     s = np.arange(0, way[-1], 0.5 / rate)
     xy = np.stack([np.interp(s, way, corners[:, k]) for k in (0, 1)], axis=1)
