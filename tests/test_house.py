@@ -111,7 +111,7 @@ def test_no_module_imports_itself_through_others() -> None:
 
 
 def test_editors_see_every_public_name() -> None:
-    tree = ast.parse((ROOT / "src" / "ullage" / "__init__.py").read_text(encoding="utf-8"))
+    tree = ast.parse((ROOT / "src" / "ullage" / "__init__.pyi").read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     names = [(node.module, alias) for node in imports if "ullage" in str(node.module) for alias in node.names]
     seen = {}
