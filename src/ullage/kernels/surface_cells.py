@@ -107,7 +107,7 @@ def find_hidden(plane, views, evidence, level, least, alive):  # type: ignore[no
 
 
 @loop()
-def find_crossed(plane, views, evidence, level, least, alive, wavelength_m, width, crossed):  # type: ignore[no-untyped-def]
+def find_crossed(plane, views, evidence, level, least, alive, widening, crossed):  # type: ignore[no-untyped-def]
     """Add up the weights of the echoes that came through each cell, though a surface fills their tube there.
 
     Such an echo contradicts an opaque surface in the plane. Only echoes stronger than the surface count, since a
@@ -120,8 +120,7 @@ def find_crossed(plane, views, evidence, level, least, alive, wavelength_m, widt
         level: (cells) of the strongest echo of each [m].
         least: evidence of an occupied cell.
         alive: (k) which count.
-        wavelength_m: of the carrier [m].
-        width: half width of a tube in radii of the first Fresnel zone.
+        widening: half width of a tube over the root of the distance, where the surface is flat [sqrt(m)].
         crossed: (cells) added to.
     """
     met = np.empty(STRANDS, np.int64)
@@ -132,7 +131,7 @@ def find_crossed(plane, views, evidence, level, least, alive, wavelength_m, widt
         met[:] = -1
         for i in range(int((views.state[k, 0] - BEFORE_M) / (0.4 * plane.step))):
             far = 0.4 * plane.step * i
-            half = width * math.sqrt(0.5 * wavelength_m * far * abs(1 - views.state[k, 2] * far))
+            half = widening * math.sqrt(far * abs(1 - views.state[k, 2] * far))
             for j in range(STRANDS):
                 if met[j] >= 0 or far <= BODY_M:
                     continue

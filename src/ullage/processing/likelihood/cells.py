@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
@@ -63,7 +65,8 @@ def render(
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         shown = evidence >= spec.evidence
         crossed = np.zeros(grid.size)
-        find_crossed(plane, views, evidence, level, spec.evidence, alive, wavelength_m, spec.tube, crossed)
+        widening = spec.tube * math.sqrt(wavelength_m / 2)  # the first Fresnel zone: sqrt(wavelength distance / 2)
+        find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
         slopes = (sloped & ~false)[owner]
         clear = (alive | slopes) & _unobstructed(views, owner)
