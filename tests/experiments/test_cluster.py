@@ -43,6 +43,15 @@ def reached(there: Callable[[], bool]) -> bool:
     return there()
 
 
+def is_whole(file: Path) -> bool:
+    """Whether a scheduler has written all of its file: it exists, empty, a moment before."""
+    try:
+        json.loads(file.read_text())
+    except (FileNotFoundError, json.JSONDecodeError):
+        return False
+    return True
+
+
 @contextmanager
 def scheduler(
     folder: Path, *workers: Sequence[str], path: Path | None = None
@@ -53,7 +62,7 @@ def scheduler(
     first = started("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file)
     others = []
     try:
-        assert reached(file.exists)
+        assert reached(lambda: is_whole(file))
         address = json.loads(file.read_text())["address"]
         common = "--no-dashboard", "--local-directory", folder
         others = [started("dask_worker", address, *common, *words, path=path, cwd=folder) for words in workers]
