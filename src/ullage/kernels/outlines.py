@@ -336,6 +336,32 @@ def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spo
             row += 1
 
 
+@lean(nogil=True, error_model="numpy")
+def through_sheets(transmission, extra, within, inner, between, bordered):  # type: ignore[no-untyped-def]
+    """Average what sheets let through over the lit places about mirror points, and find those near shadow borders.
+
+    Args:
+        transmission: (k, z) complex factor of what stands before each place, 0 where it is hidden.
+        extra: (k, z) delay [s].
+        within: (k, z) whether each place lies on its face.
+        inner: how many of the places count; those farther off count where none of these is lit.
+        between: `facets.Transmission` (k), written.
+        bordered: (k) gets whether some places are lit and others hidden.
+    """
+    for i in range(len(within)):
+        factor, late, count, dark, near = 0j, 0.0, 0, False, False
+        for j in range(within.shape[1]):
+            if not within[i, j]:
+                continue
+            if transmission[i, j] == 0:
+                dark = True
+            elif j < inner or not near:
+                factor, late, count = factor + transmission[i, j], late + extra[i, j], count + 1
+                near = j < inner
+        between.factor[i], between.delay_s[i] = factor / max(count, 1), late / max(count, 1)
+        bordered[i] = dark and count > 0
+
+
 @core(nogil=True, error_model="numpy")
 def held(point, p, normals, first, starts, ends):  # type: ignore[no-untyped-def]
     """Whether a point lies within face p: a line from it crosses the outline an odd number of times."""

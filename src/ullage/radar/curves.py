@@ -26,7 +26,7 @@ from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import unit
 from ullage.radar.paths import PathSet, reached
-from ullage.radar.planar import Outlined, accumulate_parted, cut_outlines, face_outlines
+from ullage.radar.planar import Outlined, Shading, accumulate_parted, cut_outlines, face_outlines
 from ullage.radar.solids import Backs
 
 NUDGE_M = 5e-3
@@ -178,7 +178,7 @@ def _accumulate_strips(
 
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
     seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), strips.of), context.reflection)
-    echoes, owner = accumulate_parted(context, faces, many, outline, limits, shaded, seen, grids)
+    echoes, owner = accumulate_parted(context, faces, many, outline, limits, Shading(shaded), seen, grids)
     return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,17 @@ from ullage.radar.echo_set import EchoSet, echo_set
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.folding import limits_of
 from ullage.radar.penetration import TAPS
+from ullage.radar.shadows import MirrorPoints, echo_shares
+from ullage.radar.visibility import OpaqueView
 
 _NUDGE_M = 5e-3
 _RINGS = np.arange(6) * np.pi / 3
 _ZONE = np.concatenate(
     [[[0.0, 0.0]], *(q * np.stack([np.cos(_RINGS + q), np.sin(_RINGS + q)], 1) for q in (0.4, 0.75))]
 )
+_INNER = len(_ZONE)
+_WIDE = np.concatenate([_ZONE, *(q * np.stack([np.cos(_RINGS), np.sin(_RINGS)], 1) for q in (1.3, 2.6, 5.0, 7.0))])
+"""The zone, and places so far off that a shadow border beyond them leaves an echo as it is."""
 
 
 def cut_outlines(which: Longs, faces: FaceOutlines, origins: Floats, aside: Floats, limits: CutLimits) -> Outline:
@@ -82,15 +88,30 @@ def accumulate_planar(
     limits = limits_of(planar, antennas, context.gate[1], context.fold_s)
     outline = outlines(context, planar, antennas, which, limits)
 
-    def shading_of(points: Floats, _: NDArray[np.integer]) -> Transmission:
+    casters = [one.casters(context.transmissive.thin)[0] for one in parts]
+    view = OpaqueView(casters, antennas.origins.mean(0))
+
+    def to_points(points: Floats, _: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         return transmission_to(context, parts, antennas, points)
 
-    lit = context.lit(antennas, planar)
-    return [accumulate_parted(context, planar, which, outline, limits, shading_of, lit, grids)[0]]
+    def past_borders(points: Floats, which: Longs, free: Bools) -> Complexes:
+        mirrors = MirrorPoints(points, which, free)
+        return echo_shares(mirrors, face_outlines(planar), planar.across, context.spec.wavelength_m, view)
+
+    shading, lit = Shading(to_points, past_borders), context.lit(antennas, planar)
+    return [accumulate_parted(context, planar, which, outline, limits, shading, lit, grids)[0]]
 
 
-Shading = Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
-"""Factor (m) and delay (m) [s] of what stands before points (m, 3), told the face (m) of each."""
+class Shading(NamedTuple):
+    """How what stands before faces weakens their echoes."""
+
+    to_points: Callable[[Floats, NDArray[np.integer]], tuple[Complexes, Floats]]
+    """Factor (m) and delay (m) [s] of what stands before points (m, 3) on faces (m)."""
+    past_borders: Callable[[Floats, Longs, Bools], Complexes] | None = None
+    """Factor (k) of shadow borders about mirror points (k, 9) on faces (k), themselves lit or not (k).
+
+    Without it, a mirror echo is weakened by the share of its Fresnel zone that is hidden.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +133,7 @@ def accumulate_parted(
     which: Longs,
     outline: Outline,
     limits: Floats,
-    shading_of: Shading,
+    shading: Shading,
     lit: LitFaces,
     grids: Complexes,
 ) -> tuple[EchoSet, Longs]:
@@ -126,10 +147,15 @@ def accumulate_parted(
         which, outline.windings, planar.normals, planar.offsets, lit.antennas.origins, limits, points
     )
     points, which = points[:count], which[:count]
-    looks, owner, seats, open_ = _looks(context, planar, outline, points, which)
-    transmission, extra = shading_of(looks, owner)
+    zone = _ZONE if shading.past_borders is None else _WIDE
+    looks, owner, seats, open_ = _looks(context, planar, outline, points, which, zone)
+    transmission, extra = shading.to_points(looks, owner)
     if len(points):
-        factor, late = _mean(transmission[len(transmission) - open_.size :], extra[len(extra) - open_.size :], open_)
+        about = transmission[len(transmission) - open_.size :], extra[len(extra) - open_.size :], open_
+        if shading.past_borders is None:
+            factor, late = _mean(*about)
+        else:
+            factor, late = _past_borders(*about, points, which, shading.past_borders)
         transmission, extra = np.concatenate([transmission[seats], factor]), np.concatenate([extra[seats], late])
     else:
         transmission, extra = transmission[seats], extra[seats]
@@ -175,18 +201,23 @@ def accumulate_outline(
 
 
 def _looks(
-    context: RadarContext, planar: PlanarPatches | Outlined, outline: Outline, points: Floats, which: Longs
+    context: RadarContext,
+    planar: PlanarPatches | Outlined,
+    outline: Outline,
+    points: Floats,
+    which: Longs,
+    zone: Floats,
 ) -> tuple[Floats, Longs, Longs, Bools]:
-    """Where to look: pieces and ends of rims, and the first Fresnel zone around each mirror point (k, _ZONE) [m].
+    """Where to look: pieces and ends of rims, and places of a zone (z, 2) around each mirror point (k z) [m].
 
-    Also on which face each look lies, which of the looks each piece and end is seen by, and which points of the zones
-    lie on their faces (k, _ZONE).
+    Also on which face each look lies, which of the looks each piece and end is seen by, and which places of the zones
+    lie on their faces (k, z).
     """
-    most, about = len(outline.pieces) + len(outline.tips), len(points) * len(_ZONE)
+    most, about = len(outline.pieces) + len(outline.tips), len(points) * len(zone)
     spots, faces = np.empty((most + about, 3)), np.empty(most + about, np.int64)
-    seats, within = np.empty(most, np.int64), np.empty((len(points), len(_ZONE)), np.bool_)
+    seats, within = np.empty(most, np.int64), np.empty((len(points), len(zone)), np.bool_)
     count = draw.look_at(outline, planar.normals, _NUDGE_M, draw.Spots(spots, faces), seats)
-    draw.look_about(points, which, face_outlines(planar), planar.across, _ZONE, context.spec.wavelength_m,
+    draw.look_about(points, which, face_outlines(planar), planar.across, zone, context.spec.wavelength_m,
                     draw.Spots(spots[count:], faces[count:]), within)  # fmt: skip
     return spots[: count + about], faces[: count + about], seats, within
 
@@ -196,3 +227,20 @@ def _mean(transmission: Complexes, extra: Floats, held: Bools) -> tuple[Complexe
     share = held.sum(1)
     transmission, extra = transmission.reshape(held.shape), extra.reshape(held.shape)
     return np.einsum("kz,kz->k", transmission, held) / share, np.einsum("kz,kz->k", extra, held) / share
+
+
+def _past_borders(
+    transmission: Complexes,
+    extra: Floats,
+    held: Bools,
+    points: Floats,
+    which: Longs,
+    shares_of: Callable[[Floats, Longs, Bools], Complexes],
+) -> tuple[Complexes, Floats]:
+    """Factor and delay of mirror points: of the sheets before the lit part of each zone, and of shadow borders."""
+    factor, late, bordered = np.empty(len(held), complex), np.empty(len(held)), np.empty(len(held), np.bool_)
+    transmission = transmission.reshape(held.shape)
+    draw.through_sheets(transmission, extra.reshape(held.shape), held, _INNER, Transmission(factor, late), bordered)
+    if bordered.any():
+        factor[bordered] *= shares_of(points[bordered], which[bordered], transmission[bordered, 0] != 0)
+    return factor, late

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import rays as kernel
+from ullage.kernels import shadow_borders
 from ullage.kernels.rays import MetSheets
+from ullage.kernels.shadow_borders import TriangleHits
 from ullage.radar.facets import Surfaces, TransmissiveFaces
 from ullage.radar.penetration import Transmissive
+from ullage.world.raycast import Raycaster
 
 SLACK_M = 2e-3
 """Two surfaces nearer than this along a ray count as one [m]; Embree's float32 and shared edges need it."""
@@ -93,3 +97,26 @@ def between(parts: Sequence[Surfaces], a: Floats, b: Floats) -> Bools:
         open_ = part.rays.visible(a, b, slack_m=SLACK_M, leave_m=SLACK_M)
         clear = open_ if clear is None else clear & open_
     return np.ones(len(a), bool) if clear is None else clear
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpaqueView:
+    """Opaque surfaces as seen from one place."""
+
+    opaque: Sequence[Raycaster]
+    origin: Floats  # (3) [m]
+
+    def clear(self, points: Floats) -> Bools:
+        """Whether nothing stands before points (n, 3) on surfaces."""
+        out = np.ones(len(points), np.bool_)
+        for rays in self.opaque:
+            out &= rays.visible(self.origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
+        return out
+
+    def first_hits(self, points: Floats) -> TriangleHits:
+        """What stands before points (n, 3) first, and how far off over their distance; 1 where nothing does."""
+        found = TriangleHits(np.full((len(points), 3, 3), np.nan), np.ones(len(points)))
+        for rays in self.opaque if len(points) else ():
+            for corners in rays.first_triangles(self.origin, points, leave_m=LEAVE_M, slack_m=SLACK_M):
+                shadow_borders.keep_nearest(corners, self.origin, points, found)
+        return found

@@ -329,12 +329,16 @@ def _outlines() -> None:
 def _echoes() -> None:
     from ullage.kernels.edges import Outline
     from ullage.radar.context import transmission_to
-    from ullage.radar.planar import accumulate_parted
+    from ullage.radar.planar import Shading, accumulate_parted, face_outlines
+    from ullage.radar.shadows import MirrorPoints, echo_shares
+    from ullage.radar.visibility import OpaqueView
 
     context, antennas, planar = _bench(_room())
+    shading = Shading(lambda at, _: transmission_to(context, context.world.parts(), antennas, at))
     accumulate_parted(context, planar, np.arange(len(planar)), Outline.none(len(planar)), np.full(len(planar), 9.0),
-                      lambda at, _: transmission_to(context, context.world.parts(), antennas, at),
-                      context.lit(antennas, planar), np.zeros((3, context.places), complex))  # fmt: skip
+                      shading, context.lit(antennas, planar), np.zeros((3, context.places), complex))  # fmt: skip
+    none = MirrorPoints(np.zeros((0, 9)), np.zeros(0, np.int64), np.zeros(0, np.bool_))
+    echo_shares(none, face_outlines(planar), planar.across, 0.04, OpaqueView([], np.zeros(3)))
 
 
 def _beams() -> None:

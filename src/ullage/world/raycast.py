@@ -43,6 +43,7 @@ class Raycaster:
         self.owner: Ints = ids.astype(np.int32)
         """Object index of each face, then of each wire."""
         self._bodies = tuple(_bodies(scene, wires=wires))
+        self._own_corners = scene.vertices[scene.faces] if self.moving else self.corners  # as bodies know them
 
     @property
     def moving(self) -> bool:
@@ -106,6 +107,23 @@ class Raycaster:
             clear = open_ if clear is None else clear & open_
         return np.ones(len(ends), bool) if clear is None else clear
 
+    def first_triangles(
+        self, origin: Floats, targets: Floats, *, leave_m: float = 0.0, slack_m: float = 1e-3
+    ) -> Iterator[Floats]:
+        """Corners (n, 3, 3) of what of each body stands first between an origin (3) and targets (n, 3); NaN if nothing.
+
+        What stands within `slack_m` of the target or `leave_m` of the origin does not count.
+        """
+        for body in self._bodies:
+            here, there, pose = origin.reshape(1, 3), targets, None
+            if body.motion is not None:
+                pose = body.pose if body.pose is not None else body.motion.at(body.motion.t_ns[:1]).world_from_body[0]
+                here, there = (np.ascontiguousarray((p - pose[:3, 3]) @ pose[:3, :3]) for p in (here, there))
+            face = body.first(here, there, leave_m, slack_m)
+            corners = self._own_corners.take(face, 0, mode="clip")
+            corners[face < 0] = np.nan
+            yield corners if pose is None else corners @ pose[:3, :3].T + pose[:3, 3]
+
     def standing(self, poses: Floats) -> Raycaster:
         """Return the caster with every object fixed at poses (o, 4, 4); `corners` and `normals` stay."""
         out = copy(self)
@@ -159,6 +177,15 @@ class _Body:
         reach = np.empty(len(ends), np.float32)
         aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
         return np.asarray(self.tree.run(origin, ray, dists=reach, query="OCCLUDED") < 0)
+
+    def first(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Ints:
+        """First face of this body between points, but for the first and last metres given; -1 where there is none."""
+        origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
+        reach = np.empty(len(ends), np.float32)
+        aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
+        found = np.asarray(self.tree.run(origin, ray, dists=reach, query="INTERSECT"))
+        known = (found >= 0) & (found < len(self.face_id))
+        return np.where(known, self.face_id.take(found, mode="clip"), np.int32(-1))
 
     def meet(self, start: Floats, rays: Floats, face: Ints, distance: Floats, cosine: Floats) -> None:
         near = (start - self.centre).astype(np.float32)
