@@ -79,7 +79,7 @@ def _along(line, ratio, fading, rules):  # type: ignore[no-untyped-def]
     """Integral of e^{-j ratio reach^2} over the angle along a line as `_lines` gives it."""
     gap, foot, begin, end = line[2], line[3], line[4], line[5]
     begin, end = max(begin, foot - 0.5 * math.pi), min(end, foot + 0.5 * math.pi)
-    if end <= begin:
+    if end <= begin or ratio * gap * gap >= fading.last or gap * gap >= fading.last_on_face:
         return 0j
     total = 0j
     least, most = abs(begin - foot), abs(end - foot)

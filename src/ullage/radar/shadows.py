@@ -35,7 +35,7 @@ RAYS = 20
 CELLS = np.array([0.15, 1.0, 2.0, 3.3, 5.5, 9.0, 14.0])
 """Distances of the sampled places along each direction, over the distance at which the phase is 1 rad."""
 FADING = shadows.Fading(10.0, 20.0, 100.0, 200.0)
-PARTS, TIMES = 6, 2
+PARTS, TIMES = 4, 2
 """The cell of a border is cut into this many parts, this many times."""
 MOST = 4
 """Borders along a direction: what lies beyond more of them is left out."""
