@@ -336,8 +336,8 @@ def look_about(points, which, faces: FaceOutlines, across, zone, wavelength, spo
             row += 1
 
 
-@lean(nogil=True, error_model="numpy")
-def through_sheets(transmission, extra, within, inner, between, bordered):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def through_sheets(transmission, extra, within, inner, between: Transmission, bordered):  # type: ignore[no-untyped-def]
     """Average what sheets let through over the lit places about mirror points, and find those near shadow borders.
 
     Args:

@@ -6,8 +6,10 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Longs
+from ullage.kernels.edges import FaceOutlines
 from ullage.kernels.loops import core, lean
 from ullage.kernels.outlines import held
+from ullage.kernels.shadows import ShadowBorders
 
 
 class Directions(NamedTuple):
@@ -48,8 +50,8 @@ def _place(directions, i, a, reach, out):  # type: ignore[no-untyped-def]
         out[k] = directions.middles[i, k] + x * directions.across[p, 0, k] + y * directions.across[p, 1, k]
 
 
-@lean(nogil=True, error_model="numpy")
-def sample(directions, faces, counts, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def sample(directions: Directions, faces: FaceOutlines, counts, out):  # type: ignore[no-untyped-def]
     """Find the places (m, 3) along all directions at which light is sampled, as far as the faces go.
 
     Args:
@@ -75,8 +77,8 @@ def sample(directions, faces, counts, out):  # type: ignore[no-untyped-def]
     return row
 
 
-@lean(nogil=True, error_model="numpy")
-def changes(lit, counts, clear, reaches, most, cells):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def changes(lit, counts, clear, reaches, most, cells: BorderCells):  # type: ignore[no-untyped-def]
     """Find the cells in which light and shadow change, at most so many along each direction.
 
     Args:
@@ -107,8 +109,8 @@ def changes(lit, counts, clear, reaches, most, cells):  # type: ignore[no-untype
     return found
 
 
-@lean(nogil=True, error_model="numpy")
-def between(directions, cells, parts, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def between(directions: Directions, cells: BorderCells, parts, out):  # type: ignore[no-untyped-def]
     """Find the places (b (parts - 1), 3) that cut cells (b) into so many parts [m]."""
     for b in range(len(cells.low)):
         for j in range(1, parts):
@@ -116,8 +118,8 @@ def between(directions, cells, parts, out):  # type: ignore[no-untyped-def]
             _place(directions, cells.point[b], cells.direction[b], reach, out[b * (parts - 1) + j - 1])
 
 
-@lean(nogil=True, error_model="numpy")
-def narrow(clear, parts, cells):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def narrow(clear, parts, cells: BorderCells):  # type: ignore[no-untyped-def]
     """Narrow cells (b) to the part in which light changes first; `clear`: whether the places `between` are lit."""
     for b in range(len(cells.low)):
         step, j = (cells.high[b] - cells.low[b]) / parts, 0
@@ -127,16 +129,16 @@ def narrow(clear, parts, cells):  # type: ignore[no-untyped-def]
         cells.high[b] = cells.low[b] + step
 
 
-@lean(nogil=True, error_model="numpy")
-def dark_ends(directions, cells, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def dark_ends(directions: Directions, cells: BorderCells, out):  # type: ignore[no-untyped-def]
     """Find the dark ends (b, 3) of cells (b) [m]."""
     for b in range(len(cells.low)):
         reach = cells.low[b] if cells.lit[b] else cells.high[b]
         _place(directions, cells.point[b], cells.direction[b], reach, out[b])
 
 
-@lean(nogil=True, error_model="numpy")
-def keep_nearest(corners, origin, points, hits):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def keep_nearest(corners, origin, points, hits: TriangleHits):  # type: ignore[no-untyped-def]
     """Keep the triangles that rays to points hit, where they are nearer than what was hit before.
 
     Args:
@@ -212,8 +214,8 @@ def _normal_to(corners, edge, eye, directions, i, out):  # type: ignore[no-untyp
     out[0], out[1] = (x * cosine + y * sine) / size, (y * cosine - x * sine) / size
 
 
-@lean(nogil=True, error_model="numpy")
-def place_borders(directions, cells, hits, eye, borders, scratch):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def place_borders(directions: Directions, cells: BorderCells, hits: TriangleHits, eye, borders: ShadowBorders, scratch):  # type: ignore[no-untyped-def]
     """Place borders within their cells: where the triangle that hides the dark side stops to hide, else in the middle.
 
     Args:

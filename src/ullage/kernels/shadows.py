@@ -199,8 +199,8 @@ def _paired(borders, i, a, m, lines, fading, rules):  # type: ignore[no-untyped-
     return both * _run(line, ratio)
 
 
-@lean(nogil=True, error_model="numpy")
-def echo_shares(borders, fading, rules, lines, out):  # type: ignore[no-untyped-def]
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def echo_shares(borders: ShadowBorders, fading: Fading, rules: Rules, lines, out):  # type: ignore[no-untyped-def]
     """Find what part of the echoes of mirror points is left by what stands before their faces, there and back.
 
     Args:
