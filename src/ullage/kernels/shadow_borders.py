@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.edges import FaceOutlines
 from ullage.kernels.loops import core, lean
 from ullage.kernels.outlines import held
 from ullage.kernels.shadows import ShadowBorders
+
+PAST = 0.01
+"""How far past the shadow of one triangle the next is sought, over the cell."""
 
 
 class Directions(NamedTuple):
@@ -39,6 +44,17 @@ class TriangleHits(NamedTuple):
 
     corners: Floats  # (b, 3, 3) of the triangle hit, NaN where they are not known [m]
     ratios: Floats  # (b) distance of the hit over that of the dark end
+
+    def any(self) -> bool:
+        """Whether anything is hit."""
+        return bool((self.ratios < 1).any())
+
+    def over(self, other: TriangleHits) -> TriangleHits:
+        """Take another's hits where it has some, else these."""
+        known = other.ratios < 1
+        return TriangleHits(
+            np.where(known[:, None, None], other.corners, self.corners), np.where(known, other.ratios, self.ratios)
+        )
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
@@ -168,7 +184,8 @@ def _silhouette(corners, eye, directions, i, a, lit, none, scratch):  # type: ig
     """Find where along a direction the shadow of a triangle ends on its lit side.
 
     Returns:
-        Its distance over the unit, `none` if nowhere, and which edge of the triangle it is.
+        Its distance over the unit, `none` if nowhere, which edge of the triangle it is, and how far off that edge is
+        over the distance of its shadow.
     """
     ray, along, normal, crossed = scratch[0], scratch[1], scratch[2], scratch[3]
     _place(directions, i, a, 0.0, ray)
@@ -180,7 +197,7 @@ def _silhouette(corners, eye, directions, i, a, lit, none, scratch):  # type: ig
         aa, ab, bb = aa + ray[k] * ray[k], ab + ray[k] * along[k], bb + along[k] * along[k]
     for k in range(3):
         normal[k] = ray[k - 2] * along[k - 1] - ray[k - 1] * along[k - 2]
-    best, edge = none, 0
+    best, edge, ratio = none, 0, 1.0
     for e in range(3):
         f, here, there = (e + 1) % 3, 0.0, 0.0
         for k in range(3):
@@ -197,8 +214,8 @@ def _silhouette(corners, eye, directions, i, a, lit, none, scratch):  # type: ig
             continue
         reach = (xb * aa - xa * ab) / depth
         if best == none or (reach > best) == lit:
-            best, edge = reach, e
-    return best, edge
+            best, edge, ratio = reach, e, depth / (aa * bb - ab * ab)
+    return best, edge, ratio
 
 
 @core(nogil=True, error_model="numpy")
@@ -212,6 +229,27 @@ def _normal_to(corners, edge, eye, directions, i, out):  # type: ignore[no-untyp
     size = math.sqrt(x * x + y * y)
     cosine, sine = directions.turn[0, 0], directions.turn[0, 1]
     out[0], out[1] = (x * cosine + y * sine) / size, (y * cosine - x * sine) / size
+
+
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def past_triangles(directions: Directions, cells: BorderCells, hits: TriangleHits, eye, out, scratch):  # type: ignore[no-untyped-def]
+    """Find places (b, 3) just past the shadows of the triangles that hide the dark ends: what hides these, adjoins.
+
+    Args:
+        directions: `Directions` (k, n, c).
+        cells: `BorderCells` (b).
+        hits: `TriangleHits` (b).
+        eye: (3) from where the light comes [m].
+        out: (b, 3) gets them; where the shadow does not end within its cell, the lit end [m].
+        scratch: (4, 3).
+    """
+    for b in range(len(cells.low)):
+        i, a, low, high = cells.point[b], cells.direction[b], cells.low[b], cells.high[b]
+        reach = _silhouette(hits.corners[b], eye, directions, i, a, cells.lit[b], -math.inf, scratch)[0]
+        reach += PAST * (high - low) * (1 if cells.lit[b] else -1)
+        if not low < reach < high:
+            reach = high if cells.lit[b] else low
+        _place(directions, i, a, reach, out[b])
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
@@ -229,7 +267,7 @@ def place_borders(directions: Directions, cells: BorderCells, hits: TriangleHits
     turn = directions.turn
     for b in range(len(cells.low)):
         i, a, slot = cells.point[b], cells.direction[b], cells.slot[b]
-        reach, edge = _silhouette(hits.corners[b], eye, directions, i, a, cells.lit[b], -math.inf, scratch)
+        reach, edge, ratio = _silhouette(hits.corners[b], eye, directions, i, a, cells.lit[b], -math.inf, scratch)
         normal, slack = borders.normals[i, a, slot], 1e-3 * (cells.high[b] - cells.low[b])
         if cells.low[b] - slack <= reach <= cells.high[b] + slack:
             _normal_to(hits.corners[b], edge, eye, directions, i, normal)
@@ -238,8 +276,8 @@ def place_borders(directions: Directions, cells: BorderCells, hits: TriangleHits
             if normal[0] * x + normal[1] * y < 0:
                 normal[0], normal[1] = -normal[0], -normal[1]
         else:
-            reach = 0.5 * (cells.low[b] + cells.high[b])
+            reach, ratio = 0.5 * (cells.low[b] + cells.high[b]), hits.ratios[b]
             normal[0], normal[1] = math.nan, math.nan
         borders.counts[i, a] = max(borders.counts[i, a], slot + 1)
         borders.reach[i, a, slot] = reach
-        borders.ratios[i, a, slot] = hits.ratios[b] / (2 - hits.ratios[b])
+        borders.ratios[i, a, slot] = ratio / (2 - ratio)

@@ -337,8 +337,10 @@ def _echoes() -> None:
     shading = Shading(lambda at, _: transmission_to(context, context.world.parts(), antennas, at))
     accumulate_parted(context, planar, np.arange(len(planar)), Outline.none(len(planar)), np.full(len(planar), 9.0),
                       shading, context.lit(antennas, planar), np.zeros((3, context.places), complex))  # fmt: skip
-    none = MirrorPoints(np.zeros((0, 9)), np.zeros(0, np.int64), np.zeros(0, np.bool_))
-    echo_shares(none, face_outlines(planar), planar.across, 0.04, OpaqueView([], np.zeros(3)))
+    row = np.append(planar.normals[0] * planar.offsets[0], np.ones(6))[None]  # as if hidden: all about it is a border
+    hidden = MirrorPoints(row, np.zeros(1, np.int64), np.zeros(1, np.bool_))
+    casters = [part.casters(context.transmissive.thin)[0] for part in context.world.parts()]
+    echo_shares(hidden, face_outlines(planar), planar.across, 0.04, OpaqueView(casters, np.zeros(3)))
 
 
 def _beams() -> None:
