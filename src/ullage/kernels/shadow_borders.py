@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from ullage.arrays import Bools, Floats, Longs
 from ullage.kernels.edges import FaceOutlines
 from ullage.kernels.loops import core, lean
 from ullage.kernels.outlines import held
 from ullage.kernels.shadows import ShadowBorders
 
-PAST = 0.01
-"""How far past the shadow of one triangle the next is sought, over the cell."""
+STEPS = 32
+"""So many triangles of a surface are followed at the most to the end of its shadow."""
 
 
 class Directions(NamedTuple):
@@ -39,22 +37,29 @@ class BorderCells(NamedTuple):
     lit: Bools  # (b) whether the far end is lit
 
 
-class TriangleHits(NamedTuple):
-    """What hides the dark ends of cells (b)."""
+class ShadowLines(NamedTuple):
+    """The lines through mirror points on which borders (b) lie, from the eye."""
 
-    corners: Floats  # (b, 3, 3) of the triangle hit, NaN where they are not known [m]
-    ratios: Floats  # (b) distance of the hit over that of the dark end
+    middles: Floats  # (b, 3) to the mirror point [m]
+    along: Floats  # (b, 3) one unit along the line [m]
+    lit: Bools  # (b) whether the far end of the border's cell is lit
 
-    def any(self) -> bool:
-        """Whether anything is hit."""
-        return bool((self.ratios < 1).any())
 
-    def over(self, other: TriangleHits) -> TriangleHits:
-        """Take another's hits where it has some, else these."""
-        known = other.ratios < 1
-        return TriangleHits(
-            np.where(known[:, None, None], other.corners, self.corners), np.where(known, other.ratios, self.ratios)
-        )
+class ShadowEnds(NamedTuple):
+    """Where on lines (b) the shadow of the surface that hides the dark end of a cell stops."""
+
+    nearest: Floats  # (b) distance of what is hit first over that of the dark end; 1 where nothing is
+    reach: Floats  # (b) where the shadow stops, over the unit; infinite where that is not known
+    ratio: Floats  # (b) distance of the silhouette over that of its shadow
+    edges: Floats  # (b, 2, 3) ends of that edge of the silhouette, from the eye [m]
+
+
+class FollowedMesh(NamedTuple):
+    """Triangles (f) of a body, in its own frame."""
+
+    corners: Floats  # (f, 3, 3) [m]
+    neighbours: Longs  # (f, 3) triangle across the edge from corner e to the next; -1 where there is none
+    turn: Floats  # (3, 3) world_from_body
 
 
 @core(nogil=True, error_model="numpy", forceinline=True)
@@ -146,58 +151,41 @@ def narrow(clear, parts, cells: BorderCells):  # type: ignore[no-untyped-def]
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
-def dark_ends(directions: Directions, cells: BorderCells, out):  # type: ignore[no-untyped-def]
-    """Find the dark ends (b, 3) of cells (b) [m]."""
-    for b in range(len(cells.low)):
-        reach = cells.low[b] if cells.lit[b] else cells.high[b]
-        _place(directions, cells.point[b], cells.direction[b], reach, out[b])
-
-
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def keep_nearest(corners, origin, points, hits: TriangleHits):  # type: ignore[no-untyped-def]
-    """Keep the triangles that rays to points hit, where they are nearer than what was hit before.
+def dark_ends(directions: Directions, cells: BorderCells, eye, lines: ShadowLines, out):  # type: ignore[no-untyped-def]
+    """Find the dark ends (b, 3) of cells (b) [m], and the lines on which they lie.
 
     Args:
-        corners: (b, 3, 3) of the triangle hit first on the path to each point, NaN for none [m].
-        origin: (3) [m].
-        points: (b, 3) [m].
-        hits: `TriangleHits` (b), written.
+        directions: `Directions` (k, n, c).
+        cells: `BorderCells` (b).
+        eye: (3) from where the light comes [m].
+        lines: `ShadowLines` (b), written.
+        out: (b, 3) gets the dark ends [m].
     """
-    for b in range(len(corners)):
-        above, passed = 0.0, 0.0
+    for b in range(len(cells.low)):
+        i, a = cells.point[b], cells.direction[b]
+        _place(directions, i, a, 0.0, lines.middles[b])
+        _place(directions, i, a, 1.0, lines.along[b])
+        _place(directions, i, a, cells.low[b] if cells.lit[b] else cells.high[b], out[b])
+        lines.lit[b] = cells.lit[b]
         for k in range(3):
-            i, j = k - 2, k - 1
-            normal = (corners[b, 1, i] - corners[b, 0, i]) * (corners[b, 2, j] - corners[b, 0, j])
-            normal -= (corners[b, 1, j] - corners[b, 0, j]) * (corners[b, 2, i] - corners[b, 0, i])
-            above += normal * (corners[b, 0, k] - origin[k])
-            passed += normal * (points[b, k] - origin[k])
-        ratio = above / passed
-        if 0 < ratio < hits.ratios[b]:
-            hits.ratios[b] = ratio
-            for e in range(3):
-                for k in range(3):
-                    hits.corners[b, e, k] = corners[b, e, k]
+            lines.along[b, k] -= lines.middles[b, k]
+            lines.middles[b, k] -= eye[k]
 
 
 @core(nogil=True, error_model="numpy")
-def _silhouette(corners, eye, directions, i, a, lit, none, scratch):  # type: ignore[no-untyped-def]
-    """Find where along a direction the shadow of a triangle ends on its lit side.
+def _shadow_end(corners, eye, lines, b, scratch):  # type: ignore[no-untyped-def]
+    """Find where on line b the shadow of a triangle stops on its lit side.
 
     Returns:
-        Its distance over the unit, `none` if nowhere, which edge of the triangle it is, and how far off that edge is
-        over the distance of its shadow.
+        Its distance over the unit, infinite if nowhere, which edge of the triangle casts it, and how far off that edge
+        is over the distance of its shadow.
     """
-    ray, along, normal, crossed = scratch[0], scratch[1], scratch[2], scratch[3]
-    _place(directions, i, a, 0.0, ray)
-    _place(directions, i, a, 1.0, along)
+    ray, along, normal, crossed = lines.middles[b], lines.along[b], scratch[0], scratch[1]
     aa, ab, bb = 0.0, 0.0, 0.0
     for k in range(3):
-        along[k] -= ray[k]
-        ray[k] -= eye[k]
         aa, ab, bb = aa + ray[k] * ray[k], ab + ray[k] * along[k], bb + along[k] * along[k]
-    for k in range(3):
         normal[k] = ray[k - 2] * along[k - 1] - ray[k - 1] * along[k - 2]
-    best, edge, ratio = none, 0, 1.0
+    best, edge, ratio = -math.inf, 0, 1.0
     for e in range(3):
         f, here, there = (e + 1) % 3, 0.0, 0.0
         for k in range(3):
@@ -213,18 +201,71 @@ def _silhouette(corners, eye, directions, i, a, lit, none, scratch):  # type: ig
         if depth <= 0:
             continue
         reach = (xb * aa - xa * ab) / depth
-        if best == none or (reach > best) == lit:
+        if best == -math.inf or (reach > best) == lines.lit[b]:
             best, edge, ratio = reach, e, depth / (aa * bb - ab * ab)
     return best, edge, ratio
 
 
 @core(nogil=True, error_model="numpy")
-def _normal_to(corners, edge, eye, directions, i, out):  # type: ignore[no-untyped-def]
-    """Unit normal (2) to the shadow of an edge of a triangle, along the first direction and across it."""
-    p, f, x, y = directions.faces[i], (edge + 1) % 3, 0.0, 0.0
+def _hit(corners, eye, ray):  # type: ignore[no-untyped-def]
+    """How far off a triangle's plane is along a ray, over the ray's length."""
+    above, passed = 0.0, 0.0
     for k in range(3):
-        across = (corners[edge, k - 2] - eye[k - 2]) * (corners[f, k - 1] - eye[k - 1])
-        across -= (corners[edge, k - 1] - eye[k - 1]) * (corners[f, k - 2] - eye[k - 2])
+        i, j = k - 2, k - 1
+        normal = (corners[1, i] - corners[0, i]) * (corners[2, j] - corners[0, j])
+        normal -= (corners[2, i] - corners[0, i]) * (corners[1, j] - corners[0, j])
+        above += normal * (corners[0, k] - eye[k])
+        passed += normal * ray[k]
+    return above / passed
+
+
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def follow(mesh: FollowedMesh, faces, eye, rays, lines: ShadowLines, ends: ShadowEnds, scratch):  # type: ignore[no-untyped-def]
+    """Follow surfaces from the triangles that rays hit to where their shadows stop, if nothing was hit nearer before.
+
+    The triangle that a ray hits first depends on rounding where two adjoin; where their common shadow stops does not.
+
+    Args:
+        mesh: `FollowedMesh` (f).
+        faces: (b) triangle that the ray to each dark end hits, -1 for none.
+        eye: (3) from where the light comes, in the body's frame [m].
+        rays: (b, 3) from there to the dark ends [m].
+        lines: `ShadowLines` (b), in the body's frame.
+        ends: `ShadowEnds` (b), written; in the world's axes.
+        scratch: (2, 3).
+    """
+    for b in range(len(faces)):
+        if faces[b] < 0:
+            continue
+        distance = _hit(mesh.corners[faces[b]], eye, rays[b])
+        if not 0 < distance < ends.nearest[b]:
+            continue
+        ends.nearest[b] = distance
+        face = faces[b]
+        reach, edge, ratio = _shadow_end(mesh.corners[face], eye, lines, b, scratch)
+        for _ in range(STEPS):
+            beside = mesh.neighbours[face, edge]
+            if beside < 0 or reach == -math.inf:
+                break
+            further, next_edge, next_ratio = _shadow_end(mesh.corners[beside], eye, lines, b, scratch)
+            if further == -math.inf or not (further > reach if lines.lit[b] else further < reach):
+                break
+            face, reach, edge, ratio = beside, further, next_edge, next_ratio
+        ends.reach[b], ends.ratio[b] = reach, ratio
+        for end in range(2):
+            for k in range(3):
+                corner = mesh.corners[face, (edge + end) % 3]
+                ends.edges[b, end, k] = 0.0
+                for m in range(3):
+                    ends.edges[b, end, k] += mesh.turn[k, m] * (corner[m] - eye[m])
+
+
+@core(nogil=True, error_model="numpy")
+def _normal_to(ends, b, directions, i, out):  # type: ignore[no-untyped-def]
+    """Unit normal (2) to the shadow of an edge, along the first direction and across it."""
+    p, x, y, edge = directions.faces[i], 0.0, 0.0, ends.edges[b]
+    for k in range(3):
+        across = edge[0, k - 2] * edge[1, k - 1] - edge[0, k - 1] * edge[1, k - 2]
         x, y = x + across * directions.across[p, 0, k], y + across * directions.across[p, 1, k]
     size = math.sqrt(x * x + y * y)
     cosine, sine = directions.turn[0, 0], directions.turn[0, 1]
@@ -232,51 +273,28 @@ def _normal_to(corners, edge, eye, directions, i, out):  # type: ignore[no-untyp
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
-def past_triangles(directions: Directions, cells: BorderCells, hits: TriangleHits, eye, out, scratch):  # type: ignore[no-untyped-def]
-    """Find places (b, 3) just past the shadows of the triangles that hide the dark ends: what hides these, adjoins.
+def place_borders(directions: Directions, cells: BorderCells, ends: ShadowEnds, borders: ShadowBorders):  # type: ignore[no-untyped-def]
+    """Place borders within their cells: where the surface that hides the dark side stops to hide, else in the middle.
 
     Args:
         directions: `Directions` (k, n, c).
         cells: `BorderCells` (b).
-        hits: `TriangleHits` (b).
-        eye: (3) from where the light comes [m].
-        out: (b, 3) gets them; where the shadow does not end within its cell, the lit end [m].
-        scratch: (4, 3).
-    """
-    for b in range(len(cells.low)):
-        i, a, low, high = cells.point[b], cells.direction[b], cells.low[b], cells.high[b]
-        reach = _silhouette(hits.corners[b], eye, directions, i, a, cells.lit[b], -math.inf, scratch)[0]
-        reach += PAST * (high - low) * (1 if cells.lit[b] else -1)
-        if not low < reach < high:
-            reach = high if cells.lit[b] else low
-        _place(directions, i, a, reach, out[b])
-
-
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def place_borders(directions: Directions, cells: BorderCells, hits: TriangleHits, eye, borders: ShadowBorders, scratch):  # type: ignore[no-untyped-def]
-    """Place borders within their cells: where the triangle that hides the dark side stops to hide, else in the middle.
-
-    Args:
-        directions: `Directions` (k, n, c).
-        cells: `BorderCells` (b).
-        hits: `TriangleHits` (b).
-        eye: (3) from where the light comes [m].
+        ends: `ShadowEnds` (b).
         borders: `shadows.ShadowBorders` (k, n, m), of which all but `lit` is written.
-        scratch: (4, 3).
     """
     turn = directions.turn
     for b in range(len(cells.low)):
         i, a, slot = cells.point[b], cells.direction[b], cells.slot[b]
-        reach, edge, ratio = _silhouette(hits.corners[b], eye, directions, i, a, cells.lit[b], -math.inf, scratch)
+        reach, ratio = ends.reach[b], ends.ratio[b]
         normal, slack = borders.normals[i, a, slot], 1e-3 * (cells.high[b] - cells.low[b])
         if cells.low[b] - slack <= reach <= cells.high[b] + slack:
-            _normal_to(hits.corners[b], edge, eye, directions, i, normal)
+            _normal_to(ends, b, directions, i, normal)
             x = turn[a, 0] * turn[0, 0] + turn[a, 1] * turn[0, 1]
             y = turn[a, 1] * turn[0, 0] - turn[a, 0] * turn[0, 1]
             if normal[0] * x + normal[1] * y < 0:
                 normal[0], normal[1] = -normal[0], -normal[1]
         else:
-            reach, ratio = 0.5 * (cells.low[b] + cells.high[b]), hits.ratios[b]
+            reach, ratio = 0.5 * (cells.low[b] + cells.high[b]), ends.nearest[b]
             normal[0], normal[1] = math.nan, math.nan
         borders.counts[i, a] = max(borders.counts[i, a], slot + 1)
         borders.reach[i, a, slot] = reach

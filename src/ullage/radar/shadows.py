@@ -13,8 +13,9 @@ knife edge: 1/4 at the border of an occluder next to the radar, 1/2 at that of o
 one direction, or in opposite ones, give rods and slits. Other pairs are left out.
 
 Rays find cells with a border along some directions about each mirror point, and narrow them. Within its cell a border
-lies where the triangle that hides the dark side ends, or those that adjoin it. Borders run straight from direction to
-direction. The end of a face is no shadow border: its outline has an echo of its own.
+lies where the surface that hides the dark side ends: its triangles are followed from the one that the ray hits.
+Borders run straight from direction to direction. The end of a face is no shadow border: its outline has an echo of
+its own.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import shadow_borders, shadows
 from ullage.kernels.edges import FaceOutlines
-from ullage.kernels.shadow_borders import BorderCells, Directions
+from ullage.kernels.shadow_borders import BorderCells, Directions, ShadowLines
 from ullage.kernels.shadows import ShadowBorders
 from ullage.radar.visibility import OpaqueView
 
@@ -37,8 +38,6 @@ CELLS = np.array([0.15, 1.0, 2.0, 3.3, 5.5, 9.0, 14.0])
 FADING = shadows.Fading(10.0, 20.0, 100.0, 200.0)
 PARTS, TIMES = 4, 2
 """The cell of a border is cut into this many parts, this many times."""
-ADJOINING = 4
-"""So many triangles that adjoin are followed to the border within a cell."""
 MOST = 4
 """Borders along a direction: what lies beyond more of them is left out."""
 ASIDE = 0.05
@@ -83,16 +82,13 @@ def echo_shares(
     reach, ratios = np.empty((2, many, RAYS, MOST))
     normals = np.empty((many, RAYS, MOST, 2))
     borders = ShadowBorders(points.lit, np.zeros((many, RAYS), np.int64), reach, ratios, normals)
-    places, scratch = np.empty((len(cells.low), 3)), np.empty((4, 3))
-    shadow_borders.dark_ends(directions, cells, places)
-    hits = view.first_hits(places)
-    for _ in range(ADJOINING):
-        shadow_borders.past_triangles(directions, cells, hits, view.origin, places, scratch)
-        more = view.first_hits(places)
-        if not more.any():
-            break
-        hits = hits.over(more)
-    shadow_borders.place_borders(directions, cells, hits, view.origin, borders, scratch)
+    found = len(cells.low)
+    dark, lines = (
+        np.empty((found, 3)),
+        ShadowLines(np.empty((found, 3)), np.empty((found, 3)), np.empty(found, np.bool_)),
+    )
+    shadow_borders.dark_ends(directions, cells, view.origin, lines, dark)
+    shadow_borders.place_borders(directions, cells, view.shadow_ends(dark, lines), borders)
     out = np.empty(many, complex)
     shadows.echo_shares(borders, FADING, _RULES, np.empty((RAYS, MOST, 6)), out)
     return out

@@ -11,7 +11,7 @@ from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.kernels import rays as kernel
 from ullage.kernels import shadow_borders
 from ullage.kernels.rays import MetSheets
-from ullage.kernels.shadow_borders import TriangleHits
+from ullage.kernels.shadow_borders import FollowedMesh, ShadowEnds, ShadowLines
 from ullage.radar.facets import Surfaces, TransmissiveFaces
 from ullage.radar.penetration import Transmissive
 from ullage.world.raycast import Raycaster
@@ -113,10 +113,18 @@ class OpaqueView:
             out &= rays.visible(self.origin, points, slack_m=SLACK_M, leave_m=LEAVE_M)
         return out
 
-    def first_hits(self, points: Floats) -> TriangleHits:
-        """What stands before points (n, 3) first, and how far off over their distance; 1 where nothing does."""
-        found = TriangleHits(np.full((len(points), 3, 3), np.nan), np.ones(len(points)))
-        for rays in self.opaque if len(points) else ():
-            for corners in rays.first_triangles(self.origin, points, leave_m=LEAVE_M, slack_m=SLACK_M):
-                shadow_borders.keep_nearest(corners, self.origin, points, found)
-        return found
+    def shadow_ends(self, dark: Floats, lines: ShadowLines) -> ShadowEnds:
+        """Find where the shadows that hide dark places (b, 3) on lines (b) stop."""
+        many = len(dark)
+        ends = ShadowEnds(np.ones(many), np.full(many, -np.inf), np.ones(many), np.zeros((many, 2, 3)))
+        for rays in self.opaque if many else ():
+            for met in rays.first_faces(self.origin, dark, leave_m=LEAVE_M, slack_m=SLACK_M):
+                eye, turn = self.origin, np.eye(3)
+                to_dark, seen = dark - eye, lines
+                if met.pose is not None:
+                    turn = met.pose[:3, :3].copy()
+                    eye, to_dark = (eye - met.pose[:3, 3]) @ turn, to_dark @ turn
+                    seen = lines._replace(middles=lines.middles @ turn, along=lines.along @ turn)
+                mesh = FollowedMesh(met.corners, met.neighbours, turn)
+                shadow_borders.follow(mesh, met.faces, eye, to_dark, seen, ends, np.empty((2, 3)))
+        return ends

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ullage.arrays import Bools, Floats, Ints, Singles
+from ullage.arrays import Bools, Floats, Ints, Longs, Singles
 from ullage.errors import InputError
 from ullage.kernels.rays import EmbreeHits, MeshFaces, NearestHits, Rays, RoundWires, aim, refine_faces, refine_wires
 from ullage.world.scene import Motion, Scene
@@ -24,6 +24,15 @@ from ullage.world.scene import Motion, Scene
 _SIDES = 8
 """Sides of the prism that stands for a round wire in Embree."""
 _PER_WIRE = 2 * _SIDES + 2 * (_SIDES - 2)
+
+
+class FirstFaces(NamedTuple):
+    """What rays (n) meet first of one body."""
+
+    faces: Longs  # (n) face, -1 where nothing is met
+    corners: Floats  # (f, 3, 3) of all faces, in the body's frame [m]
+    neighbours: Longs  # (f, 3) face across the edge from each corner to the next; -1 where there is none
+    pose: Floats | None  # (4, 4) world_from_body; None: the body is in the world's frame
 
 
 class Raycaster:
@@ -44,6 +53,7 @@ class Raycaster:
         """Object index of each face, then of each wire."""
         self._bodies = tuple(_bodies(scene, wires=wires))
         self._own_corners = scene.vertices[scene.faces] if self.moving else self.corners  # as bodies know them
+        self._found_neighbours: list[Longs] = []  # shared with copies of this caster, found when first asked for
 
     @property
     def moving(self) -> bool:
@@ -107,10 +117,10 @@ class Raycaster:
             clear = open_ if clear is None else clear & open_
         return np.ones(len(ends), bool) if clear is None else clear
 
-    def first_triangles(
+    def first_faces(
         self, origin: Floats, targets: Floats, *, leave_m: float = 0.0, slack_m: float = 1e-3
-    ) -> Iterator[Floats]:
-        """Corners (n, 3, 3) of what of each body stands first between an origin (3) and targets (n, 3); NaN if nothing.
+    ) -> Iterator[FirstFaces]:
+        """Find what of each body stands first between an origin (3) and targets (n, 3).
 
         What stands within `slack_m` of the target or `leave_m` of the origin does not count.
         """
@@ -119,10 +129,13 @@ class Raycaster:
             if body.motion is not None:
                 pose = body.pose if body.pose is not None else body.motion.at(body.motion.t_ns[:1]).world_from_body[0]
                 here, there = (np.ascontiguousarray((p - pose[:3, 3]) @ pose[:3, :3]) for p in (here, there))
-            face = body.first(here, there, leave_m, slack_m)
-            corners = self._own_corners.take(face, 0, mode="clip")
-            corners[face < 0] = np.nan
-            yield corners if pose is None else corners @ pose[:3, :3].T + pose[:3, 3]
+            faces = body.first(here, there, leave_m, slack_m)
+            yield FirstFaces(faces, self._own_corners, self._neighbours(), pose)
+
+    def _neighbours(self) -> Longs:
+        if not self._found_neighbours:
+            self._found_neighbours.append(_neighbours(self._own_corners))
+        return self._found_neighbours[0]
 
     def standing(self, poses: Floats) -> Raycaster:
         """Return the caster with every object fixed at poses (o, 4, 4); `corners` and `normals` stay."""
@@ -178,14 +191,14 @@ class _Body:
         aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
         return np.asarray(self.tree.run(origin, ray, dists=reach, query="OCCLUDED") < 0)
 
-    def first(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Ints:
+    def first(self, starts: Floats, ends: Floats, before_m: float, after_m: float) -> Longs:
         """First face of this body between points, but for the first and last metres given; -1 where there is none."""
         origin, ray = np.empty(ends.shape, np.float32), np.empty(ends.shape, np.float32)
         reach = np.empty(len(ends), np.float32)
         aim(starts, ends, self.centre, float(before_m), float(after_m), origin, ray, reach)
         found = np.asarray(self.tree.run(origin, ray, dists=reach, query="INTERSECT"))
         known = (found >= 0) & (found < len(self.face_id))
-        return np.where(known, self.face_id.take(found, mode="clip"), np.int32(-1))
+        return np.where(known, self.face_id.take(found, mode="clip"), -1).astype(np.int64)
 
     def meet(self, start: Floats, rays: Floats, face: Ints, distance: Floats, cosine: Floats) -> None:
         near = (start - self.centre).astype(np.float32)
@@ -212,6 +225,20 @@ def _normals(corners: Floats) -> Floats:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     norm = np.linalg.norm(cross, axis=1, keepdims=True)
     return np.asarray(cross / np.where(norm > 0, norm, 1.0))
+
+
+def _neighbours(corners: Floats) -> Longs:
+    """Find the face across each edge (f, 3) of triangles (f, 3, 3); -1 where there is none, or more than one."""
+    _, vertex = np.unique(np.ascontiguousarray(corners.reshape(-1, 3) + 0.0).view("V24"), return_inverse=True)
+    begin = vertex.reshape(-1, 3).astype(np.int64)
+    end = np.roll(begin, -1, 1)
+    edge = (np.minimum(begin, end) * (len(corners) * 3 + 1) + np.maximum(begin, end)).ravel()
+    order = np.argsort(edge, kind="stable")
+    same = np.concatenate([[False], edge[order][1:] == edge[order][:-1], [False]])
+    pair = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])
+    out = np.full(len(edge), -1)
+    out[order[pair]], out[order[pair + 1]] = order[pair + 1] // 3, order[pair] // 3
+    return out.reshape(-1, 3)
 
 
 def _bodies(scene: Scene, *, wires: bool) -> Iterator[_Body]:
