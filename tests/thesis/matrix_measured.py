@@ -169,13 +169,13 @@ def drift_scores(spoil: Spoil = lambda frames: frames) -> Scores:
 
 
 def hover_of(method: str = "ullage") -> list[dict[str, float]]:
-    """Six seconds of flight, then four of hovering."""
+    """Eight seconds of flight, then four of hovering: after six, hovering completes the wall flown past last."""
     scene = flights.judged_room()
     grid = flights.plane_of(scene)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "HOVER_S", 4.0)
         patch.setattr(methods, "Mapper", lambda grid: Mapper(grid, method=method))
-        frames = flights.received(scene, flights.level_round(SEED)[-150:], SEED)
+        frames = flights.received(scene, flights.level_round(SEED)[-200:], SEED)
         return [methods.hovered(scene, grid, frames, SEED)]
 
 
