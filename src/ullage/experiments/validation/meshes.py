@@ -1,4 +1,4 @@
-"""Rows on meshes: curved surfaces of coarse facets, slivers, and cluttered worlds turned together with the radar."""
+"""Rows on meshes: curved surfaces, slivers, shadow borders, and worlds turned together with the radar."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import fresnel
 
 from ullage.arrays import Complexes, Floats, Ints
 from ullage.data import Trajectory
-from ullage.experiments.validation.rows import Row, db, gain, radar
+from ullage.experiments.validation.rows import HERE, Row, db, gain, radar
 from ullage.radar.physical import echoes
 from ullage.world import scenes, shapes
 from ullage.world.library import WORLDS
 from ullage.world.load import load_scene
-from ullage.world.scene import Scene
+from ullage.world.materials import Material
+from ullage.world.scene import Scene, SceneObject
 
 Mesh = tuple[Floats, Ints]
 
@@ -46,6 +48,37 @@ def slivers() -> Iterator[Row]:
     vertices = middle + at[:, :1] * along + at[:, 1:] * up
     cut = Scene.of_mesh(vertices, faces.astype(np.int32), name="plate", made_of="pec")
     yield Row("plate of 4,000 slivers, turned 10 deg", db(gain(whole)), db(gain(cut)), 0.01)
+
+
+def shadow_borders() -> Iterator[Row]:
+    """A wall at 4 m behind a black screen at 2 m: the double knife edge, by Kirchhoff's integral over the wall."""
+    wall = scenes.plate(12, 12, 4.0, name="wall")
+    bare = echoes(wall, HERE, radar())[0]
+    peak = int(abs(bare).argmax())
+    for edge_m, bound_db, bound_deg in ((-0.06, 1.0, 10.0), (0.06, 1.0, 10.0), (0.12, 1.0, 10.0), (0.2, 3.0, 20.0)):
+        screen = replace(scenes.plate(10, 5, 2.0, name="screen"), objects=(_black("screen"),))
+        screen = replace(screen, vertices=screen.vertices + np.array([0, 0, edge_m - 2.5]))
+        ours = echoes(Scene.union([wall, screen]), HERE, radar())[0, peak] / bare[peak]
+        want = _knife_edge(edge_m, radar().wavelength_m)
+        name = f"screen {abs(edge_m):g} m {'over' if edge_m > 0 else 'below'} the axis"
+        yield Row(f"{name}: wall behind it", db(want), db(ours), bound_db)
+        turn = float(np.degrees(np.angle(ours / want)))
+        phase = float(np.degrees(np.angle(want)))
+        yield Row(f"{name}: phase", phase, phase + turn, bound_deg, "deg")
+
+
+def _black(name: str) -> SceneObject:
+    """Opaque, and reflects nothing."""
+    return SceneObject(name=name, material=Material(name="black", a=1.0))
+
+
+def _knife_edge(edge_m: float, wavelength_m: float) -> complex:
+    """What a screen half way to a wall at 4 m leaves of its echo: Fresnel's integral there and back, over the wall."""
+    y = np.linspace(-3, 3, 60001)
+    sine, cosine = fresnel((edge_m - y / 2) * np.sqrt(2 / wavelength_m))
+    one_way = (1 + 1j) / 2 * ((0.5 - cosine) - 1j * (0.5 - sine))
+    weight = np.exp(-2j * np.pi / wavelength_m * y * y / 4 - (y / 1.6) ** 8)
+    return complex((one_way**2 * weight).sum() / weight.sum())
 
 
 def turned_worlds() -> Iterator[Row]:

@@ -12,7 +12,7 @@ from ullage.arrays import Complexes, Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.experiments.validation import oracles
-from ullage.experiments.validation.meshes import curved_meshes, slivers, turned_worlds
+from ullage.experiments.validation.meshes import curved_meshes, shadow_borders, slivers, turned_worlds
 from ullage.experiments.validation.rows import HERE, Row, db, gain, over, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.ball_bounces import fan_weights
@@ -248,7 +248,7 @@ def _carried(scene: Scene, rpy_rad: Floats, shift_m: Floats) -> tuple[Scene, Tra
 
 ORACLES: tuple[Callable[[], Iterator[Row]], ...] = (
     point_targets, plates, edges, spheres, wires, corners, tanks, balls, rooms, laws,
-    curved_meshes, slivers, turned_worlds,
+    curved_meshes, slivers, shadow_borders, turned_worlds,
 )  # fmt: skip
 
 
