@@ -81,8 +81,8 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert radar_parts("physical", 1, ul.scenes.wire(0.001, 0.5, 2.0)) == ("physical", "shapes")
     assert radar_parts("physical", 1, ul.scenes.plate(0.5, 0.5, 2.0)) == ("physical", "conductors")
     tank = ul.scenes.tank(2.0, 1.0, "concrete", strips=30)
-    assert radar_parts("physical", 1, tank) == ("physical", "rounds")
-    assert radar_parts("physical", 2, tank) == ("physical", "bounces", "paths", "rounds")
+    assert radar_parts("physical", 1, tank) == ("physical", "curved")
+    assert radar_parts("physical", 2, tank) == ("physical", "bounces", "paths", "curved")
     assert radar_parts("physical", 2, ul.Scene.union([room, ul.scenes.wire(0.001, 0.5, 2.0)])) == (
         "physical", "bounces", "shapes", "paths")  # fmt: skip
     assert "paths" in radar_parts("physical", 3, ul.scenes.hold())
@@ -92,7 +92,7 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     deep = ul.Scene.union([replace(tank, vertices=tank.vertices - [0, 0, 0.5]), ball])
     assert "chains" in radar_parts("physical", 2, deep)
     assert "pairs" not in radar_parts("physical", 1, ul.load_scene(WORLDS["cluttered-room"].path))
-    everything = {"physical", "rough", "bounces", "shapes", "conductors", "paths", "rounds", "pairs", "chains"}
+    everything = {"physical", "rough", "bounces", "shapes", "conductors", "paths", "curved", "pairs", "chains"}
     assert set(radar_parts("physical")) == everything
 
 

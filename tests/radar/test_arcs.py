@@ -50,7 +50,7 @@ def test_a_drum_of_strips_echoes_as_the_drum_through_their_corners(radius_m, edg
 
 def test_which_ends_of_strips_have_caps():
     def caps(scene: Scene) -> np.ndarray:
-        (wall,) = prepare(scene).rounds
+        (wall,) = prepare(scene).quadrics
         return np.unique(wall.caps, axis=0)
 
     drum = ul.scenes.cylinder(1.0, 2.0, 0.0, edge_m=0.1)
@@ -79,21 +79,21 @@ def test_which_ends_of_strips_have_caps():
 
 def test_strips_with_holes_stay_as_they_are():
     whole = ul.scenes.cylinder(1.0, 2.0, 0.0, edge_m=0.1)
-    (wall,) = prepare(whole).rounds
+    (wall,) = prepare(whole).quadrics
     assert len(wall.strips) == len(np.unique(np.round(np.arctan2(whole.vertices[:, 1], whole.vertices[:, 0]), 6)))
     assert np.allclose(wall.strips[:, 2:], [-1.0, 1.0])
     upright = np.flatnonzero(
         abs(np.cross(*np.diff(whole.vertices[whole.faces], axis=1).transpose(1, 0, 2))[:, 2]) < 1e-9
     )
     torn = Scene(whole.vertices, np.delete(whole.faces, upright[0], 0), whole.face_object[1:], whole.objects)
-    (wall,) = prepare(torn).rounds
-    assert len(wall.strips) == len(prepare(whole).rounds[0].strips) - 1
+    (wall,) = prepare(torn).quadrics
+    assert len(wall.strips) == len(prepare(whole).quadrics[0].strips) - 1
 
 
 def test_what_is_hidden_adds_nothing():
     tank = ul.scenes.cylinder(3.0, 3.0, 0.0, edge_m=0.1)
     box = ul.scenes.cylinder(0.3, 0.6, 0.0, edge_m=0.01)
     context = physical.radar_context(Scene.union([tank, box]), SPEC)
-    parts, wall = context.world.parts(None), context.world.rounds[0]
+    parts, wall = context.world.parts(None), context.world.quadrics[0]
     antennas = physical.antenna_pair(SPEC, np.zeros(3), np.eye(3))
     assert arcs.accumulate_arcs(context, parts, (wall,), antennas, np.zeros((3, context.places), complex)) == []

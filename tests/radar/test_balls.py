@@ -127,7 +127,7 @@ def test_the_crowns_of_dished_heads_are_found_and_the_wall_between_them():
     outline = 3.0 * np.cos(np.arcsin(1.2 / 2.7))
     assert [ball.radius for ball in world.balls] == pytest.approx([3.0, 3.0])
     assert [ball.caps[0, 3] for ball in world.balls] == pytest.approx([-outline, -outline])
-    (wall,) = world.rounds
+    (wall,) = world.quadrics
     assert (wall.radius, wall.high - wall.low) == pytest.approx((1.5, 2.0))
 
 

@@ -52,7 +52,7 @@ def heard(scene, pose, spec, which=accumulate_flat_pairs, antennas=None):
     look = (
         () if which is accumulate_pairs else (apparent_sizes(context, planar, antennas) * (planar.widths.min(1) > 1),)
     )
-    echoes = which(context, made.parts(), made.rounds, *more, antennas, *look, grids)
+    echoes = which(context, made.parts(), made.quadrics, *more, antennas, *look, grids)
     return {
         (*(int(k) for k in part.via[i]), int(part.object_ids[i]), int(before)): part.echo[i]
         for part in echoes

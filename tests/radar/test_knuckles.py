@@ -10,7 +10,7 @@ import ullage as ul
 from ullage.geometry import rpy_quat
 from ullage.radar import physical
 from ullage.radar.prepared import prepare
-from ullage.radar.rounds import Round
+from ullage.radar.quadrics import Quadric
 from ullage.world import shapes
 from ullage.world.scene import Scene
 
@@ -97,16 +97,16 @@ def test_other_ends_are_no_knuckles(shape):
 def test_walls_are_searched_for_caps_and_knuckles_near_their_own_ends(monkeypatch):
     """The points that are brought into walls' frames grow with their number, not with its square."""
     asked = []
-    whole = Round.local
-    monkeypatch.setattr(Round, "local", lambda self, points: asked.append(points.size) or whole(self, points))
+    whole = Quadric.local
+    monkeypatch.setattr(Quadric, "local", lambda self, points: asked.append(points.size) or whole(self, points))
 
     def points(count):
         pipe = trimesh.creation.cylinder(0.1, 1.0, sections=24)
         pipes = [pipe.copy().apply_translation((1.5 * k, 0, 0)) for k in range(count)]
         mesh, start = trimesh.util.concatenate(pipes), len(asked)
         world = prepare(Scene.of_mesh(mesh.vertices, mesh.faces.astype(np.int32), name="pipes"))
-        assert len(world.rounds) == count
-        assert all((wall.caps == 1).all() for wall in world.rounds)
+        assert len(world.quadrics) == count
+        assert all((wall.caps == 1).all() for wall in world.quadrics)
         assert world.knuckles == ()
         return sum(asked[start:])
 

@@ -166,8 +166,8 @@ def test_bodies_that_move_are_where_they_are():
     still = two("ball", "drum")
     move = np.eye(4)
     move[:3, :3], move[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
-    carried = [one.moved(move) for one in prepare(still).rounds]
-    there = prepare(replace(still, vertices=still.vertices @ move[:3, :3].T + move[:3, 3])).rounds
+    carried = [one.moved(move) for one in prepare(still).quadrics]
+    there = prepare(replace(still, vertices=still.vertices @ move[:3, :3].T + move[:3, 3])).quadrics
     for one, other in zip(carried, there, strict=True):
         assert one.centre[:2] == pytest.approx(other.centre[:2], abs=1e-6)
         assert abs(one.axes[2] @ other.axes[2]) == pytest.approx(1, abs=1e-9)
@@ -175,7 +175,7 @@ def test_bodies_that_move_are_where_they_are():
 
 
 def test_which_bodies_are_round():
-    kinds = [(body.ball, round(body.radius, 2)) for body in prepare(two("ball", "drum")).rounds]
+    kinds = [(body.is_sphere, round(body.radius, 2)) for body in prepare(two("ball", "drum")).quadrics]
     assert kinds == [(True, 0.3), (False, 0.3)]
     squeezed = two("ball", "ball")
-    assert prepare(replace(squeezed, vertices=squeezed.vertices * [1, 1, 0.8])).rounds == ()
+    assert prepare(replace(squeezed, vertices=squeezed.vertices * [1, 1, 0.8])).quadrics == ()

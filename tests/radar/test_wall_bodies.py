@@ -11,7 +11,7 @@ from ullage.experiments.validation.validate import drum_heard, over_wall
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
-from ullage.radar.rounds import Round
+from ullage.radar.quadrics import Quadric
 from ullage.radar.wall_bodies import TO_AND_FRO, WALL_FIRST, accumulate_wall_bodies, lines_over
 from ullage.world import scenes
 from ullage.world.scene import Scene
@@ -30,7 +30,7 @@ def body(centre, radius, *, ball, axis=(0, 0, 1.0), object_id=1):
     up = np.array(axis) / np.linalg.norm(axis)
     side = np.cross(up, [0.3, 0.5, 0.7])
     side /= np.linalg.norm(side)
-    return Round(
+    return Quadric(
         np.array(centre, float),
         np.array([side, np.cross(up, side), up]),
         radius,
@@ -39,7 +39,7 @@ def body(centre, radius, *, ball, axis=(0, 0, 1.0), object_id=1):
         0.0,
         0.05,
         object_id,
-        ball=ball,
+        is_sphere=ball,
     )
 
 
@@ -49,7 +49,7 @@ WALL = replace(body((0, 0, 0), 1.5, ball=False, object_id=0), axes=np.eye(3))
 def onto(one, point):
     """A point (3) brought to the surface of a body, drums going on for ever."""
     away = point - one.centre
-    along = 0.0 if one.ball else away @ one.axes[2] * one.axes[2]
+    along = 0.0 if one.is_sphere else away @ one.axes[2] * one.axes[2]
     return one.centre + along + one.radius * (away - along) / np.linalg.norm(away - along)
 
 
@@ -68,7 +68,7 @@ def heard(scene, pose, spec, bounces):
     world, grids = context.world, np.zeros((3, context.places), complex)
     planar = world.still.planar
     look = apparent_sizes(context, planar, antennas)
-    return accumulate_wall_bodies(context, world.parts(), world.rounds, planar, antennas, bounces, look, grids)
+    return accumulate_wall_bodies(context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids)
 
 
 def total(echoes):
@@ -164,7 +164,7 @@ def off_the_image(place):
     both = [place * [1, 1, -1], place]
     antennas = replace(antenna_pair(spec, place, np.eye(3)), origins=np.array(both))
     planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
-    told = context, context.world.parts(), context.world.rounds, planar, antennas, 2, np.zeros(len(planar)), grids
+    told = context, context.world.parts(), context.world.quadrics, planar, antennas, 2, np.zeros(len(planar)), grids
     want = total(accumulate_wall_bodies(*told))  # both orders, image to radar; radar to image is as much
     floor = [part for part in heard(scene, at(*place), spec, 3) if ((part.via >= 0).sum(1) == 2).all()
              and (part.via[:, 0] != part.object_ids).all()]  # fmt: skip
@@ -202,7 +202,7 @@ def test_explain_tells_both_orders_and_there_and_back():
 
 def test_outside_of_the_wall_or_without_one_there_is_none():
     scene = tank("ball")
-    assert len(prepare(scene).rounds) == 2
+    assert len(prepare(scene).quadrics) == 2
     assert heard(scene, at(-4.0, 0, 1.0), radar(), 3) == []
     assert heard(scene, at(0.8, 0, 1.5), radar(), 3) == []  # in the ball
 

@@ -13,7 +13,7 @@ from ullage.radar import wall_bounces
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
-from ullage.radar.rounds import rounds_of, shells_of
+from ullage.radar.quadrics import quadrics_of, smooth_surfaces_of
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -43,7 +43,9 @@ def walls(scene, pose, spec, bounces=2):
     antennas = antenna_pair(spec, pose.position[0], ul.geometry.quat_matrix(pose.quat_xyzw)[0])
     planar, grids = context.world.still.planar, np.zeros((3, context.places), complex)
     look, world = apparent_sizes(context, planar, antennas), context.world
-    echoes = wall_bounces.accumulate_walls(context, world.parts(), world.rounds, planar, antennas, bounces, look, grids)
+    echoes = wall_bounces.accumulate_walls(
+        context, world.parts(), world.quadrics, planar, antennas, bounces, look, grids
+    )
     return sum((part.echo.sum() for part in echoes), 0j)
 
 
@@ -59,7 +61,7 @@ def test_it_is_physical_optics_iterated_over_the_wall(place, bounces):
 
 def test_the_two_kinds_of_path_have_their_lengths():
     """There and back over both ends of a diameter is two diameters; a triangle about the axis is a little more."""
-    radius, away = prepare(wall()).rounds[0].radius, 0.6
+    radius, away = prepare(wall()).quadrics[0].radius, 0.6
     turn = np.linspace(np.pi / 3, np.pi / 2, 200001)
     apex = -radius * np.cos(turn) / np.cos(2 * turn)  # the radar whose triangle has its other corners at +-turn
     turn = turn[abs(apex - away).argmin()]
@@ -153,14 +155,14 @@ def test_what_is_not_there_mirrors_nothing_and_what_stands_between_hides():
 
 def test_outside_of_a_drum_and_in_a_room_there_is_none():
     drum = scenes.cylinder(0.5, 1.0, 2.0)
-    assert len(prepare(drum).rounds) == 1
+    assert len(prepare(drum).quadrics) == 1
     assert walls(drum, at(0, 0, 0), radar()) == 0
-    assert prepare(scenes.room((4, 3, 2))).rounds == ()
+    assert prepare(scenes.room((4, 3, 2))).quadrics == ()
 
 
 def test_which_surfaces_are_round_walls():
     def found(scene):
-        return rounds_of(shells_of(scene, np.ones(len(scene.faces), bool)))
+        return quadrics_of(smooth_surfaces_of(scene, np.ones(len(scene.faces), bool)))
 
     lying = scenes.cylinder(1.3, 3.0, 0.5, tilt_deg=70, edge_m=0.1)
     (one,) = found(lying)
@@ -170,7 +172,7 @@ def test_which_surfaces_are_round_walls():
     assert one.high - one.low == pytest.approx(3.0)
     assert one.local(np.array([0.5, 0, 0]))[:2] == pytest.approx([0, 0], abs=1e-6)
     (ball,) = found(scenes.sphere(0.5, 0.0))
-    assert ball.ball
+    assert ball.is_sphere
     for other in (scenes.cylinder(0.05, 1.0, 0.0), scenes.room((4, 3, 2))):
         assert found(other) == ()
     squeezed = replace(lying, vertices=lying.vertices * [1.0, 0.9, 1.0])

@@ -27,7 +27,7 @@ from ullage.geometry import C0
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.rounds import Round
+from ullage.radar.quadrics import Quadric
 from ullage.radar.wall_bounces import accumulate
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
@@ -96,19 +96,19 @@ class Spots:
 
 
 def accumulate_arcs(
-    context: RadarContext, parts: list[Surfaces], rounds: tuple[Round, ...], antennas: AntennaPair, grids: Complexes
+    context: RadarContext, parts: list[Surfaces], quadrics: tuple[Quadric, ...], antennas: AntennaPair, grids: Complexes
 ) -> list[EchoSet]:
     """Adds to the delay grids what arcs of round walls and drums echo beyond the strips of their meshes.
 
     Args:
         context: radar and scene.
         parts: what stands still and what moves.
-        rounds: round walls and bodies.
+        quadrics: fitted cylinders and spheres.
         antennas: where the radar is.
         grids: (3, g) complex, added to.
     """
     wavelength = context.spec.wavelength_m
-    lines = lines_of(rounds, wavelength / 2, float(np.sqrt(wavelength * context.gate[1] / 2)))
+    lines = lines_of(quadrics, wavelength / 2, float(np.sqrt(wavelength * context.gate[1] / 2)))
     if lines is None:
         return []
     places = _places(antennas, lines, ~context.transmissive.thin, 2 * context.gate[1])
@@ -119,9 +119,9 @@ def accumulate_arcs(
 
 
 @lru_cache(maxsize=8)  # walls that stand still are the same from frame to frame
-def lines_of(rounds: tuple[Round, ...], narrowest: float, widest: float) -> Lines | None:
+def lines_of(quadrics: tuple[Quadric, ...], narrowest: float, widest: float) -> Lines | None:
     """Lines on all strips of those walls whose strips are of such widths [m]: no grating, or mirrors of their own."""
-    made = [_lines(wall) for wall in rounds if len(wall.strips) and narrowest < wall.widest < widest]
+    made = [_lines(wall) for wall in quadrics if len(wall.strips) and narrowest < wall.widest < widest]
     if not made:
         return None
     first = np.cumsum([0, *(one.strips.max() + 1 for one in made)])
@@ -132,7 +132,7 @@ def lines_of(rounds: tuple[Round, ...], narrowest: float, widest: float) -> Line
     return Lines(**rows)
 
 
-def _lines(wall: Round) -> Lines:
+def _lines(wall: Quadric) -> Lines:
     angle, half, low, high = wall.strips.T
     chord = wall.radius * np.sin(half)
     panels = np.ceil(2 * chord / PANEL_M).astype(np.int64)
@@ -151,7 +151,7 @@ def _lines(wall: Round) -> Lines:
                  np.full(len(strips), wall.object_id))  # fmt: skip
 
 
-def _sealed(wall: Round) -> bool:
+def _sealed(wall: Quadric) -> bool:
     """Whether strips go all round, and flat caps end on all of them."""
     return bool(len(wall.caps) and (wall.caps == 1).all() and wall.strips[:, 1].sum() > np.pi - _WHOLE_RAD)
 

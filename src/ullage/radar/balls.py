@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats
 from ullage.radar.facets import Surfaces
-from ullage.radar.rounds import LEAST_M, OFF_M, Shell, leveled, linked
+from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, connected_parts
 from ullage.radar.solids import welded
 
 _FEWEST = 16  # triangles
@@ -49,49 +49,49 @@ class Ball:
         return np.asarray((points @ self.caps[:, :3].T <= self.caps[:, 3] + OFF_M).all(-1))
 
 
-def balls_of(shells: Sequence[Shell], still: Surfaces) -> tuple[Ball, ...]:
+def balls_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Ball, ...]:
     """The balls and domes among smooth surfaces that stand still, and which faces each is made of."""
     found: list[Ball] = []
-    for shell in shells:
-        whole = _fitted(shell)
+    for surface in surfaces:
+        whole = _fitted(surface)
         if whole is not None:
             found.append(whole)
-        if whole is not None or np.linalg.norm(np.ptp(shell.corners.reshape(-1, 3), axis=0)) < _WIDE_M:
+        if whole is not None or np.linalg.norm(np.ptp(surface.corners.reshape(-1, 3), axis=0)) < _WIDE_M:
             continue
-        level = leveled(shell.normals, shell.area)
+        level = along_axis(surface.normals, surface.area)
         if level.all():
             continue
-        closing = [ball for part in _leftovers(shell, level) if (ball := _fitted(part)) is not None]
-        found += closing or _crowns(shell)
+        closing = [ball for part in _leftovers(surface, level) if (ball := _fitted(part)) is not None]
+        found += closing or _crowns(surface)
     return tuple(_claimed(ball, still) for ball in found)
 
 
-def _leftovers(shell: Shell, level: Bools) -> list[Shell]:
+def _leftovers(surface: SmoothSurface, level: Bools) -> list[SmoothSurface]:
     """What closes a cylinder smoothly: parts of a surface that are left when facets along its axis (n) are taken."""
     if not level.any():
         return []
-    rest_of = shell.take(np.flatnonzero(~level))
-    return [rest_of.take(mine) for mine in linked(rest_of) if len(mine) >= _FEWEST]
+    rest_of = surface.take(np.flatnonzero(~level))
+    return [rest_of.take(mine) for mine in connected_parts(rest_of) if len(mine) >= _FEWEST]
 
 
-def _crowns(shell: Shell) -> list[Ball]:
+def _crowns(surface: SmoothSurface) -> list[Ball]:
     """Domes that go over into something else as smoothly as into themselves, grown from some of the facets."""
-    middles, sides = shell.corners.mean(1), np.linalg.norm(shell.corners - shell.corners[:, [1, 2, 0]], axis=2)
+    middles, sides = surface.corners.mean(1), np.linalg.norm(surface.corners - surface.corners[:, [1, 2, 0]], axis=2)
     found, open_ = [], np.ones(len(middles), bool)
     for seed in np.linspace(0, len(middles) - 1, _SEEDS).astype(np.int64):
         mine = np.flatnonzero(np.linalg.norm(middles - middles[seed], axis=1) < _PATCH * sides[seed].max())
         for _ in range(2):  # what the first few tell, and what all of those tell
-            centre, radius, off = _sphere(shell.corners[mine].reshape(-1, 3))
+            centre, radius, off = _sphere(surface.corners[mine].reshape(-1, 3))
             if not open_[seed] or off > _TRUE_M:
                 break
-            on = (abs(np.linalg.norm(shell.corners - centre, axis=2) - radius) < _TRUE_M).all(1) & open_
+            on = (abs(np.linalg.norm(surface.corners - centre, axis=2) - radius) < _TRUE_M).all(1) & open_
             mine = np.flatnonzero(on)
             if len(mine) < _FEWEST or not on[seed]:
                 break
-            mine = next((mine[part] for part in linked(shell.take(mine)) if seed in mine[part]), mine[:0])
+            mine = next((mine[part] for part in connected_parts(surface.take(mine)) if seed in mine[part]), mine[:0])
         else:
             open_[mine] = False
-            ball = _fitted(shell.take(mine)) if len(mine) >= _FEWEST else None
+            ball = _fitted(surface.take(mine)) if len(mine) >= _FEWEST else None
             found += [ball] if ball is not None else []
     return found
 
@@ -106,14 +106,14 @@ def _sphere(points: Floats) -> tuple[Floats, float, float]:
     return centre, float(away.mean()), float(np.ptp(away)) if rank == 4 else np.inf
 
 
-def _fitted(shell: Shell) -> Ball | None:
+def _fitted(surface: SmoothSurface) -> Ball | None:
     """The ball or dome that a surface is, if it is one."""
-    centre, radius, off = _sphere(shell.corners.reshape(-1, 3))
+    centre, radius, off = _sphere(surface.corners.reshape(-1, 3))
     if off > 2 * OFF_M or radius < LEAST_M:
         return None
-    local = shell.corners - centre
+    local = surface.corners - centre
     sides = np.linalg.norm(np.roll(local, 1, 1) - local, axis=2)
-    depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], shell.normals)).min())
+    depth = radius - float(abs(np.einsum("ni,ni->n", local[:, 0], surface.normals)).min())
     caps = _openings(local)
     if caps is None or depth > _DEEP * radius or (caps[:, 3] < -radius).any():
         return None
@@ -121,7 +121,7 @@ def _fitted(shell: Shell) -> Ball | None:
     filled = _solid_angles(local).sum() / (4 * np.pi)
     if share < _LEAST_SHARE or abs(filled - share) > _WHOLE * share:
         return None
-    return Ball(centre, radius, depth, float(sides.min(1).max()), shell.object_id, caps)
+    return Ball(centre, radius, depth, float(sides.min(1).max()), surface.object_id, caps)
 
 
 def _openings(local: Floats) -> Floats | None:

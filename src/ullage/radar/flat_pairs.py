@@ -21,9 +21,9 @@ from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import choose_largest
 from ullage.radar.paths import FACES, largest
+from ullage.radar.quadrics import Quadric
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies, shortest
-from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, accumulate
 
 FAINT = 2e-3
@@ -37,7 +37,7 @@ BEFORE, BETWEEN, AFTER = 0, 1, 2
 def accumulate_flat_pairs(
     context: RadarContext,
     parts: list[Surfaces],
-    rounds: tuple[Round, ...],
+    quadrics: tuple[Quadric, ...],
     planar: PlanarPatches,
     antennas: AntennaPair,
     look: Floats,
@@ -47,7 +47,7 @@ def accumulate_flat_pairs(
 
     Those too faint beside what the grids hold are left out.
     """
-    bodies = bodies_of(rounds, np.sqrt(context.spec.wavelength_m * context.gate[1] / 2))
+    bodies = bodies_of(quadrics, np.sqrt(context.spec.wavelength_m * context.gate[1] / 2))
     if not len(bodies.radii):
         return []
     which, weights, _ = seen_bodies(context, bodies, antennas, MOST)

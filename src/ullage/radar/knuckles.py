@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.radar.facets import SMOOTH_DEG, PlanarPatches, Surfaces, strewn
-from ullage.radar.rounds import OFF_M, Round, Shell
+from ullage.radar.quadrics import OFF_M, Quadric, SmoothSurface
 from ullage.radar.solids import Backs
 
 EDGE_M = 0.03
@@ -41,7 +41,7 @@ class Knuckle:
 class Tube:
     """A torus about the axis of a wall, beyond one of its ends."""
 
-    wall: Round
+    wall: Quadric
     end: float  # where it begins along the axis, from the wall's centre [m]
     side: int  # 1 where the wall ends above, -1 below
     radius: float  # of the tube [m]
@@ -72,21 +72,21 @@ class Tube:
         return np.asarray(self.wall.centre + local @ self.wall.axes)
 
 
-def knuckles_of(shells: Sequence[Shell], walls: Sequence[Round], still: Surfaces) -> tuple[Knuckle, ...]:
+def knuckles_of(surfaces: Sequence[SmoothSurface], walls: Sequence[Quadric], still: Surfaces) -> tuple[Knuckle, ...]:
     """The knuckles among smooth surfaces that stand still, beside round walls."""
-    low, high = (np.array([of(s.corners, axis=(0, 1)) for s in shells]).reshape(-1, 3) for of in (np.min, np.max))
-    object_ids, found = np.array([shell.object_id for shell in shells]), []
+    low, high = (np.array([of(s.corners, axis=(0, 1)) for s in surfaces]).reshape(-1, 3) for of in (np.min, np.max))
+    object_ids, found = np.array([surface.object_id for surface in surfaces]), []
     for wall in walls:
-        for end, side in () if wall.ball else ((wall.low, -1), (wall.high, 1)):
+        for end, side in () if wall.is_sphere else ((wall.low, -1), (wall.high, 1)):
             # all of a tube lies so near to the middle of the wall's end
             middle, reach = wall.centre + end * wall.axes[2], np.sqrt(2) * wall.radius + OFF_M
             apart = np.maximum(np.maximum(low - middle, middle - high), 0.0)
             mine = np.flatnonzero((object_ids == wall.object_id) & (np.linalg.norm(apart, axis=1) < reach)).tolist()
             if not mine:
                 continue
-            corners, normals, area, faces = (np.concatenate([getattr(shells[k], row) for k in mine])
+            corners, normals, area, faces = (np.concatenate([getattr(surfaces[k], row) for k in mine])
                                              for row in ("corners", "normals", "area", "faces"))  # fmt: skip
-            whole = Shell(
+            whole = SmoothSurface(
                 corners, normals, area, wall.object_id, faces
             )  # knuckles of few facets bend enough to come apart
             tube = _tube(whole, wall, end, side)
@@ -94,9 +94,9 @@ def knuckles_of(shells: Sequence[Shell], walls: Sequence[Round], still: Surfaces
     return tuple(found)
 
 
-def _tube(shell: Shell, wall: Round, end: float, side: int) -> Tube | None:
+def _tube(surface: SmoothSurface, wall: Quadric, end: float, side: int) -> Tube | None:
     """The tube by which a surface goes on from the end of a wall, as smooth as a tangent, if it does."""
-    x, y, z = np.moveaxis(wall.local(shell.corners), 2, 0)
+    x, y, z = np.moveaxis(wall.local(surface.corners), 2, 0)
     inward, along = wall.radius - np.hypot(x, y), side * (z - end)
     outline = (abs(inward) < OFF_M) & (abs(along) < OFF_M)
     next_ = outline.any(1) & (along > -OFF_M).all(1) & ~outline.all(1)
@@ -108,34 +108,34 @@ def _tube(shell: Shell, wall: Round, end: float, side: int) -> Tube | None:
     if not _LEAST_M < radius < _WHOLE * wall.radius:
         return None
     tube = Tube(wall, end, side, radius)
-    return tube if _on(shell, tube).any() else None
+    return tube if _on(surface, tube).any() else None
 
 
-def _on(shell: Shell, tube: Tube) -> Bools:
+def _on(surface: SmoothSurface, tube: Tube) -> Bools:
     """Which triangles (n) of a surface lie on a tube."""
-    out, along = tube.about(shell.corners.mean(1))
+    out, along = tube.about(surface.corners.mean(1))
     size = np.maximum(np.hypot(out, along), 1e-9)
-    x, y, z = tube.wall.local(shell.normals + tube.wall.centre).T
-    px, py, _ = tube.wall.local(shell.corners.mean(1)).T
+    x, y, z = tube.wall.local(surface.normals + tube.wall.centre).T
+    px, py, _ = tube.wall.local(surface.corners.mean(1)).T
     across = (x * px + y * py) / np.maximum(np.hypot(px, py), 1e-9)
     level = abs(across * out + tube.side * z * along) / size > np.cos(np.deg2rad(SMOOTH_DEG))
-    return np.asarray(tube.holds(shell.corners).all(1) & level)
+    return np.asarray(tube.holds(surface.corners).all(1) & level)
 
 
-def _knuckle(shell: Shell, tube: Tube, still: Surfaces) -> Knuckle:
-    mine = np.flatnonzero(_on(shell, tube))
-    corners, parent = _refined(shell.corners[mine], tube)
+def _knuckle(surface: SmoothSurface, tube: Tube, still: Surfaces) -> Knuckle:
+    mine = np.flatnonzero(_on(surface, tube))
+    corners, parent = _refined(surface.corners[mine], tube)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
     kept = area > 1e-12
     corners, parent, normals = corners[kept], parent[kept], cross[kept] / area[kept, None]
-    told = shell.corners[mine], shell.normals[mine]
+    told = surface.corners[mine], surface.normals[mine]
     depth = abs(np.einsum("nki,ni->nk", corners - told[0][parent, :1], told[1][parent])).max()
-    object_ids = np.full(len(corners), shell.object_id, np.int32)
+    object_ids = np.full(len(corners), surface.object_id, np.int32)
     sides = np.linalg.norm(told[0] - np.roll(told[0], 1, 1), axis=2)
-    planar, small = _taken(still, tube, shell.object_id)
+    planar, small = _taken(still, tube, surface.object_id)
     fine, _ = strewn(corners, normals, object_ids, _backs(told[0].mean(1), still, parent, corners, normals), still)
-    return Knuckle(fine, float(depth), float(sides.min(1).max()), shell.object_id, planar, small)
+    return Knuckle(fine, float(depth), float(sides.min(1).max()), surface.object_id, planar, small)
 
 
 def _refined(corners: Floats, tube: Tube) -> tuple[Floats, Longs]:

@@ -46,9 +46,9 @@ from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.radar.patch_echoes import accumulate_curved
 from ullage.radar.paths import paths_of
 from ullage.radar.planar import accumulate_planar
+from ullage.radar.quadrics import Quadric
 from ullage.radar.roughness import accumulate_diffuse_scatterers
 from ullage.radar.round_pairs import accumulate_pairs
-from ullage.radar.rounds import Round
 from ullage.radar.wall_bodies import accumulate_wall_bodies
 from ullage.radar.wall_bounces import accumulate_walls
 from ullage.radar.wire_bounces import accumulate_wire_bounces
@@ -114,9 +114,9 @@ def accumulate(
         if len(part.corners):
             out.append(_accumulate_small(context, parts, part, antennas, grids, small))
         out += accumulate_planar(context, parts, part, antennas, grids, large)
-    rounds, arcs = context.world.rounds_at(poses), []
-    if rounds:
-        arcs = accumulate_arcs(context, parts, rounds, antennas, grids)
+    quadrics, arcs = context.world.quadrics_at(poses), []
+    if quadrics:
+        arcs = accumulate_arcs(context, parts, quadrics, antennas, grids)
         out += arcs
     if len(context.lines):
         out += _accumulate_wires(context, parts, antennas, poses, grids)
@@ -132,8 +132,8 @@ def accumulate(
         out += _accumulate_over(
             context, parts, planar, antennas, poses, max_bounces, sizes, float(abs(loud).max()), grids
         )
-        if rounds:
-            out += _accumulate_round(context, parts, rounds, planar, antennas, max_bounces, sizes, grids)
+        if quadrics:
+            out += _accumulate_curved_bounces(context, parts, quadrics, planar, antennas, max_bounces, sizes, grids)
     return out
 
 
@@ -181,10 +181,10 @@ def _accumulate_over(
     )
 
 
-def _accumulate_round(
+def _accumulate_curved_bounces(
     context: RadarContext,
     parts: list[Surfaces],
-    rounds: tuple[Round, ...],
+    quadrics: tuple[Quadric, ...],
     planar: PlanarPatches,
     antennas: AntennaPair,
     most: int,
@@ -192,12 +192,12 @@ def _accumulate_round(
     grids: Complexes,
 ) -> list[EchoSet]:
     """Adds what goes from wall to wall of a round tank or a ball, to bodies in it, between these, over flats too."""
-    out = accumulate_walls(context, parts, rounds, planar, antennas, most, sizes, grids)
+    out = accumulate_walls(context, parts, quadrics, planar, antennas, most, sizes, grids)
     out += accumulate_inside(context, parts, antennas, most, grids)
-    if len(rounds) > 1:
-        out += accumulate_wall_bodies(context, parts, rounds, planar, antennas, most, sizes, grids)
-        out += accumulate_pairs(context, parts, rounds, antennas, grids)
-    return out + (accumulate_flat_pairs(context, parts, rounds, planar, antennas, sizes, grids) if most > 2 else [])
+    if len(quadrics) > 1:
+        out += accumulate_wall_bodies(context, parts, quadrics, planar, antennas, most, sizes, grids)
+        out += accumulate_pairs(context, parts, quadrics, antennas, grids)
+    return out + (accumulate_flat_pairs(context, parts, quadrics, planar, antennas, sizes, grids) if most > 2 else [])
 
 
 def _accumulate_wires(

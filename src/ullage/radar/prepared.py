@@ -1,4 +1,4 @@
-"""A scene made ready for physical optics: what stands still, what moves, materials and edges."""
+"""A scene prepared for physical optics: parts at rest, moving parts, materials and edges."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ullage.radar.facets import Surfaces, gather
 from ullage.radar.knuckles import Knuckle, knuckles_of
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
-from ullage.radar.rounds import Round, Shell, capped, rounds_of, shells_of
+from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
 from ullage.world.scene import Scene
 
 
 class Prepared:
-    """A scene's still part, made once, and its moving part at the last time asked for."""
+    """The part of a scene at rest, prepared once, and the moving part at the last requested poses."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -32,32 +32,32 @@ class Prepared:
         self.materials = tuple(o.material for o in scene.objects)
         self.rough = any(material.roughness_m for material in self.materials)
         self._movers = Movers(scene, self.moving) if self.moving.any() else None
-        self._moved: tuple[bytes, Surfaces] | None = None  # where things were last asked for, and how they lay there
+        self._moved: tuple[bytes, Surfaces] | None = None  # last requested poses, and the surfaces there
         self.diffuse_scatterers: dict[int, Any] = {}  # scatterers of rough surfaces, by seed
         self._patches: dict[tuple[float, float], list[Patches | None]] = {}
         self._moved_patches: tuple[tuple[tuple[float, float], bytes], Patches] | None = None
         self.edges = sharp_edges(scene, self.still.rays)
 
     @cached_property
-    def rounds(self) -> tuple[Round, ...]:
-        """Round walls and bodies, as they stand at the start."""
-        return capped(rounds_of(self._shells), self.scene)
+    def quadrics(self) -> tuple[Quadric, ...]:
+        """Cylinders and spheres fitted to the world at its initial poses."""
+        return with_caps(quadrics_of(self._smooth_surfaces), self.scene)
 
     @cached_property
     def balls(self) -> tuple[Ball, ...]:
         """Balls and domes that stand still."""
         moves = [o.motion is not None for o in self.scene.objects]
-        return balls_of([shell for shell in self._shells if not moves[shell.object_id]], self.still)
+        return balls_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
 
     @cached_property
     def knuckles(self) -> tuple[Knuckle, ...]:
         """Knuckles of dished heads that stand still."""
         moves = [o.motion is not None for o in self.scene.objects]
-        walls = [wall for wall in self.rounds if not moves[wall.object_id]]
-        return knuckles_of(self._shells, walls, self.still) if walls else ()
+        walls = [wall for wall in self.quadrics if not moves[wall.object_id]]
+        return knuckles_of(self._smooth_surfaces, walls, self.still) if walls else ()
 
     def patches(self, wavelength_m: float, widest_m: float, poses: Floats | None = None) -> list[Patches | None]:
-        """Curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None where there are none.
+        """Return the curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None: none exist.
 
         Facets wider than `widest_m` [m] are left as they are.
         """
@@ -83,9 +83,9 @@ class Prepared:
         return [self.still] if self._movers is None else [self.still, self._movers.home]
 
     def _claimed(self) -> Bools:
-        """Faces of the scene (s) for which there are closed forms."""
+        """Select the faces of the scene (s) for which there are closed forms."""
         out = np.zeros(len(self.scene.faces), bool)
-        for wall in self.rounds:
+        for wall in self.quadrics:
             out[wall.faces] = True
         masks = [(ball.small, ball.planar) for ball in self.balls]
         for small, planar in (*masks, *((knuckle.small, knuckle.planar) for knuckle in self.knuckles)):
@@ -94,32 +94,32 @@ class Prepared:
         return out
 
     @cached_property
-    def _shells(self) -> list[Shell]:
+    def _smooth_surfaces(self) -> list[SmoothSurface]:
         bent = self.still.planar.smooth.any() or len(self.still.corners) or self.moving.any()
-        return shells_of(self.scene, np.ones(len(self.moving), bool)) if bent else []
+        return smooth_surfaces_of(self.scene, np.ones(len(self.moving), bool)) if bent else []
 
-    def rounds_at(self, poses: Floats | None) -> tuple[Round, ...]:
-        """Round walls and bodies where the objects have these poses (None: their first)."""
-        if poses is None or not self.rounds:
-            return self.rounds
+    def quadrics_at(self, poses: Floats | None) -> tuple[Quadric, ...]:
+        """Return the fitted cylinders and spheres at some poses of the objects (None: the initial ones)."""
+        if poses is None or not self.quadrics:
+            return self.quadrics
         start = self.scene.poses()
         moved = [o.motion is not None for o in self.scene.objects]
         return tuple(
-            r.moved(poses[r.object_id] @ invert(start[r.object_id])) if moved[r.object_id] else r for r in self.rounds
+            r.moved(poses[r.object_id] @ invert(start[r.object_id])) if moved[r.object_id] else r for r in self.quadrics
         )
 
     def poses(self, t_ns: Longs) -> Floats | list[None]:
-        """Of all objects (n, o, 4, 4) at some times (n) [ns]; a None for each where nothing moves."""
+        """Return the poses of all objects (n, o, 4, 4) at times (n) [ns]; None for each where nothing moves."""
         return self.scene.poses(t_ns) if any(o.motion is not None for o in self.scene.objects) else [None] * len(t_ns)
 
     def parts(self, poses: Floats | None = None) -> list[Surfaces]:
-        """Everything there is where the objects have these poses (None: their first): what stands still, what moves."""
+        """Return the surfaces at rest and the moving ones at some poses of the objects (None: the initial ones)."""
         if self._movers is None:
             return [self.still]
         poses = self.scene.poses() if poses is None else poses
         where = poses.tobytes()
         known = self._moved
-        if known is None or known[0] != where:  # what came to rest, or is seen by several radars at once, is kept
+        if known is None or known[0] != where:  # several radars ask for the same poses
             known = self._moved = (where, self._movers.at(poses))
         return [self.still, known[1]]
 
@@ -130,7 +130,7 @@ _KEPT = 4
 
 
 def prepare(scene: Scene) -> Prepared:
-    """The scene made ready; the last few are kept, since tracks come in pieces."""
+    """Prepare a scene; the last few are cached, since tracks arrive in pieces."""
     with _LOCK:
         known = _KNOWN.get(id(scene))
         if known is None or known.scene is not scene:

@@ -22,8 +22,8 @@ from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
 from ullage.radar.mirrors import dot
 from ullage.radar.multipath import choose_largest
+from ullage.radar.quadrics import Quadric
 from ullage.radar.real_paths import Real, free, turned
-from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, accumulate
 
 BODIES = 8
@@ -58,14 +58,19 @@ class Bodies:
 
 
 @lru_cache(maxsize=16)
-def bodies_of(rounds: tuple[Round, ...], narrow: float) -> Bodies:
+def bodies_of(quadrics: tuple[Quadric, ...], narrow: float) -> Bodies:
     """Round bodies as rows, those whose facets are narrower than this [m]."""
-    rounds = tuple(r for r in rounds if r.widest < narrow)
-    half = np.array([(r.high - r.low) / 2 for r in rounds])
-    return Bodies(np.array([r.centre + (r.low + r.high) / 2 * r.axes[2] for r in rounds]),
-                  np.array([r.axes for r in rounds]), np.array([r.radius for r in rounds]), np.stack([-half, half], 1),
-                  np.array([r.ball for r in rounds]), np.array([r.depth for r in rounds]),
-                  np.array([r.object_id for r in rounds], np.int32))  # fmt: skip
+    quadrics = tuple(r for r in quadrics if r.widest < narrow)
+    half = np.array([(r.high - r.low) / 2 for r in quadrics])
+    return Bodies(
+        centres=np.array([r.centre + (r.low + r.high) / 2 * r.axes[2] for r in quadrics]),
+        axes=np.array([r.axes for r in quadrics]),
+        radii=np.array([r.radius for r in quadrics]),
+        ends=np.stack([-half, half], 1),
+        balls=np.array([r.is_sphere for r in quadrics]),
+        depths=np.array([r.depth for r in quadrics]),
+        object_ids=np.array([r.object_id for r in quadrics], np.int32),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,11 +109,11 @@ def shortest(starts: Floats, stops: Floats, bodies: kernel.BodyPairs) -> Paths:
 
 
 def accumulate_pairs(
-    context: RadarContext, parts: list[Surfaces], rounds: tuple[Round, ...], antennas: AntennaPair, grids: Complexes
+    context: RadarContext, parts: list[Surfaces], quadrics: tuple[Quadric, ...], antennas: AntennaPair, grids: Complexes
 ) -> list[EchoSet]:
     """Adds the echoes over two round bodies to the delay grids, but for those too faint beside what these hold."""
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    bodies, together = bodies_of(rounds, narrow), antennas.monostatic
+    bodies, together = bodies_of(quadrics, narrow), antennas.monostatic
     if len(bodies.radii) < 2:
         return []
     which, weights, gaps = seen_bodies(context, bodies, antennas, BODIES)

@@ -22,9 +22,9 @@ from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import choose_largest
+from ullage.radar.quadrics import Quadric
 from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.round_pairs import BODIES, FAINT
-from ullage.radar.rounds import Round
 from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, accumulate, around, planes_of, swapped
 
 Turn = tuple[Plane, int] | None
@@ -56,7 +56,7 @@ class Lines:
 def accumulate_wall_bodies(
     context: RadarContext,
     parts: list[Surfaces],
-    rounds: tuple[Round, ...],
+    quadrics: tuple[Quadric, ...],
     planar: PlanarPatches,
     antennas: AntennaPair,
     most: int,
@@ -71,9 +71,9 @@ def accumulate_wall_bodies(
     out: list[EchoSet] = []
     one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     least = FAINT * float(abs(grids).max())
-    for wall in around(context, rounds, antennas):
+    for wall in around(context, quadrics, antennas):
         planes = planes_of(planar, wall, look) if most > 2 else []
-        for body, weight in _within(context, rounds, wall, antennas):
+        for body, weight in _within(context, quadrics, wall, antennas):
             told = replace(antennas, factor=weight * antennas.factor)
             sides = [(replace(told, factor=2 * told.factor), False)] if one else [(told, False), (swapped(told), True)]
             chains: list[Chain] = [(side, back, WALL_FIRST, turn) for side, back in sides for turn in _turns(planes)]
@@ -90,24 +90,24 @@ def _turns(planes: list[Plane]) -> list[Turn]:
 
 
 def _within(
-    context: RadarContext, rounds: tuple[Round, ...], wall: Round, antennas: AntennaPair
-) -> Iterator[tuple[Round, float]]:
+    context: RadarContext, quadrics: tuple[Quadric, ...], wall: Quadric, antennas: AntennaPair
+) -> Iterator[tuple[Quadric, float]]:
     """The bodies within a wall that have both antennas outside, those that look largest, and what each counts."""
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    bodies = [b for b in rounds if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
+    bodies = [b for b in quadrics if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
     gaps = np.array([np.linalg.norm(antennas.origins - body.centre, axis=1).max() for body in bodies])
     which, weights = choose_largest(np.array([body.radius for body in bodies]) / gaps, BODIES)
     for k in which:
         yield bodies[k], float(weights[k])
 
 
-def _outside(body: Round, antennas: AntennaPair) -> bool:
+def _outside(body: Quadric, antennas: AntennaPair) -> bool:
     x, y, z = body.local(antennas.origins).T
-    away = np.sqrt(x * x + y * y + (z * z if body.ball else 0.0))
+    away = np.sqrt(x * x + y * y + (z * z if body.is_sphere else 0.0))
     return bool((away > body.radius + body.depth + PULL_M).all())
 
 
-def lines_over(wall: Round, body: Round, ends: Floats, walls: tuple[bool, ...]) -> Lines:
+def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ...]) -> Lines:
     """The shortest paths from one point (2, 3) [m] over each of many lines along a wall, and a body, to another."""
     many = len(walls)
     x, y, _ = wall.local(np.concatenate([ends, body.centre[None]])).T
@@ -121,7 +121,7 @@ def lines_over(wall: Round, body: Round, ends: Floats, walls: tuple[bool, ...]) 
     rows, least = np.empty((16, 3)), np.empty(2)
     kernel.over_lines(
         ends, kernel.WallLines(kinds, feet, wall.axes[2]),
-        kernel.RoundBody(body.centre, body.axes, body.radius, body.ball), _STEPS,
+        kernel.RoundBody(body.centre, body.axes, body.radius, body.is_sphere), _STEPS,
         kernel.LinePaths(corners, normals, length, spread, bends), kernel.LineScratch(rows, np.empty((5, 9))),
     )  # fmt: skip
     kernel.beside(corners, at, out, wall.axes[2], spread, slope, least, rows)
@@ -130,7 +130,7 @@ def lines_over(wall: Round, body: Round, ends: Floats, walls: tuple[bool, ...]) 
 
 
 @lru_cache(maxsize=32)
-def _feet(wall: Round, count: int) -> tuple[Floats, Floats]:
+def _feet(wall: Quadric, count: int) -> tuple[Floats, Floats]:
     """Unit vectors (n, 3) out from the axis all round a wall, and lines there, where they are level with its centre."""
     angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
     out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
@@ -141,8 +141,8 @@ def _over(
     context: RadarContext,
     parts: list[Surfaces],
     antennas: AntennaPair,
-    wall: Round,
-    body: Round,
+    wall: Quadric,
+    body: Quadric,
     walls: tuple[bool, ...],
     turn: Turn,
     least: float,
@@ -190,7 +190,7 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
     return (first[:made], share[:made], weights[:made]) if made else None
 
 
-def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, asked: Longs) -> Real:
+def _real(lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Turn, asked: Longs) -> Real:
     """Some paths (n), what lies beyond a plane brought back; corners beyond ends of round things drawn onto them."""
     corners, normals = lines.corners[:, asked], lines.normals[:, asked]
     kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(asked), 1)  # wall, body, plane
@@ -203,7 +203,7 @@ def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, a
         corners, normals, kinds, plane_object_id = corners[back], normals[back], kinds[back], plane.object_id
     corners = corners.copy()
     for kind, thing in enumerate((wall, body)):
-        if not thing.ball:
+        if not thing.is_sphere:
             up = (corners[1:-1] - thing.centre) @ thing.axes[2]
             inner = np.clip(up, thing.low + PULL_M, thing.high - PULL_M)
             corners[1:-1] += np.where(kinds == kind, inner - up, 0.0)[..., None] * thing.axes[2]
@@ -215,7 +215,7 @@ def _real(lines: Lines, wall: Round, body: Round, origins: Floats, turn: Turn, a
 
 
 def _unfolded(
-    wall: Round, plane: Plane, side: float, corners: Floats, normals: Floats, kinds: Longs
+    wall: Quadric, plane: Plane, side: float, corners: Floats, normals: Floats, kinds: Longs
 ) -> tuple[Floats, Floats, Longs, Bools]:
     """Paths (n) that begin beyond a plane across the axis as they run, turned back at it, and whether that may be."""
     axis = side * wall.axes[2]
@@ -234,7 +234,7 @@ def _unfolded(
     return np.stack([begin, *stops]), np.stack(faces), np.stack(which), there
 
 
-def _covered(lines: Lines, wall: Round, body: Round, asked: Longs, turn: Turn, wavelength: float) -> Complexes:
+def _covered(lines: Lines, wall: Quadric, body: Quadric, asked: Longs, turn: Turn, wavelength: float) -> Complexes:
     """What the ends of wall and drum leave of the waves (n), by Fresnel's integral along their axes.
 
     The wall's end that stands on a plane which is met beside the wall is none: beyond it the wall's image goes on.
@@ -242,7 +242,7 @@ def _covered(lines: Lines, wall: Round, body: Round, asked: Longs, turn: Turn, w
     total = np.ones(len(asked), complex)
     for s, on_wall in enumerate(lines.walls):
         thing = wall if on_wall else body
-        if thing.ball:
+        if thing.is_sphere:
             continue
         along = (lines.corners[1 + s, asked] - thing.centre) @ thing.axes[2]
         root, ends = np.sqrt(np.maximum(2 * lines.bends[s, asked], 0.0) / wavelength), []
@@ -258,7 +258,7 @@ def _covered(lines: Lines, wall: Round, body: Round, asked: Longs, turn: Turn, w
 
 
 def _deposited(
-    context: RadarContext, lines: Lines, wall: Round, path: Real, asked: Longs, places: tuple[Longs, Floats, Floats],
+    context: RadarContext, lines: Lines, wall: Quadric, path: Real, asked: Longs, places: tuple[Longs, Floats, Floats],
     seen: Complexes, grids: Complexes,
 ) -> EchoSet:  # fmt: skip
     """Lays the sum over places along the wall; told as one echo for each point of stationary phase."""

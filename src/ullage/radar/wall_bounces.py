@@ -28,7 +28,7 @@ from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import across, dot, reflected
-from ullage.radar.rounds import Round
+from ullage.radar.quadrics import Quadric
 from ullage.radar.visibility import between
 
 LEAST_M = 0.25
@@ -79,7 +79,7 @@ class Plane:
 def accumulate_walls(
     context: RadarContext,
     parts: list[Surfaces],
-    rounds: tuple[Round, ...],
+    quadrics: tuple[Quadric, ...],
     planar: PlanarPatches,
     antennas: AntennaPair,
     max_bounces: int,
@@ -93,7 +93,7 @@ def accumulate_walls(
     out: list[EchoSet] = []
     one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     sides = [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, swapped(antennas)]
-    for wall in around(context, rounds, antennas):
+    for wall in around(context, quadrics, antennas):
         planes = planes_of(planar, wall, look) if max_bounces > 2 else []
         for side in sides:
             for bounces in range(2, max_bounces + 1):
@@ -107,17 +107,17 @@ def swapped(antennas: AntennaPair) -> AntennaPair:
     return replace(antennas, **{row: getattr(antennas, row)[::-1].copy() for row in ("origins", "frames", "fields")})
 
 
-def around(context: RadarContext, rounds: tuple[Round, ...], antennas: AntennaPair) -> Iterator[Round]:
+def around(context: RadarContext, quadrics: tuple[Quadric, ...], antennas: AntennaPair) -> Iterator[Quadric]:
     """The walls about both antennas whose opposite sides lie within the gate, but for facets that mirror as flats."""
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
-    for wall in rounds:
-        if not wall.ball and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < context.gate[1]:
+    for wall in quadrics:
+        if not wall.is_sphere and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < context.gate[1]:
             places = wall.local(antennas.origins)
             if (np.hypot(places[:, 0], places[:, 1]) < wall.radius - wall.depth - PULL_M).all():
                 yield wall
 
 
-def planes_of(planar: PlanarPatches, wall: Round, look: Floats) -> list[Plane]:
+def planes_of(planar: PlanarPatches, wall: Quadric, look: Floats) -> list[Plane]:
     """Floors and roofs: where faces lie across the axis, plane by plane, those that look largest (p) first."""
     level = np.flatnonzero((abs(planar.normals @ wall.axes[2]) > 1 - 1e-6) & (look > 0))
     found: list[Plane] = []
@@ -134,7 +134,7 @@ def _echoes_of(
     context: RadarContext,
     parts: list[Surfaces],
     antennas: AntennaPair,
-    wall: Round,
+    wall: Quadric,
     bounces: int,
     planes: list[Plane],
     grids: Complexes,
@@ -244,7 +244,7 @@ def _over(
     context: RadarContext,
     parts: list[Surfaces],
     antennas: AntennaPair,
-    wall: Round,
+    wall: Quadric,
     fan: Fan,
     plane: Plane | None,
     grids: Complexes,
@@ -291,7 +291,7 @@ class Met:
     leg: Longs  # (n) on which they meet the plane; one more than there are where there is none
 
 
-def _climb(wall: Round, fan: Fan, plane: Plane | None, begin: float, rise: float) -> Met:
+def _climb(wall: Quadric, fan: Fan, plane: Plane | None, begin: float, rise: float) -> Met:
     path = np.sqrt(fan.along[-1] ** 2 + rise**2)
     heights = begin + rise * fan.along[:-1] / fan.along[-1]
     leg = np.full(len(path), len(fan.paths))
@@ -305,7 +305,7 @@ def _climb(wall: Round, fan: Fan, plane: Plane | None, begin: float, rise: float
     return Met(stops, heights, fan.along[-1] / path, rise / path, leg)
 
 
-def _covered(wall: Round, plane: Plane | None, met: Met, along: Floats, wavelength: float) -> Complexes:
+def _covered(wall: Quadric, plane: Plane | None, met: Met, along: Floats, wavelength: float) -> Complexes:
     """What the wall's ends along its axis leave of the waves (n) at their bounces there, by Fresnel's integral.
 
     The end that stands on the plane is none: beyond it the wall's image goes on.
@@ -319,7 +319,9 @@ def _covered(wall: Round, plane: Plane | None, met: Met, along: Floats, waveleng
     return np.asarray(((ends[1] - ends[0]) / (1 - 1j)).prod(0))
 
 
-def _free(parts: list[Surfaces], antennas: AntennaPair, wall: Round, fan: Fan, met: Met, plane: Plane | None) -> Bools:
+def _free(
+    parts: list[Surfaces], antennas: AntennaPair, wall: Quadric, fan: Fan, met: Met, plane: Plane | None
+) -> Bools:
     """Which rays (n) have all legs free and meet what is there: the wall may have gaps, the floor may end."""
     stops, count = met.stops, len(met.leg)
     ends = [np.broadcast_to(origin, (1, count, 3)) for origin in antennas.origins]
@@ -341,7 +343,7 @@ def _free(parts: list[Surfaces], antennas: AntennaPair, wall: Round, fan: Fan, m
 
 
 def _turned(
-    context: RadarContext, antennas: AntennaPair, wall: Round, fan: Fan, plane: Plane | None, met: Met
+    context: RadarContext, antennas: AntennaPair, wall: Quadric, fan: Fan, plane: Plane | None, met: Met
 ) -> Complexes:
     """What the antennas and all reflections make of the waves (n)."""
     paths, climb = fan.paths @ wall.axes[:2] * met.level[:, None], met.climb[:, None] * wall.axes[2]

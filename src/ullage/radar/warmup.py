@@ -21,7 +21,7 @@ import numpy as np
 
 from ullage import kernels
 from ullage.data import Trajectory
-from ullage.radar import warmup_rounds
+from ullage.radar import warmup_curved
 from ullage.radar.worker_pool import cores
 from ullage.specs import RadarSpec
 from ullage.world.scene import Scene
@@ -39,7 +39,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
     "paths": ("paths", "lit"),
-    "rounds": ("impulses",),
+    "curved": ("impulses",),
     "pairs": ("pairs", "flat_pairs"),
     "chains": ("chains",),
     "conductors": ("lines", "edge_diffraction", "double_edge_diffraction"),
@@ -63,7 +63,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
     if fidelity != "physical":
         return (fidelity,)
     many = max_bounces > 1
-    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "paths": many, "rounds": True,
+    there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "paths": many, "curved": True,
              "pairs": many, "chains": many}  # fmt: skip
     if scene is not None:
         from ullage.radar.prepared import prepare
@@ -74,9 +74,9 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
         led = planar.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
         there["paths"] &= bool(led and (~planar.smooth).any())
-        there["pairs"] = many and len(made.rounds) > 1
-        there["rounds"] = there["pairs"] or any(len(wall.strips) for wall in made.rounds)
-        there["chains"] = many and any(wall.holds(body) for wall in made.rounds for body in made.rounds)
+        there["pairs"] = many and len(made.quadrics) > 1
+        there["curved"] = there["pairs"] or any(len(wall.strips) for wall in made.quadrics)
+        there["chains"] = many and any(wall.holds(body) for wall in made.quadrics for body in made.quadrics)
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
 
@@ -420,9 +420,9 @@ JOBS: tuple[Job, ...] = (
     Job("curved faces and wires", "shapes", 4.9, _shapes),
     Job("paths of bounces", "bounces", 2.4, _paths),
     Job("paths over faces", "paths", 6.5, _paths_over_faces),
-    Job("echoes of round things", "rounds", 0.9, warmup_rounds.rounds),
-    Job("paths over round bodies", "pairs", 3.8, warmup_rounds.pairs),
-    Job("paths over a tank's wall", "chains", 3.2, warmup_rounds.chains),
+    Job("echoes of curved surfaces", "curved", 0.9, warmup_curved.echoes),
+    Job("paths over round bodies", "pairs", 3.8, warmup_curved.pairs),
+    Job("paths over a tank's wall", "chains", 3.2, warmup_curved.chains),
     Job("frames", "physical", 0.2, _walls, ("outlines of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.7, partial(_walls, roughness_m=1e-3), ("outlines of faces", "echoes of faces")),
     Job("bounces", "bounces", 2.2, partial(_walls, max_bounces=2),

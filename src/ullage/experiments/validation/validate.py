@@ -159,7 +159,7 @@ def walls_heard(
     weight = np.exp(-0.5 * ((hz - 7.29e9) / 0.45e9) ** 2)
     ranges = bounces * radius_m + np.arange(-0.5, 0.1, 0.01)
     delayed = np.exp(4j * np.pi / C0 * np.multiply.outer(ranges, hz)) * weight / weight.sum()
-    pose, radius = Trajectory.stationary(place), radar_context(scene, radar()).world.rounds[0].radius
+    pose, radius = Trajectory.stationary(place), radar_context(scene, radar()).world.quadrics[0].radius
     ours = [over(scene, pose, radar().but(center_hz=f), "wall", ("wall",) * (bounces - 1)) for f in hz]
     want = [oracles.dense_walls(radius, height_m, np.array(place), f, bounces) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want)
@@ -171,7 +171,7 @@ def over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int) -> 
     view = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     world, grids = ready.world, np.zeros((3, ready.places), complex)
     look = np.zeros(len(world.still.planar))
-    laid = accumulate_wall_bodies(ready, world.parts(), world.rounds, world.still.planar, view, bounces, look, grids)
+    laid = accumulate_wall_bodies(ready, world.parts(), world.quadrics, world.still.planar, view, bounces, look, grids)
     return complex(sum(p.echo.sum() for p in laid if p.via is not None and ((p.via >= 0).sum(1) == bounces - 1).all()))
 
 
@@ -191,7 +191,7 @@ def drum_heard(
     inside = scenes.cylinder(drum[2], 6.0, 0.0, name="drum", edge_m=0.06)
     inside = replace(inside, vertices=inside.vertices + np.array([*drum[:2], 3.5]))
     scene, pose = Scene.union([scenes.tank(1.2, 7.0, "pec", strips=96), inside]), Trajectory.stationary((*place, 3.5))
-    wall, body = sorted((one.radius for one in radar_context(scene, radar()).world.rounds), reverse=True)
+    wall, body = sorted((one.radius for one in radar_context(scene, radar()).world.quadrics), reverse=True)
     ours = [over_wall(scene, pose, radar().but(center_hz=f), 3 if twice else 2) for f in hz]
     want = [oracles.tank_and_drum(wall, (*drum[:2], body), np.array(place), f, twice=twice) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want) / np.sqrt(2 * ranges)

@@ -1,7 +1,7 @@
-"""Round walls and bodies in a mesh: which facets lie on one cylinder, and where its axis runs, or on one ball.
+"""Fit cylinders and spheres to the facets of a mesh.
 
-They come as flat strips or small triangles. What a wave makes of them on the way to another bounce hangs on their
-curvature, which no single facet has, so the cylinder or the ball through them is found once for a world.
+A mesh describes a curved wall or body by flat strips or small triangles. A reflection depends on the curvature, which a
+single facet lacks. So the cylinder or the sphere through the facets is fitted once for each world.
 """
 
 from __future__ import annotations
@@ -20,53 +20,53 @@ from ullage.radar.facets import SMOOTH_DEG, twins
 from ullage.world.scene import Scene
 
 OFF_M = 2.5e-3
-"""Corners of facets may lie so far off the cylinder [m]: a sixteenth of a wave."""
+"""Largest distance of facet corners from the cylinder [m]: a sixteenth of a wavelength."""
 LEAST_M = 0.08
-"""Narrower or shorter things are no mirrors, but two waves in size [m]."""
-_LEVEL = 0.02  # facets whose normal leans more along the axis belong to an end cap
-_MOST = 0.35  # less of a smooth surface is no wall between caps but the belt of a ball
-_DEEP = 0.05  # facets that bend by `SMOOTH_DEG` lie by half of this share of a ball's radius within it
-_ARC_DEG = 100.0  # less of a circle mirrors nothing to its own other side
+"""Least radius and length of a fitted surface [m]: two wavelengths; smaller ones do not reflect like mirrors."""
+_LEVEL = 0.02  # facets whose normals have a larger component along the axis belong to an end cap
+_MOST = 0.35  # a cylinder needs this share of the smooth surface: the belt of a sphere has less
+_DEEP = 0.05  # facets that bend by `SMOOTH_DEG` lie inside the sphere by half of this share of its radius
+_ARC_DEG = 100.0  # a smaller arc of a circle reflects nothing to its own opposite side
 _FEWEST = 16  # triangles
-_SAME_RAD = 1e-4  # lines along the axis nearer to each other than this are one
-_FILLED = 0.02  # gaps of a strip that is whole, for rounding and chords
+_SAME_RAD = 1e-4  # lines along the axis that are closer than this count as one
+_FILLED = 0.02  # share of a whole strip that may be missing, for rounding and chords
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Round:
-    """A surface that is part of one circular cylinder or one ball."""
+class Quadric:
+    """A surface that is part of one circular cylinder or one sphere."""
 
     centre: Floats  # (3) a point of the axis [m]
     axes: Floats  # (3, 3) rows: two unit vectors across the axis, and the axis
-    radius: float  # of a cylinder at the facets' corners, of a ball the mean over the facets [m]
-    low: float  # where the wall begins along the axis, from the centre [m]
-    high: float  # and where it ends [m]
-    depth: float  # by so much facets lie nearer to the axis or farther from it [m]
+    radius: float  # of a cylinder at the facets' corners, of a sphere the mean over the facets [m]
+    low: float  # lower end along the axis, from the centre [m]
+    high: float  # upper end [m]
+    depth: float  # largest distance between facets and the fitted surface [m]
     widest: float  # smaller extent of the widest facet [m]
     object_id: int  # object
-    ball: bool = False
+    is_sphere: bool = False
     strips: Floats = field(default_factory=lambda: np.zeros((0, 4)))  # (s, 4) angle, half width [rad], low, high [m]
     caps: Floats = field(default_factory=lambda: np.zeros((0, 2)))  # (s, 2) flat face at either end: 1, at holes -1
     faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (n) faces of the scene that lie on it
 
     def local(self, points: Floats) -> Floats:
-        """Points (..., 3) as seen from the centre along the axes [m]."""
+        """Convert points (..., 3) to coordinates along the axes, from the centre [m]."""
         return np.asarray(((points - self.centre).reshape(-1, 3) @ self.axes.T).reshape(points.shape))
 
-    def holds(self, other: Round) -> bool:
-        """Whether another body stands within this wall, as far as its middle tells."""
+    def holds(self, other: Quadric) -> bool:
+        """Return whether the middle of another body lies inside this wall."""
         x, y, z = self.local(other.centre + 0.5 * (other.low + other.high) * other.axes[2])
-        return bool(not self.ball and np.hypot(x, y) + other.radius < self.radius and self.low < z < self.high)
+        return bool(not self.is_sphere and np.hypot(x, y) + other.radius < self.radius and self.low < z < self.high)
 
-    def moved(self, move: Floats) -> Round:
-        """The same after a rigid motion (4, 4)."""
+    def moved(self, move: Floats) -> Quadric:
+        """Return the same surface after a rigid motion (4, 4)."""
         turn = move[:3, :3]
         return replace(self, centre=turn @ self.centre + move[:3, 3], axes=self.axes @ turn.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shell:
-    """Triangles of one object that go on from each to the next with hardly a bend."""
+class SmoothSurface:
+    """Connected triangles of one object whose normals change little from each to the next."""
 
     corners: Floats  # (n, 3, 3) [m]
     normals: Floats  # (n, 3)
@@ -74,13 +74,15 @@ class Shell:
     object_id: int  # object
     faces: Longs = field(default_factory=lambda: np.zeros(0, np.int64))  # (n) of the scene
 
-    def take(self, which: NDArray[np.integer]) -> Shell:
-        """Some of them."""
-        return Shell(self.corners[which], self.normals[which], self.area[which], self.object_id, self.faces[which])
+    def take(self, which: NDArray[np.integer]) -> SmoothSurface:
+        """Select some of the triangles."""
+        return SmoothSurface(
+            self.corners[which], self.normals[which], self.area[which], self.object_id, self.faces[which]
+        )
 
 
-def shells_of(scene: Scene, faces: Bools) -> list[Shell]:
-    """The smooth surfaces among some faces (f) of a scene, as they stand at its start."""
+def smooth_surfaces_of(scene: Scene, faces: Bools) -> list[SmoothSurface]:
+    """Find the smooth surfaces among some faces (f) of a scene, at their initial poses."""
     corners = scene.corners()[faces]
     object_ids = scene.face_object[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -93,25 +95,27 @@ def shells_of(scene: Scene, faces: Bools) -> list[Shell]:
         normals[kept] / (2 * area[kept, None]),
     )
     index = np.flatnonzero(faces)[kept]
-    return [Shell(corners[mine], normals[mine], area[mine], int(object_ids[mine[0]]), index[mine])
+    return [SmoothSurface(corners[mine], normals[mine], area[mine], int(object_ids[mine[0]]), index[mine])
             for mine in _connected(corners, normals, object_ids)]  # fmt: skip
 
 
-def rounds_of(shells: Sequence[Shell]) -> tuple[Round, ...]:
-    """The round walls and bodies among smooth surfaces."""
+def quadrics_of(surfaces: Sequence[SmoothSurface]) -> tuple[Quadric, ...]:
+    """Fit cylinders and spheres to smooth surfaces."""
     found = []
-    for shell in shells:
-        told = shell.corners, shell.normals, shell.area, shell.object_id
-        ball, wall = _ball(*told), _fitted(*told)
-        if ball is not None and (wall is None or ball.depth < 2 * wall.depth):  # the rims of a drum lie on a ball, too
-            found.append(replace(ball, faces=shell.faces))
+    for surface in surfaces:
+        facets = surface.corners, surface.normals, surface.area, surface.object_id
+        sphere, wall = _fit_sphere(*facets), _fit_cylinder(*facets)
+        if sphere is not None and (
+            wall is None or sphere.depth < 2 * wall.depth
+        ):  # the rims of a drum also lie on a sphere
+            found.append(replace(sphere, faces=surface.faces))
         elif wall is not None:
-            found.append(replace(wall, faces=shell.faces[leveled(shell.normals, shell.area)]))
+            found.append(replace(wall, faces=surface.faces[along_axis(surface.normals, surface.area)]))
     return tuple(found)
 
 
-def capped(walls: Sequence[Round], scene: Scene) -> tuple[Round, ...]:
-    """The walls, each knowing at which ends of its strips flat faces of its object end, square to the axis."""
+def with_caps(walls: Sequence[Quadric], scene: Scene) -> tuple[Quadric, ...]:
+    """Return the walls with their `caps`: the strip ends at which flat faces square to the axis end."""
     corners, out = scene.corners(), list(walls)
     striped = [k for k, wall in enumerate(walls) if len(wall.strips)]
     for object_id in np.unique([walls[k].object_id for k in striped]):
@@ -123,8 +127,8 @@ def capped(walls: Sequence[Round], scene: Scene) -> tuple[Round, ...]:
     return tuple(out)
 
 
-def _caps(wall: Round, triangles: Floats, sides: cKDTree) -> Floats:
-    """Flat faces (s, 2) at the ends of a wall's strips, of triangles (n, 3, 3) and the middles of their sides."""
+def _caps(wall: Quadric, triangles: Floats, sides: cKDTree) -> Floats:
+    """Find flat faces (s, 2) at the ends of a wall's strips, among triangles (n, 3, 3); `sides`: their midpoints."""
     angle, half, *ends = wall.strips.T
     across = wall.radius * np.cos(half)
     chords = np.stack([across * np.cos(angle), across * np.sin(angle)], 1)
@@ -147,13 +151,13 @@ def _caps(wall: Round, triangles: Floats, sides: cKDTree) -> Floats:
     return caps.reshape(2, -1).T
 
 
-def linked(shell: Shell) -> list[Longs]:
-    """The parts of a surface that has come apart."""
-    return _connected(shell.corners, shell.normals, np.full(len(shell.area), shell.object_id, np.int32))
+def connected_parts(surface: SmoothSurface) -> list[Longs]:
+    """Split a surface into its connected parts."""
+    return _connected(surface.corners, surface.normals, np.full(len(surface.area), surface.object_id, np.int32))
 
 
 def _connected(corners: Floats, normals: Floats, object_ids: Ints) -> list[Longs]:
-    """Triangles (f, 3, 3) of one object that go on from each to the next with hardly a bend, surface by surface."""
+    """Group triangles (f, 3, 3) of one object into surfaces without sharp bends."""
     if not len(corners):
         return []
     a, b = twins(corners)
@@ -167,26 +171,26 @@ def _connected(corners: Floats, normals: Floats, object_ids: Ints) -> list[Longs
     return [group for group in groups if len(group) >= _FEWEST]
 
 
-def _fitted(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Round | None:
-    """The cylinder that triangles (n, 3, 3) lie on, if they do; caps that close it smoothly are left off."""
-    kept, turn, settled = _leveled(normals, area)
+def _fit_cylinder(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
+    """Fit a cylinder to triangles (n, 3, 3), if they lie on one; caps that close it smoothly are left out."""
+    kept, turn, settled = _search_axis(normals, area)
     axis = turn[:, 0]
     if area[kept].sum() < _MOST * area.sum() or not settled:
         return None
     climb = np.diff((corners[kept][0] @ axis)[[0, 1, 2, 0]])
-    axis = axis * np.sign(climb[(abs(climb) > 0.1 * abs(climb).max()).argmax()])  # as the mesh is turned, not the world
+    axis = axis * np.sign(climb[(abs(climb) > 0.1 * abs(climb).max()).argmax()])  # sign of the mesh, not of the world
     axes = np.stack([turn[:, 2], np.cross(axis, turn[:, 2]), axis])
     points = corners[kept] @ axes.T
     flat = points[..., :2].reshape(-1, 2)
     middle = flat.mean(0)
-    told = np.column_stack([2 * (flat - middle), np.ones(len(flat))])
-    (x, y, _), *_ = np.linalg.lstsq(told, ((flat - middle) ** 2).sum(1), rcond=None)
+    equations = np.column_stack([2 * (flat - middle), np.ones(len(flat))])
+    (x, y, _), *_ = np.linalg.lstsq(equations, ((flat - middle) ** 2).sum(1), rcond=None)
     centre = middle + np.array([x, y])
     away = np.linalg.norm(flat - centre, axis=1)
-    if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or _arc(flat - centre) < np.deg2rad(_ARC_DEG):
+    if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or _angle_covered(flat - centre) < np.deg2rad(_ARC_DEG):
         return None
-    # angles begin opposite a corner of the mesh: they turn with it, and no strip lies across their seam
-    turned = -_about(flat[0] - centre)
+    # angles start opposite a corner of the mesh: they turn with it, and no strip crosses the seam
+    turned = -_rows_towards(flat[0] - centre)
     axes = np.concatenate([turned @ axes[:2], axes[2:]])
     points[..., :2], centre = points[..., :2] @ turned.T, turned @ centre
     halves = (points + np.roll(points, 1, 1))[..., :2] / 2 - centre  # of sides: exact for squares
@@ -195,23 +199,23 @@ def _fitted(corners: Floats, normals: Floats, area: Floats, object_id: int) -> R
     least, most = points[..., 2].min(), points[..., 2].max()
     if most - least < LEAST_M:
         return None
-    return Round(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
-                 float(max(away.max() - radius, radius - gaps.min())), _widest(points, centre), object_id,
+    return Quadric(np.append(centre, 0.0) @ axes, axes, radius, float(least), float(most),
+                 float(max(away.max() - radius, radius - gaps.min())), _widest_extent(points, centre), object_id,
                  strips=_strips(points, centre, area[kept]))  # fmt: skip
 
 
-def _about(direction: Floats) -> Floats:
-    """Rows (2, 2): a direction (2) as a unit vector, and the one a quarter turn on."""
+def _rows_towards(direction: Floats) -> Floats:
+    """Return rows (2, 2): a direction (2) as a unit vector, and that vector turned by 90 deg."""
     x, y = direction / np.linalg.norm(direction)
     return np.array([[x, y], [-y, x]])
 
 
-def _leveled(normals: Floats, area: Floats) -> tuple[Bools, Floats, bool]:
-    """Which facets (n) lie along an axis; columns (3, 3), the axis first; whether the search for it has settled."""
+def _search_axis(normals: Floats, area: Floats) -> tuple[Bools, Floats, bool]:
+    """Search the axis of facets: those along it (n), columns (3, 3) with the axis first, whether this converged."""
     kept = np.ones(len(area), bool)
     for search in range(4):
         _, turn = np.linalg.eigh(np.einsum("n,ni,nj->ij", area[kept], normals[kept], normals[kept]))
-        if search == 0:  # of a vessel with flat heads the axis is not what fewest facets look along
+        if search == 0:  # in a vessel with flat heads many normals lie along the axis
             walls = area @ (abs(normals @ turn) < _LEVEL)
             turn = np.roll(turn, -int(walls.argmax()), axis=1)
         level = abs(normals @ turn[:, 0]) < _LEVEL
@@ -221,16 +225,16 @@ def _leveled(normals: Floats, area: Floats) -> tuple[Bools, Floats, bool]:
     return kept, turn, bool((level == kept).all())
 
 
-def leveled(normals: Floats, area: Floats) -> Bools:
-    """Which facets (n) of a surface are a cylinder's, if it has one: those along the axis."""
-    kept, _, settled = _leveled(normals, area)
+def along_axis(normals: Floats, area: Floats) -> Bools:
+    """Select the facets (n) of a surface that lie along the axis of its cylinder, if it has one."""
+    kept, _, settled = _search_axis(normals, area)
     return kept if settled else np.zeros(len(area), bool)
 
 
 def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:
-    """Strips (s, 4) between lines along the axis that triangles (n, 3, 3) fill: angle, half width [rad], low, high.
+    """Find strips (s, 4) along the axis that triangles (n, 3, 3) fill: angle, half width [rad], low, high.
 
-    Those with gaps are left out, and those that are not rectangles.
+    Strips with gaps and strips that are not rectangles are left out.
     """
     x, y = np.moveaxis(points[..., :2] - centre, 2, 0)
     angle = np.arctan2(y, x)
@@ -249,12 +253,12 @@ def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:
     return np.array(out).reshape(-1, 4)
 
 
-def _ball(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Round | None:
-    """The ball that triangles (n, 3, 3) lie on, if they do."""
+def _fit_sphere(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
+    """Fit a sphere to triangles (n, 3, 3), if they lie on one."""
     points = corners.reshape(-1, 3)
     middle = points.mean(0)
-    told = np.column_stack([2 * (points - middle), np.ones(len(points))])
-    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(told, ((points - middle) ** 2).sum(1), rcond=1e-9)
+    equations = np.column_stack([2 * (points - middle), np.ones(len(points))])
+    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(equations, ((points - middle) ** 2).sum(1), rcond=1e-9)
     centre = middle + np.array([x, y, z])
     away = np.linalg.norm(points - centre, axis=1)
     whole = 4 * np.pi * away.mean() ** 2
@@ -269,17 +273,19 @@ def _ball(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Rou
     depth = float(max(away.max() - radius, radius - gaps.min()))
     if depth > _DEEP * radius:
         return None
-    return Round(centre, np.eye(3), radius, -radius, radius, depth, float(sides.min(1).max()), object_id, ball=True)
+    return Quadric(
+        centre, np.eye(3), radius, -radius, radius, depth, float(sides.min(1).max()), object_id, is_sphere=True
+    )
 
 
-def _arc(points: Floats) -> float:
-    """How much of a circle points (n, 2) about the origin go round [rad]."""
+def _angle_covered(points: Floats) -> float:
+    """Measure the angle that points (n, 2) cover around the origin [rad]."""
     angle = np.sort(np.arctan2(points[:, 1], points[:, 0]))
     return float(2 * np.pi - np.diff(np.append(angle, angle[0] + 2 * np.pi)).max())
 
 
-def _widest(points: Floats, centre: Floats) -> float:
-    """The smaller extent, around or along, of the widest of triangles (n, 3, 3) [m]."""
+def _widest_extent(points: Floats, centre: Floats) -> float:
+    """Measure the smaller extent, around or along, of the widest of triangles (n, 3, 3) [m]."""
     sides = np.roll(points, 1, 1) - points
     around = np.linalg.norm(sides[..., :2], axis=2).max(1)
     return float(np.minimum(around, np.ptp(points[..., 2], axis=1)).max())

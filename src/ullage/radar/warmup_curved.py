@@ -1,12 +1,12 @@
-"""What compiles the kernels for round bodies and walls: each runs its kernel once on next to nothing."""
+"""Compile the kernels for curved surfaces: each function runs its kernels once on minimal input."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def rounds() -> None:
-    """What all round things share, on no path at all."""
+def echoes() -> None:
+    """The kernels that all curved surfaces share, on no paths."""
     from ullage.kernels import impulses as kernel
     from ullage.kernels.facets import Antennas, PulseGrid
 
@@ -21,7 +21,7 @@ def rounds() -> None:
 
 
 def pairs() -> None:
-    """The kernels of `round_pairs` and `flat_pairs`, on no bodies at all."""
+    """The kernels of `round_pairs` and `flat_pairs`, on no bodies."""
     from ullage.kernels import flat_pairs as flat
     from ullage.kernels.pairs import BodyPairs, PairPaths
     from ullage.radar.round_pairs import Bodies, paths_over
@@ -44,10 +44,10 @@ def pairs() -> None:
 def chains() -> None:
     """The kernels of `wall_bodies`, on one drum in a wall."""
     from ullage.kernels import chains as kernel
-    from ullage.radar.rounds import Round
+    from ullage.radar.quadrics import Quadric
     from ullage.radar.wall_bodies import WALL_FIRST, lines_over
 
-    wall, drum = (Round(np.zeros(3), np.eye(3), radius, -1.0, 1.0, 0.0, 0.1, 0) for radius in (2.0, 0.3))
+    wall, drum = (Quadric(np.zeros(3), np.eye(3), radius, -1.0, 1.0, 0.0, 0.1, 0) for radius in (2.0, 0.3))
     lines_over(wall, drum, np.ones((2, 3)), WALL_FIRST)
     none, long, wave = np.zeros(0), np.zeros(0, np.int64), np.zeros(0, complex)
     places = kernel.WallPlaces(long, none, none)
