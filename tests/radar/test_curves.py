@@ -9,7 +9,7 @@ import ullage as ul
 from ullage.antenna import gain
 from ullage.experiments.validation.oracles import dense_tank
 from ullage.experiments.validation.rows import over
-from ullage.radar import ball_echoes, curves, paths, physical
+from ullage.radar import curves, paths, physical, sphere_echoes
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes, beams_of
 from ullage.radar.penetration import fresnel
@@ -111,7 +111,7 @@ def test_a_ball_over_a_floor_is_the_ball_and_its_image(monkeypatch, step_m, with
     monkeypatch.setattr(physical, "accumulate_flat_pairs", lambda *_: [])
     radius = 0.1 if step_m < 0.1 else 0.8
     alone = ball(radius, centre=(3.0, 0, 0.0), step_m=step_m)
-    monkeypatch.setattr(ball_echoes, "taken", lambda *_: [])
+    monkeypatch.setattr(sphere_echoes, "visible_parts", lambda *_: [])
     both, ground = Scene.union([floor(12.0), alone]), floor(12.0)
     spec, here = radar(), at(0, 0, 0)
     upright = spec.but(antenna_offset_m=2.0, antenna={"kind": "isotropic", "polarization": "vertical"})
@@ -144,9 +144,9 @@ def test_the_antenna_weighs_the_way_to_the_floor_and_the_way_from_the_ball():
     turn = np.deg2rad(25.0)
     down = replace(at(0, 0, 0), quat_xyzw=np.array([[0, np.sin(turn / 2), 0, np.cos(turn / 2)]]))
     axes = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
-    sent, taken = gain(patch.antenna, paths / np.linalg.norm(paths, axis=1)[:, None] @ axes.T)
+    sent, received = gain(patch.antenna, paths / np.linalg.norm(paths, axis=1)[:, None] @ axes.T)
     found = [order(scene, down, s, 2) for s in (patch, spec)]
-    assert abs(found[0] / found[1]) == pytest.approx(sent * taken, rel=0.01)
+    assert abs(found[0] / found[1]) == pytest.approx(sent * received, rel=0.01)
 
 
 @pytest.mark.parametrize("target", [ball(), wall(12, yaw_deg=10), scenes.tank(2.0, 1.2, strips=24)])

@@ -61,7 +61,7 @@ def test_a_coarse_vessel_echoes_as_a_fine_one(fine, edge_m):
 def test_a_knuckle_is_all_of_its_torus_and_nothing_else():
     scene = vessel(0.15)
     world = prepare(scene)
-    assert len(world.balls) == 2
+    assert len(world.spheres) == 2
     one, other = world.knuckles
     middles = np.concatenate([world.still.planar.spheres[:, :3], world.still.corners.mean(1)])
     out, up = np.hypot(*middles.T[:2]), abs(middles[:, 2])

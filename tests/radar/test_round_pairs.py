@@ -26,7 +26,7 @@ def body(centre, radius, *, ball, axis=(0, 0, 1.0)):
 def onto(one, point):
     """A point (3) brought to the surface of a body, drums going on for ever."""
     away = point - one.centres[0]
-    along = 0.0 if one.balls[0] else away @ one.axes[0, 2] * one.axes[0, 2]
+    along = 0.0 if one.is_sphere[0] else away @ one.axes[0, 2] * one.axes[0, 2]
     return one.centres[0] + along + one.radii[0] * (away - along) / np.linalg.norm(away - along)
 
 

@@ -25,7 +25,7 @@ class RoundBody(NamedTuple):
     centre: Floats  # (3) [m]
     axes: Floats  # (3, 3) rows: two across the axis, and the axis of a cylinder
     radius: float  # [m]
-    ball: bool  # whether it is a sphere
+    is_sphere: bool  # whether it is a sphere
 
 
 class LinePaths(NamedTuple):
@@ -74,11 +74,11 @@ def over_lines(ends, lines: WallLines, body: RoundBody, steps, out: LinePaths, s
             if far < 1e-4:  # the next step would be its square
                 break
             _frames(out.corners, i, lines, body, rows)
-            size = _second(lines.walls, body.radius, body.ball, rows, table)
+            size = _second(lines.walls, body.radius, body.is_sphere, rows, table)
             eliminate(table, size)
-            far = _step(out.corners, i, lines.walls, body.radius, body.ball, rows, table)
+            far = _step(out.corners, i, lines.walls, body.radius, body.is_sphere, rows, table)
         _frames(out.corners, i, lines, body, rows)
-        size = _second(lines.walls, body.radius, body.ball, rows, table)
+        size = _second(lines.walls, body.radius, body.is_sphere, rows, table)
         known = _record(i, lines.walls, size, out, rows, table)
 
 
@@ -86,13 +86,13 @@ def over_lines(ends, lines: WallLines, body: RoundBody, steps, out: LinePaths, s
 def _start(ends, lines, body, known, corners, i, rows):  # type: ignore[no-untyped-def]
     """Put the corners of a path where those of the last one were, or where the body faces both neighbours."""
     walls, feet, up = lines
-    centre, axes, radius, ball = body
+    centre, axes, radius, is_sphere = body
     many, middle, along = len(walls), rows[2], 0.0
     for k in range(3):
         corners[0, i, k], corners[many + 1, i, k] = ends[0, k], ends[1, k]
         along += (0.5 * (ends[0, k] + ends[1, k]) - centre[k]) * axes[2, k]
     for k in range(3):
-        middle[k] = centre[k] + (0.0 if ball else along * axes[2, k])
+        middle[k] = centre[k] + (0.0 if is_sphere else along * axes[2, k])
     for s in range(many):
         here, along = corners[1 + s, i], 0.0
         if walls[s]:
@@ -108,7 +108,7 @@ def _start(ends, lines, body, known, corners, i, rows):  # type: ignore[no-untyp
             unit_to(middle, corners[s + 2, i], rows[1])
             for k in range(3):
                 here[k] = corners[1 + s, i - 1, k] if known else middle[k] + rows[0, k] + rows[1, k]
-            onto(centre, axes[2], radius, ball, here, rows[3])
+            onto(centre, axes[2], radius, is_sphere, here, rows[3])
 
 
 @core(nogil=True, error_model="numpy")
@@ -119,7 +119,7 @@ def _frames(corners, i, lines, body, rows):  # type: ignore[no-untyped-def]
     directions of the legs, 13 and 14 their lengths [m].
     """
     walls, up = lines.walls, lines.up
-    centre, axes, radius, ball = body
+    centre, axes, radius, is_sphere = body
     many, sizes = len(walls), rows[13:15].reshape(6)
     for s in range(many):
         f, g, normal = rows[3 * s], rows[3 * s + 1], rows[3 * s + 2]
@@ -127,9 +127,9 @@ def _frames(corners, i, lines, body, rows):  # type: ignore[no-untyped-def]
             for k in range(3):
                 f[k] = up[k]
             continue
-        onto(centre, axes[2], radius, ball, corners[1 + s, i], normal)
+        onto(centre, axes[2], radius, is_sphere, corners[1 + s, i], normal)
         for k in range(3):
-            rows[15, k] = axes[2, k] + (1e-3 * axes[0, k] if ball else 0.0)  # at a ball's pole, too, there is one
+            rows[15, k] = axes[2, k] + (1e-3 * axes[0, k] if is_sphere else 0.0)  # at a ball's pole, too, there is one
         field_across(rows[15], normal, g)
         for k in range(3):
             a, b = (k + 1) % 3, (k + 2) % 3
@@ -139,7 +139,7 @@ def _frames(corners, i, lines, body, rows):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
+def _second(walls, radius, is_sphere, rows, table):  # type: ignore[no-untyped-def]
     """Write second and first derivatives of a path to columns 0 to 4, and 5, of `table`; return the unknowns' number.
 
     A line has one, along it; a body two, around and along its axis. Columns 6 to 8 are made unit vectors along the
@@ -161,7 +161,7 @@ def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
                 for leg in range(s, s + 2):
                     direction = rows[9 + leg]
                     total += ((1.0 if a == b else 0.0) - dot(one, direction) * dot(other, direction)) / sizes[leg]
-                if a == b and not walls[s] and (a == 0 or ball):
+                if a == b and not walls[s] and (a == 0 or is_sphere):
                     total -= dot(turn, rows[3 * s + 2]) / radius
                 table[first + a, first + b] = total
             for b in range(0 if s + 1 == many else (1 if walls[s + 1] else 2)):
@@ -174,12 +174,12 @@ def _second(walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _step(corners, i, walls, radius, ball, rows, table):  # type: ignore[no-untyped-def]
+def _step(corners, i, walls, radius, is_sphere, rows, table):  # type: ignore[no-untyped-def]
     """Move the corners of a path by a step of Newton's method; return the length of the step [m]."""
     total, wide, row = 0.0, 1e-12, 0
     for s in range(len(walls)):
         if not walls[s]:
-            wide = max(wide, math.hypot(table[row, 5], table[row + 1, 5] if ball else 0.0))
+            wide = max(wide, math.hypot(table[row, 5], table[row + 1, 5] if is_sphere else 0.0))
         row += 1 if walls[s] else 2
     share, row = min(1.0, 0.7 * radius / wide), 0
     for s in range(len(walls)):

@@ -21,7 +21,7 @@ class RoundBodies(NamedTuple):
     axes: Floats  # (b, 3, 3) rows: two across the axis, and the axis
     radii: Floats  # (b) [m]
     ends: Floats  # (b, 2) of cylinders along the axis, from the centre [m]
-    balls: Bools  # (b) whether each is a sphere
+    is_sphere: Bools  # (b) whether each is a sphere
 
 
 class PlaneMirrors(NamedTuple):
@@ -60,20 +60,20 @@ class FoldedPaths(NamedTuple):
 
 
 @lean(nogil=True, error_model="numpy")
-def gaps(origins, centres, axes, ends, balls, out):  # type: ignore[no-untyped-def]
+def gaps(origins, centres, axes, ends, is_sphere, out):  # type: ignore[no-untyped-def]
     """Write how far points (s, 3) lie from the centres of balls or axes of drums (s, m) [m]; bodies as in `unfold`."""
     for s in range(len(origins)):
         for i in range(len(centres)):
-            out[s, i] = _gap(centres[i], axes[i, 2], ends[i], balls[i], origins[s])
+            out[s, i] = _gap(centres[i], axes[i, 2], ends[i], is_sphere[i], origins[s])
 
 
 @core(nogil=True, error_model="numpy")
-def _gap(centre, axis, ends, ball, point):  # type: ignore[no-untyped-def]
+def _gap(centre, axis, ends, is_sphere, point):  # type: ignore[no-untyped-def]
     along, square = 0.0, 0.0
     for k in range(3):
         along += (point[k] - centre[k]) * axis[k]
         square += (point[k] - centre[k]) ** 2
-    if ball:
+    if is_sphere:
         return math.sqrt(square)
     beyond = along - min(max(along, ends[0]), ends[1])
     return math.sqrt(max(square - along * along, 0.0) + beyond * beyond)
@@ -105,7 +105,7 @@ def unfold(  # type: ignore[no-untyped-def]
     """
     rows, counts, loud = chains
     normals, offsets = mirrors.normals, mirrors.offsets
-    centres, axes, radii, ends, balls = bodies
+    centres, axes, radii, ends, is_sphere = bodies
     middles, turns, sizes, kinds = pairs
     gate, least = limits.gate, limits.least
     count = 0
@@ -129,20 +129,25 @@ def unfold(  # type: ignore[no-untyped-def]
             for j in range(3):
                 mirrored(n, turns[1, count, j])
         axis, last = turns[1, count, 2], middles[1, count]
-        aslant = 0.0 if balls[b] else math.sqrt(max(1 - dot(axis, axes[a, 2]) ** 2, 0.0)) * ends[b, 1]
-        one = max(_gap(centres[a], axes[a, 2], ends[a], balls[a], start) - radii[a], 1e-3)
-        two = max(_gap(centres[a], axes[a, 2], ends[a], balls[a], last) - aslant - radii[a] - radii[b], 1e-3)
-        three = max(_gap(last, axis, ends[b], balls[b], stop) - radii[b], 1e-3)
+        aslant = 0.0 if is_sphere[b] else math.sqrt(max(1 - dot(axis, axes[a, 2]) ** 2, 0.0)) * ends[b, 1]
+        one = max(_gap(centres[a], axes[a, 2], ends[a], is_sphere[a], start) - radii[a], 1e-3)
+        two = max(_gap(centres[a], axes[a, 2], ends[a], is_sphere[a], last) - aslant - radii[a] - radii[b], 1e-3)
+        three = max(_gap(last, axis, ends[b], is_sphere[b], stop) - radii[b], 1e-3)
         most = math.sqrt(radii[a] * radii[b] / (4 * one * two * three * (one + two + three)))
         if one + two + three < gate and most * counts[i] > least:
-            sizes[0, count], sizes[1, count], kinds[0, count], kinds[1, count] = radii[a], radii[b], balls[a], balls[b]
+            sizes[0, count], sizes[1, count], kinds[0, count], kinds[1, count] = (
+                radii[a],
+                radii[b],
+                is_sphere[a],
+                is_sphere[b],
+            )
             loud[count] = i
             count += 1
     return count
 
 
 @core(nogil=True, error_model="numpy")
-def _drawn(point, centre, axis, ends, ball, bend, limits, out):  # type: ignore[no-untyped-def]
+def _drawn(point, centre, axis, ends, is_sphere, bend, limits, out):  # type: ignore[no-untyped-def]
     """Move a point beyond the ends of a cylinder onto it.
 
     Returns:
@@ -153,10 +158,10 @@ def _drawn(point, centre, axis, ends, ball, bend, limits, out):  # type: ignore[
     along, most = 0.0, 1.2
     for k in range(3):
         along += (point[k] - centre[k]) * axis[k]
-    inner = along if ball else min(max(along, ends[0] + pull), ends[1] - pull)
+    inner = along if is_sphere else min(max(along, ends[0] + pull), ends[1] - pull)
     for k in range(3):
         out[k] = point[k] + (inner - along) * axis[k]
-    if not ball:
+    if not is_sphere:
         beyond = max(ends[0] - along, along - ends[1]) * math.sqrt(max(2 * bend / wavelength, 0.0))
         if beyond > 0:
             most = min(most, math.sqrt(2) / (math.pi * beyond))
@@ -191,7 +196,7 @@ def fold(  # type: ignore[no-untyped-def]
     """
     rows, counts, loud = chains
     corners, bent, lengths, spreads, bends = paths
-    middles, turns, ends, balls = pairs.centres, pairs.axes, bodies.ends, bodies.balls
+    middles, turns, ends, is_sphere = pairs.centres, pairs.axes, bodies.ends, bodies.is_sphere
     normals, offsets, widths, wavelength = mirrors.normals, mirrors.offsets, mirrors.widths, limits.wavelength
     some, values, alongs, real, faces = out
     gate, least = limits.gate, limits.least
@@ -201,8 +206,10 @@ def fold(  # type: ignore[no-untyped-def]
         n, d, value = normals[face], offsets[face], spreads[i] * counts[loud[i]]
         if value <= least or lengths[i] >= gate:
             continue
-        along, most = _drawn(corners[1, i], middles[0, i], turns[0, i, 2], ends[a], balls[a], bends[i, 0], limits, one)
-        further, more = _drawn(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], balls[b], bends[i, 1], limits,
+        along, most = _drawn(
+            corners[1, i], middles[0, i], turns[0, i, 2], ends[a], is_sphere[a], bends[i, 0], limits, one
+        )
+        further, more = _drawn(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], is_sphere[b], bends[i, 1], limits,
                                other)  # fmt: skip
         if value * most * more <= least:
             continue

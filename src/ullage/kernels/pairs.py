@@ -16,7 +16,7 @@ class BodyPairs(NamedTuple):
     centres: Floats  # (2, m, 3) [m]
     axes: Floats  # (2, m, 3, 3) rows: two across the axis, and the axis of a cylinder
     radii: Floats  # (2, m) [m]
-    balls: Bools  # (2, m) whether each is a sphere; a cylinder otherwise
+    is_sphere: Bools  # (2, m) whether each is a sphere; a cylinder otherwise
 
 
 class PairPaths(NamedTuple):
@@ -40,23 +40,23 @@ def shortest(starts, stops, bodies: BodyPairs, steps, out: PairPaths, scratch): 
         out: `PairPaths` gets the results.
         scratch: (76).
     """
-    centres, axes, radii, balls = bodies
+    centres, axes, radii, is_sphere = bodies
     corners, normals, lengths, spreads, bends = out
     rows, table = scratch[:48].reshape((16, 3)), scratch[48:].reshape((4, 7))
     for i in range(len(radii[0])):
         for k in range(3):
             corners[0, i, k], corners[3, i, k] = starts[i, k], stops[i, k]
-        _begin(corners, i, centres, axes, radii, balls, rows)
+        _begin(corners, i, centres, axes, radii, is_sphere, rows)
         far, least = math.inf, min(radii[0, i], radii[1, i])
         for _ in range(steps):
             if far < 1e-4:  # the next step would be its square
                 break
-            _shape(corners, i, centres, axes, radii, balls, rows, table)
+            _shape(corners, i, centres, axes, radii, is_sphere, rows, table)
             eliminate(table, len(table))
             far, wide = 0.0, 1e-12
             for side in range(2):  # along drums steps of any length do
                 far += table[2 * side, 4] ** 2 + table[2 * side + 1, 4] ** 2
-                wide += table[2 * side, 4] ** 2 + (table[2 * side + 1, 4] ** 2 if balls[side, i] else 0.0)
+                wide += table[2 * side, 4] ** 2 + (table[2 * side + 1, 4] ** 2 if is_sphere[side, i] else 0.0)
             far = math.sqrt(far)
             share = min(1.0, 0.7 * least / math.sqrt(wide))
             for side in range(2):
@@ -64,8 +64,8 @@ def shortest(starts, stops, bodies: BodyPairs, steps, out: PairPaths, scratch): 
                 for k in range(3):
                     step = table[2 * side, 4] * rows[4 * side, k] + table[2 * side + 1, 4] * rows[4 * side + 1, k]
                     here[k] -= share * step
-                onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
-        _shape(corners, i, centres, axes, radii, balls, rows, table)
+                onto(centres[side, i], axes[side, i, 2], radii[side, i], is_sphere[side, i], here, rows[2])
+        _shape(corners, i, centres, axes, radii, is_sphere, rows, table)
         for k in range(3):
             normals[0, i, k], normals[1, i, k] = rows[2, k], rows[6, k]
         lengths[i] = rows[15, 0] + rows[15, 1] + rows[15, 2]
@@ -80,11 +80,11 @@ def shortest(starts, stops, bodies: BodyPairs, steps, out: PairPaths, scratch): 
 
 
 @core(nogil=True, error_model="numpy")
-def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-untyped-def]
+def _begin(corners, i, centres, axes, radii, is_sphere, rows):  # type: ignore[no-untyped-def]
     """Put the middle corners of a path where each body faces both neighbours, those of drums as high as its ends."""
     for side in range(2):
         along, axis = 0.0, axes[side, i, 2]
-        if not balls[side, i]:
+        if not is_sphere[side, i]:
             for k in range(3):
                 along += (0.5 * (corners[0, i, k] + corners[3, i, k]) - centres[side, i, k]) * axis[k]
         for k in range(3):
@@ -95,11 +95,11 @@ def _begin(corners, i, centres, axes, radii, balls, rows):  # type: ignore[no-un
         unit_to(body, rows[4 - side], rows[1])
         for k in range(3):
             here[k] = body[k] + rows[0, k] + rows[1, k]
-        onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], here, rows[2])
+        onto(centres[side, i], axes[side, i, 2], radii[side, i], is_sphere[side, i], here, rows[2])
 
 
 @core(nogil=True, error_model="numpy")
-def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignore[no-untyped-def]
+def _shape(corners, i, centres, axes, radii, is_sphere, rows, table):  # type: ignore[no-untyped-def]
     """Write the second and first derivatives of a path along frames of both bodies: columns 0 to 3 and 4 of `table`.
 
     Columns 5 and 6 are made unit vectors, along the axes of both. Of `rows`, 0 and 1 get the first body's frame, 2 its
@@ -109,7 +109,7 @@ def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignor
         rows[15, leg] = unit_to(corners[leg, i], corners[leg + 1, i], rows[12 + leg])
     for side in range(2):
         f, g, normal, turn = rows[4 * side], rows[4 * side + 1], rows[4 * side + 2], rows[4 * side + 3]
-        onto(centres[side, i], axes[side, i, 2], radii[side, i], balls[side, i], corners[1 + side, i], normal)
+        onto(centres[side, i], axes[side, i, 2], radii[side, i], is_sphere[side, i], corners[1 + side, i], normal)
         for k in range(3):
             rows[8, k] = axes[side, i, 2, k] + 1e-3 * axes[side, i, 0, k]
             turn[k] = rows[12 + side, k] - rows[13 + side, k]
@@ -126,7 +126,7 @@ def _shape(corners, i, centres, axes, radii, balls, rows, table):  # type: ignor
                 for leg in range(side, side + 2):
                     direction = rows[12 + leg]
                     total += ((1.0 if a == b else 0.0) - dot(one, direction) * dot(other, direction)) / rows[15, leg]
-                if a == b and (a == 0 or balls[side, i]):
+                if a == b and (a == 0 or is_sphere[side, i]):
                     total += bent
                 table[2 * side + a, 2 * side + b] = total
     for a in range(2):

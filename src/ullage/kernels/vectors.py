@@ -43,10 +43,10 @@ def mirrored(n, vector):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def onto(centre, axis, radius, ball, point, normal):  # type: ignore[no-untyped-def]
+def onto(centre, axis, radius, is_sphere, point, normal):  # type: ignore[no-untyped-def]
     """Move a point (3) to a body's surface, cylinders without ends; write its outward normal (3) to `normal`."""
     along = 0.0
-    if not ball:
+    if not is_sphere:
         for k in range(3):
             along += (point[k] - centre[k]) * axis[k]
     for k in range(3):

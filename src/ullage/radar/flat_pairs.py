@@ -97,14 +97,14 @@ def _echoes_of(
                       np.empty((2, many), np.bool_))  # fmt: skip
     chosen = kernel.Chains(rows, counts, np.empty(many, np.int64))
     mirrors = kernel.PlaneMirrors(planar.normals, planar.offsets, planar.widths)
-    things = kernel.RoundBodies(bodies.centres, bodies.axes, bodies.radii, bodies.ends, bodies.balls)
+    things = kernel.RoundBodies(bodies.centres, bodies.axes, bodies.radii, bodies.ends, bodies.is_sphere)
     limits = kernel.Limits(gate, faint, wavelength, PULL_M)
     count = kernel.unfold(chosen, antennas.origins, mirrors, things, limits, points, pairs)
     if not count:
         return []
     loud = chosen.loud[:count]
     pairs = BodyPairs(pairs.centres[:, :count].copy(), pairs.axes[:, :count].copy(), pairs.radii[:, :count].copy(),
-                      pairs.balls[:, :count].copy())  # fmt: skip
+                      pairs.is_sphere[:, :count].copy())  # fmt: skip
     paths = shortest(points[0, :count], points[1, :count], pairs)
     out = kernel.FoldedPaths(np.empty(count, np.int64), np.empty(count), np.empty((2, count)), np.empty((5, count, 3)),
                              np.empty((3, count, 3)))  # fmt: skip
@@ -117,7 +117,7 @@ def _echoes_of(
     chains, lengths, value = rows[loud[some]], paths.length[some], full * values[:left]
     for k in range(2):
         body = chains[:, 2 + k]
-        value = value * ends_leave(bodies.ends[body], bodies.balls[body], alongs[k, :left], paths.bends[some, k],
+        value = value * ends_leave(bodies.ends[body], bodies.is_sphere[body], alongs[k, :left], paths.bends[some, k],
                                    wavelength)  # fmt: skip
     path = _real(planar, bodies, chains, corners[:, :left], normals[:, :left])
     value = value * turned(context, antennas, path)

@@ -6,19 +6,19 @@ import numpy as np
 
 from ullage.arrays import Bools, Complexes
 from ullage.kernels.facets import TrianglePieces
-from ullage.radar.ball_echoes import accumulate_balls, smoothed
 from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles, transmission_to, triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.knuckles import Knuckle
+from ullage.radar.sphere_echoes import accumulate_spheres, smoothed
 from ullage.radar.wall_bounces import PULL_M
 
 
 def accumulate_heads(
     context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
 ) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
-    """Adds the echoes of still balls, domes and knuckles to the delay grids, as `ball_echoes.accumulate_balls`."""
-    out, (small, large) = accumulate_balls(context, parts, antennas, grids)
+    """Adds the echoes of still balls, domes and knuckles to the delay grids, as `sphere_echoes.accumulate_spheres`."""
+    out, (small, large) = accumulate_spheres(context, parts, antennas, grids)
     for knuckle in context.world.knuckles:
         if knuckle.widest < context.spec.wavelength_m / 2 or not smoothed(context, knuckle.object_id):
             continue

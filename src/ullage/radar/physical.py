@@ -24,7 +24,6 @@ from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission, TrianglePieces
 from ullage.kernels.near import LEAST_M
 from ullage.radar.arcs import accumulate_arcs
-from ullage.radar.ball_bounces import accumulate_inside
 from ullage.radar.context import (
     KAPPA,
     REACH,
@@ -49,6 +48,7 @@ from ullage.radar.planar import accumulate_planar
 from ullage.radar.quadrics import Quadric
 from ullage.radar.roughness import accumulate_diffuse_scatterers
 from ullage.radar.round_pairs import accumulate_pairs
+from ullage.radar.sphere_bounces import accumulate_inside
 from ullage.radar.wall_bodies import accumulate_wall_bodies
 from ullage.radar.wall_bounces import accumulate_walls
 from ullage.radar.wire_bounces import accumulate_wire_bounces

@@ -11,13 +11,13 @@ import numpy as np
 
 from ullage.arrays import Bools, Floats, Longs
 from ullage.geometry import invert
-from ullage.radar.balls import Ball, balls_of
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
 from ullage.radar.knuckles import Knuckle, knuckles_of
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
 from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
+from ullage.radar.spheres import Sphere, spheres_of
 from ullage.world.scene import Scene
 
 
@@ -44,14 +44,14 @@ class Prepared:
         return with_caps(quadrics_of(self._smooth_surfaces), self.scene)
 
     @cached_property
-    def balls(self) -> tuple[Ball, ...]:
-        """Balls and domes that stand still."""
+    def spheres(self) -> tuple[Sphere, ...]:
+        """Spheres and domes at rest."""
         moves = [o.motion is not None for o in self.scene.objects]
-        return balls_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
+        return spheres_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
 
     @cached_property
     def knuckles(self) -> tuple[Knuckle, ...]:
-        """Knuckles of dished heads that stand still."""
+        """Knuckles of dished heads at rest, which are parts of tori."""
         moves = [o.motion is not None for o in self.scene.objects]
         walls = [wall for wall in self.quadrics if not moves[wall.object_id]]
         return knuckles_of(self._smooth_surfaces, walls, self.still) if walls else ()
@@ -87,7 +87,7 @@ class Prepared:
         out = np.zeros(len(self.scene.faces), bool)
         for wall in self.quadrics:
             out[wall.faces] = True
-        masks = [(ball.small, ball.planar) for ball in self.balls]
+        masks = [(sphere.small, sphere.planar) for sphere in self.spheres]
         for small, planar in (*masks, *((knuckle.small, knuckle.planar) for knuckle in self.knuckles)):
             out[self.still.faces[small]] = True
             out[self.still.flat_faces[planar[self.still.flat_at]]] = True

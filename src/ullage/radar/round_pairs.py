@@ -41,7 +41,7 @@ class Bodies:
     axes: Floats  # (m, 3, 3) rows: two across the axis, and the axis
     radii: Floats  # (m) [m]
     ends: Floats  # (m, 2) of drums along the axis, from the centre [m]
-    balls: Bools  # (m)
+    is_sphere: Bools  # (m)
     depths: Floats  # (m) by so much facets lie off [m]
     object_ids: Ints  # (m)
 
@@ -53,7 +53,7 @@ class Bodies:
         """How far points (m, 3) or one of them lie from the centres of balls or the axes of drums (m) [m]."""
         away = points - self.centres
         along = dot(away, self.axes[:, 2])
-        along = along - np.clip(along, self.ends[:, 0], self.ends[:, 1]) * ~self.balls
+        along = along - np.clip(along, self.ends[:, 0], self.ends[:, 1]) * ~self.is_sphere
         return np.asarray(np.sqrt(np.maximum(dot(away, away) - dot(away, self.axes[:, 2]) ** 2, 0.0) + along**2))
 
 
@@ -67,7 +67,7 @@ def bodies_of(quadrics: tuple[Quadric, ...], narrow: float) -> Bodies:
         axes=np.array([r.axes for r in quadrics]),
         radii=np.array([r.radius for r in quadrics]),
         ends=np.stack([-half, half], 1),
-        balls=np.array([r.is_sphere for r in quadrics]),
+        is_sphere=np.array([r.is_sphere for r in quadrics]),
         depths=np.array([r.depth for r in quadrics]),
         object_ids=np.array([r.object_id for r in quadrics], np.int32),
     )
@@ -94,7 +94,8 @@ def paths_over(start: Floats, stop: Floats, first: Bodies, last: Bodies) -> Path
     many = len(first.radii)
     ends = [np.array(np.broadcast_to(point, (many, 3)), float, order="C") for point in (start, stop)]
     both = kernel.BodyPairs(np.stack([first.centres, last.centres]), np.stack([first.axes, last.axes]),
-                            np.stack([first.radii, last.radii]), np.stack([first.balls, last.balls]))  # fmt: skip
+                            np.stack([first.radii, last.radii]),
+                            np.stack([first.is_sphere, last.is_sphere]))  # fmt: skip
     return shortest(ends[0], ends[1], both)
 
 
@@ -145,13 +146,13 @@ def seen_bodies(
 @lru_cache(maxsize=8)  # asked twice in a frame
 def _gaps(bodies: Bodies, antennas: AntennaPair) -> Floats:
     out = np.empty((2, len(bodies.radii)))
-    flat.gaps(antennas.origins, bodies.centres, bodies.axes, bodies.ends, bodies.balls, out)
+    flat.gaps(antennas.origins, bodies.centres, bodies.axes, bodies.ends, bodies.is_sphere, out)
     return out
 
 
 def apart(first: Bodies, last: Bodies) -> Floats:
     """How far the middles or axes of bodies lie apart at the least (m) [m]; of parallel drums as far as they do."""
-    lean = np.sqrt(np.maximum(1 - dot(first.axes[:, 2], last.axes[:, 2]) ** 2, 0.0)) * ~last.balls
+    lean = np.sqrt(np.maximum(1 - dot(first.axes[:, 2], last.axes[:, 2]) ** 2, 0.0)) * ~last.is_sphere
     return np.asarray(first.gaps(last.centres) - lean * last.ends[:, 1])
 
 
@@ -207,18 +208,18 @@ def _real(first: Bodies, last: Bodies, paths: Paths) -> Real:
 def drawn(body: Bodies, points: Floats) -> Floats:
     """Points (m, 3) on bodies, those beyond the ends of drums drawn onto them."""
     up = dot(points - body.centres, body.axes[:, 2])
-    inner = np.where(body.balls, up, np.clip(up, body.ends[:, 0] + PULL_M, body.ends[:, 1] - PULL_M))
+    inner = np.where(body.is_sphere, up, np.clip(up, body.ends[:, 0] + PULL_M, body.ends[:, 1] - PULL_M))
     return np.asarray(points + (inner - up)[:, None] * body.axes[:, 2])
 
 
 def covered(body: Bodies, points: Floats, bends: Floats, wavelength: float) -> Complexes:
     """What the ends of drums leave of waves (m) at points (m, 3), by Fresnel's integral along the axis."""
     along = dot(points - body.centres, body.axes[:, 2])
-    return ends_leave(body.ends, body.balls, along, bends, wavelength)
+    return ends_leave(body.ends, body.is_sphere, along, bends, wavelength)
 
 
-def ends_leave(ends: Floats, balls: Bools, along: Floats, bends: Floats, wavelength: float) -> Complexes:
+def ends_leave(ends: Floats, is_sphere: Bools, along: Floats, bends: Floats, wavelength: float) -> Complexes:
     """What ends (m, 2) [m] leave of waves (m) at places along the axis [m] where paths bend so; balls have none."""
     sine, cosine = fresnel((ends - along[:, None]) * np.sqrt(2 * bends / wavelength)[:, None])
     out = np.diff(cosine - 1j * sine, axis=1)[:, 0] / (1 - 1j)
-    return np.where(balls, 1.0, out)
+    return np.where(is_sphere, 1.0, out)

@@ -32,13 +32,13 @@ def pairs() -> None:
     spots, twos, long = np.zeros((2, 0, 3)), np.zeros((2, 0)), np.zeros(0, np.int64)
     chains = flat.Chains(np.zeros((0, 4), np.int64), none, long)
     mirrors = flat.PlaneMirrors(points, none, bodies.ends)
-    things = flat.RoundBodies(points, bodies.axes, none, bodies.ends, bodies.balls)
+    things = flat.RoundBodies(points, bodies.axes, none, bodies.ends, bodies.is_sphere)
     limits, both = flat.Limits(1.0, 1.0, 1.0, 1.0), BodyPairs(spots, np.zeros((2, 0, 3, 3)), twos, twos > 0)
     flat.unfold(chains, np.zeros((2, 3)), mirrors, things, limits, spots, both)
     found = PairPaths(np.zeros((4, 0, 3)), spots, none, none, twos.T.copy())
     out = flat.FoldedPaths(long, none, twos, np.zeros((5, 0, 3)), np.zeros((3, 0, 3)))
     flat.fold(chains, found, both, things, mirrors, limits, out, np.zeros((5, 3)))
-    flat.gaps(np.zeros((2, 3)), points, bodies.axes, bodies.ends, bodies.balls, twos)
+    flat.gaps(np.zeros((2, 3)), points, bodies.axes, bodies.ends, bodies.is_sphere, twos)
 
 
 def chains() -> None:

@@ -15,11 +15,11 @@ from ullage.experiments.validation import oracles
 from ullage.experiments.validation.meshes import curved_meshes, shadow_borders, slivers, turned_worlds
 from ullage.experiments.validation.rows import HERE, Row, db, gain, over, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
-from ullage.radar.ball_bounces import fan_weights
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.explain import contributions
 from ullage.radar.multipath import image_lengths
 from ullage.radar.physical import echoes, path_gain_cw
+from ullage.radar.sphere_bounces import fan_weights
 from ullage.radar.wall_bodies import accumulate_wall_bodies
 from ullage.radar.wall_bounces import fan_of
 from ullage.specs import RadarSpec

@@ -1,7 +1,7 @@
-"""Balls and domes in a mesh: facets whose corners lie on one sphere, and the round openings that they leave in it.
+"""Find spheres and domes in a mesh, with the circular openings in them.
 
-Each comes as flat triangles or quadrangles. All of them together stand for the sphere through their corners, less a
-round cap wherever a rim runs: a tank for gas, the heads of a vessel, a bowl. What they echo is told by `ball_echoes`.
+A mesh describes a gas tank, the head of a vessel or a bowl by flat triangles or quadrangles. Facets whose corners lie
+on one sphere are replaced by that sphere, less a cap at each circular rim. `sphere_echoes` computes the echoes.
 """
 
 from __future__ import annotations
@@ -19,41 +19,39 @@ from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, con
 from ullage.radar.solids import welded
 
 _FEWEST = 16  # triangles
-_DEEP = 0.05  # by more than this share of their radius facets do not lie within a ball
-_WHOLE = 0.01  # facets must fill all that the rims leave of the ball, to this share of it
+_DEEP = 0.05  # largest depth of facets inside the sphere, as a share of its radius
+_WHOLE = 0.01  # facets must fill the sphere less its openings, to this share of it
 _SEEDS = 12  # facets of a surface from which domes are grown
-_PATCH = 2.0  # of a facet's longest side lie the middles of those from which one is begun
-_TRUE_M = 5e-4  # so far corners of a dome that is grown lie off it at the most [m]
+_PATCH = 2.0  # a dome starts from facets whose middles lie within this many longest sides of the seed facet
+_TRUE_M = 5e-4  # largest distance of the corners of a grown dome from its sphere [m]
 _WIDE_M = 1.0  # smaller surfaces are no vessels, and are not searched for domes
-_INNER = 4  # corners off rims
-_LEAST_SHARE = 0.02  # of a whole ball: less tells no radius
+_INNER = 4  # least number of corners off the rims
+_LEAST_SHARE = 0.02  # least share of a whole sphere: a smaller part does not determine the radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ball:
-    """A sphere, or what round openings leave of it."""
+class Sphere:
+    """A sphere, whole or with circular openings."""
 
     centre: Floats  # (3) [m]
     radius: float  # through the facets' corners [m]
-    depth: float  # by so much their middles lie nearer to the centre [m]
+    depth: float  # distance of the facets' middles inside the sphere [m]
     widest: float  # smallest side of the widest facet [m]
     object_id: int  # object
     caps: Floats  # (k, 4) openings: unit vector from the centre, and how far out along it each begins [m]
-    planar: Bools = field(
-        default_factory=lambda: np.zeros(0, bool)
-    )  # (p) which flat faces of what stands still are its
-    small: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (f) and which small triangles
+    planar: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (p) flat faces at rest that the sphere replaces
+    small: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (f) small triangles at rest, likewise
 
     def holds(self, points: Floats) -> Bools:
-        """Which points (..., 3) on the sphere, seen from its centre [m], lie in no opening."""
+        """Return which points (..., 3) on the sphere, relative to its centre [m], lie in no opening."""
         return np.asarray((points @ self.caps[:, :3].T <= self.caps[:, 3] + OFF_M).all(-1))
 
 
-def balls_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Ball, ...]:
-    """The balls and domes among smooth surfaces that stand still, and which faces each is made of."""
-    found: list[Ball] = []
+def spheres_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Sphere, ...]:
+    """Find the spheres and domes among smooth surfaces at rest, and the faces that each replaces."""
+    found: list[Sphere] = []
     for surface in surfaces:
-        whole = _fitted(surface)
+        whole = _fit_whole(surface)
         if whole is not None:
             found.append(whole)
         if whole is not None or np.linalg.norm(np.ptp(surface.corners.reshape(-1, 3), axis=0)) < _WIDE_M:
@@ -61,27 +59,27 @@ def balls_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Ball, 
         level = along_axis(surface.normals, surface.area)
         if level.all():
             continue
-        closing = [ball for part in _leftovers(surface, level) if (ball := _fitted(part)) is not None]
-        found += closing or _crowns(surface)
-    return tuple(_claimed(ball, still) for ball in found)
+        closing = [sphere for part in _end_caps(surface, level) if (sphere := _fit_whole(part)) is not None]
+        found += closing or _grow_domes(surface)
+    return tuple(_with_faces(sphere, still) for sphere in found)
 
 
-def _leftovers(surface: SmoothSurface, level: Bools) -> list[SmoothSurface]:
-    """What closes a cylinder smoothly: parts of a surface that are left when facets along its axis (n) are taken."""
+def _end_caps(surface: SmoothSurface, level: Bools) -> list[SmoothSurface]:
+    """Return the parts of a surface that close a cylinder smoothly: those without the facets along the axis (n)."""
     if not level.any():
         return []
     rest_of = surface.take(np.flatnonzero(~level))
     return [rest_of.take(mine) for mine in connected_parts(rest_of) if len(mine) >= _FEWEST]
 
 
-def _crowns(surface: SmoothSurface) -> list[Ball]:
-    """Domes that go over into something else as smoothly as into themselves, grown from some of the facets."""
+def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
+    """Grow domes from some of the facets, where a dome continues smoothly into another surface."""
     middles, sides = surface.corners.mean(1), np.linalg.norm(surface.corners - surface.corners[:, [1, 2, 0]], axis=2)
     found, open_ = [], np.ones(len(middles), bool)
     for seed in np.linspace(0, len(middles) - 1, _SEEDS).astype(np.int64):
         mine = np.flatnonzero(np.linalg.norm(middles - middles[seed], axis=1) < _PATCH * sides[seed].max())
-        for _ in range(2):  # what the first few tell, and what all of those tell
-            centre, radius, off = _sphere(surface.corners[mine].reshape(-1, 3))
+        for _ in range(2):  # fit the first few facets, then all facets near that sphere
+            centre, radius, off = _fit_sphere(surface.corners[mine].reshape(-1, 3))
             if not open_[seed] or off > _TRUE_M:
                 break
             on = (abs(np.linalg.norm(surface.corners - centre, axis=2) - radius) < _TRUE_M).all(1) & open_
@@ -91,24 +89,24 @@ def _crowns(surface: SmoothSurface) -> list[Ball]:
             mine = next((mine[part] for part in connected_parts(surface.take(mine)) if seed in mine[part]), mine[:0])
         else:
             open_[mine] = False
-            ball = _fitted(surface.take(mine)) if len(mine) >= _FEWEST else None
-            found += [ball] if ball is not None else []
+            sphere = _fit_whole(surface.take(mine)) if len(mine) >= _FEWEST else None
+            found += [sphere] if sphere is not None else []
     return found
 
 
-def _sphere(points: Floats) -> tuple[Floats, float, float]:
-    """Centre and radius of the sphere through points (n, 3), and how far they lie off it at the most [m]."""
+def _fit_sphere(points: Floats) -> tuple[Floats, float, float]:
+    """Fit a sphere to points (n, 3): centre, radius and largest spread of the distances [m]."""
     middle = points.mean(0)
-    told = np.column_stack([2 * (points - middle), np.ones(len(points))])
-    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(told, ((points - middle) ** 2).sum(1), rcond=1e-9)
+    equations = np.column_stack([2 * (points - middle), np.ones(len(points))])
+    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(equations, ((points - middle) ** 2).sum(1), rcond=1e-9)
     centre = middle + np.array([x, y, z])
     away = np.linalg.norm(points - centre, axis=1)
     return centre, float(away.mean()), float(np.ptp(away)) if rank == 4 else np.inf
 
 
-def _fitted(surface: SmoothSurface) -> Ball | None:
-    """The ball or dome that a surface is, if it is one."""
-    centre, radius, off = _sphere(surface.corners.reshape(-1, 3))
+def _fit_whole(surface: SmoothSurface) -> Sphere | None:
+    """Fit a sphere or dome to a whole surface, if it is one."""
+    centre, radius, off = _fit_sphere(surface.corners.reshape(-1, 3))
     if off > 2 * OFF_M or radius < LEAST_M:
         return None
     local = surface.corners - centre
@@ -121,13 +119,14 @@ def _fitted(surface: SmoothSurface) -> Ball | None:
     filled = _solid_angles(local).sum() / (4 * np.pi)
     if share < _LEAST_SHARE or abs(filled - share) > _WHOLE * share:
         return None
-    return Ball(centre, radius, depth, float(sides.min(1).max()), surface.object_id, caps)
+    return Sphere(centre, radius, depth, float(sides.min(1).max()), surface.object_id, caps)
 
 
 def _openings(local: Floats) -> Floats | None:
-    """Caps (k, 4) that the rims of triangles (n, 3, 3) about the origin cut off.
+    """Find the caps (k, 4) that the rims of triangles (n, 3, 3) around the origin cut off.
 
-    None where a rim is no circle, or where hardly a corner lies off rims: those of drums and cones lie on balls, too.
+    Returns None where a rim is no circle, or where nearly all corners lie on rims: rims of drums and cones also lie on
+    spheres.
     """
     tri = welded(local)
     edge = np.sort(np.stack([tri, np.roll(tri, -1, 1)], -1), -1).reshape(-1, 2)
@@ -154,27 +153,27 @@ def _openings(local: Floats) -> Floats | None:
 
 
 def _solid_angles(local: Floats) -> Floats:
-    """What triangles (n, 3, 3) fill of the sphere about the origin [sr] (van Oosterom and Strackee's tangent)."""
+    """Compute the solid angles of triangles (n, 3, 3) at the origin [sr] by van Oosterom and Strackee's formula."""
     a, b, c = (unit / np.linalg.norm(unit, axis=1, keepdims=True) for unit in np.moveaxis(local, 1, 0))
     triple = abs(np.einsum("ni,ni->n", a, np.cross(b, c)))
     ab, bc, ca = ((one * other).sum(1) for one, other in ((a, b), (b, c), (c, a)))
     return np.asarray(2 * np.arctan2(triple, 1 + ab + bc + ca))
 
 
-def _claimed(ball: Ball, still: Surfaces) -> Ball:
-    """The ball with the flat faces and small triangles of what stands still that lie on it."""
-    planar, least = still.planar, ball.radius - ball.depth - OFF_M
-    small = _on(ball, still.corners).all(1) & (still.object_ids == ball.object_id)
-    small &= abs(np.einsum("ni,ni->n", still.normals, still.corners[:, 0] - ball.centre)) > least
-    small &= ball.holds(still.corners.mean(1) - ball.centre)
+def _with_faces(sphere: Sphere, still: Surfaces) -> Sphere:
+    """Return the sphere with the flat faces and small triangles at rest that lie on it."""
+    planar, least = still.planar, sphere.radius - sphere.depth - OFF_M
+    small = _lie_on(sphere, still.corners).all(1) & (still.object_ids == sphere.object_id)
+    small &= abs(np.einsum("ni,ni->n", still.normals, still.corners[:, 0] - sphere.centre)) > least
+    small &= sphere.holds(still.corners.mean(1) - sphere.centre)
     if not len(planar):
-        return replace(ball, planar=np.zeros(0, bool), small=small)
+        return replace(sphere, planar=np.zeros(0, bool), small=small)
     begin = planar.first[:-1]
-    large = np.logical_and.reduceat(_on(ball, planar.starts), begin) & (planar.object_ids == ball.object_id)
-    large &= abs(planar.normals @ ball.centre - planar.offsets) > least
+    large = np.logical_and.reduceat(_lie_on(sphere, planar.starts), begin) & (planar.object_ids == sphere.object_id)
+    large &= abs(planar.normals @ sphere.centre - planar.offsets) > least
     middles = np.add.reduceat(planar.starts, begin) / np.diff(planar.first)[:, None]
-    return replace(ball, planar=large & ball.holds(middles - ball.centre), small=small)
+    return replace(sphere, planar=large & sphere.holds(middles - sphere.centre), small=small)
 
 
-def _on(ball: Ball, points: Floats) -> Bools:
-    return np.asarray(abs(np.linalg.norm(points - ball.centre, axis=-1) - ball.radius) < 2 * OFF_M)
+def _lie_on(sphere: Sphere, points: Floats) -> Bools:
+    return np.asarray(abs(np.linalg.norm(points - sphere.centre, axis=-1) - sphere.radius) < 2 * OFF_M)

@@ -10,7 +10,7 @@ import pytest
 import ullage as ul
 from ullage.experiments.validation import oracles
 from ullage.experiments.validation.validate import ball_heard
-from ullage.radar import ball_bounces, physical
+from ullage.radar import physical, sphere_bounces
 from ullage.world.scene import Scene
 
 SPEC = ul.RadarSpec.preset("x4m05").but(antenna={"kind": "isotropic"})
@@ -29,7 +29,7 @@ def inside(scene: Scene, place: tuple[float, float, float], spec: ul.RadarSpec =
     context = physical.radar_context(scene, spec)
     antennas = physical.antenna_pair(spec, np.array(place), np.eye(3))
     grids = np.zeros((3, context.places), complex)
-    echoes = ball_bounces.accumulate_inside(context, context.world.parts(None), antennas, bounces, grids)
+    echoes = sphere_bounces.accumulate_inside(context, context.world.parts(None), antennas, bounces, grids)
     return sum((part.echo.sum() for part in echoes), 0j)
 
 

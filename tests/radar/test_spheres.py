@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import C0, rpy_quat
-from ullage.radar import ball_echoes, physical
+from ullage.radar import physical, sphere_echoes
 from ullage.radar.explain import explain
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
@@ -82,18 +82,21 @@ def test_between_its_near_wall_and_its_far_one_a_ball_is_silent():
 
 def test_which_surfaces_are_balls():
     def of(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[float, int, bool]]:
-        found = prepare(Scene.of_mesh(vertices, faces, name="thing", made_of="pec")).balls
-        return [(round(ball.radius, 6), len(ball.caps), bool(ball.planar.any() or ball.small.any())) for ball in found]
+        found = prepare(Scene.of_mesh(vertices, faces, name="thing", made_of="pec")).spheres
+        return [
+            (round(sphere.radius, 6), len(sphere.caps), bool(sphere.planar.any() or sphere.small.any()))
+            for sphere in found
+        ]
 
-    ball = shapes.sphere(1.0, edge_m=0.2)
-    assert of(*ball) == [(1.0, 0, True)]
+    sphere = shapes.sphere(1.0, edge_m=0.2)
+    assert of(*sphere) == [(1.0, 0, True)]
     assert of(*shapes.capsule(0.7, 1.5, segment_m=0.1)) == [(0.7, 1, True)] * 2
     assert of(*shapes.cylinder(0.7, 1.5, segment_m=0.1)) == []
     assert of(*shapes.cylinder(2.0, 0.8, segment_m=0.1)) == []  # its rims lie on a ball
     assert of(*shapes.cone(2.0, 0.2, segment_m=0.1)) == []
     assert of(*shapes.ellipsoid((1.0, 1.0, 0.9), edge_m=0.1)) == []
-    torn = np.delete(ball[1], np.arange(0, len(ball[1]), 50), 0)  # holes of all kinds: facets stay facets
-    assert of(ball[0], torn) == []
+    torn = np.delete(sphere[1], np.arange(0, len(sphere[1]), 50), 0)  # holes of all kinds: facets stay facets
+    assert of(sphere[0], torn) == []
 
 
 def test_where_a_head_goes_over_into_its_wall_there_is_no_edge():
@@ -125,8 +128,8 @@ def vessel(radius: float, crown: float, knuckle: float, around: int = 64) -> tup
 def test_the_crowns_of_dished_heads_are_found_and_the_wall_between_them():
     world = prepare(Scene.of_mesh(*vessel(1.5, 3.0, 0.3), name="vessel", made_of="pec"))
     outline = 3.0 * np.cos(np.arcsin(1.2 / 2.7))
-    assert [ball.radius for ball in world.balls] == pytest.approx([3.0, 3.0])
-    assert [ball.caps[0, 3] for ball in world.balls] == pytest.approx([-outline, -outline])
+    assert [sphere.radius for sphere in world.spheres] == pytest.approx([3.0, 3.0])
+    assert [sphere.caps[0, 3] for sphere in world.spheres] == pytest.approx([-outline, -outline])
     (wall,) = world.quadrics
     assert (wall.radius, wall.high - wall.low) == pytest.approx((1.5, 2.0))
 
@@ -134,7 +137,7 @@ def test_the_crowns_of_dished_heads_are_found_and_the_wall_between_them():
 def test_all_facets_of_a_ball_are_done_and_no_others():
     capsule = Scene.of_mesh(*shapes.capsule(0.7, 1.5, segment_m=0.1), name="tank", made_of="pec")
     world = prepare(capsule)
-    still, heads = world.still, world.balls
+    still, heads = world.still, world.spheres
     middles = still.planar.spheres[:, :3]
     assert np.array_equal(heads[0].planar | heads[1].planar, abs(middles[:, 2]) > 0.75)
     assert np.array_equal(heads[0].small | heads[1].small, abs(still.corners.mean(1)[:, 2]) > 0.75)
@@ -142,12 +145,12 @@ def test_all_facets_of_a_ball_are_done_and_no_others():
 
 
 def test_what_stands_before_a_ball_hides_it():
-    ball, box = ul.scenes.sphere(1.0, 0.0, edge_m=0.15), ul.scenes.sphere(0.3, 0.0, edge_m=0.02)
+    sphere, box = ul.scenes.sphere(1.0, 0.0, edge_m=0.15), ul.scenes.sphere(0.3, 0.0, edge_m=0.02)
     path = ul.Trajectory.stationary((0.0, 0.0, 0.0), n=1)
-    context = physical.radar_context(Scene.union([ball, box]), SPEC)
+    context = physical.radar_context(Scene.union([sphere, box]), SPEC)
     antennas = physical.antenna_pair(SPEC, path.position[0], np.eye(3))
     assert (
-        ball_echoes.accumulate_balls(
+        sphere_echoes.accumulate_spheres(
             context, context.world.parts(None), antennas, np.zeros((3, context.places), complex)
         )[0]
         == []
