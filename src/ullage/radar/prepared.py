@@ -13,11 +13,11 @@ from ullage.arrays import Bools, Floats, Longs
 from ullage.geometry import invert
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
-from ullage.radar.knuckles import Knuckle, knuckles_of
 from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
 from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
 from ullage.radar.spheres import Sphere, spheres_of
+from ullage.radar.tori import Torus, tori_of
 from ullage.world.scene import Scene
 
 
@@ -50,11 +50,11 @@ class Prepared:
         return spheres_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
 
     @cached_property
-    def knuckles(self) -> tuple[Knuckle, ...]:
+    def tori(self) -> tuple[Torus, ...]:
         """Knuckles of dished heads at rest, which are parts of tori."""
         moves = [o.motion is not None for o in self.scene.objects]
         walls = [wall for wall in self.quadrics if not moves[wall.object_id]]
-        return knuckles_of(self._smooth_surfaces, walls, self.still) if walls else ()
+        return tori_of(self._smooth_surfaces, walls, self.still) if walls else ()
 
     def patches(self, wavelength_m: float, widest_m: float, poses: Floats | None = None) -> list[Patches | None]:
         """Return the curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None: none exist.
@@ -88,7 +88,7 @@ class Prepared:
         for wall in self.quadrics:
             out[wall.faces] = True
         masks = [(sphere.small, sphere.planar) for sphere in self.spheres]
-        for small, planar in (*masks, *((knuckle.small, knuckle.planar) for knuckle in self.knuckles)):
+        for small, planar in (*masks, *((torus.small, torus.planar) for torus in self.tori)):
             out[self.still.faces[small]] = True
             out[self.still.flat_faces[planar[self.still.flat_at]]] = True
         return out

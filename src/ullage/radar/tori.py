@@ -1,8 +1,7 @@
-"""Knuckles of dished heads: facets on the torus by which a round wall goes over into a crown.
+"""Find the knuckles of dished heads: facets on the torus that joins a cylindrical wall to a crown.
 
-A knuckle bends both ways, and of its coarse facets each echoes as a mirror of its own. Where facets lie on one torus
-about the axis of a round wall, as smooth to it as a knuckle is, triangles through that torus echo in their place,
-small enough to be the torus themselves.
+A knuckle is curved in both directions, and each of its coarse facets would echo as a mirror. Where facets lie on one
+torus around the axis of a cylinder, tangent to its wall, finer triangles on that torus echo in their place.
 """
 
 from __future__ import annotations
@@ -19,66 +18,66 @@ from ullage.radar.quadrics import OFF_M, Quadric, SmoothSurface
 from ullage.radar.solids import Backs
 
 EDGE_M = 0.03
-"""Triangles that stand for a torus are no longer than this [m]."""
-_TRUE_M = 5e-4  # so far corners of a knuckle lie off its torus at the most [m]
-_LEAST_M = 0.03  # tubes of less are edges
-_WHOLE = 0.95  # of the wall's radius: a tube as wide as this is a ball
+"""Longest edge of the triangles that represent a torus [m]."""
+_TRUE_M = 5e-4  # largest distance of a knuckle's corners from its torus [m]
+_LEAST_M = 0.03  # least radius of a tube [m]: a smaller one is an edge
+_WHOLE = 0.95  # largest radius of a tube, as a share of the wall's: a wider one is a sphere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Knuckle:
-    """A torus that a round wall goes over into, and the facets that it stands in for."""
+class Torus:
+    """A torus tangent to a cylindrical wall, and the facets that it replaces."""
 
     fine: Surfaces  # the torus, in small triangles
-    depth: float  # facets lie so far off it [m]
+    depth: float  # largest distance of facets from it [m]
     widest: float  # smallest side of the widest facet [m]
     object_id: int  # object
-    planar: Bools  # (p) which flat faces of what stands still are its
-    small: Bools  # (f) and which small triangles
+    planar: Bools  # (p) flat faces at rest that it replaces
+    small: Bools  # (f) small triangles at rest, likewise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tube:
-    """A torus about the axis of a wall, beyond one of its ends."""
+    """Dimensions of a torus around the axis of a wall, past one of its ends."""
 
     wall: Quadric
-    end: float  # where it begins along the axis, from the wall's centre [m]
+    end: float  # start of the torus along the axis, from the wall's centre [m]
     side: int  # 1 where the wall ends above, -1 below
     radius: float  # of the tube [m]
 
     def about(self, points: Floats) -> tuple[Floats, Floats]:
-        """Points (..., 3) in the plane that they share with the axis: from the tube's middle out, and along [m]."""
+        """Return coordinates of points (..., 3) from the middle of the tube: radially out, and along the axis [m]."""
         x, y, z = np.moveaxis(self.wall.local(points), -1, 0)
         return np.hypot(x, y) - self.wall.radius + self.radius, self.side * (z - self.end)
 
     def holds(self, points: Floats) -> Bools:
-        """Which points (..., 3) lie on the outer quarter of the tube."""
+        """Return which points (..., 3) lie on the outer quarter of the tube."""
         out, along = self.about(points)
         near = abs(np.hypot(out, along) - self.radius) < _TRUE_M
         return np.asarray(near & (out > -_TRUE_M) & (along > -OFF_M))
 
     def angles(self, points: Floats) -> tuple[Floats, Floats]:
-        """Angles around the tube, and around the axis from the first of every three points (n, 3, 3) [rad]."""
+        """Return angles around the tube, and around the axis from the first of every three points (n, 3, 3) [rad]."""
         out, along = self.about(points)
         x, y, _ = np.moveaxis(self.wall.local(points), -1, 0)
         turn = np.arctan2(y, x)
         return np.arctan2(along, out), turn[:, :1] + (turn - turn[:, :1] + np.pi) % (2 * np.pi) - np.pi
 
     def points(self, around: Floats, turn: Floats) -> Floats:
-        """The points (..., 3) at these angles [m]."""
+        """Return the points (..., 3) at these angles [m]."""
         away = self.wall.radius - self.radius + self.radius * np.cos(around)
         along = self.end + self.side * self.radius * np.sin(around)
         local = np.stack([away * np.cos(turn), away * np.sin(turn), along], -1)
         return np.asarray(self.wall.centre + local @ self.wall.axes)
 
 
-def knuckles_of(surfaces: Sequence[SmoothSurface], walls: Sequence[Quadric], still: Surfaces) -> tuple[Knuckle, ...]:
-    """The knuckles among smooth surfaces that stand still, beside round walls."""
+def tori_of(surfaces: Sequence[SmoothSurface], walls: Sequence[Quadric], still: Surfaces) -> tuple[Torus, ...]:
+    """Find the tori among smooth surfaces at rest, next to cylindrical walls."""
     low, high = (np.array([of(s.corners, axis=(0, 1)) for s in surfaces]).reshape(-1, 3) for of in (np.min, np.max))
     object_ids, found = np.array([surface.object_id for surface in surfaces]), []
     for wall in walls:
         for end, side in () if wall.is_sphere else ((wall.low, -1), (wall.high, 1)):
-            # all of a tube lies so near to the middle of the wall's end
+            # every point of a tube lies within this reach of the middle of the wall's end
             middle, reach = wall.centre + end * wall.axes[2], np.sqrt(2) * wall.radius + OFF_M
             apart = np.maximum(np.maximum(low - middle, middle - high), 0.0)
             mine = np.flatnonzero((object_ids == wall.object_id) & (np.linalg.norm(apart, axis=1) < reach)).tolist()
@@ -88,14 +87,14 @@ def knuckles_of(surfaces: Sequence[SmoothSurface], walls: Sequence[Quadric], sti
                                              for row in ("corners", "normals", "area", "faces"))  # fmt: skip
             whole = SmoothSurface(
                 corners, normals, area, wall.object_id, faces
-            )  # knuckles of few facets bend enough to come apart
-            tube = _tube(whole, wall, end, side)
-            found += [] if tube is None else [_knuckle(whole, tube, still)]
+            )  # a coarse knuckle splits into several smooth surfaces
+            tube = _fit_tube(whole, wall, end, side)
+            found += [] if tube is None else [_torus(whole, tube, still)]
     return tuple(found)
 
 
-def _tube(surface: SmoothSurface, wall: Quadric, end: float, side: int) -> Tube | None:
-    """The tube by which a surface goes on from the end of a wall, as smooth as a tangent, if it does."""
+def _fit_tube(surface: SmoothSurface, wall: Quadric, end: float, side: int) -> Tube | None:
+    """Fit the tube by which a surface continues from the end of a wall without a bend, if it does."""
     x, y, z = np.moveaxis(wall.local(surface.corners), 2, 0)
     inward, along = wall.radius - np.hypot(x, y), side * (z - end)
     outline = (abs(inward) < OFF_M) & (abs(along) < OFF_M)
@@ -108,11 +107,11 @@ def _tube(surface: SmoothSurface, wall: Quadric, end: float, side: int) -> Tube 
     if not _LEAST_M < radius < _WHOLE * wall.radius:
         return None
     tube = Tube(wall, end, side, radius)
-    return tube if _on(surface, tube).any() else None
+    return tube if _lie_on(surface, tube).any() else None
 
 
-def _on(surface: SmoothSurface, tube: Tube) -> Bools:
-    """Which triangles (n) of a surface lie on a tube."""
+def _lie_on(surface: SmoothSurface, tube: Tube) -> Bools:
+    """Return which triangles (n) of a surface lie on a tube."""
     out, along = tube.about(surface.corners.mean(1))
     size = np.maximum(np.hypot(out, along), 1e-9)
     x, y, z = tube.wall.local(surface.normals + tube.wall.centre).T
@@ -122,40 +121,40 @@ def _on(surface: SmoothSurface, tube: Tube) -> Bools:
     return np.asarray(tube.holds(surface.corners).all(1) & level)
 
 
-def _knuckle(surface: SmoothSurface, tube: Tube, still: Surfaces) -> Knuckle:
-    mine = np.flatnonzero(_on(surface, tube))
+def _torus(surface: SmoothSurface, tube: Tube, still: Surfaces) -> Torus:
+    mine = np.flatnonzero(_lie_on(surface, tube))
     corners, parent = _refined(surface.corners[mine], tube)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
     kept = area > 1e-12
     corners, parent, normals = corners[kept], parent[kept], cross[kept] / area[kept, None]
-    told = surface.corners[mine], surface.normals[mine]
-    depth = abs(np.einsum("nki,ni->nk", corners - told[0][parent, :1], told[1][parent])).max()
+    facets = surface.corners[mine], surface.normals[mine]
+    depth = abs(np.einsum("nki,ni->nk", corners - facets[0][parent, :1], facets[1][parent])).max()
     object_ids = np.full(len(corners), surface.object_id, np.int32)
-    sides = np.linalg.norm(told[0] - np.roll(told[0], 1, 1), axis=2)
-    planar, small = _taken(still, tube, surface.object_id)
-    fine, _ = strewn(corners, normals, object_ids, _backs(told[0].mean(1), still, parent, corners, normals), still)
-    return Knuckle(fine, float(depth), float(sides.min(1).max()), surface.object_id, planar, small)
+    sides = np.linalg.norm(facets[0] - np.roll(facets[0], 1, 1), axis=2)
+    planar, small = _faces_on(still, tube, surface.object_id)
+    fine, _ = strewn(corners, normals, object_ids, _backs(facets[0].mean(1), still, parent, corners, normals), still)
+    return Torus(fine, float(depth), float(sides.min(1).max()), surface.object_id, planar, small)
 
 
 def _refined(corners: Floats, tube: Tube) -> tuple[Floats, Longs]:
-    """Triangles (m, 3, 3) on the tube in place of some (n, 3, 3), cut evenly in its angles; which each is of."""
+    """Cut triangles (n, 3, 3) into finer ones (m, 3, 3) on the tube, evenly in its angles; return each one's parent."""
     angles = np.stack(tube.angles(corners), -1)
     count = np.ceil(np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2).max(1) / EDGE_M).astype(np.int64)
     cut, of = [], []
     for many in np.unique(count):
         mine = np.flatnonzero(count == many)
         pieces = _pieces(int(many))
-        told = np.einsum("pcb,nba->npca", pieces, angles[mine]).reshape(-1, 3, 2)
-        points, halves = tube.points(told[..., 0], told[..., 1]), (told + np.roll(told, 1, 1)) / 2
+        turned = np.einsum("pcb,nba->npca", pieces, angles[mine]).reshape(-1, 3, 2)
+        points, halves = tube.points(turned[..., 0], turned[..., 1]), (turned + np.roll(turned, 1, 1)) / 2
         rise = tube.points(halves[..., 0], halves[..., 1]) - (points + np.roll(points, 1, 1)) / 2
-        cut.append(points + rise.mean(1, keepdims=True))  # on the torus in the mean, as a parabola has it
+        cut.append(points + rise.mean(1, keepdims=True))  # on the torus in the mean
         of.append(np.repeat(mine, len(pieces)))
     return np.concatenate(cut), np.concatenate(of)
 
 
 def _pieces(many: int) -> Floats:
-    """Triangles (p, 3, 3) that a triangle is cut into, with so many along each side, by shares of its corners."""
+    """Cut a triangle into (p, 3, 3) with `many` along each side, in barycentric coordinates."""
     i, j = (row.ravel() for row in np.meshgrid(np.arange(many), np.arange(many), indexing="ij"))
     up, down = i + j < many, i + j < many - 1
     one = np.stack([np.stack([i, j], 1), np.stack([i + 1, j], 1), np.stack([i, j + 1], 1)], 1)[up]
@@ -164,8 +163,8 @@ def _pieces(many: int) -> Floats:
     return np.concatenate([1 - share.sum(2, keepdims=True), share], 2)
 
 
-def _taken(still: Surfaces, tube: Tube, object_id: int) -> tuple[Bools, Bools]:
-    """Which flat faces (p) and small triangles (f) of what stands still lie on a tube."""
+def _faces_on(still: Surfaces, tube: Tube, object_id: int) -> tuple[Bools, Bools]:
+    """Return which flat faces (p) and small triangles (f) at rest lie on a tube."""
     planar: PlanarPatches = still.planar
     small = tube.holds(still.corners).all(1) & (still.object_ids == object_id)
     large = np.zeros(len(planar), bool)
@@ -175,7 +174,7 @@ def _taken(still: Surfaces, tube: Tube, object_id: int) -> tuple[Bools, Bools]:
 
 
 def _backs(middles: Floats, still: Surfaces, parent: Longs, corners: Floats, normals: Floats) -> Backs:
-    """Outer sides of triangles (m, 3, 3), each turned as the face whose middle (n, 3) lies nearest to its parent's."""
+    """Find the outer sides of triangles (m, 3, 3) from the faces nearest to their parents' middles (n, 3)."""
     planar = still.planar
     centres = np.concatenate([still.corners.mean(1), planar.spheres[:, :3]])
     sides = np.concatenate([still.backs.outward, still.flat_backs.outward])

@@ -62,7 +62,7 @@ def test_a_knuckle_is_all_of_its_torus_and_nothing_else():
     scene = vessel(0.15)
     world = prepare(scene)
     assert len(world.spheres) == 2
-    one, other = world.knuckles
+    one, other = world.tori
     middles = np.concatenate([world.still.planar.spheres[:, :3], world.still.corners.mean(1)])
     out, up = np.hypot(*middles.T[:2]), abs(middles[:, 2])
     bent = (up > HALF + 1e-3) & (out > CROWN * np.sin(LEAN) - 1e-3)
@@ -91,7 +91,7 @@ def test_other_ends_are_no_knuckles(shape):
         "cone": lambda: shapes.cone(0.7, 1.0, segment_m=0.1),
         "ellipsoid": lambda: shapes.ellipsoid((1.0, 1.0, 0.7), edge_m=0.1),
     }[shape]()
-    assert prepare(Scene.of_mesh(*mesh, name="thing", made_of="pec")).knuckles == ()
+    assert prepare(Scene.of_mesh(*mesh, name="thing", made_of="pec")).tori == ()
 
 
 def test_walls_are_searched_for_caps_and_knuckles_near_their_own_ends(monkeypatch):
@@ -107,7 +107,7 @@ def test_walls_are_searched_for_caps_and_knuckles_near_their_own_ends(monkeypatc
         world = prepare(Scene.of_mesh(mesh.vertices, mesh.faces.astype(np.int32), name="pipes"))
         assert len(world.quadrics) == count
         assert all((wall.caps == 1).all() for wall in world.quadrics)
-        assert world.knuckles == ()
+        assert world.tori == ()
         return sum(asked[start:])
 
     assert points(12) < 2.5 * points(6)
