@@ -1,9 +1,9 @@
 """Curved surfaces of any shape: point-normal triangles in place of coarse facets.
 
 A facet that samples a curved surface lies off it by its sagitta, and the error of phase repeats from facet to facet:
-the mesh echoes as a grating. Where no closed form stands for a surface (`spheres`, `arcs`, `tori`), cubic patches
-through its corners and normals [VlachosEtAl2001] take its place, cut until flat pieces follow them within `SHARE` of a
-wave. The pieces echo by physical optics as all small triangles do (`patch_echoes`).
+the mesh echoes as a grating. Where no closed form stands for a surface (`spheres`, `cylinder_correction`, `tori`),
+cubic patches through its corners and normals [VlachosEtAl2001] take its place, cut until flat pieces follow them within
+`SHARE` of a wave. The pieces echo by physical optics as all small triangles do (`patch_echoes`).
 """
 
 from __future__ import annotations

@@ -23,7 +23,6 @@ from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission, TrianglePieces
 from ullage.kernels.near import LEAST_M
-from ullage.radar.arcs import accumulate_arcs
 from ullage.radar.context import (
     KAPPA,
     REACH,
@@ -37,6 +36,7 @@ from ullage.radar.context import (
     triangles,
 )
 from ullage.radar.curves import accumulate_curves
+from ullage.radar.cylinder_correction import accumulate_cylinder_corrections
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.edge_diffraction import accumulate_edges
 from ullage.radar.facets import PlanarPatches, Surfaces, joined
@@ -114,10 +114,10 @@ def accumulate(
         if len(part.corners):
             out.append(_accumulate_small(context, parts, part, antennas, grids, small))
         out += accumulate_planar(context, parts, part, antennas, grids, large)
-    quadrics, arcs = context.world.quadrics_at(poses), []
+    quadrics, corrections = context.world.quadrics_at(poses), []
     if quadrics:
-        arcs = accumulate_arcs(context, parts, quadrics, antennas, grids)
-        out += arcs
+        corrections = accumulate_cylinder_corrections(context, parts, quadrics, antennas, grids)
+        out += corrections
     if len(context.lines):
         out += _accumulate_wires(context, parts, antennas, poses, grids)
     if len(context.outlines.edges):
@@ -128,7 +128,7 @@ def accumulate(
         planar = joined([part.planar for part in parts])
         sizes = apparent_sizes(context, planar, antennas)
         out += accumulate_bounces(context, parts, planar, antennas, max_bounces, sizes, grids)
-        loud = grids.sum(0) if arcs else grids  # what arcs add rises with f, which no kind of echo does alone
+        loud = grids.sum(0) if corrections else grids  # corrections rise with f, and only the sum is an echo
         out += _accumulate_over(
             context, parts, planar, antennas, poses, max_bounces, sizes, float(abs(loud).max()), grids
         )

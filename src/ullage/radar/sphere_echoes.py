@@ -18,8 +18,8 @@ import numpy as np
 from ullage.antenna import gain
 from ullage.arrays import Bools, Complexes, Floats
 from ullage.geometry import C0
-from ullage.radar.arcs import reflection
 from ullage.radar.context import AntennaPair, RadarContext, transmission_to
+from ullage.radar.cylinder_correction import reflection
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
 from ullage.radar.spheres import Sphere

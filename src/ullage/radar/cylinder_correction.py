@@ -1,15 +1,15 @@
-"""What a round wall echoes beyond the flat strips that it is made of, and its flat caps beyond their polygons.
+"""Correct the echoes of cylindrical walls that a mesh describes by flat strips, and of the flat caps at their ends.
 
-A mesh has strips where a tank or a drum is round. From a smooth wall it differs by a depth that is the same in every
-strip, and so it echoes as a grating does: where the echoes of neighbouring strips differ by whole waves, it throws back
-what no round wall would, an arc of ghosts between the near wall and the far one, some 25 dB below them. Finer
-strips do not help down to half a wave: a parabola's harmonics fall as their order squared, its depth as its width.
+A strip lies inside the smooth wall by a depth that is the same in every strip, so the mesh echoes like a grating. Where
+the echoes of neighbouring strips differ by whole wavelengths, it returns ghosts between the near and the far wall, some
+25 dB below them. Finer strips do not help down to half a wavelength: the harmonics of a parabola fall with the square
+of their order, and its depth with the square of its width.
 
-So each strip adds what Kirchhoff's integral over its arc has beyond that over its chord [Balanis2012, ch. 7]: across
-the strip a sum at Gauss's points, along the axis, where nothing bends, Fresnel's integral from end to end. The arc goes
-through the strip's corners: there a mesh lies on the surface that it stands for. Each end of a strip has a phase,
-a strength and a delay of its own. A flat cap ends on the chords; the slivers between these and the arcs are added, or
-the wall's end and the cap's rim would not be in one place.
+So each strip adds the difference of Kirchhoff's integral over its arc and over its chord [Balanis2012, ch. 7]. Across
+the strip this is a sum at Gauss points. Along the axis, where the surface is straight, it is a Fresnel integral from
+end to end. The arc passes through the corners of the strip, where the mesh lies on the surface that it describes. Each
+end of a strip has a phase, an amplitude and a delay of its own. A flat cap ends on the chords. The slivers between
+chords and arcs are added, so that the end of the wall and the rim of the cap coincide.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from ullage.radar.wall_bounces import accumulate
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
 PANEL_M = 0.025
-"""Strips are added panel by panel, none wider than this: their delays must not spread over a pulse."""
-_PULL_M = 4e-3  # points of walls are looked at so far off their strips and ends
-_LEAST_M = 0.05  # nearer to a wall the wave is no ray
-_AT_FOOT = 1e-2  # of Fresnel's argument: an end so near to the shortest path is at it
-_WHOLE_RAD = 1e-3  # half of a gap that is none
-_THIN = 1e-4  # [rad]: what turns the phase by less is next to flat
+"""Largest width of the panels of a strip [m]: the delays within one must not spread over a pulse."""
+_PULL_M = 4e-3  # distance of visibility rays from strips and their ends [m]
+_LEAST_M = 0.05  # least distance to a wall for rays [m]
+_AT_SPECULAR = 1e-2  # Fresnel argument below which an end counts as at the specular point
+_WHOLE_RAD = 1e-3  # half of a gap between strips that counts as closed
+_THIN = 1e-4  # phase [rad] below which a sliver counts as flat
 _SIDES = np.array([0, -1, 1])
 _PAIRS = ("ends", "caps")  # rows of lines that are (2, n)
 
@@ -46,65 +46,65 @@ _PAIRS = ("ends", "caps")  # rows of lines that are (2, n)
 class Lines:
     """Lines along the axes of walls on the chords of strips, each for a panel of its strip."""
 
-    at: Floats  # (n, 3) where they pass the middle of their wall [m]
+    at: Floats  # (n, 3) points of the lines at the middle of their wall [m]
     axes: Floats  # (n, 3) unit vectors along them
     inward: Floats  # (n, 3) unit vectors to the axis, square to the strip
     left: Floats  # (n, 3) unit vectors across both
-    ends: Floats  # (2, n) where the strip begins and ends along them, from there [m]
-    caps: Floats  # (2, n) whether a flat cap ends there: 1, around a hole -1, else 0
-    aside: Floats  # (n) from the middle of the chord, over half of it
+    ends: Floats  # (2, n) begin and end of the strip along the line, from that point [m]
+    caps: Floats  # (2, n) flat cap at each end: 1, around a hole -1, none 0
+    aside: Floats  # (n) offset from the middle of the chord, as a share of half the chord
     half: Floats  # (n) half of a panel's width [m]
     chord: Floats  # (n) half of the strip's [m]
     depth: Floats  # (n) of the arc over its chord [m]
-    pull: Floats  # (n) so far before it nothing of the wall itself is in the way [m]
-    strips: Longs  # (n) which strip, of all walls
-    walls: Longs  # (n) which wall
-    sealed: Bools  # (n) whether flat caps close that all round at both ends
+    pull: Floats  # (n) distance in front of the strip at which the wall itself hides nothing [m]
+    strips: Longs  # (n) index of the strip, over all walls
+    walls: Longs  # (n) index of the wall
+    sealed: Bools  # (n) whether flat caps close the wall completely at both ends
     object_ids: Longs  # (n) object
 
     def some(self, which: NDArray[np.generic] | slice) -> Lines:
-        """Some of them."""
+        """Select some of the lines."""
         return Lines(*(getattr(self, row.name)[..., which] if row.name in _PAIRS else getattr(self, row.name)[which]
                        for row in fields(self)))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Where waves over lines come from: the places of the shortest ways, and the ends of strips; caps' after these."""
+    """Points on lines that contribute: the specular points and the ends of strips of walls, then the ends of caps."""
 
     rows: Longs  # (m) the line of each
-    side: Longs  # (m) -1 and 1: the lower and the upper end, 0: the shortest way
-    flat: Bools  # (m) whether it is what a flat cap has there, not the wall
-    heights: Floats  # (m) along the line [m]
+    side: Longs  # (m) -1: lower end, 1: upper end, 0: specular point
+    flat: Bools  # (m) whether the point belongs to a flat cap, not to the wall
+    heights: Floats  # (m) position along the line [m]
 
     def some(self, which: NDArray[np.generic]) -> Places:
-        """Some of them."""
+        """Select some of the places."""
         return Places(self.rows[which], self.side[which], self.flat[which], self.heights[which])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spots:
-    """Places as both antennas see them."""
+    """Places with their directions and distances from both antennas."""
 
     lines: Lines  # (m) the line of each
     places: Places  # (m)
     points: Floats  # (m, 3) [m]
     paths: Floats  # (2, m, 3) unit vectors from both antennas to them
     ranges: Floats  # (2, m) [m]
-    upward: Floats  # (2, m) cosines of both ways to the axis
-    outward: Floats  # (2, m) and to the way from the axis
+    upward: Floats  # (2, m) cosines between both paths and the axis
+    outward: Floats  # (2, m) cosines between both paths and the outward normal
 
 
-def accumulate_arcs(
+def accumulate_cylinder_corrections(
     context: RadarContext, parts: list[Surfaces], quadrics: tuple[Quadric, ...], antennas: AntennaPair, grids: Complexes
 ) -> list[EchoSet]:
-    """Adds to the delay grids what arcs of round walls and drums echo beyond the strips of their meshes.
+    """Add to the delay grids the difference between the arcs of walls and drums and the strips of their meshes.
 
     Args:
         context: radar and scene.
-        parts: what stands still and what moves.
+        parts: surfaces at rest and moving surfaces.
         quadrics: fitted cylinders and spheres.
-        antennas: where the radar is.
+        antennas: pose of the radar.
         grids: (3, g) complex, added to.
     """
     wavelength = context.spec.wavelength_m
@@ -118,9 +118,9 @@ def accumulate_arcs(
     return [_echoes_of(context, antennas, _spots(antennas, lines, places), between, grids)] if len(places.rows) else []
 
 
-@lru_cache(maxsize=8)  # walls that stand still are the same from frame to frame
+@lru_cache(maxsize=8)  # walls at rest are the same from frame to frame
 def lines_of(quadrics: tuple[Quadric, ...], narrowest: float, widest: float) -> Lines | None:
-    """Lines on all strips of those walls whose strips are of such widths [m]: no grating, or mirrors of their own."""
+    """Make lines on all strips between two widths [m]: finer strips are no grating, wider ones are mirrors."""
     made = [_lines(wall) for wall in quadrics if len(wall.strips) and narrowest < wall.widest < widest]
     if not made:
         return None
@@ -152,30 +152,30 @@ def _lines(wall: Quadric) -> Lines:
 
 
 def _sealed(wall: Quadric) -> bool:
-    """Whether strips go all round, and flat caps end on all of them."""
+    """Return whether strips close the circle, and flat caps end on all of them."""
     return bool(len(wall.caps) and (wall.caps == 1).all() and wall.strips[:, 1].sum() > np.pi - _WHOLE_RAD)
 
 
 def _left(paths: Floats) -> Floats:
-    """Vectors (n, 2) a quarter turn on."""
+    """Turn vectors (n, 2) by 90 deg."""
     return np.asarray(paths[:, ::-1] * [-1, 1])
 
 
 def _places(antennas: AntennaPair, lines: Lines, opaque: Bools, most: float) -> Places:
-    """Where waves over lines come from that go no farther than `most` [m], walls of some objects (o) being opaque."""
+    """Find the places on lines with two-way paths of at most `most` [m]; `opaque` (o) names opaque objects."""
     gaps = antennas.origins[:, None] - lines.at
     climb, inside = _dots(gaps, lines.axes), _dots(gaps, lines.inward) > 0
     apart = np.sqrt(np.maximum(_dots(gaps, gaps) - climb**2, _LEAST_M**2))
-    feet = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
-    heights = np.stack([feet, *lines.ends])
+    specular = climb[0] + (climb[1] - climb[0]) * apart[0] / apart.sum(0)
+    heights = np.stack([specular, *lines.ends])
     ahead = heights[:, None] - climb
-    heard = np.hypot(apart, ahead).sum(1) < most
-    heard[0] &= (lines.ends[0] <= feet) & (feet < lines.ends[1])
+    within = np.hypot(apart, ahead).sum(1) < most
+    within[0] &= (lines.ends[0] <= specular) & (specular < lines.ends[1])
     level = (ahead[1:, 0] * ahead[1:, 1] > 0) & (lines.caps != 0)
-    beyond = ahead[1:, 0] * _SIDES[1:, None] < 0
-    out = lines.sealed & opaque[lines.object_ids] & _any(~inside.any(0) | beyond.any(0), lines.walls)
-    wall, row = np.nonzero(heard & (inside[0] == inside[1]) & ~(out & inside[0]))
-    cap, outline = np.nonzero(heard[1:] & level & ~(out & ~beyond))
+    past_end = ahead[1:, 0] * _SIDES[1:, None] < 0
+    out = lines.sealed & opaque[lines.object_ids] & _any_of_wall(~inside.any(0) | past_end.any(0), lines.walls)
+    wall, row = np.nonzero(within & (inside[0] == inside[1]) & ~(out & inside[0]))
+    cap, outline = np.nonzero(within[1:] & level & ~(out & ~past_end))
     group, row = np.concatenate([wall, cap + 1]), np.concatenate([row, outline])
     return Places(row, _SIDES[group], np.arange(len(row)) >= len(wall), heights[group, row])
 
@@ -189,8 +189,8 @@ def _spots(antennas: AntennaPair, lines: Lines, places: Places) -> Spots:
     return Spots(some, places, points, paths, ranges, _dots(paths, some.axes), -_dots(paths, some.inward))
 
 
-def _any(some: Bools, walls: Longs) -> Bools:
-    """Of lines (n) in the order of their walls, whether anything is true of some line of the same wall."""
+def _any_of_wall(some: Bools, walls: Longs) -> Bools:
+    """Return for lines (n), sorted by wall, whether `some` is true of any line of the same wall."""
     first = np.flatnonzero(np.diff(walls, prepend=-1))
     return np.asarray(np.repeat(np.logical_or.reduceat(some, first), np.diff(first, append=len(walls))))
 
@@ -198,9 +198,9 @@ def _any(some: Bools, walls: Longs) -> Bools:
 def _free(
     context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, lines: Lines, places: Places
 ) -> tuple[Places, tuple[Complexes, Floats]]:
-    """The places (m) that are seen, and factor and delay [s] of what stands before them.
+    """Select the visible places (m), with the factor and the delay [s] of transmissive objects before them.
 
-    Looked at is one of each strip: before the wall and off its ends, and before the cap and off the wall.
+    One ray per strip decides: in front of the wall and off its ends, or in front of the cap and off the wall.
     """
     flat, strips = places.flat, lines.strips[places.rows]
     first = np.flatnonzero((np.diff(2 * strips + flat, prepend=-1) != 0) | (np.diff(places.side, prepend=-9) != 0))
@@ -221,21 +221,24 @@ def _free(
 def _echoes_of(
     context: RadarContext, antennas: AntennaPair, spots: Spots, between: tuple[Complexes, Floats], grids: Complexes
 ) -> EchoSet:
-    """Lays what comes from spots (m), with factor and delay [s] of what stands before each."""
+    """Add the echoes of spots (m), with the factor and the delay [s] of transmissive objects before each."""
     (transmission, late), wave, lines = between, 2 * np.pi / context.spec.wavelength_m, spots.lines
-    behind, flat, caps = _behind(spots), spots.places.flat, int(np.searchsorted(spots.places.flat, True))
+    extra, flat, caps = _extra_length(spots), spots.places.flat, int(np.searchsorted(spots.places.flat, True))
     value = _across_chord(spots, wave)
     value[:caps] *= _along(spots, wave)
-    value *= 1j / (4 * np.pi) * antennas.factor * transmission * np.exp(1j * wave * behind)
+    value *= 1j / (4 * np.pi) * antennas.factor * transmission * np.exp(1j * wave * extra)
     value *= _gains(context, antennas, spots.paths) / spots.ranges.prod(0)
     cosine = np.where(flat, spots.upward, spots.outward)
     normals = np.where(flat[:, None], lines.axes, lines.inward)
     cosine = abs(cosine).mean(0)
     value *= cosine * reflection(context, antennas, lines.object_ids, cosine, spots.paths, normals)
-    delay = (spots.ranges.sum(0) + behind) / C0 + late
+    delay = (spots.ranges.sum(0) + extra) / C0 + late
 
     def put(value: Complexes, grids: Complexes) -> Complexes:
-        kinds = ((slice(caps), (1.5, -0.5)), (slice(caps, None), (1.0, 0.0)))  # as the root of f, and as it is
+        kinds = (
+            (slice(caps), (1.5, -0.5)),
+            (slice(caps, None), (1.0, 0.0)),
+        )  # growing with the root of f, and constant
         return np.concatenate([accumulate(context, delay[some], value[some], grids, shares) for some, shares in kinds])
 
     def again(factors: Complexes, others: Complexes) -> None:
@@ -245,36 +248,36 @@ def _echoes_of(
 
 
 def _gains(context: RadarContext, antennas: AntennaPair, paths: Floats) -> Floats:
-    """What both antennas' patterns make of waves (2, m, 3)."""
+    """Multiply the gains of both antennas towards directions (2, m, 3)."""
     one = gain(context.spec.antenna, paths[0] @ antennas.frames[0].T)
     return one * (one if _one_place(antennas) else gain(context.spec.antenna, paths[1] @ antennas.frames[1].T))
 
 
-def _behind(spots: Spots) -> Floats:
-    """By so much longer is the way over what lies between panels (m) and their arcs, in the mean [m]."""
+def _extra_length(spots: Spots) -> Floats:
+    """Average the extra two-way path of the arcs over their panels (m) [m]; negative outside."""
     lines = spots.lines
     rise = lines.depth * (1 - lines.aside**2 - (lines.half / lines.chord) ** 2 / 3)
     return np.asarray(spots.outward.sum(0) * rise / 2)
 
 
 def _along(spots: Spots, wave: float) -> Complexes:
-    """What the integral along the axis makes of waves over spots (m) of walls [m]: of all of the line, or of an end.
+    """Integrate along the axis at spots (m) of walls [m]: over the whole line, or the share of an end.
 
-    Fresnel's. Each end has the phase and the slope of the phase that it has there.
+    This is a Fresnel integral. Each end takes the phase and the phase slope at its own place.
     """
     places, many = spots.places, int(np.searchsorted(spots.places.flat, True))
     slope, ranges, heights = spots.upward[:, :many], spots.ranges[:, :many], places.heights[:many]
     apart = ranges * np.sqrt(np.maximum(1 - slope**2, 1e-12))
     climb, level = heights - ranges * slope, apart.sum(0)
     shortest = np.hypot(level, climb[1] - climb[0])
-    feet = climb[0] + (climb[1] - climb[0]) * apart[0] / level
+    specular = climb[0] + (climb[1] - climb[0]) * apart[0] / level
     root = np.sqrt(np.pi * (shortest / level) ** 3 / (wave * (1 / apart).sum(0)))  # by the second derivative
     total = (1 - 1j) * root
     ends = np.flatnonzero(places.side[:many])
-    sign = np.where(heights > feet, 1, -1)[ends]
+    sign = np.where(heights > specular, 1, -1)[ends]
     more = np.maximum(ranges.sum(0) - shortest, 1e-12)[ends]
     detour = sign * np.sqrt(2 / np.pi * wave * more)
-    close = abs(detour) < _AT_FOOT
+    close = abs(detour) < _AT_SPECULAR
     steep = np.where(close, root[ends], np.pi * detour / np.where(close, 1.0, wave * slope.sum(0)[ends]))
     sine, cosine = fresnel(detour)
     rest = cosine - 1j * sine - sign * (0.5 - 0.5j)
@@ -283,10 +286,7 @@ def _along(spots: Spots, wave: float) -> Complexes:
 
 
 def _across_chord(spots: Spots, wave: float) -> Complexes:
-    """What the integral across panels (m) is over their arcs, less what it is over their chords [m].
-
-    Of caps, what it is over the plane between both [m2].
-    """
+    """Integrate across panels (m): over the arc, less over the chord [m]; for caps over the plane between both [m2]."""
     lines, flat, u = spots.lines, spots.places.flat, NODES[:, None]
     aside = _dots(spots.paths, lines.left)
     turn = wave * lines.half * aside.sum(0)
@@ -296,7 +296,7 @@ def _across_chord(spots: Spots, wave: float) -> Complexes:
     outward = spots.outward.sum(0)
     arc = np.exp(-1j * (wave * outward) * deep)
     lean = 2 * lines.depth / lines.chord * aside.sum(0) / np.where(flat, 1.0, outward)
-    bulge = (1 + across * lean) * arc - 1  # with what an arc's slope does to the cosine
+    bulge = (1 + across * lean) * arc - 1  # including the change of the cosine by the slope of the arc
     if flat.any():
         hole = np.where(spots.places.side > 0, lines.caps[1], lines.caps[0])
         rise = 1j * wave * outward * deep
@@ -312,18 +312,18 @@ def _dots(a: Floats, b: Floats) -> Floats:
 
 
 def _one_place(antennas: AntennaPair) -> bool:
-    """Whether one antenna is the other."""
+    """Return whether both antennas share position and orientation."""
     return antennas.monostatic and bool((antennas.frames[0] == antennas.frames[1]).all())
 
 
 def reflection(
     context: RadarContext, antennas: AntennaPair, object_ids: Longs, cosine: Floats, paths: Floats, inward: Floats
 ) -> Complexes:
-    """Reflection coefficients (n) at the share of the fields that lies across the plane of incidence.
+    """Compute reflection coefficients (n), weighted by the power of the field across the plane of incidence.
 
     Args:
         context: radar and scene.
-        antennas: where the radar is.
+        antennas: pose of the radar.
         object_ids: (n) objects.
         cosine: (n) of incidence.
         paths: (2, n, 3) unit vectors from both antennas.
@@ -334,15 +334,17 @@ def reflection(
     low = np.minimum(places.astype(np.int64), rows.shape[2] - 2)
     up, each = places - low, np.arange(len(low))
     te, tm = (rows[each, k, low] * (1 - up) + rows[each, k, low + 1] * up for k in range(2))
-    share = _across(antennas.fields[0], paths[0], inward)
+    share = _te_share(antennas.fields[0], paths[0], inward)
     if not _one_place(antennas):
-        share = (share + _across(antennas.fields[1], paths[1], inward)) / 2
+        share = (share + _te_share(antennas.fields[1], paths[1], inward)) / 2
     return np.asarray(share * te + (1 - share) * tm)
 
 
-def _across(field: Floats, paths: Floats, normals: Floats) -> Floats:
-    """Share (n) of a field's power that is TE, for waves (n, 3) at faces with some normals (n, 3)."""
+def _te_share(field: Floats, paths: Floats, normals: Floats) -> Floats:
+    """Compute the TE share (n) of a field's power, for waves along (n, 3) at faces with normals (n, 3)."""
     x, y, z = field
-    side = normals @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])  # times the ways: the field across both
+    side = normals @ np.array(
+        [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    )  # times the direction: the component across field and normal
     square = (1 - _dots(paths, normals) ** 2) * (1 - (paths @ field) ** 2)
     return np.where(square < 1e-12, 0.5, np.minimum(_dots(paths, side) ** 2 / np.maximum(square, 1e-12), 1.0))

@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.geometry import rpy_quat
-from ullage.radar import arcs, physical
+from ullage.radar import cylinder_correction, physical
 from ullage.radar.prepared import prepare
 from ullage.world.scene import Scene
 
@@ -96,4 +96,9 @@ def test_what_is_hidden_adds_nothing():
     context = physical.radar_context(Scene.union([tank, box]), SPEC)
     parts, wall = context.world.parts(None), context.world.quadrics[0]
     antennas = physical.antenna_pair(SPEC, np.zeros(3), np.eye(3))
-    assert arcs.accumulate_arcs(context, parts, (wall,), antennas, np.zeros((3, context.places), complex)) == []
+    assert (
+        cylinder_correction.accumulate_cylinder_corrections(
+            context, parts, (wall,), antennas, np.zeros((3, context.places), complex)
+        )
+        == []
+    )
