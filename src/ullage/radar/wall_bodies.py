@@ -18,13 +18,13 @@ from scipy.special import fresnel
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import chains as kernel
+from ullage.radar.body_pairs import BODIES, FAINT
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
 from ullage.radar.real_paths import Real, free, turned
-from ullage.radar.round_pairs import BODIES, FAINT
 from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, accumulate, around, planes_of, swapped
 
 Turn = tuple[Plane, int] | None

@@ -40,7 +40,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "shapes": ("facets", "wires"),
     "paths": ("paths", "lit"),
     "curved": ("impulses",),
-    "pairs": ("pairs", "flat_pairs"),
+    "pairs": ("pairs", "mirrored_pairs"),
     "chains": ("chains",),
     "conductors": ("lines", "edge_diffraction", "double_edge_diffraction"),
 }

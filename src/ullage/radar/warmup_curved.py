@@ -21,10 +21,10 @@ def echoes() -> None:
 
 
 def pairs() -> None:
-    """The kernels of `round_pairs` and `flat_pairs`, on no bodies."""
-    from ullage.kernels import flat_pairs as flat
+    """The kernels of `body_pairs` and `mirrored_pairs`, on no bodies."""
+    from ullage.kernels import mirrored_pairs as flat
     from ullage.kernels.pairs import BodyPairs, PairPaths
-    from ullage.radar.round_pairs import Bodies, paths_over
+    from ullage.radar.body_pairs import Bodies, paths_over
 
     none, points = np.zeros(0), np.zeros((0, 3))
     bodies = Bodies(points, np.zeros((0, 3, 3)), none, np.zeros((0, 2)), none > 0, none, none.astype(np.int32))
@@ -32,7 +32,7 @@ def pairs() -> None:
     spots, twos, long = np.zeros((2, 0, 3)), np.zeros((2, 0)), np.zeros(0, np.int64)
     chains = flat.Chains(np.zeros((0, 4), np.int64), none, long)
     mirrors = flat.PlaneMirrors(points, none, bodies.ends)
-    things = flat.RoundBodies(points, bodies.axes, none, bodies.ends, bodies.is_sphere)
+    things = flat.CurvedBodies(points, bodies.axes, none, bodies.ends, bodies.is_sphere)
     limits, both = flat.Limits(1.0, 1.0, 1.0, 1.0), BodyPairs(spots, np.zeros((2, 0, 3, 3)), twos, twos > 0)
     flat.unfold(chains, np.zeros((2, 3)), mirrors, things, limits, spots, both)
     found = PairPaths(np.zeros((4, 0, 3)), spots, none, none, twos.T.copy())

@@ -1,4 +1,4 @@
-"""Loops over paths over two round bodies and a flat face: mirrored into such over two bodies, and back."""
+"""Loops over paths between two curved bodies and a flat face: mirror them to paths over two bodies, and back."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ullage.kernels.vectors import dot, mirrored, unit_to
 BEFORE, BETWEEN, AFTER = 0, 1, 2  # where a path meets the face
 
 
-class RoundBodies(NamedTuple):
-    """Spheres and cylinders (b), as `radar.round_pairs.Bodies` holds them."""
+class CurvedBodies(NamedTuple):
+    """Spheres and cylinders (b), the rows of `radar.body_pairs.Bodies`."""
 
     centres: Floats  # (b, 3) [m]
     axes: Floats  # (b, 3, 3) rows: two across the axis, and the axis
@@ -46,11 +46,11 @@ class Limits(NamedTuple):
     gate: float  # greatest length [m]
     least: float  # smaller spreads are left out [1/m]
     wavelength: float  # [m]
-    pull: float  # bodies are touched no nearer to their ends [m]
+    pull: float  # least distance of contact points from the ends of bodies [m]
 
 
 class FoldedPaths(NamedTuple):
-    """Paths of chains with what lies beyond faces mirrored back, as `fold` finds them."""
+    """Paths of chains with the mirrored part reflected back, the results of `fold`."""
 
     some: Longs  # (m) which of the chains that `unfold` kept
     values: Floats  # (m) spread, times what the face passes on and how often the chain counts [1/m]
@@ -75,27 +75,27 @@ def _gap(centre, axis, ends, is_sphere, point):  # type: ignore[no-untyped-def]
         square += (point[k] - centre[k]) ** 2
     if is_sphere:
         return math.sqrt(square)
-    beyond = along - min(max(along, ends[0]), ends[1])
-    return math.sqrt(max(square - along * along, 0.0) + beyond * beyond)
+    past_end = along - min(max(along, ends[0]), ends[1])
+    return math.sqrt(max(square - along * along, 0.0) + past_end * past_end)
 
 
 @core(nogil=True, error_model="numpy")
 def _height(n, offset, point):  # type: ignore[no-untyped-def]
-    """Compute how far a point lies before a face [m]."""
+    """Compute the height of a point over a face [m]."""
     return n[0] * point[0] + n[1] * point[1] + n[2] * point[2] - offset
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
 def unfold(  # type: ignore[no-untyped-def]
-    chains: Chains, origins, mirrors: PlaneMirrors, bodies: RoundBodies, limits: Limits, points, pairs: BodyPairs
+    chains: Chains, origins, mirrors: PlaneMirrors, bodies: CurvedBodies, limits: Limits, points, pairs: BodyPairs
 ):
-    """Turn chains that may be loud into paths over two bodies: what lies beyond their faces is mirrored.
+    """Mirror the part of each chain behind its face, so that it becomes a path over two bodies; drop weak chains.
 
     Args:
         chains: `Chains`.
         origins: (2, 3) where paths begin and end [m].
         mirrors: `PlaneMirrors`.
-        bodies: `RoundBodies`.
+        bodies: `CurvedBodies`.
         limits: `Limits`.
         points: (2, m, 3) get both ends [m].
         pairs: `pairs.BodyPairs` gets the bodies.
@@ -135,24 +135,20 @@ def unfold(  # type: ignore[no-untyped-def]
         three = max(_gap(last, axis, ends[b], is_sphere[b], stop) - radii[b], 1e-3)
         most = math.sqrt(radii[a] * radii[b] / (4 * one * two * three * (one + two + three)))
         if one + two + three < gate and most * counts[i] > least:
-            sizes[0, count], sizes[1, count], kinds[0, count], kinds[1, count] = (
-                radii[a],
-                radii[b],
-                is_sphere[a],
-                is_sphere[b],
-            )
+            sizes[0, count], sizes[1, count] = radii[a], radii[b]
+            kinds[0, count], kinds[1, count] = is_sphere[a], is_sphere[b]
             loud[count] = i
             count += 1
     return count
 
 
 @core(nogil=True, error_model="numpy")
-def _drawn(point, centre, axis, ends, is_sphere, bend, limits, out):  # type: ignore[no-untyped-def]
-    """Move a point beyond the ends of a cylinder onto it.
+def _clamp(point, centre, axis, ends, is_sphere, bend, limits, out):  # type: ignore[no-untyped-def]
+    """Move a point past the ends of a cylinder onto the cylinder.
 
     Returns:
-        The distance along the axis at which the point was [m], and the most that the cylinder's ends leave of a wave
-        there: beyond an end a tail of Fresnel's integral.
+        The original distance along the axis [m], and an upper bound of the truncation of the wave by the cylinder's
+        ends: past an end it is the tail of a Fresnel integral.
     """
     wavelength, pull = limits.wavelength, limits.pull
     along, most = 0.0, 1.2
@@ -162,9 +158,9 @@ def _drawn(point, centre, axis, ends, is_sphere, bend, limits, out):  # type: ig
     for k in range(3):
         out[k] = point[k] + (inner - along) * axis[k]
     if not is_sphere:
-        beyond = max(ends[0] - along, along - ends[1]) * math.sqrt(max(2 * bend / wavelength, 0.0))
-        if beyond > 0:
-            most = min(most, math.sqrt(2) / (math.pi * beyond))
+        past_end = max(ends[0] - along, along - ends[1]) * math.sqrt(max(2 * bend / wavelength, 0.0))
+        if past_end > 0:
+            most = min(most, math.sqrt(2) / (math.pi * past_end))
     return along, most
 
 
@@ -173,19 +169,19 @@ def fold(  # type: ignore[no-untyped-def]
     chains: Chains,
     paths: PairPaths,
     pairs: BodyPairs,
-    bodies: RoundBodies,
+    bodies: CurvedBodies,
     mirrors: PlaneMirrors,
     limits: Limits,
     out: FoldedPaths,
     scratch,
 ):
-    """Keep the chains that are loud and run as they should, with what lies beyond faces mirrored back.
+    """Keep the strong chains with valid paths, and reflect their mirrored parts back.
 
     Args:
         chains: `Chains`, whose `loud` holds only those that `unfold` kept.
         paths: `pairs.PairPaths` of those.
         pairs: `pairs.BodyPairs` of those.
-        bodies: `RoundBodies`.
+        bodies: `CurvedBodies`.
         mirrors: `PlaneMirrors`.
         limits: `Limits`.
         out: `FoldedPaths` gets the results.
@@ -200,28 +196,28 @@ def fold(  # type: ignore[no-untyped-def]
     normals, offsets, widths, wavelength = mirrors.normals, mirrors.offsets, mirrors.widths, limits.wavelength
     some, values, alongs, real, faces = out
     gate, least = limits.gate, limits.least
-    count, one, other, start, stop, foot = 0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    count, one, other, start, stop, hit = 0, scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     for i in range(len(loud)):
         at, face, a, b = rows[loud[i]]
         n, d, value = normals[face], offsets[face], spreads[i] * counts[loud[i]]
         if value <= least or lengths[i] >= gate:
             continue
-        along, most = _drawn(
+        along, most = _clamp(
             corners[1, i], middles[0, i], turns[0, i, 2], ends[a], is_sphere[a], bends[i, 0], limits, one
         )
-        further, more = _drawn(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], is_sphere[b], bends[i, 1], limits,
+        further, more = _clamp(corners[2, i], middles[1, i], turns[1, i, 2], ends[b], is_sphere[b], bends[i, 1], limits,
                                other)  # fmt: skip
         if value * most * more <= least:
             continue
         for k in range(3):
             start[k], stop[k] = corners[0, i, k], corners[3, i, k]
         here, there = (start, one) if at == BEFORE else (one, other) if at == BETWEEN else (other, stop)
-        gap, beyond = _height(n, d, here), _height(n, d, there)
-        if gap * beyond >= 0:
+        height, end_height = _height(n, d, here), _height(n, d, there)
+        if height * end_height >= 0:
             continue
         for k in range(3):
-            foot[k] = here[k] + gap / (gap - beyond) * (there[k] - here[k])
-        value *= _passed(here, foot, there, widths[face], wavelength, faces[0, count])
+            hit[k] = here[k] + height / (height - end_height) * (there[k] - here[k])
+        value *= _passed(here, hit, there, widths[face], wavelength, faces[0, count])
         if value * most * more <= least:
             continue
         _back(at, n, d, start, other, stop)
@@ -231,7 +227,7 @@ def fold(  # type: ignore[no-untyped-def]
         some[count], values[count], alongs[0, count], alongs[1, count] = i, value, along, further
         before, after = (0, 2) if at == BETWEEN else (1, 2) if at == BEFORE else (0, 1)
         for k in range(3):
-            real[0, count, k], real[4, count, k], real[1 + at, count, k] = start[k], stop[k], foot[k]
+            real[0, count, k], real[4, count, k], real[1 + at, count, k] = start[k], stop[k], hit[k]
             real[1 + before, count, k], real[1 + after, count, k] = one[k], other[k]
             faces[at, count, k] = side * n[k]
             faces[before, count, k], faces[after, count, k] = bent[0, i, k], bent[1, i, k]
@@ -243,7 +239,7 @@ def fold(  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _back(at, n, offset, start, other, stop):  # type: ignore[no-untyped-def]
-    """Mirror back what lies beyond a face: the path's start, or its end and the body that it meets after the face."""
+    """Reflect back the part behind a face: the start of the path, or its end and the body that follows the face."""
     if at == BEFORE:
         _over(n, offset, start)
     else:
@@ -260,8 +256,8 @@ def _over(n, offset, point):  # type: ignore[no-untyped-def]
 
 
 @core(nogil=True, error_model="numpy")
-def _passed(before, foot, then, widths, wavelength, way):  # type: ignore[no-untyped-def]
+def _passed(before, hit, then, widths, wavelength, way):  # type: ignore[no-untyped-def]
     """Compute the share of a wave that a face reflects if it does not cover its Fresnel zone."""
-    there, back = unit_to(before, foot, way), unit_to(foot, then, way)
+    there, back = unit_to(before, hit, way), unit_to(hit, then, way)
     zone = math.sqrt(wavelength * there * back / (there + back))
     return min(widths[0] / zone, 1.0) * min(widths[1] / zone, 1.0)

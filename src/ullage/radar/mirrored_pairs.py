@@ -1,7 +1,7 @@
-"""Echoes over two round bodies, or one twice, and a large flat face: drums beside a wall, a ball and a drum on a floor.
+"""Echoes over two curved bodies, or one twice, and a large flat face: drums next to a wall, a sphere on a floor.
 
-A flat face mirrors bodies and antennas as they are, and a mirrored ball is a ball: so each path is one over two bodies,
-as from one body to another, with all that lies beyond the face mirrored [AllenBerkley1979].
+A flat face mirrors bodies and antennas exactly, and the image of a sphere or a drum is one again. So each path is a
+path over two bodies, as in `body_pairs`, with everything behind the face mirrored [AllenBerkley1979].
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
-from ullage.kernels import flat_pairs as kernel
+from ullage.kernels import mirrored_pairs as kernel
 from ullage.kernels.pairs import BodyPairs, PairPaths
+from ullage.radar.body_pairs import Bodies, bodies_of, largest_bodies, shortest, truncation
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
@@ -23,36 +24,35 @@ from ullage.radar.multipath import choose_largest
 from ullage.radar.paths import FACES, largest
 from ullage.radar.quadrics import Quadric
 from ullage.radar.real_paths import Real, free, turned
-from ullage.radar.round_pairs import Bodies, bodies_of, ends_leave, seen_bodies, shortest
 from ullage.radar.wall_bounces import PULL_M, accumulate
 
 FAINT = 2e-3
-"""Chains that do not make this share of a frame's strongest echo are left out."""
+"""Least amplitude of a chain, as a share of the strongest echo in the frame."""
 MOST = 4
-"""Between so many bodies, those that look largest, waves go over flat faces; each fades in."""
+"""Number of bodies with the largest apparent sizes that form chains; each fades in."""
 BEFORE, BETWEEN, AFTER = 0, 1, 2
-"""Where a path meets the face: before both bodies, between them, or after both."""
+"""Position of the face in a path: before both bodies, between them, or after both."""
 
 
-def accumulate_flat_pairs(
+def accumulate_mirrored_pairs(
     context: RadarContext,
     parts: list[Surfaces],
     quadrics: tuple[Quadric, ...],
     planar: PlanarPatches,
     antennas: AntennaPair,
-    look: Floats,
+    sizes: Floats,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes over two round bodies and one of the flat faces that look largest (p) to the delay grids.
+    """Add the echoes over two bodies and one of the flat faces of the largest apparent sizes (p) to the delay grids.
 
-    Those too faint beside what the grids hold are left out.
+    Echoes that are too weak against those in the grids are left out.
     """
     bodies = bodies_of(quadrics, np.sqrt(context.spec.wavelength_m * context.gate[1] / 2))
     if not len(bodies.radii):
         return []
-    which, weights, _ = seen_bodies(context, bodies, antennas, MOST)
-    some = largest(look * ~planar.smooth, FACES)
-    held, shares = choose_largest(look[some], FACES)
+    which, weights, _ = largest_bodies(context, bodies, antennas, MOST)
+    some = largest(sizes * ~planar.smooth, FACES)
+    held, shares = choose_largest(sizes[some], FACES)
     faces = some[held]
     rows, twice = _rows(len(faces), len(which), antennas.monostatic)
     if not len(rows):
@@ -65,9 +65,9 @@ def accumulate_flat_pairs(
 
 @lru_cache(maxsize=64)
 def _rows(faces: int, bodies: int, one: bool) -> tuple[Longs, Floats]:
-    """Where each chain of so many meets its face, which face, both bodies (m, 4), and how often it counts (m).
+    """List the chains (m, 4): position of the face, face, both bodies; and their multiplicity (m).
 
-    With antennas in one place no chain and its reverse.
+    With both antennas in one place (`one`), a chain and its reverse are listed once.
     """
     rows = [(at, face, a, b)
             for at in (BEFORE, BETWEEN, AFTER) for face in range(faces) for a in range(bodies) for b in range(bodies)
@@ -87,7 +87,7 @@ def _echoes_of(
     least: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """The echoes over chains (m, 4) that count so (m), but for those less than a path gain amplitude."""
+    """Add the echoes over chains (m, 4) of some multiplicity (m) whose path gain amplitude exceeds `least`."""
     wavelength, top = context.spec.wavelength_m, float(context.table.max()) ** 2
     full, gate = wavelength / (4 * np.pi) * antennas.factor, 2 * context.gate[1]
     faint = least / (abs(full) * top)  # as a spread
@@ -97,7 +97,7 @@ def _echoes_of(
                       np.empty((2, many), np.bool_))  # fmt: skip
     chosen = kernel.Chains(rows, counts, np.empty(many, np.int64))
     mirrors = kernel.PlaneMirrors(planar.normals, planar.offsets, planar.widths)
-    things = kernel.RoundBodies(bodies.centres, bodies.axes, bodies.radii, bodies.ends, bodies.is_sphere)
+    things = kernel.CurvedBodies(bodies.centres, bodies.axes, bodies.radii, bodies.ends, bodies.is_sphere)
     limits = kernel.Limits(gate, faint, wavelength, PULL_M)
     count = kernel.unfold(chosen, antennas.origins, mirrors, things, limits, points, pairs)
     if not count:
@@ -117,16 +117,16 @@ def _echoes_of(
     chains, lengths, value = rows[loud[some]], paths.length[some], full * values[:left]
     for k in range(2):
         body = chains[:, 2 + k]
-        value = value * ends_leave(bodies.ends[body], bodies.is_sphere[body], alongs[k, :left], paths.bends[some, k],
+        value = value * truncation(bodies.ends[body], bodies.is_sphere[body], alongs[k, :left], paths.bends[some, k],
                                    wavelength)  # fmt: skip
     path = _real(planar, bodies, chains, corners[:, :left], normals[:, :left])
     value = value * turned(context, antennas, path)
     value = value * (abs(value) > least) * free(parts, path)
-    return [_told(context, path, chains[:, 0] == AFTER, lengths, value, grids)]
+    return [_as_echo_set(context, path, chains[:, 0] == AFTER, lengths, value, grids)]
 
 
 def _real(planar: PlanarPatches, bodies: Bodies, chains: Longs, corners: Floats, normals: Floats) -> Real:
-    """The paths of chains (n, 4) with what they meet, in the wave's order."""
+    """Return the paths of chains (n, 4) with the objects that they meet, in the order of the wave."""
     at, face, first, last = chains.T
     many = len(at)
     depths = _met(at, np.zeros(many), bodies.depths[first], bodies.depths[last])
@@ -135,15 +135,15 @@ def _real(planar: PlanarPatches, bodies: Bodies, chains: Longs, corners: Floats,
 
 
 def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any]) -> NDArray[Any]:
-    """What belongs to a face (m) and both bodies, as waves meet them (3, m)."""
+    """Stack values of a face and both bodies (m) in the order in which waves meet them (3, m)."""
     return np.stack([np.where(at == BEFORE, face, first), np.choose(at, (first, face, last)),
                      np.where(at == AFTER, face, last)])  # fmt: skip
 
 
-def _told(
+def _as_echo_set(
     context: RadarContext, path: Real, after: Bools, lengths: Floats, value: Complexes, grids: Complexes
 ) -> EchoSet:
-    """Lays the echoes of paths (n), some of which meet their face after both bodies."""
+    """Add the echoes of paths (n), some of which meet their face after both bodies."""
     echo = accumulate(context, lengths / C0, value, grids, (0.0, 1.0))
     object_ids = path.object_ids
     via = np.stack([object_ids[0], np.where(after, object_ids[2], object_ids[1])], 1).astype(np.int64)

@@ -7,8 +7,8 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import over, radar
+from ullage.radar.body_pairs import Bodies, paths_over
 from ullage.radar.prepared import prepare
-from ullage.radar.round_pairs import Bodies, paths_over
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
