@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.experiments.validation.rows import over, radar
+from ullage.experiments.validation.rows import gain_via, radar
 from ullage.radar.body_pairs import Bodies, paths_over
 from ullage.radar.prepared import prepare
 from ullage.world import scenes
@@ -119,7 +119,7 @@ def test_two_drums_are_their_dense_double_integral(one, other):
 def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
     """Drums of 1 m hold the zone of 0.25 m; cut at the radar's height they keep half the wave or a quarter."""
     pose, spec, tall = ul.Trajectory.stationary(), radar(), two("drum", "drum")
-    whole, cut = (abs(over(s, pose, spec, "b", ("a",))) for s in (tall, shifted(tall, -0.5)))
+    whole, cut = (abs(gain_via(s, pose, spec, "b", ("a",))) for s in (tall, shifted(tall, -0.5)))
     first, last = (body((*c, 0), 0.3, ball=False) for c in ((2, 0.5), (2.4, -0.6)))
     free = 2 * spec.wavelength_m / (4 * np.pi) * paths_over(np.zeros(3), np.zeros(3), first, last).spread[0]
     assert level(whole / free) == pytest.approx(0, abs=1.5)
@@ -128,7 +128,7 @@ def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
 
 def test_where_the_origin_lies_along_drums_is_no_matter():
     """World and radar 5 m higher: drums are known by a point of their axis, which may be far below."""
-    high, low = (over(shifted(two("drum", "drum"), up), ul.Trajectory.stationary((0, 0, up)), radar(), "b", ("a",))
+    high, low = (gain_via(shifted(two("drum", "drum"), up), ul.Trajectory.stationary((0, 0, up)), radar(), "b", ("a",))
                  for up in (5.0, 0.0))  # fmt: skip
     assert abs(low) > 1e-4
     assert high == pytest.approx(low, rel=1e-4)
@@ -143,11 +143,12 @@ def test_sending_and_receiving_may_be_exchanged(kinds):
     spec, found = radar().but(antenna_offset_m=0.4), []
     for roll in (0.0, np.pi):
         pose = replace(ul.Trajectory.stationary(), quat_xyzw=np.array([[np.sin(roll / 2), 0, 0, np.cos(roll / 2)]]))
-        found.append(sum(over(two(*kinds), pose, spec, a, (b,)) for a, b in ("ab", "ba")))
+        found.append(sum(gain_via(two(*kinds), pose, spec, a, (b,)) for a, b in ("ab", "ba")))
     assert abs(found[0]) > 0
     assert found[0] == pytest.approx(found[1], rel=1e-6)
-    together, hardly = (over(two(*kinds), ul.Trajectory.stationary(), radar().but(antenna_offset_m=d), "b", ("a",))
-                        + over(two(*kinds), ul.Trajectory.stationary(), radar().but(antenna_offset_m=d), "a", ("b",))
+    together, hardly = (gain_via(two(*kinds), ul.Trajectory.stationary(), radar().but(antenna_offset_m=d), "b", ("a",))
+                        + gain_via(two(*kinds), ul.Trajectory.stationary(), radar().but(antenna_offset_m=d), "a",
+                                   ("b",))
                         for d in (0.0, 1e-6))  # fmt: skip
     assert together == pytest.approx(hardly, rel=1e-4)
 
@@ -156,9 +157,9 @@ def test_a_fence_between_them_hides_one_from_the_other():
     pose, spec, open_ = ul.Trajectory.stationary(), radar(), two("drum", "drum")
     fence = Scene.of_mesh(np.array([[2.1, 0, -1.0], [2.6, 0, -1], [2.6, 0, 1], [2.1, 0, 1]]),
                           np.array([[0, 1, 2], [0, 2, 3]]), name="fence", made_of="pec")  # fmt: skip
-    assert abs(over(open_, pose, spec, "b", ("a",))) > 1e-5
+    assert abs(gain_via(open_, pose, spec, "b", ("a",))) > 1e-5
     wide = replace(fence, vertices=fence.vertices - [0.5, 0.05, 0])
-    assert over(Scene.union([open_, wide]), pose, spec, "b", ("a",)) == 0
+    assert gain_via(Scene.union([open_, wide]), pose, spec, "b", ("a",)) == 0
 
 
 def test_bodies_that_move_are_where_they_are():

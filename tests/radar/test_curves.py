@@ -8,7 +8,7 @@ import pytest
 import ullage as ul
 from ullage.antenna import gain
 from ullage.experiments.validation.oracles import dense_tank
-from ullage.experiments.validation.rows import over
+from ullage.experiments.validation.rows import gain_via
 from ullage.radar import curves, paths, physical, sphere_echoes
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes, beams_of
@@ -187,7 +187,7 @@ def test_a_tanks_corner_of_floor_and_wall_is_the_dense_sum_over_its_wall(place):
     """Strips 0.3 m wide, in the middle of the tank all at one distance."""
     want = dense_tank(40, 2.0, 1.2, np.array(place), 7.29e9)
     tank = scenes.tank(2.0, 1.2, "pec", strips=40)
-    found = [over(tank, at(*place), radar(), "wall", via) for via in (("floor",), ("floor", "floor"))]
+    found = [gain_via(tank, at(*place), radar(), "wall", via) for via in (("floor",), ("floor", "floor"))]
     assert abs(found[0] - want[0]) < 0.05 * abs(want[0])
     assert abs(found[1] - want[1]) < 0.1 * abs(want[1]) + 0.01 * abs(want[0])
 
@@ -196,7 +196,7 @@ def test_a_tanks_corner_settles_as_its_strips_grow_narrow():
     """A strip's chord lies inside the round by 8 mm of 32 strips, 0.1 mm of 256; about the middle nothing focuses."""
     place = at(0.8, 0.3, 0.5)
     tanks = [scenes.tank(2.0, 1.2, "pec", strips=n) for n in (32, 192, 256)]
-    levels = [over(tank, place, radar(), "wall", ("floor",)) for tank in tanks]
+    levels = [gain_via(tank, place, radar(), "wall", ("floor",)) for tank in tanks]
     assert abs(levels[1] - levels[2]) < 0.1 * abs(levels[2])
     assert abs(levels[0] - levels[2]) > 3 * abs(levels[1] - levels[2])
 

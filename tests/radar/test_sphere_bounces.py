@@ -9,7 +9,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation import oracles
-from ullage.experiments.validation.validate import ball_heard
+from ullage.experiments.validation.validate import sphere_wall_to_wall
 from ullage.radar import physical, sphere_bounces
 from ullage.world.scene import Scene
 
@@ -20,8 +20,8 @@ SPEC = ul.RadarSpec.preset("x4m05").but(antenna={"kind": "isotropic"})
                                                          (0.6, 2, 0.03), (0.8, 2, 0.02), (0.85, 3, 0.06)])  # fmt: skip
 def test_it_is_physical_optics_iterated_over_the_wall(away, bounces, within):
     """Close to the middle, where each half of the wall makes an image for the other, and off it."""
-    want = oracles.dense_ball(1.0, away, 3.75e9, bounces)
-    assert abs(ball_heard(away, 3.75e9, bounces) - want) < within * abs(want)
+    want = oracles.dense_sphere(1.0, away, 3.75e9, bounces)
+    assert abs(sphere_wall_to_wall(away, 3.75e9, bounces) - want) < within * abs(want)
 
 
 def inside(scene: Scene, place: tuple[float, float, float], spec: ul.RadarSpec = SPEC, bounces: int = 2) -> complex:
@@ -41,7 +41,7 @@ def test_meshes_of_a_ball_are_one_ball():
 
 def test_a_conductor_turns_the_field_twice_and_nothing_is_lost():
     """Whichever way the field stands to the plane of a ray that meets the wall at right angles."""
-    true = ball_heard(1e-3, SPEC.center_hz, 2)
+    true = sphere_wall_to_wall(1e-3, SPEC.center_hz, 2)
     assert abs(inside(ul.scenes.sphere(1.0, 0.0, edge_m=0.15), (1e-3, 0.0, 0.0))) == pytest.approx(abs(true), rel=0.02)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import radar
-from ullage.experiments.validation.validate import drum_heard, over_wall
+from ullage.experiments.validation.validate import gain_over_wall, tank_and_drum_pulses
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
 from ullage.radar.prepared import prepare
@@ -121,7 +121,7 @@ def test_spread_and_slope_are_those_of_differences_of_the_path(ball, walls):
 )
 def test_it_is_the_drums_exact_series_and_the_walls_integral(drum, place, reach, twice):
     """As pulses, where the drum turns the wave with a cosine of 0.84 or more."""
-    ours, want = drum_heard(drum, place, reach, twice=twice)
+    ours, want = tank_and_drum_pulses(drum, place, reach, twice=twice)
     best = abs(want).argmax()
     assert db(ours[best] / want[best]) == pytest.approx(0, abs=0.2)
     assert abs(np.angle(ours[best] / want[best])) < 0.06
@@ -176,16 +176,16 @@ def test_what_stands_between_hides():
     scene, pose, spec = tank("drum"), at(-0.4, 0.2, 1.5), radar()
     fence = Scene.of_mesh(np.array([[0.3, -0.6, 0], [0.3, 0.6, 0], [0.3, 0.6, 3], [0.3, -0.6, 3.0]]),
                           np.array([[0, 1, 2], [0, 2, 3]]), name="fence", made_of="pec")  # fmt: skip
-    assert abs(over_wall(scene, pose, spec, 2)) > 1e-4
-    hidden = over_wall(Scene.union([scene, fence]), pose, spec, 2)
-    assert abs(hidden) < 0.3 * abs(over_wall(scene, pose, spec, 2))
+    assert abs(gain_over_wall(scene, pose, spec, 2)) > 1e-4
+    hidden = gain_over_wall(Scene.union([scene, fence]), pose, spec, 2)
+    assert abs(hidden) < 0.3 * abs(gain_over_wall(scene, pose, spec, 2))
 
 
 @pytest.mark.parametrize("middle", [0.0, 0.4])
 def test_nothing_jumps_along_a_track(middle):
     """Millimetre by millimetre: no step is more than what 2 k of path turn allows."""
     spec, scene = radar(), tank("drum")
-    found = np.array([over_wall(scene, at(middle + d, 0.5, 1.5), spec, 2) for d in np.arange(-8, 9) * 1e-3])
+    found = np.array([gain_over_wall(scene, at(middle + d, 0.5, 1.5), spec, 2) for d in np.arange(-8, 9) * 1e-3])
     assert (abs(np.diff(found)) < 0.35 * abs(found).max()).all()
     assert (abs(found[:-2] - 2 * found[1:-1] + found[2:]) < 0.15 * abs(found).max()).all()
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import ullage as ul
 from ullage.experiments.validation.rows import radar
-from ullage.experiments.validation.validate import walls_heard
+from ullage.experiments.validation.validate import tank_wall_to_wall
 from ullage.radar import wall_bounces
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import apparent_sizes
@@ -53,7 +53,7 @@ def walls(scene, pose, spec, bounces=2):
                                                 ((0.0, 0.0, 0.8), 3)])  # fmt: skip
 def test_it_is_physical_optics_iterated_over_the_wall(place, bounces):
     """On the axis, where all of the wall focuses; where the far wall has the image of the radar on it; at the wall."""
-    ours, want = walls_heard(scenes.tank(1.2, 2.0, "pec", strips=96), 1.2, 2.0, place, bounces)
+    ours, want = tank_wall_to_wall(scenes.tank(1.2, 2.0, "pec", strips=96), 1.2, 2.0, place, bounces)
     best = abs(want).argmax()
     assert db(ours[best] / want[best]) == pytest.approx(0, abs=0.2)
     assert abs(np.angle(ours[best] / want[best])) < 0.06

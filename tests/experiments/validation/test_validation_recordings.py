@@ -10,7 +10,7 @@ import pytest
 import ullage as ul
 from ullage.cli import main
 from ullage.experiments.validation.recordings import count_behind
-from ullage.experiments.validation.recordings_page import beside_recordings
+from ullage.experiments.validation.recordings_page import write_recordings_page
 from ullage.experiments.validation.validate import against_recordings
 
 X4 = Path(__file__).parents[4] / "shared" / "data" / "x4"
@@ -56,7 +56,7 @@ def test_the_page_sets_a_real_recording_beside_a_room(tmp_path: Path) -> None:
     name = "xethru_baseband_iq_20170913_150437.dat"
     (tmp_path / "data" / "x4").mkdir(parents=True)
     (tmp_path / "data" / "x4" / name).symlink_to(X4 / name)
-    rows = beside_recordings(tmp_path / "data", tmp_path / "docs", report=lambda _: None)
+    rows = write_recordings_page(tmp_path / "data", tmp_path / "docs", report=lambda _: None)
     assert len(rows) == 2
     assert all(row.passed for row in rows)
     page = (tmp_path / "docs" / "validation_recordings.md").read_text()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ullage.data import Trajectory
 from ullage.experiments.validation import oracles
-from ullage.experiments.validation.rows import db, gain, over, radar
+from ullage.experiments.validation.rows import db, gain, gain_via, radar
 from ullage.geometry import C0
 from ullage.radar.explain import explain
 from ullage.radar.physical import echoes
@@ -120,7 +120,7 @@ def _trihedral(axes: Any) -> None:
 def _tank(axes: Any) -> None:
     scene, spec = scenes.tank(2.0, 1.2, "pec", strips=48), radar("horizontal")
     track = Trajectory.line((0.6, 0.2, 0.5), (1.0, 0.2, 0.5), 0.5, 60)
-    double, triple = ([over(scene, track[i : i + 1], spec, "wall", via) for i in range(len(track))]
+    double, triple = ([gain_via(scene, track[i : i + 1], spec, "wall", via) for i in range(len(track))]
                       for via in (("floor",), ("floor", "floor")))  # fmt: skip
     want = [oracles.dense_tank(48, 2.0, 1.2, at, spec.center_hz) for at in track.position]
     x = track.position[:, 0]

@@ -1,4 +1,4 @@
-"""References for the physical radar that share no code with it: dense integrals, Mie and Bessel series, images."""
+"""Independent references for the physical radar: dense integrals, Mie and Bessel series, the image method."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ullage.geometry import C0
 
 
 def wave_number(frequency_hz: float) -> float:
-    """2 pi f / c [1/m]."""
+    """Return 2 pi f / c [1/m]."""
     return 2 * np.pi * frequency_hz / C0
 
 
 def dense_plate(size_m: float, distance_m: float, frequency_hz: float, yaw_deg: float = 0.0) -> complex:
-    """Near-field Kirchhoff integral of a conducting square at one frequency, sampled every 2 mm."""
+    """Compute the near-field Kirchhoff integral of a conducting square at one frequency, sampled every 2 mm."""
     n = max(round(size_m / 0.002), 20)
     side = (np.arange(n) + 0.5) / n * size_m - size_m / 2
     across, up = np.meshgrid(side, side)
@@ -30,7 +30,7 @@ def dense_plate(size_m: float, distance_m: float, frequency_hz: float, yaw_deg: 
 
 
 def dense_dihedral(edge_m: float, distance_m: float, frequency_hz: float, yaw_deg: float) -> complex:
-    """Double bounce of a right dihedral: image in one face, Kirchhoff integral on what it lights of the other."""
+    """Compute the double bounce of a dihedral: image in one face, Kirchhoff integral over the lit part of the other."""
     n, k, total = 400, wave_number(frequency_hz), 0j
     yaw = np.radians(yaw_deg)
     fold = np.array([distance_m, 0.0])
@@ -38,7 +38,7 @@ def dense_dihedral(edge_m: float, distance_m: float, frequency_hz: float, yaw_de
     t = (np.arange(n) + 0.5) / n * edge_m
     up = (np.arange(n) + 0.5) / n * edge_m - edge_m / 2
     for first, last in (out, out[::-1]):
-        normal = last  # the first face's normal lies along the other face, and the other way round
+        normal = last  # the normal of each face lies along the other face
         image = -2 * ((-fold) @ normal) * normal
         q = fold + t[:, None] * last
         share = (image - fold) @ normal / ((image - fold) @ normal - (q - fold) @ normal)
@@ -54,10 +54,10 @@ def dense_dihedral(edge_m: float, distance_m: float, frequency_hz: float, yaw_de
 def dense_tank(
     strips: int, radius_m: float, height_m: float, position_m: Floats, frequency_hz: float
 ) -> tuple[complex, complex]:
-    """Floor and wall, then floor, wall and floor, of a conducting tank of flat strips; fields level, along y.
+    """Compute echoes over floor and wall, and over floor, wall and floor, of a conducting tank of flat strips.
 
-    Kirchhoff's integrals over the wall from the image in the floor to the radar, both ways, and to the image, sampled
-    every centimetre.
+    Kirchhoff integrals over the wall run from the image in the floor to the radar, in both directions, and to the
+    image, sampled every centimetre. The field is horizontal, along y.
     """
     k, step, total = wave_number(frequency_hz), 0.01, [0j, 0j]
     angle = 2 * np.pi * np.arange(strips + 1) / strips
@@ -68,21 +68,21 @@ def dense_tank(
         points = np.concatenate([np.repeat(along, len(up), 0), np.tile(up, n)[:, None]], 1)
         normal = np.array([q[1] - p[1], p[0] - q[0], 0]) / width
         for which, ends in enumerate(((-1, 1), (-1, -1))):
-            path, ways, fields = np.zeros(len(points)), [], []
+            path, directions, fields = np.zeros(len(points)), [], []
             spread = np.full(len(points), width * height_m / len(points))
             for end in ends:
                 mirror = np.array([1, 1, end])
-                leg = points - position_m * mirror
-                size = np.linalg.norm(leg, axis=1)
-                path, spread, way = path + size, spread / size, leg / size[:, None]
-                field = np.array([0.0, 1, 0]) - way[:, 1:2] * way * mirror  # as sent, before the floor
+                ray = points - position_m * mirror
+                size = np.linalg.norm(ray, axis=1)
+                path, spread, direction = path + size, spread / size, ray / size[:, None]
+                field = np.array([0.0, 1, 0]) - direction[:, 1:2] * direction * mirror  # as sent, before the floor
                 field *= end * mirror / np.linalg.norm(field, axis=1)[:, None]  # a conductor keeps the normal part
-                ways.append(way)
+                directions.append(direction)
                 fields.append(field)
-            half = ways[0] + ways[1]
+            half = directions[0] + directions[1]
             half /= np.linalg.norm(half, axis=1)[:, None]
             back = 2 * np.sum(fields[0] * half, 1)[:, None] * half - fields[0]
-            slope = abs((ways[0] + ways[1]) @ normal) / 2 * np.sum(back * fields[1], 1)
+            slope = abs((directions[0] + directions[1]) @ normal) / 2 * np.sum(back * fields[1], 1)
             total[which] += (2 if which == 0 else 1) * np.sum(slope * spread * np.exp(-1j * k * path))
     return complex(1j / (4 * np.pi) * total[0]), complex(1j / (4 * np.pi) * total[1])
 
@@ -91,19 +91,19 @@ def tank_and_drum(
     radius_m: float, drum: tuple[float, float, float], position_m: Floats, frequency_hz: float, *, twice: bool,
     soft: bool = True,
 ) -> complex:  # fmt: skip
-    """Echo over the wall of a round tank and an upright conducting drum in it, across the axis.
+    """Compute the echo over the wall of a cylindrical tank and a vertical conducting drum in it, in two dimensions.
 
-    The drum by its exact series [Balanis2012, ch. 11], the wall by Kirchhoff's integral, obliquity the mean of an
-    electric and a magnetic wall's. That waves widen along the axis, too, is not in it: of a path of length P the echo
-    is this over the root of P.
+    The drum uses its exact series [Balanis2012, ch. 11]. The wall uses Kirchhoff's integral, with the mean obliquity of
+    an electric and a magnetic wall. The spread along the axis is not included: for a path of length P, divide by the
+    square root of P.
 
     Args:
         radius_m: of the tank, about the origin [m].
         drum: its centre (x, y) and its radius [m].
         position_m: (2) the radar [m].
         frequency_hz: [Hz].
-        twice: from the drum to the wall and back to it; else over wall and drum, once each way round.
-        soft: whether fields are upright, along the drum; else level.
+        twice: path from the drum to the wall and back to the drum; else over wall and drum, once in each direction.
+        soft: whether the field is vertical, along the drum; else horizontal.
     """
     k, step = wave_number(frequency_hz), 1e-4
     angle = 2 * np.pi * np.arange(count := int(8 * k * radius_m)) / count
@@ -122,9 +122,9 @@ def tank_and_drum(
         wave, before = [2 * n / at * w - b for at, w, b in zip((near, far), wave, before, strict=True)], wave
     inner, drums, outer = total * np.sqrt(np.pi * k / 2) * np.exp(-0.25j * np.pi)
     slope = 1j * (outer - inner) / (2 * step * k)  # the wave times cos(incidence)
-    way = radius_m * out - position_m
-    gap = np.linalg.norm(way, axis=1)
-    sent, cosine = np.exp(-1j * k * gap) / np.sqrt(gap), (way * out).sum(1) / gap
+    direction = radius_m * out - position_m
+    gap = np.linalg.norm(direction, axis=1)
+    sent, cosine = np.exp(-1j * k * gap) / np.sqrt(gap), (direction * out).sum(1) / gap
     each = drums * slope if twice else sent * (cosine * drums + slope)
     unit = np.sqrt(1j * k / (2 * np.pi)) * 2 * np.pi * radius_m / count / (2 * k)
     return complex(each.sum() * unit * (-1 if soft else 1))
@@ -134,32 +134,33 @@ def dense_walls(
     radius_m: float, height_m: float, position_m: Floats, frequency_hz: float, bounces: int, *,
     to_m: Floats | None = None, level: bool = False,
 ) -> complex:  # fmt: skip
-    """So many bounces from wall to wall of an upright conducting cylinder from z = 0 on, physical optics iterated.
+    """Compute bounces from wall to wall of a vertical conducting cylinder above z = 0 by iterated physical optics.
 
-    The currents that a wave makes on the wall send waves to all of it and make currents there, in scalar form, a third
-    of a wave apart; on a cylinder each such step is a convolution. Fields are upright, or `level`: along y. Obliquity
-    is the mean of an electric and a magnetic wall's, which are one where the integral is stationary.
+    The currents that a wave induces on the wall radiate to the whole wall and induce currents there. The scalar form
+    has samples a third of a wavelength apart; on a cylinder each step is a convolution. The field is vertical, or
+    horizontal along y (`level`). Obliquity is the mean of an electric and a magnetic wall, which agree at stationary
+    points.
 
     Args:
         radius_m: [m].
         height_m: [m].
-        position_m: (3) the radar, from the foot of the axis [m].
+        position_m: (3) the radar, from the lower end of the axis [m].
         frequency_hz: [Hz].
         bounces: 1 or more.
-        to_m: (3) its receiver; None: the same place [m].
-        level: whether fields are level.
+        to_m: (3) the receiver; None: the same place [m].
+        level: whether the field is horizontal.
     """
     k = wave_number(frequency_hz)
     n, m = (int(np.ceil(3 * k * size / (2 * np.pi))) for size in (2 * np.pi * radius_m, height_m))
     angle, step = 2 * np.pi * np.arange(n) / n, height_m / m
     up, out = (np.arange(m) + 0.5) * step, np.stack([np.cos(angle), np.sin(angle)], 1)
-    unit, legs = 1j * k / (2 * np.pi) * (2 * np.pi * radius_m / n) * step, []
+    unit, fields = 1j * k / (2 * np.pi) * (2 * np.pi * radius_m / n) * step, []
     for place in (position_m, position_m if to_m is None else to_m):
-        way = radius_m * out - place[:2]
-        r = np.sqrt((way * way).sum(1)[:, None] + (up - place[2]) ** 2)
-        field = np.sign(way[:, :1]) if level else 1.0  # across the way, as it looks along y
-        legs.append((field * np.exp(-1j * k * r) / r, (way * out).sum(1)[:, None] / r))
-    (sent, cosine), (taken, back) = legs
+        direction = radius_m * out - place[:2]
+        r = np.sqrt((direction * direction).sum(1)[:, None] + (up - place[2]) ** 2)
+        field = np.sign(direction[:, :1]) if level else 1.0  # component across the direction, with the sign along y
+        fields.append((field * np.exp(-1j * k * r) / r, (direction * out).sum(1)[:, None] / r))
+    (sent, cosine), (received, back) = fields
     chord, rise = 2 * radius_m * abs(np.sin(angle / 2))[:, None], np.arange(-m, m) * step
     r = np.sqrt(chord**2 + rise**2)
     r[0, m] = 1.0
@@ -169,20 +170,20 @@ def dense_walls(
         wave = sent * first
         for _ in range(bounces - 1):
             wave = unit * np.fft.ifft2(np.fft.fft2(wave, (n, 2 * m)) * spectrum)[:, :m]
-        total += unit * np.sum(wave * taken * last) / 2
+        total += unit * np.sum(wave * received * last) / 2
     return complex(total / (2 * k) * (-1 if level else (-1) ** bounces))
 
 
-def dense_ball(radius_m: float, away_m: float, frequency_hz: float, bounces: int) -> complex:
-    """So many bounces from wall to wall inside a conducting ball, physical optics iterated, in scalar form.
+def dense_sphere(radius_m: float, away_m: float, frequency_hz: float, bounces: int) -> complex:
+    """Compute bounces from wall to wall inside a conducting sphere by iterated physical optics, in scalar form.
 
-    All is even around the line from the middle to the radar, so currents are rings, a fifth of a wave apart.
-    Reflections are 1; obliquity is the mean of an electric and a magnetic wall's, which are one where the integral is
-    stationary.
+    Symmetry about the line from the centre to the radar makes the currents rings, a fifth of a wavelength apart. The
+    reflection coefficient is 1. Obliquity is the mean of an electric and a magnetic wall, which agree at stationary
+    points.
 
     Args:
         radius_m: [m].
-        away_m: of the radar from the middle [m].
+        away_m: distance of the radar from the centre [m].
         frequency_hz: [Hz].
         bounces: 1 or more.
     """
@@ -194,7 +195,9 @@ def dense_ball(radius_m: float, away_m: float, frequency_hz: float, bounces: int
     rings = np.empty((len(x), len(x)), complex)
     for i in range(len(x) if bounces > 1 else 0):
         gap = np.sqrt(np.maximum(2 - 2 * (x[i] * x[i:, None] + s[i] * s[i:, None] * np.cos(turn)), 1e-12))
-        rings[i, i:] = np.exp(-1j * wave * gap).sum(1) * np.pi / len(turn)  # cos of coming and of leaving: gap / 2
+        rings[i, i:] = (
+            np.exp(-1j * wave * gap).sum(1) * np.pi / len(turn)
+        )  # cosines of incidence and departure: gap / 2
         rings[i:, i] = rings[i, i:]
     unit, total = 1j * wave / (2 * np.pi), 0j
     for first, last in ((slope, 1.0), (1.0, slope)):
@@ -206,7 +209,7 @@ def dense_ball(radius_m: float, away_m: float, frequency_hz: float, bounces: int
 
 
 def mie_width(radius_m: float, frequency_hz: float) -> float:
-    """Radar cross section of a conducting sphere [m^2] [Balanis2012, ch. 11]."""
+    """Compute the radar cross section of a conducting sphere [m^2] [Balanis2012, ch. 11]."""
     x = wave_number(frequency_hz) * radius_m
     n = np.arange(1, int(x + 4 * x ** (1 / 3)) + 10)
     j, y = spherical_jn(n, x), spherical_yn(n, x)
@@ -217,7 +220,7 @@ def mie_width(radius_m: float, frequency_hz: float) -> float:
 
 
 def wire_gain(radius_m: float, distance_m: float, frequency_hz: float, *, tm: bool) -> float:
-    """Path gain amplitude of an endless conducting wire between isotropic antennas [Balanis2012, ch. 11]."""
+    """Compute the path gain amplitude of an infinite conducting wire for isotropic antennas [Balanis2012, ch. 11]."""
     k = wave_number(frequency_hz)
     x = k * radius_m
     total = 0j
@@ -233,10 +236,10 @@ def wire_gain(radius_m: float, distance_m: float, frequency_hz: float, *, tm: bo
 
 
 def keller_strip(width_m: float, distance_m: float, frequency_hz: float, tilt_deg: float, *, soft: bool) -> complex:
-    """Tall conducting strip, turned, by Keller's coefficients [Keller1962].
+    """Compute the echo of a tall, tilted conducting strip by Keller's coefficients [Keller1962].
 
-    Two edges, and for the field across them (not `soft`) the wave from edge to edge, each with the stationary part of
-    its length.
+    It adds two edges, and the wave from edge to edge for the field across them (not `soft`), each at its stationary
+    point.
     """
     k, t = wave_number(frequency_hz), np.radians(tilt_deg)
     along = np.array([-np.sin(t), np.cos(t)])
@@ -257,7 +260,7 @@ def keller_strip(width_m: float, distance_m: float, frequency_hz: float, tilt_de
 
 
 def shoebox_lengths(size_m: Floats, position_m: Floats, orders: tuple[int, ...], longest_m: float) -> Floats:
-    """Path lengths [m] of the image method in a room centred on the origin, source and receiver at one point."""
+    """List path lengths [m] by the image method in a room around the origin, with source and receiver at one point."""
     found = []
     span = range(-max(orders), max(orders) + 1)
     for cell in itertools.product(span, repeat=3):

@@ -1,7 +1,7 @@
-"""Recordings beside simulations of them: the same path flown in a world built from what is known of the place.
+"""Compare recordings with simulations: the same path, flown in a world built from the known facts about the place.
 
-Levels are powers of baseband samples over the noise of one frame, so that a recording's own units cancel. A simulated
-level depends on `noise.unit_gain`, which is known to about 6 dB (docs/receiver.md).
+Levels are powers of baseband samples over the noise of one frame, so the units of a recording cancel. A simulated level
+depends on `noise.unit_gain`, which is known to about 6 dB (docs/receiver.md).
 """
 
 from __future__ import annotations
@@ -33,29 +33,29 @@ from ullage.specs import RadarSpec
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
-EDGE_M = 0.3  # of the simulated corner reflectors: the real ones' is not written down
-ROOM_M = (8.0, 6.0, 3.0)  # of the simulated room where nothing is known of the real one
+EDGE_M = 0.3  # edge of the simulated corner reflectors: that of the real ones is not recorded
+ROOM_M = (8.0, 6.0, 3.0)  # size of the simulated room where nothing is known about the real one
 BANDS = ((0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.5), (4.5, 6.0), (6.0, 8.0), (8.0, 12.0))
-GAP_M = (1.0, 4.5)  # where recorded rooms are louder than simulated ones
-NEAR_M, FLANK_M = 0.15, 0.45  # half widths about an expected range: the echo, and what it is compared with
-STEP_M = 0.02  # travelled between frames that are compared, at least
+GAP_M = (1.0, 4.5)  # ranges at which recorded rooms are louder than simulated ones
+NEAR_M, FLANK_M = 0.15, 0.45  # half widths around an expected range: the echo, and its surroundings
+STEP_M = 0.02  # least distance flown between compared frames
 MOST_FRAMES = 400
 LEAST_MOVING = 48  # frames that separate the instrument's response from the echoes of the place
-PEAK_DBI = 5.97  # of the X4A02, the antenna of presets that name no gain
-LEAST_COMMON_M = 1.5  # of range that two recordings share, for a comparison
-TAIL_M = 0.15  # behind the peak of the direct path, where the pulse itself is over
+PEAK_DBI = 5.97  # peak gain of the X4A02, the antenna of presets without a gain
+LEAST_COMMON_M = 1.5  # least common interval of range for the comparison of two recordings
+TAIL_M = 0.15  # distance behind the peak of the direct path at which the pulse itself has ended
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """A recording and what is known of the place."""
+    """A recording and the known facts about its place."""
 
     name: str
-    what: str  # in words
+    what: str  # description
     raw: Frames  # as recorded, with its pauses: the receiver is fitted to it
     frames: Frames  # with a true range axis and, where there is a track, poses
     scene: Scene
-    known: str  # what the scene holds, in words
+    known: str  # description of the scene
     reflectors: Floats  # (r, 3) world [m]
     targets: Scene | None = None  # these alone, for the point response
     moves: bool = True  # whether the radar itself moves at times
@@ -63,8 +63,8 @@ class Recorded:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beside:
-    """One recording beside its simulation; profiles are rms over the frames, in dB over the noise of one frame."""
+class Comparison:
+    """One recording and its simulation; profiles are rms over the frames, in dB over the noise of one frame."""
 
     case: Recorded
     receiver: Receiver
@@ -76,14 +76,14 @@ class Beside:
     behind: tuple[int, int] | None = None  # coherent scatterers behind the antenna, and all
 
     def level_db(self, name: str, low: float, high: float) -> float:
-        """Mean power of a profile within a band of ranges."""
+        """Average the power of a profile within a band of ranges [dB]."""
         part = (self.range_m >= low) & (self.range_m < high)
         power = 10 ** (self.profiles_db[name][part].astype(float) / 10)
         return float(10 * np.log10(power.mean())) if part.any() else float("nan")
 
 
 def recordings(folder: Path) -> Iterator[Recorded]:
-    """Every recording that is there, calibrated where it has a track."""
+    """Read every available recording, calibrated where it has a track."""
     makers: tuple[Callable[[Path], Recorded | None], ...] = (_rail_a, _flight_a, _rail_b, _outdoors, _x4_2019, _x4_2017)
     for maker in makers:
         with warnings.catch_warnings():
@@ -102,7 +102,7 @@ def _flight_a(folder: Path) -> Recorded | None:
 
 
 def _tracked(folder: Path, what: str) -> Recorded | None:
-    """A folder with a track and surveyed reflectors, which settle clock and range."""
+    """Read a folder with a track and surveyed reflectors, which calibrate clock and range."""
     from ullage.ports.registry import open as open_source
     from ullage.ports.tracked import RailSource
 
@@ -126,7 +126,7 @@ def _with_track(name: str, what: str, raw: Frames, places: Floats, floor_z_m: fl
 
 
 def _corner(place: Floats, towards: Floats) -> Scene:
-    """A trihedral at a place that opens towards another."""
+    """Place a trihedral that opens towards a point."""
     away = place - towards
     distance = float(np.linalg.norm(away))
     x = away / distance
@@ -138,7 +138,7 @@ def _corner(place: Floats, towards: Floats) -> Scene:
 
 
 def _rail_b(folder: Path) -> Recorded | None:
-    """The second rail, which is kept as decoded arrays, Motive's axes."""
+    """Read the second rail recording, which is stored as decoded arrays in Motive's axes."""
     path = folder / "pulson440" / "rail_b_decoded.npz"
     if not path.exists():
         return None
@@ -158,7 +158,7 @@ def _rail_b(folder: Path) -> Recorded | None:
 
 
 def _outdoors(folder: Path) -> Recorded | None:
-    """A corner reflector outdoors, from the first of eleven places by hand whose distances are not recorded."""
+    """Read a corner reflector outdoors: the first of eleven places with unrecorded distances."""
     path = folder / "pulson440" / "outdoor_corner_reflector_decoded.npz"
     if not path.exists():
         return None
@@ -201,24 +201,24 @@ def _x4(path: Path, name: str, what: str, still: slice) -> Recorded | None:
 
 
 def _room() -> Scene:
-    """A room with the radar 1.5 m before one wall and half a metre off the middle."""
+    """Make a room with the radar 1.5 m in front of one wall and half a metre off the middle."""
     room = scenes.room(ROOM_M)
     return replace(room, vertices=room.vertices + np.array([2.5, 0.5, 0.0]))
 
 
 def _still(name: str, what: str, frames: tuple[Frames, Frames], scene: Scene, known: str) -> Recorded:
-    """A radar at rest at the origin, whose place nobody surveyed: the whole recording, and a part at rest."""
+    """Describe a radar at rest at the origin of an unsurveyed place: the whole recording, and a part at rest."""
     raw, part = frames
     poses = Trajectory(part.t_ns, np.zeros((len(part), 3)), np.tile([0.0, 0, 0, 1], (len(part), 1)))
     return Recorded(name, what, raw, replace(part, poses=poses), scene, known, np.zeros((0, 3)))
 
 
-def compare(case: Recorded) -> Beside:
-    """Fit the receiver, fly the same path in the known world, and measure both alike.
+def compare(case: Recorded) -> Comparison:
+    """Fit the receiver, fly the same path in the known world, and measure both in the same way.
 
-    Profiles: `recorded`; `world`, the simulated echoes alone; `tails`, these with the tail that the instrument's
-    direct path has behind every echo; `isotropic`, the world with an antenna as sensitive backwards as forwards;
-    `receiver`, the world received by the fitted receiver. Tails and isotropic antenna are upper bounds.
+    Profiles: `recorded`; `world`, the simulated echoes alone; `tails`, each of these followed by the tail of the
+    instrument's direct path; `isotropic`, the world with an isotropic antenna; `receiver`, the world received by the
+    fitted receiver. Tails and isotropic antenna are upper bounds.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UllageWarning)
@@ -231,25 +231,25 @@ def compare(case: Recorded) -> Beside:
     few = path[:: max(1, len(path) // 50)]
     peak_dbi = PEAK_DBI if spec.antenna.gain_dbi is None else spec.antenna.gain_dbi
     everywhere = spec.but(antenna={"kind": "isotropic", "gain_dbi": peak_dbi})
-    heard = replace(world, samples=receive(world.samples / unit(spec), spec, seed=1) * unit(spec))
+    received = replace(world, samples=receive(world.samples / unit(spec), spec, seed=1) * unit(spec))
     profiles = {
         "recorded": _power(real), "world": _power(world), "tails": _power(_with_tails(world, spec)),
-        "isotropic": _power(_flown(case.scene, few, everywhere)), "receiver": _power(heard),
+        "isotropic": _power(_flown(case.scene, few, everywhere)), "receiver": _power(received),
     }  # fmt: skip
     over_noise = {name: 10 * np.log10(np.maximum(one / noise**2, 1e-6)) for name, one in profiles.items()}
     behind = None if case.frames.calibration is None else count_behind(case.frames)
     shares = _shares(case, receiver, real)
-    return Beside(case, receiver, real.range_m, over_noise, shares, *_imaged(case, real, spec), behind)
+    return Comparison(case, receiver, real.range_m, over_noise, shares, *_imaged(case, real, spec), behind)
 
 
 def _flown(scene: Scene, path: Trajectory, spec: RadarSpec) -> Frames:
-    """The echoes of a world along a path, without noise, in the recording's units."""
+    """Simulate the echoes of a world along a path, without noise, in the recording's units."""
     clean = simulate(scene, path, spec.but(noise=None), max_bounces=3)
     return replace(clean, samples=clean.samples * unit(spec), unit="normalised")
 
 
 def _with_tails(world: Frames, spec: RadarSpec) -> Frames:
-    """The same echoes, each with what the direct path of the instrument has behind its peak."""
+    """Append to each echo the tail of the instrument's direct path."""
     own = None if spec.noise is None else spec.noise.direct_path
     if own is None:
         return world
@@ -268,13 +268,13 @@ def _with_tails(world: Frames, spec: RadarSpec) -> Frames:
 
 
 def _once(frames: Frames) -> slice:
-    """All frames of a moving radar; one of a still one."""
+    """Select all frames of a moving radar, or one frame of a radar at rest."""
     still = float(np.ptp(frames.believed.position, axis=0).max()) < STEP_M
     return slice(0, 1) if still else slice(None)
 
 
 def _thinned(frames: Frames) -> Frames:
-    """Frames at least STEP_M apart, and at most MOST_FRAMES of them; of a radar at rest, MOST_FRAMES."""
+    """Select at most MOST_FRAMES frames, at least STEP_M apart unless the radar is at rest."""
     step = np.linalg.norm(np.diff(frames.believed.position, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     if along[-1] < STEP_M:
@@ -284,22 +284,22 @@ def _thinned(frames: Frames) -> Frames:
 
 
 def _rest_noise(raw: Frames, receiver: Receiver) -> float:
-    """Sigma of the complex baseband noise of one frame, from successive frames at rest, far out."""
+    """Estimate the sigma of a frame's complex baseband noise from successive frames at rest, at far ranges."""
     still = to_baseband(raw[np.flatnonzero(receiver.still)])
     return float(np.sqrt(np.mean(np.abs(np.diff(still[:, -still.shape[1] // 4 :], axis=0)) ** 2) / 2))
 
 
 def _power(frames: Frames) -> Floats:
-    """Mean power of every bin (b) at baseband."""
+    """Average the power of every bin (b) at baseband."""
     return np.asarray(np.mean(np.abs(to_baseband(frames)) ** 2, axis=0), float)
 
 
 def _shares(case: Recorded, found: Receiver, real: Frames) -> dict[str, float]:
-    """Shares of the recorded power within GAP_M, by cause, as far as this recording separates them.
+    """Estimate the shares of the recorded power within GAP_M by cause, as far as this recording separates them.
 
-    `instrument`: the response that stays while the radar moves, less what the mean over so few places keeps by
-    chance. `changes`: what changes while the radar rests, phase and gain of the frame taken off. `floor` and
-    `reflectors`: power about their expected ranges over that beside them, without the radar's own echo.
+    `instrument`: the response that stays constant while the radar moves, less the expected remainder of the mean over
+    few places. `changes`: changes while the radar rests, after removal of each frame's phase and gain. `floor` and
+    `reflectors`: the excess of power around their expected ranges, without the radar's own echo.
     """
     values, part = to_baseband(case.raw), (case.frames.range_m >= GAP_M[0]) & (case.frames.range_m < GAP_M[1])
     if not part.any():
@@ -322,7 +322,7 @@ def _shares(case: Recorded, found: Receiver, real: Frames) -> dict[str, float]:
 
 
 def count_behind(frames: Frames) -> tuple[int, int] | None:
-    """Coherent scatterers behind the antenna, and all; None where the track is too straight to tell the sides apart.
+    """Count coherent scatterers behind the antenna, and all; None where the track is too straight to separate sides.
 
     Args:
         frames: calibrated, with the radar's own echo.
@@ -335,14 +335,14 @@ def count_behind(frames: Frames) -> tuple[int, int] | None:
 
 
 def _longest(chosen: Bools) -> slice:
-    """The longest run of chosen frames: the radar may rest at several places."""
+    """Return the longest run of chosen frames: the radar may rest at several places."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
     runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     return slice(*max(runs, key=lambda run: run[1] - run[0]))
 
 
 def _expected(case: Recorded, real: Frames, part: Bools, noise: float) -> dict[str, float]:
-    """Shares of the floor and of the reflectors, from what exceeds their surroundings at their expected ranges."""
+    """Estimate the shares of the floor and of the reflectors from the excess of power at their expected ranges."""
     power = np.abs(to_baseband(own_echo(real).removed_from(real))) ** 2
     whole = float(np.sum(np.mean(np.abs(to_baseband(real)) ** 2, axis=0)[part] - noise))
     place = real.believed.position
@@ -364,7 +364,7 @@ def _expected(case: Recorded, real: Frames, part: Bools, noise: float) -> dict[s
 def _imaged(
     case: Recorded, real: Frames, spec: RadarSpec
 ) -> tuple[tuple[Image, Image] | None, tuple[dict[str, float], dict[str, float]] | None]:
-    """Images of the first reflector, and its place and widths in them."""
+    """Focus images of the first reflector, and measure its position error and widths in them."""
     if case.targets is None:
         return None, None
     ours = _flown(case.targets, real.believed, spec)
@@ -378,19 +378,19 @@ def _imaged(
 
 
 @dataclass(frozen=True, slots=True)
-class Alike:
-    """How alike the responses are that stay in two recordings of the same kind of radar."""
+class RingDownMatch:
+    """Coherence of the constant responses in two recordings by the same kind of radar."""
 
     names: tuple[str, str]
     band_m: tuple[float, float]
     coherence: float  # 1: the same response
 
 
-def ring_down(all_of_them: list[Beside]) -> list[Alike]:
-    """Compare what stays while the radar moves between recordings of the same kind of radar, within GAP_M.
+def compare_ring_downs(all_of_them: list[Comparison]) -> list[RingDownMatch]:
+    """Compare the responses that stay constant while the radar moves, between recordings by one kind of radar.
 
-    Each is the ring-down plus what stayed the same by the place. Only the ring-down is common: where both parts are
-    as strong in both recordings, the coherence is the share of the ring-down.
+    Each is the ring-down plus constant echoes of the place. Only the ring-down is common. If both parts have the same
+    strength in both recordings, the coherence is the share of the ring-down.
     """
     moved = [one for one in all_of_them if "instrument" in one.shares]
     out = []
@@ -403,20 +403,20 @@ def ring_down(all_of_them: list[Beside]) -> list[Alike]:
         at = np.arange(low, GAP_M[1], spec.bin_m)
         a, b = (
             np.interp(at, axis, values.real) + 1j * np.interp(at, axis, values.imag)
-            for axis, values in zip(axes, (_that_stays(one), _that_stays(other)), strict=True)
+            for axis, values in zip(axes, (_constant_response(one), _constant_response(other)), strict=True)
         )
         norm = float(np.sqrt(np.vdot(a, a).real * np.vdot(b, b).real))
         names = one.case.name, other.case.name
-        out.append(Alike(names, (low, GAP_M[1]), abs(_best_product(a, b, at, spec)) / norm))
+        out.append(RingDownMatch(names, (low, GAP_M[1]), abs(_best_product(a, b, at, spec)) / norm))
     return out
 
 
-def _that_stays(one: Beside) -> Complexes:
+def _constant_response(one: Comparison) -> Complexes:
     return np.asarray(to_baseband(one.case.raw)[one.receiver.moving].mean(0), complex)
 
 
 def _best_product(a: Complexes, b: Complexes, at: Floats, spec: RadarSpec) -> complex:
-    """Inner product of two responses over small shifts of range, since both axes are known to centimetres only."""
+    """Maximise the inner product of two responses over small range shifts: the axes are known to centimetres only."""
     shifts = np.linspace(-0.06, 0.06, 61)
     turn = 4j * np.pi * spec.center_hz / C0
     moved = [np.interp(at + s, at, b.real) + 1j * np.interp(at + s, at, b.imag) for s in shifts]

@@ -1,4 +1,4 @@
-"""The page that sets recordings beside simulations of them, and the bounds that it holds."""
+"""Write the page that compares recordings with simulations, and check its bounds."""
 
 from __future__ import annotations
 
@@ -7,30 +7,32 @@ from pathlib import Path
 
 import numpy as np
 
-from ullage.experiments.validation.recordings import BANDS, GAP_M, Beside, compare, recordings, ring_down
+from ullage.experiments.validation.recordings import BANDS, GAP_M, Comparison, compare, compare_ring_downs, recordings
 from ullage.experiments.validation.recordings_figure import draw_recorded
 from ullage.experiments.validation.rows import Row
 from ullage.files import write_whole
 
 SHARES = {
-    "instrument": "stays while the radar moves: direct path and ring-down, and what the place keeps the same",
+    "instrument": "stays constant while the radar moves: direct path, ring-down and constant echoes of the place",
     "changes": "changes while the radar rests",
-    "floor": "about the range of the floor, over what lies beside it",
-    "reflectors": "about the range of the surveyed reflectors, likewise",
+    "floor": "excess of power at the range of the floor over neighbouring ranges",
+    "reflectors": "excess of power at the ranges of the surveyed reflectors, likewise",
 }
 LEVELS = ("recorded", "world", "tails", "isotropic", "receiver")
 
 
-def beside_recordings(folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print) -> list[Row]:
+def write_recordings_page(
+    folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print
+) -> list[Row]:
     """Compare every recording with a simulation of it; write `validation_recordings.md` and its pictures.
 
     Args:
-        folder: holds `pulson440` and `x4`; recordings that are not there are left out.
+        folder: contains `pulson440` and `x4`; absent recordings are skipped.
         out_dir: folder of the page.
         report: called with the name of each recording.
 
     Returns:
-        What is bounded: recorded as the reference, simulated as ours.
+        The bounded quantities: recorded as the reference, simulated as ours.
     """
     found, out = [], Path(out_dir)
     for case in recordings(Path(folder)):
@@ -50,8 +52,8 @@ def beside_recordings(folder: str | Path, out_dir: str | Path, *, report: Callab
     return rows
 
 
-def bounded(one: Beside) -> Iterator[Row]:
-    """What a simulation must share with the recording."""
+def bounded(one: Comparison) -> Iterator[Row]:
+    """Compare quantities of a simulation and its recording that must agree."""
     name, misfit = one.case.what, one.receiver.misfit
     yield Row(f"{name}: noise", 0.0, float(misfit["noise"].value), 0.5)
     yield Row(
@@ -66,22 +68,23 @@ def bounded(one: Beside) -> Iterator[Row]:
             yield Row(f"{name}: -6 dB width along {axis}", real[key], ours[key], 0.1, "m")
 
 
-def _page(found: list[Beside], rows: list[Row]) -> str:
+def _page(found: list[Comparison], rows: list[Row]) -> str:
     lines = [
-        "# Simulated beside recorded", "",
-        "Made by `ullage validate --recordings DIR`. It flies the path of each recording in a world built from what is",
-        "known of the place, and measures both alike. `ul.Receiver.fit` fits the receiver to the recording.", "",
+        "# Simulations and recordings compared", "",
+        "Made by `ullage validate --recordings DIR`. It flies the path of each recording in a world built from the",
+        "known facts about the place, and measures both in the same way. `ul.Receiver.fit` fits the receiver to the",
+        "recording.", "",
         "Levels are mean powers at baseband, in dB over the noise of one frame. A simulated level depends on",
         "`noise.unit_gain`, which is known to [about 6 dB](receiver.md#from-path-gain-to-the-sensors-units).", "",
-        "| recording | known of the place |", "|---|---|",
+        "| recording | known facts about the place |", "|---|---|",
         *(f"| {one.case.what} | {one.case.known} |" for one in found), "",
         "## Level over range", "",
         "| recording | range | recorded | known world | with the fitted receiver |", "|---|---|---|---|---|",
         *(line for one in found for line in _bands(one)), "",
         f"## From {GAP_M[0]:g} to {GAP_M[1]:g} m", "",
         *_causes(found), "",
-        "## What is held", "",
-        "Recorded is the reference. Noise and correlation are simulated less recorded.", "",
+        "## Bounds", "",
+        "The recording is the reference. Noise and correlation are simulated minus recorded.", "",
         "| quantity | recorded | simulated | bound | holds |", "|---|---|---|---|---|",
         *(_bound(row) for row in rows),
     ]  # fmt: skip
@@ -91,7 +94,7 @@ def _page(found: list[Beside], rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _bands(one: Beside) -> Iterator[str]:
+def _bands(one: Comparison) -> Iterator[str]:
     for low, high in BANDS:
         levels = [one.level_db(name, low, high) for name in ("recorded", "world", "receiver")]
         if np.isfinite(levels[0]):
@@ -103,8 +106,8 @@ def _db(level: float) -> str:
     return "none" if level < -30 else f"{level:.1f}"
 
 
-def _causes(found: list[Beside]) -> list[str]:
-    """Levels of the simulation with one cause added at a time, and shares of the recorded power."""
+def _causes(found: list[Comparison]) -> list[str]:
+    """Format levels of the simulation with one cause added at a time, and shares of the recorded power."""
     lines = [
         "Columns two to six are levels [dB]. `tails` gives every simulated echo the tail that the direct path of the",
         "instrument has. `isotropic` gives the antenna the same gain in all directions, behind it too. Both are upper",
@@ -126,10 +129,11 @@ def _causes(found: list[Beside]) -> list[str]:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", *(f"- `{name}`: {meaning}." for name, meaning in SHARES.items())]
-    for pair in ring_down(found):
+    for pair in compare_ring_downs(found):
         lines.append(
-            f"- What stays in `{pair.names[0]}` and in `{pair.names[1]}` has a coherence of {pair.coherence:.2f} from "
-            f"{pair.band_m[0]:.1f} to {pair.band_m[1]:.1f} m. The ring-down is common, and what the places keep is not."
+            f"- The constant responses in `{pair.names[0]}` and `{pair.names[1]}` have a coherence of "
+            f"{pair.coherence:.2f} from {pair.band_m[0]:.1f} to {pair.band_m[1]:.1f} m. They share the ring-down, not "
+            "the echoes of the place."
         )
     return lines
 

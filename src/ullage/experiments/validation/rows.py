@@ -1,4 +1,4 @@
-"""A row of the validation, and how a path gain is measured for it."""
+"""Rows of the validation tables, and measurements of path gains for them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HERE = Trajectory.stationary()
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One oracle: what it should be, what it is, and how far apart they may be."""
+    """One comparison: reference, result, and the largest accepted difference."""
 
     oracle: str
     reference: float
@@ -28,41 +28,41 @@ class Row:
 
     @property
     def difference(self) -> float:
-        """Ours less the reference."""
+        """The result minus the reference."""
         return self.ours - self.reference
 
     @property
     def passed(self) -> bool:
-        """Whether the difference keeps the bound."""
+        """Whether the difference is within the bound."""
         return abs(self.difference) <= self.bound
 
 
 def radar(polarization: str = "vertical") -> RadarSpec:
-    """The X4M05 with isotropic antennas and no noise."""
+    """Return the X4M05 with isotropic antennas and no noise."""
     antenna = AntennaSpec.model_validate({"kind": "isotropic", "polarization": polarization})
     return RadarSpec.preset("x4m05", antenna=antenna, noise=None)
 
 
 def db(value: complex | float) -> float:
-    """20 log10 of a magnitude."""
+    """Return 20 log10 of a magnitude."""
     return float(20 * np.log10(max(abs(value), 1e-30)))
 
 
 def gain(
     scene: Scene, *, spec: RadarSpec | None = None, hz: float | None = None, bounces: int = 1, edges: bool = True
 ) -> complex:
-    """Path gain at the origin at one frequency; without `edges` that of plain physical optics."""
+    """Compute the path gain at the origin at one frequency; without `edges` by plain physical optics."""
     return complex(path_gain_cw(scene, HERE, spec or radar(), hz, max_bounces=bounces, edges=edges)[0])
 
 
-def over(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: tuple[str, ...]) -> complex:
-    """Path gain at the carrier of the echo of one object by way of others, those in the order in which they come."""
-    ready = radar_context(scene, spec)
-    view = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+def gain_via(scene: Scene, pose: Trajectory, spec: RadarSpec, thing: str, via: tuple[str, ...]) -> complex:
+    """Compute the path gain at the carrier of one object's echo via other objects, in the order of the path."""
+    context = radar_context(scene, spec)
+    antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
     names = [o.name for o in scene.objects]
     wanted = [*(names.index(name) for name in via), -1, -1][:2]
-    laid = accumulate(ready, view, None, 1 + len(via), np.zeros((3, ready.places), complex))
+    echoes = accumulate(context, antennas, None, 1 + len(via), np.zeros((3, context.places), complex))
     return complex(sum(
         part.echo[(part.object_ids == names.index(thing)) & (part.via == wanted).all(1)].sum()
-        for part in laid if part.via is not None
+        for part in echoes if part.via is not None
     ))  # fmt: skip

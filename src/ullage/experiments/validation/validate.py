@@ -1,4 +1,4 @@
-"""Validation in public: every oracle of the physical radar, with reference, result, difference and bound."""
+"""Compare the physical radar with independent references, and write the validation page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ullage.data import Trajectory
 from ullage.errors import InputError
 from ullage.experiments.validation import oracles
 from ullage.experiments.validation.meshes import curved_meshes, shadow_borders, slivers, turned_worlds
-from ullage.experiments.validation.rows import HERE, Row, db, gain, over, radar
+from ullage.experiments.validation.rows import HERE, Row, db, gain, gain_via, radar
 from ullage.geometry import C0, apply, matrix_quat, quat_matrix, transform
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.explain import contributions
@@ -28,7 +28,7 @@ from ullage.world.scene import Scene
 
 
 def point_targets() -> Iterator[Row]:
-    """Oracle 1: the radar equation of a small plate, its fall with range, its delay."""
+    """Oracle 1: the radar equation of a small plate, its decrease with range, its delay."""
     for distance in (2.0, 4.0, 8.0):
         ours = gain(scenes.plate(0.004, 0.004, distance))
         yield Row(f"point target at {distance:g} m", db(0.004**2 / (4 * np.pi * distance**2)), db(ours), 0.01)
@@ -62,7 +62,7 @@ def edges() -> Iterator[Row]:
 
 
 def over_band(level: Callable[[float], float]) -> float:
-    """Mean power over the pulse's spectrum, of a level in dB against frequency [dB]."""
+    """Average a level over frequency, in power and weighted by the pulse's spectrum [dB]."""
     at = np.linspace(-0.9e9, 0.9e9, 37)
     weight = np.exp(-((2 * np.pi * at * radar().pulse_sigma_s) ** 2))
     power = np.array([10 ** (level(7.29e9 + f) / 10) for f in at])
@@ -73,7 +73,7 @@ def spheres() -> Iterator[Row]:
     """Oracle 4: conducting spheres against Mie's series over the pulse's band."""
     distance = 8.0
     for radius in (0.05, 0.1, 0.3):
-        ball = scenes.sphere(radius, distance)
+        sphere = scenes.sphere(radius, distance)
 
         def mie(hz: float, radius: float = radius) -> float:
             # a sphere nearby spreads the wave over r (r + a) instead of (r + a)^2
@@ -81,7 +81,7 @@ def spheres() -> Iterator[Row]:
             width = oracles.mie_width(radius, hz)
             return db(C0 / hz * np.sqrt(width) / (4 * np.pi) ** 1.5 / distance**2 * near)
 
-        ours = over_band(lambda hz, ball=ball: db(gain(ball, hz=hz)))  # type: ignore[misc]
+        ours = over_band(lambda hz, sphere=sphere: db(gain(sphere, hz=hz)))  # type: ignore[misc]
         yield Row(f"sphere {radius:g} m against Mie", over_band(mie), ours, 0.3)
 
 
@@ -113,76 +113,80 @@ def corners() -> Iterator[Row]:
 
 
 def tanks() -> Iterator[Row]:
-    """Round tanks: the corner of floor and wall, and from wall to wall, against dense integrals over the wall."""
+    """Cylindrical tanks: the corner of floor and wall, and wall to wall, against dense integrals over the wall."""
     at = np.array([0.5, 0.2, 0.5])
     pose = Trajectory.stationary((0.5, 0.2, 0.5))
     for strips in (40, 96):
         scene = scenes.tank(2.0, 1.2, "pec", strips=strips)
-        double, triple = (over(scene, pose, radar("horizontal"), "wall", v) for v in (("floor",), ("floor", "floor")))
+        double, triple = (
+            gain_via(scene, pose, radar("horizontal"), "wall", v) for v in (("floor",), ("floor", "floor"))
+        )
         want = oracles.dense_tank(strips, 2.0, 1.2, at, 7.29e9)
         yield Row(f"tank of {strips} strips, floor and wall", db(want[0]), db(double), 0.5)
         yield Row(f"tank of {strips} strips, floor, wall, floor", db(want[1]), db(triple), 1.5)
     scene = scenes.tank(1.2, 2.0, "pec", strips=96)
     for name, place in (("on the axis", (0.0, 0.0, 0.8)), ("0.4 m before the wall", (0.8, 0.0, 0.8))):
         for bounces in (2, 3):
-            found, dense = walls_heard(scene, 1.2, 2.0, place, bounces)
+            found, dense = tank_wall_to_wall(scene, 1.2, 2.0, place, bounces)
             yield Row(f"tank, {bounces} bounces wall to wall, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
     for name, reach, twice in (("wall and drum", 1.91, False), ("drum, wall and drum", 2.34, True)):
-        found, dense = drum_heard((0.75, 0.0, 0.2), (0.1, -0.4), reach, twice=twice)
+        found, dense = tank_and_drum_pulses((0.75, 0.0, 0.2), (0.1, -0.4), reach, twice=twice)
         yield Row(f"tank and drum in it, {name}", db(abs(dense).max()), db(abs(found).max()), 0.5)
 
 
-def balls() -> Iterator[Row]:
-    """The inside of a ball, at 4 GHz: its wall, and rays from wall to wall, against dense integrals over the wall."""
-    ball, spec = scenes.sphere(1.0, 0.0, "pec", edge_m=0.15), radar().but(center_hz=4e9)
-    seen = path_gain_cw(ball, Trajectory.stationary((0.0, 0.37, 0.0)), spec)[0]
+def inside_spheres() -> Iterator[Row]:
+    """The inside of a sphere at 4 GHz: its wall, and wall to wall, against dense integrals over the wall."""
+    sphere, spec = scenes.sphere(1.0, 0.0, "pec", edge_m=0.15), radar().but(center_hz=4e9)
+    seen = path_gain_cw(sphere, Trajectory.stationary((0.0, 0.37, 0.0)), spec)[0]
     yield Row(
-        "ball of 1 m from inside, 0.37 m off its middle", db(oracles.dense_ball(1.0, 0.37, 4e9, 1)), db(seen), 0.1
+        "ball of 1 m from inside, 0.37 m off its middle", db(oracles.dense_sphere(1.0, 0.37, 4e9, 1)), db(seen), 0.1
     )
     for away, bounces in ((0.1, 2), (0.37, 2), (0.85, 3)):
-        want, found = oracles.dense_ball(1.0, away, 4e9, bounces), ball_heard(away, 4e9, bounces)
+        want, found = oracles.dense_sphere(1.0, away, 4e9, bounces), sphere_wall_to_wall(away, 4e9, bounces)
         yield Row(f"ball, {bounces} bounces wall to wall, {away:g} m off its middle", db(want), db(found), 0.5)
 
 
-def ball_heard(away_m: float, frequency_hz: float, bounces: int) -> complex:
-    """Path gain from wall to wall of a ball of 1 m by rays, where reflections are 1."""
+def sphere_wall_to_wall(away_m: float, frequency_hz: float, bounces: int) -> complex:
+    """Compute the path gain from wall to wall of a sphere of 1 m by rays, with reflection coefficients of 1."""
     place, k = np.array([away_m, 0.0]), oracles.wave_number(frequency_hz)
     fan = fan_of(1.0, place, place, bounces, k)
     return complex(2 * (fan_weights(fan) * np.exp(-1j * k * fan.along[-1])).sum())
 
 
-def walls_heard(
+def tank_wall_to_wall(
     scene: Scene, radius_m: float, height_m: float, place: tuple[float, float, float], bounces: int
 ) -> tuple[Complexes, Complexes]:
-    """Echoes from wall to wall of a tank, as pulses over range: ours, and those of physical optics iterated."""
+    """Compute echoes from wall to wall of a tank as pulses over range: ours, and by iterated physical optics."""
     hz = np.linspace(6.3e9, 8.3e9, 16)
     weight = np.exp(-0.5 * ((hz - 7.29e9) / 0.45e9) ** 2)
     ranges = bounces * radius_m + np.arange(-0.5, 0.1, 0.01)
     delayed = np.exp(4j * np.pi / C0 * np.multiply.outer(ranges, hz)) * weight / weight.sum()
     pose, radius = Trajectory.stationary(place), radar_context(scene, radar()).world.quadrics[0].radius
-    ours = [over(scene, pose, radar().but(center_hz=f), "wall", ("wall",) * (bounces - 1)) for f in hz]
+    ours = [gain_via(scene, pose, radar().but(center_hz=f), "wall", ("wall",) * (bounces - 1)) for f in hz]
     want = [oracles.dense_walls(radius, height_m, np.array(place), f, bounces) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want)
 
 
-def over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int) -> complex:
-    """Path gain at the carrier of the echoes over a tank's wall and round bodies in it alone, so many bounces."""
-    ready = radar_context(scene, spec)
-    view = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
-    world, grids = ready.world, np.zeros((3, ready.places), complex)
-    look = np.zeros(len(world.still.planar))
-    laid = accumulate_wall_bodies(ready, world.parts(), world.quadrics, world.still.planar, view, bounces, look, grids)
-    return complex(sum(p.echo.sum() for p in laid if p.via is not None and ((p.via >= 0).sum(1) == bounces - 1).all()))
+def gain_over_wall(scene: Scene, pose: Trajectory, spec: RadarSpec, bounces: int) -> complex:
+    """Compute the path gain at the carrier of echoes of some bounces over a tank's wall and the bodies in it only."""
+    context = radar_context(scene, spec)
+    antennas = antenna_pair(spec, pose.position[0], quat_matrix(pose.quat_xyzw)[0])
+    world, grids = context.world, np.zeros((3, context.places), complex)
+    sizes = np.zeros(len(world.still.planar))
+    found = accumulate_wall_bodies(
+        context, world.parts(), world.quadrics, world.still.planar, antennas, bounces, sizes, grids
+    )
+    return complex(sum(p.echo.sum() for p in found if p.via is not None and ((p.via >= 0).sum(1) == bounces - 1).all()))
 
 
-def drum_heard(
+def tank_and_drum_pulses(
     drum: tuple[float, float, float], place: tuple[float, float], reach_m: float, *, twice: bool = False,
     carrier_hz: float = 7.29e9,
 ) -> tuple[Complexes, Complexes]:  # fmt: skip
-    """Echoes over the wall of a tank of 1.2 m and a drum in it, as pulses over range: ours, and by exact series.
+    """Compute echoes over the wall of a 1.2 m tank and a drum in it, as pulses over range: ours, and by exact series.
 
-    Ranges lie about that of an echo, `reach_m`; from the wall to the drum, or `twice`, from the drum to the wall and
-    back.
+    The ranges surround `reach_m`, the range of the echo. It runs over wall and drum, or over the drum, the wall and the
+    drum (`twice`).
     """
     hz = carrier_hz + np.linspace(-1.1e9, 1.1e9, 28)
     weight = np.exp(-0.5 * ((hz - carrier_hz) / 0.45e9) ** 2)
@@ -192,7 +196,7 @@ def drum_heard(
     inside = replace(inside, vertices=inside.vertices + np.array([*drum[:2], 3.5]))
     scene, pose = Scene.union([scenes.tank(1.2, 7.0, "pec", strips=96), inside]), Trajectory.stationary((*place, 3.5))
     wall, body = sorted((one.radius for one in radar_context(scene, radar()).world.quadrics), reverse=True)
-    ours = [over_wall(scene, pose, radar().but(center_hz=f), 3 if twice else 2) for f in hz]
+    ours = [gain_over_wall(scene, pose, radar().but(center_hz=f), 3 if twice else 2) for f in hz]
     want = [oracles.tank_and_drum(wall, (*drum[:2], body), np.array(place), f, twice=twice) for f in hz]
     return delayed @ np.array(ours), delayed @ np.array(want) / np.sqrt(2 * ranges)
 
@@ -200,10 +204,10 @@ def drum_heard(
 def rooms() -> Iterator[Row]:
     """Oracle 6: mirror paths of a room against the image method."""
     size, at = np.array([6.0, 4.0, 3.0]), np.array([0.31, -0.42, 0.17])
-    ready = radar_context(scenes.room(tuple(size), material="pec"), radar())
-    view = antenna_pair(radar(), at, np.eye(3))
+    context = radar_context(scenes.room(tuple(size), material="pec"), radar())
+    antennas = antenna_pair(radar(), at, np.eye(3))
     for order in (1, 2, 3):
-        ours = np.unique(np.round(image_lengths(ready, view, order), 7))
+        ours = np.unique(np.round(image_lengths(context, antennas, order), 7))
         ours = ours[ours <= 18.0]
         want = np.unique(np.round(oracles.shoebox_lengths(size, at, (order,), 18.0), 7))
         yield Row(f"room, order {order}: number of delays", len(want), len(ours), 0, "")
@@ -214,16 +218,16 @@ def rooms() -> Iterator[Row]:
 def laws() -> Iterator[Row]:
     """Oracles 8 and 9: coherence along a track, superposition, cutting, refinement, reciprocity."""
     track = Trajectory.line((0, -0.5, 0), (0, 0.5, 0), 0.5, 40)
-    ball = scenes.sphere(0.1, 3.0)
-    field = path_gain_cw(ball, track, radar())
+    sphere = scenes.sphere(0.1, 3.0)
+    field = path_gain_cw(sphere, track, radar())
     r = np.linalg.norm(track.position - [3.0, 0, 0], axis=1) - 0.1
     left = np.unwrap(np.angle(field * np.exp(2j * oracles.wave_number(7.29e9) * r)))
     yield Row("phase left along 1 m of track, sphere", 0.0, float(np.degrees(np.ptp(left) / 2)), 5.0, "deg")
     a, b = scenes.plate(0.3, 0.3, 3.0), scenes.plate(0.1, 0.1, -4.0)
     both = gain(Scene.union([a, b]))
     yield Row("two targets add", db(gain(a) + gain(b)), db(both), 1e-6)
-    whole = echoes(Scene.union([a, ball]), track, radar())
-    cut = np.concatenate([echoes(Scene.union([a, ball]), track[s], radar()) for s in (slice(0, 13), slice(13, None))])
+    whole = echoes(Scene.union([a, sphere]), track, radar())
+    cut = np.concatenate([echoes(Scene.union([a, sphere]), track[s], radar()) for s in (slice(0, 13), slice(13, None))])
     yield Row("bits changed by cutting the track", 0, int((whole != cut).sum()), 0, "")
     fine, coarse = gain(scenes.sphere(0.3, 3.0, edge_m=0.015)), gain(scenes.sphere(0.3, 3.0, edge_m=0.03))
     yield Row("refining a mesh", db(fine), db(coarse), 0.2)
@@ -240,20 +244,20 @@ def laws() -> Iterator[Row]:
 
 
 def _carried(scene: Scene, rpy_rad: Floats, shift_m: Floats) -> tuple[Scene, Trajectory]:
-    """A scene and the radar at its origin, both turned and shifted."""
+    """Rotate and shift a scene, with the radar at its origin."""
     pose = transform(shift_m, rpy_rad)
     there = Trajectory(HERE.t_ns, shift_m[None], matrix_quat(pose[:3, :3])[None])
     return replace(scene, vertices=apply(pose, scene.vertices)), there
 
 
 ORACLES: tuple[Callable[[], Iterator[Row]], ...] = (
-    point_targets, plates, edges, spheres, wires, corners, tanks, balls, rooms, laws,
+    point_targets, plates, edges, spheres, wires, corners, tanks, inside_spheres, rooms, laws,
     curved_meshes, slivers, shadow_borders, turned_worlds,
 )  # fmt: skip
 
 
 def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
-    """Runs every oracle, writes `validation.md` and its pictures under `out_dir`, and gives the rows.
+    """Run every oracle, write `validation.md` and its pictures under `out_dir`, and return the rows.
 
     Args:
         out_dir: folder of the page; pictures go to pictures/validation below it.
@@ -275,21 +279,21 @@ def validate(out_dir: str | Path, *, pictures: bool = True) -> list[Row]:
 
 
 def against_recordings(folder: str | Path, out_dir: str | Path, *, report: Callable[[str], None] = print) -> list[Row]:
-    """Compare real recordings with simulations of them; see `recordings_page.beside_recordings`.
+    """Compare real recordings with simulations of them; see `recordings_page.write_recordings_page`.
 
     Raises:
         InputError: there is no recording in the folder.
     """
-    from ullage.experiments.validation.recordings_page import beside_recordings
+    from ullage.experiments.validation.recordings_page import write_recordings_page
 
-    rows = beside_recordings(folder, out_dir, report=report)
+    rows = write_recordings_page(folder, out_dir, report=report)
     if not rows:
         raise InputError("no recording", where=folder, allowed="a folder with pulson440 or x4; docs/recordings.md")
     return rows
 
 
 def page_text(rows: list[Row], pictures: list[tuple[str, str]]) -> str:
-    """The page in Markdown: a table of all comparisons, then the pictures, each a title and a file."""
+    """Format the page in Markdown: a table of all comparisons, then the pictures (titles and files)."""
     lines = [
         "# Validation", "",
         "Made by `ullage validate`, which exits 1 when a bound is broken. References share no code with the",
