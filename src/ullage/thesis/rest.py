@@ -45,7 +45,7 @@ def run(work: Workspace) -> None:
     both = [still.samples.astype(np.complex128), receive(silent, spec, seed=1).astype(np.complex128) * unit(spec)]
     state(work, [measure(rows, spec) for rows in both])
     path = work.folder / "rest.png"
-    draw_receiver(still, path, counts=COUNTS, quiet_from=QUIET)
+    draw_receiver(still, path, counts=COUNTS, noise_from=QUIET)
     work.results.add_figure(
         path, "", "An X4 at rest: recording and simulation at the same settings (docs: The receiver)."
     )

@@ -1,6 +1,6 @@
-"""A moving picture of a run, ray by ray: the world, the drone, its beams, the growing map and the profiles.
+"""Render the replay of a run as an animation: the world, the drone, its beams, the growing map and the profiles.
 
-`python -m ullage.view.moving_picture RUN` writes an animated WebP of what the run's report replays.
+`python -m ullage.view.moving_picture RUN` writes an animated WebP with the contents of the report's replay.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ WIRE_SHARE, MISSED_SHARE, PATH_SHARE = 0.0009, 0.0024, 0.0013
 """Least radius of wires, of wires that the map misses, and of the flown path, as shares of the world's diagonal."""
 BEAM_ALPHA = 0.32
 STRIP = 0.2
-"""Share of the picture's height below the world that profiles take."""
+"""Height of the profiles below the world, as a share of the picture's height."""
 LAYERS = 6
-"""Faces seen from behind that a ray passes at most."""
+"""Most faces seen from behind that a ray passes."""
 SCALE, FILLED = float(np.tan(np.radians(21))), 0.97
 """Tangent of half the camera's opening across the picture, and the share of the picture that the world fills."""
 AWAY = np.array([-0.32, -0.85, 0.62])
-"""From the middle of the world towards the eye."""
+"""Direction from the middle of the world to the eye."""
 
 
 def moving_picture(
@@ -81,7 +81,7 @@ def still_picture(run: Path, out: Path, *, width_px: int = 1100) -> Path:
 
 
 def _pictures(tree: Mapping[str, Any], count: int, width_px: int) -> Iterator[Image.Image]:
-    """Pictures of a replay, evenly over the flight; one alone is the last."""
+    """Render pictures of a replay, evenly over the flight; a single one shows the end."""
     show = _Show(tree, width_px)
     last = show.frames - 1
     numbers = np.linspace(0, last, count).round().astype(int) if count > 1 else np.array([last])
@@ -91,7 +91,7 @@ def _pictures(tree: Mapping[str, Any], count: int, width_px: int) -> Iterator[Im
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """A pinhole camera; all its rays."""
+    """A pinhole camera."""
 
     eye: Floats  # (3) [m]
     axes: Floats  # (3, 3) rows: right, up, back
@@ -100,7 +100,7 @@ class _Camera:
 
     @classmethod
     def around(cls, points: Floats, shape: tuple[int, int]) -> _Camera:
-        """Place the camera outside and above points (n, 3), as near as all of them fit."""
+        """Place the camera outside and above points (n, 3), as close as possible with all of them in view."""
         low, high = points.min(axis=0), points.max(axis=0)
         back = AWAY / np.linalg.norm(AWAY)
         right = np.cross([0.0, 0, 1], back)
@@ -115,7 +115,7 @@ class _Camera:
         return cls(middle + away * back, axes, SCALE, shape)
 
     def rays(self) -> Floats:
-        """Directions of all pixels (rows * columns, 3), top row first."""
+        """Return the directions of all pixels (rows * columns, 3), top row first."""
         rows, columns = self.shape
         u = (np.arange(columns) + 0.5) / columns * 2 - 1
         v = (1 - (np.arange(rows) + 0.5) / rows * 2) * rows / columns
@@ -125,7 +125,7 @@ class _Camera:
         return np.asarray(local.reshape(-1, 3) @ self.axes)
 
     def pixels(self, points: Floats) -> Floats:
-        """Columns and rows (n, 2) of points (n, 3)."""
+        """Project points (n, 3) to columns and rows (n, 2)."""
         local = (points - self.eye) @ self.axes.T
         rows, columns = self.shape
         spot = local[:, :2] / (-local[:, 2:] * self.scale)
@@ -138,7 +138,7 @@ class _Solid:
 
     corners: Floats  # (f, 3, 3) [m]
     color: str
-    inside_only: bool = False  # seen from its front alone
+    inside_only: bool = False  # visible from the front only
 
 
 class _Show:
@@ -161,7 +161,7 @@ class _Show:
         self._map = _Map(tree["map"], self._camera, self._rays, WALL_SHARE * self._size) if tree["map"] else None
 
     def picture(self, number: int) -> Image.Image:
-        """The picture of one frame."""
+        """Render the picture of one frame."""
         t = float(self._radars[0].t[number])
         now = t if number < self.frames - 1 else np.inf
         rows, columns = self._camera.shape
@@ -175,14 +175,14 @@ class _Show:
         front = near < depth
         color[front], depth[front] = paint[front], near[front]
         if self._map is not None:
-            self._map.lay_over(color, depth)
+            self._map.blend(color, depth)
         for radar in self._radars:
-            self._shine(radar, number, color, depth)
+            self._blend_beam(radar, number, color, depth)
         flat = color.reshape(rows // 2, 2, columns // 2, 2, 3).mean(axis=(1, 3))
         world = Image.fromarray((255 * np.clip(flat, 0, 1) ** (1 / 1.1)).astype(np.uint8))
         return self._framed(world, number, t)
 
-    def _shine(self, radar: _Radar, number: int, color: Colors, depth: Floats) -> None:
+    def _blend_beam(self, radar: _Radar, number: int, color: Colors, depth: Floats) -> None:
         """Blend one beam over the picture where no surface hides it."""
         corners = radar.beam(number)
         rows, columns = self._camera.shape
@@ -199,7 +199,7 @@ class _Show:
         color[mine] = (1 - BEAM_ALPHA) * color[mine] + BEAM_ALPHA * _rgb(radar.color)
 
     def _framed(self, world: Image.Image, number: int, t: float) -> Image.Image:
-        """Add the profiles beneath and the words."""
+        """Add the profiles below and the captions."""
         strip = round(STRIP * world.height)
         out = Image.new("RGB", (world.width, world.height + strip), tuple(int(255 * v) for v in SKY))
         out.paste(world)
@@ -224,12 +224,12 @@ class _Radar:
         self._position, self._quat = (unpacked(tree[k]).astype(float) for k in ("position", "quat"))
         self._levels, self._far = unpacked(tree["levels"]), float(tree["range_m"][1])
         wide, tall = (np.tan(np.radians(tree[k]) / 2) for k in ("azimuth_deg", "elevation_deg"))
-        rim = np.array([[1, wide, tall], [1, -wide, tall], [1, -wide, -tall], [1, wide, -tall]])
-        rim *= min(reach_m, self._far) / np.linalg.norm(rim, axis=1, keepdims=True)
-        self._beam = np.array([[np.zeros(3), rim[k], rim[(k + 1) % 4]] for k in range(4)])
+        corners_at_reach = np.array([[1, wide, tall], [1, -wide, tall], [1, -wide, -tall], [1, wide, -tall]])
+        corners_at_reach *= min(reach_m, self._far) / np.linalg.norm(corners_at_reach, axis=1, keepdims=True)
+        self._beam = np.array([[np.zeros(3), corners_at_reach[k], corners_at_reach[(k + 1) % 4]] for k in range(4)])
 
     def beam(self, number: int) -> Floats:
-        """The sides of its beam (4, 3, 3) in the world [m]."""
+        """Return the sides of the beam (4, 3, 3) in the world [m]."""
         k = min(number, len(self.t) - 1)
         return np.asarray(self._beam @ quat_matrix(self._quat[k : k + 1])[0].T + self._position[k])
 
@@ -266,14 +266,14 @@ class _Map:
         self._under = place[self._pixels, 1] * nx + place[self._pixels, 0]
 
     def advance(self, t: float) -> None:
-        """Take all changes up to a time [s]."""
+        """Apply all changes up to a time [s]."""
         count = int(np.searchsorted(self._t, t + 1e-3))
         end = int(self._end[count - 1]) if count else 0
-        self._cells[self._cell[self._done : end]] = self._state[self._done : end]  # of one cell the last one counts
+        self._cells[self._cell[self._done : end]] = self._state[self._done : end]  # the last change of a cell wins
         self._done = max(end, self._done)
 
     def columns(self) -> Floats:
-        """A column on each occupied cell, (f, 3, 3) [m]; a cube for each of a volume."""
+        """Return a column on each occupied cell of a plane, or a cube for each of a volume, (f, 3, 3) [m]."""
         where = np.stack(np.unravel_index(np.flatnonzero(self._cells == OCCUPIED_CELL), self._shape)[::-1], axis=1)
         tall = self._step if self._volume else self._column_m
         vertices, faces = shapes.box((self._step, self._step, tall))
@@ -281,13 +281,13 @@ class _Map:
         centers[:, : where.shape[1]] = self._origin[: where.shape[1]] + (where + 0.5) * self._step
         return np.asarray((centers[:, None, None] + vertices[faces][None]).reshape(-1, 3, 3))
 
-    def lay_over(self, color: Colors, depth: Floats) -> None:
+    def blend(self, color: Colors, depth: Floats) -> None:
         """Blend free and ambiguous cells over the picture where no surface hides them."""
         seen = self._reach[self._pixels] < depth[self._pixels]
         state = self._cells[self._under]
-        for kind, (shade, alpha) in CELLS.items():
+        for kind, (hex_color, alpha) in CELLS.items():
             mine = self._pixels[seen & (state == kind)]
-            color[mine] = (1 - alpha) * color[mine] + alpha * _rgb(shade)
+            color[mine] = (1 - alpha) * color[mine] + alpha * _rgb(hex_color)
 
 
 def _world(tree: Mapping[str, Any], size: float) -> Iterator[_Solid]:
@@ -304,12 +304,12 @@ def _world(tree: Mapping[str, Any], size: float) -> Iterator[_Solid]:
 
 
 def _corners_of(box: Floats) -> Floats:
-    """The corners (8, 3) of a box (2, 3)."""
+    """Return the corners (8, 3) of a box (2, 3)."""
     return np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
 
 
 def _drone(position: Floats, quat: Floats, span: float) -> Floats:
-    """Arms and rotors of a multirotor of a span, larger than life (f, 3, 3) [m]."""
+    """Return arms and rotors of a multirotor of some span, enlarged (f, 3, 3) [m]."""
     parts = []
     for side in (1, -1):
         vertices, faces = shapes.box((1.0, 0.09, 0.06))
@@ -325,7 +325,7 @@ def _drone(position: Floats, quat: Floats, span: float) -> Floats:
 
 
 def _tube(line: Floats, radius: float) -> Floats:
-    """Four-sided tubes around the stretches of a line (n, 3), as triangles (f, 3, 3) [m]."""
+    """Return four-sided tubes around the segments of a line (n, 3), as triangles (f, 3, 3) [m]."""
     keep = np.concatenate([[True], np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-4])
     line = line[keep]
     if len(line) < 2:
@@ -335,15 +335,15 @@ def _tube(line: Floats, radius: float) -> Floats:
     side = np.cross(along, np.where(abs(along[:, 2:]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]]))
     side *= radius / np.linalg.norm(side, axis=1, keepdims=True)
     up = np.cross(along, side)
-    rims = np.stack([side, up, -side, -up], axis=1)
-    near, far = line[:-1, None] + rims, line[1:, None] + rims
+    offsets = np.stack([side, up, -side, -up], axis=1)
+    near, far = line[:-1, None] + offsets, line[1:, None] + offsets
     next_near, next_far = np.roll(near, -1, axis=1), np.roll(far, -1, axis=1)
     return np.concatenate([np.stack([near, far, next_far], axis=2).reshape(-1, 3, 3),
                            np.stack([near, next_far, next_near], axis=2).reshape(-1, 3, 3)])  # fmt: skip
 
 
 def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floats]:
-    """Colours (n, 3) and distances (n) of what rays (n, 3) meet first, shaded; the sky where they meet nothing."""
+    """Cast rays (n, 3): shaded colours (n, 3) and distances (n) of the first hits, or the sky."""
     color, depth = np.tile(SKY, (len(rays), 1)), np.full(len(rays), np.inf)
     solids = [one for one in solids if len(one.corners)]
     if not solids:
@@ -352,7 +352,7 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
     owner = np.repeat(np.arange(len(solids)), [len(one.corners) for one in solids])
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    shades, inside = np.array([_rgb(one.color) for one in solids]), np.array([one.inside_only for one in solids])
+    colors, inside = np.array([_rgb(one.color) for one in solids]), np.array([one.inside_only for one in solids])
     left, passed = np.arange(len(rays)), np.zeros(len(rays))
     caster = _caster(corners)
     for _ in range(LAYERS):
@@ -363,7 +363,7 @@ def _cast(eye: Floats, rays: Floats, solids: list[_Solid]) -> tuple[Colors, Floa
         passed[left] += distance + 1e-4
         shown, mine = left[~behind], face[~behind]
         light = 0.42 + 0.4 * abs(facing[~behind]) + 0.22 * abs(normal[mine, 2]) + 0.06 * normal[mine, 0]
-        color[shown], depth[shown] = shades[owner[mine]] * light[:, None], passed[shown]
+        color[shown], depth[shown] = colors[owner[mine]] * light[:, None], passed[shown]
         left = left[behind]
         if not len(left):
             break

@@ -22,14 +22,14 @@ DIRECT = slice(0, 8)
 """Bins of the direct path."""
 
 
-def draw_receiver(still: Frames, path: Path, *, counts: tuple[int, int] = (4, 1), quiet_from: int = 100) -> None:
-    """Direct path, noise and phase of a recording and of the simulated receiver at the same settings.
+def draw_receiver(still: Frames, path: Path, *, counts: tuple[int, int] = (4, 1), noise_from: int = 100) -> None:
+    """Draw direct path, noise and phase of a recording and of the simulated receiver at the same settings.
 
     Args:
         still: frames of a radar at rest, in the sensor's normalised units.
         path: of the figure (.png, .svg or .pdf).
         counts: iterations and pulses per step of the recording.
-        quiet_from: bin from which on there is hardly more than noise.
+        noise_from: first of the bins that contain little more than noise.
 
     Raises:
         InputError: the frames are not normalised baseband, or too few.
@@ -49,13 +49,13 @@ def draw_receiver(still: Frames, path: Path, *, counts: tuple[int, int] = (4, 1)
         panels = figure.subplots(2, 3).ravel()
         figure.suptitle(f"Receiver at rest: {len(still)} recorded frames and as many simulated, {spec.counts} counts")
         for name, frames in both.items():
-            look = {"color": COLORS[name], "label": name}
-            _direct_path(panels[0], frames, look)
-            _histogram(panels[1], frames[:, quiet_from:], look)
-            _correlation(panels[2], frames[:, quiet_from:], look)
-            _spectrum(panels[3], frames[:, quiet_from:], spec, look)
-            _stability(panels[4], frames, noise_sigma(spec), look)
-            _phase(panels[5], frames, look)
+            style = {"color": COLORS[name], "label": name}
+            _direct_path(panels[0], frames, style)
+            _histogram(panels[1], frames[:, noise_from:], style)
+            _correlation(panels[2], frames[:, noise_from:], style)
+            _spectrum(panels[3], frames[:, noise_from:], spec, style)
+            _stability(panels[4], frames, noise_sigma(spec), style)
+            _phase(panels[5], frames, style)
         _finish(panels, noise_sigma(spec))
 
 
@@ -68,43 +68,43 @@ def _common_phase(frames: Complexes) -> Floats:
     return np.asarray(np.angle((frames[:, DIRECT] * mean.conj()).sum(1)))
 
 
-def _direct_path(axes: Axes, frames: Complexes, look: dict[str, Any]) -> None:
-    axes.plot(20 * np.log10(abs(frames.mean(0)[:30])), marker="o", ms=3, lw=1, **look)
+def _direct_path(axes: Axes, frames: Complexes, style: dict[str, Any]) -> None:
+    axes.plot(20 * np.log10(abs(frames.mean(0)[:30])), marker="o", ms=3, lw=1, **style)
 
 
-def _histogram(axes: Axes, quiet: Complexes, look: dict[str, Any]) -> None:
-    noise = _steps(quiet)
+def _histogram(axes: Axes, noise_bins: Complexes, style: dict[str, Any]) -> None:
+    noise = _steps(noise_bins)
     values = np.concatenate([noise.real.ravel(), noise.imag.ravel()]) * 1e4
     edges = np.linspace(-8, 8, 81)
     density, _ = np.histogram(values, edges, density=True)
-    axes.semilogy((edges[1:] + edges[:-1]) / 2, np.where(density > 0, density, np.nan), ".-", ms=3, lw=0.8, **look)
+    axes.semilogy((edges[1:] + edges[:-1]) / 2, np.where(density > 0, density, np.nan), ".-", ms=3, lw=0.8, **style)
 
 
-def _correlation(axes: Axes, quiet: Complexes, look: dict[str, Any]) -> None:
-    noise = _steps(quiet)
+def _correlation(axes: Axes, noise_bins: Complexes, style: dict[str, Any]) -> None:
+    noise = _steps(noise_bins)
     bins = noise.shape[1]
     lags = [(noise[:, : bins - k] * noise[:, k:].conj()).mean().real for k in range(7)]
-    axes.plot(np.array(lags) / lags[0], marker="o", ms=4, lw=1, **look)
+    axes.plot(np.array(lags) / lags[0], marker="o", ms=4, lw=1, **style)
 
 
-def _spectrum(axes: Axes, quiet: Complexes, spec: RadarSpec, look: dict[str, Any]) -> None:
-    noise = _steps(quiet) * np.hanning(quiet.shape[1])
+def _spectrum(axes: Axes, noise_bins: Complexes, spec: RadarSpec, style: dict[str, Any]) -> None:
+    noise = _steps(noise_bins) * np.hanning(noise_bins.shape[1])
     power = (abs(np.fft.fftshift(np.fft.fft(noise, axis=1), axes=1)) ** 2).mean(0)
-    frequency = np.fft.fftshift(np.fft.fftfreq(quiet.shape[1], spec.step_s))
-    axes.plot(frequency * 1e-9, 10 * np.log10(power / power.mean()), lw=1, **look)
+    frequency = np.fft.fftshift(np.fft.fftfreq(noise_bins.shape[1], spec.step_s))
+    axes.plot(frequency * 1e-9, 10 * np.log10(power / power.mean()), lw=1, **style)
 
 
-def _stability(axes: Axes, frames: Complexes, floor: float, look: dict[str, Any]) -> None:
+def _stability(axes: Axes, frames: Complexes, floor: float, style: dict[str, Any]) -> None:
     turned = frames * np.exp(-1j * _common_phase(frames))[:, None]
-    for part, style in ((frames, "-"), (turned, "--")):
+    for part, line in ((frames, "-"), (turned, "--")):
         change = np.sqrt((abs(_steps(part)) ** 2).mean(0))[:40]
-        label = look["label"] if style == "-" else f"{look['label']}, referred to direct path"
-        axes.plot(20 * np.log10(change / floor), style, lw=1, color=look["color"], label=label)
+        label = style["label"] if line == "-" else f"{style['label']}, referred to direct path"
+        axes.plot(20 * np.log10(change / floor), line, lw=1, color=style["color"], label=label)
 
 
-def _phase(axes: Axes, frames: Complexes, look: dict[str, Any]) -> None:
+def _phase(axes: Axes, frames: Complexes, style: dict[str, Any]) -> None:
     phase = _common_phase(frames)[:200]
-    axes.plot((phase - phase.mean()) * 1e3, lw=0.8, **look)
+    axes.plot((phase - phase.mean()) * 1e3, lw=0.8, **style)
 
 
 def _finish(panels: Any, floor: float) -> None:

@@ -1,4 +1,4 @@
-"""A viewer as a sink: what flows is shown live, or kept as a file for later, through rerun."""
+"""A sink that shows data in the rerun viewer, live, or saves them to a file."""
 
 from __future__ import annotations
 
@@ -16,34 +16,35 @@ from ullage.data import Detections, Frames, Recording, Trajectory, sensors_of
 from ullage.errors import InputError, UllageWarning, need
 from ullage.grids import Grid, Image, OccupancyMap
 from ullage.view import viewer_plots as plots
-from ullage.view import viewer_scene as things
+from ullage.view import viewer_scene as scene_view
 from ullage.view.map_picture import map_picture
 from ullage.view.viewer_output import ViewerOutput
-from ullage.view.viewer_scene import TIMELINE, arcs, body_of, entity, log_poses, rgba, time_column
+from ullage.view.viewer_scene import TIMELINE, beam_arcs, body_of, entity, log_poses, rgba, time_column
 from ullage.world.scene import Scene
 
-RATE_HZ = 30.0  # at most so many frames a second and radar
-PROFILE_HZ = 5.0  # of the bars of a profile
-PICTURE_HZ = 2.0  # of the rolling pictures
-MAP_S = 1.0  # between two maps
-PATH_S = 0.2  # between two points of the flown path
-MAX_BOXES = 50_000  # of a volume's cells; more of them become points
-BLENDED = 0.999  # rerun blends pictures with what is behind them only when their opacity is below 1
-FREE_ALPHA = 140  # opacity of free cells, through which the floor is seen
-IMAGE_DB = 30.0  # a radar image goes from its peak so far down
+RATE_HZ = 30.0  # largest number of frames per second and radar
+PROFILE_HZ = 5.0  # rate of the bar charts of profiles
+PICTURE_HZ = 2.0  # rate of the range-time pictures
+MAP_S = 1.0  # least time between two maps
+PATH_S = 0.2  # time between two points of the flown path
+MAX_BOXES = 50_000  # largest number of boxes for a volume's cells; more cells become points
+BLENDED = 0.999  # rerun blends pictures with their background only at an opacity below 1
+FREE_ALPHA = 140  # opacity of free cells: the floor stays visible
+IMAGE_DB = 30.0  # dynamic range of radar images below their peak
 
 
 class ViewerSink:
     """Shows worlds, flight, echoes, detections, maps and images, live or in a file.
 
     Args:
-        target: nothing for a new viewer's window, `web` for a page that any browser of this machine can open, a `.rrd`
+        target: empty for a new viewer window, `web` for a page that any browser of this machine can open, a `.rrd`
             file to write, or the address of a running viewer.
-        **options: `overwrite` replaces a file that is there already; `rays` draws the rays of each radar's ray model,
-            at most 225 of them; `port` is that of the page (9090), whose data take the next one.
+        **options: `overwrite` replaces an existing file; `rays` draws the rays of each radar's ray model, at most 225
+        of
+            them; `port` is the page's port (9090); the data use the next port.
 
     Attributes:
-        address: of the page; empty where none is served. It is served until this process ends.
+        address: address of the page, empty if none is served. The page is served until this process ends.
 
     Raises:
         MissingExtra: rerun is not installed.
@@ -55,13 +56,13 @@ class ViewerSink:
         self._output = ViewerOutput.of(str(target), options)
         self.target, self.live = self._output.place, self._output.live
         self._rec = self._rr.RecordingStream("ullage")
-        for quiet in (self._rec.set_log_time_enabled, self._rec.set_log_tick_enabled):
-            quiet(False)  # one time line: that of the frames
+        for log_columns in (self._rec.set_log_time_enabled, self._rec.set_log_tick_enabled):
+            log_columns(False)  # one time line: that of the frames
         self.address = self._output.open(self._rr, self._rec)
         self._closed = False
         self._sensors: dict[str, _Shown] = {}
         self._bounds: Floats | None = None
-        self._laid_out: tuple[Any, ...] = ()
+        self._arranged: tuple[Any, ...] = ()
         self._now_ns = 0
         self._height_m = 0.0
         self._top_db = -np.inf
@@ -71,7 +72,7 @@ class ViewerSink:
         self._rec.log("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
     def write(self, item: Any) -> None:
-        """Show one item; what has no picture is passed over.
+        """Show one item; items without a picture are ignored.
 
         Raises:
             InputError: the sink is closed.
@@ -87,15 +88,15 @@ class ViewerSink:
         elif isinstance(item, Image):
             self._image(item)
         elif isinstance(item, Scene):
-            things.log_scene(self._rec, item)
+            scene_view.log_scene(self._rec, item)
             self._bounds = item.bounds
-            self._lay_out()
+            self._arrange()
         elif isinstance(item, Trajectory):
             strip = self._rr.LineStrips3D([item.position], colors=rgba("#8d99ae", 120), radii=_points(self._rr, 0.7))
             self._rec.log("world/trajectory", strip, static=True)
 
     def close(self) -> None:
-        """Show what was held back, and end the file or leave the viewer standing; a page stays with the process."""
+        """Show pending data and end the file or the connection; a page is served until the process ends."""
         if self._closed:
             return
         self._closed = True
@@ -126,27 +127,27 @@ class ViewerSink:
             if index == 0:
                 self._body(part)
             self._profiles(self._sensors[part.sensor], part)
-        self._lay_out()
+        self._arrange()
 
     def _begin(self, part: Frames) -> None:
-        shown = _Shown(part, things.sensor_color(len(self._sensors)))
+        shown = _Shown(part, scene_view.sensor_color(len(self._sensors)))
         self._sensors[part.sensor] = shown
         rr, name, color = self._rr, shown.name, rgba(shown.color)
         plots.log_axes(self._rec, f"profiles/{name}/range_time", shown.picture)
         for path in ("nearest", "strongest"):
             self._rec.log(f"{path}/{name}", rr.SeriesLines(colors=color, names=name, widths=1.5), static=True)
         if part.poses is not None:
-            things.log_drone(self._rec)
-            things.log_beam(self._rec, f"world/radars/{name}", part.spec, shown.color)
+            scene_view.log_drone(self._rec)
+            scene_view.log_beam(self._rec, f"world/radars/{name}", part.spec, shown.color)
             if self._output.rays:
-                things.log_rays(self._rec, f"world/radars/{name}", part.spec, shown.color)
+                scene_view.log_rays(self._rec, f"world/radars/{name}", part.spec, shown.color)
             arc = rr.LineStrips3D.from_fields(colors=color, radii=_points(rr, 1.5))
             self._rec.log(f"world/echoes/{name}/arcs", arc, static=True)
             trail = rr.Points3D.from_fields(colors=rgba(shown.color, 200), radii=_points(rr, 1.6))
             self._rec.log(f"world/echoes/{name}/trail", trail, static=True)
 
     def _body(self, part: Frames) -> None:
-        """The drone and the path it has flown, as the first radar's poses have it."""
+        """Show the drone and its path, from the poses of the first radar."""
         body = body_of(part)
         if body is None:
             return
@@ -162,7 +163,7 @@ class ViewerSink:
             strips = np.stack([spots[:-1], spots[1:]], axis=1).astype(np.float32)
             columns = self._rr.LineStrips3D.columns(strips=strips)
             self._rec.send_columns("world/flown", indexes=[time_column(times[1:])], columns=columns)
-        style = self._rr.LineStrips3D.from_fields(colors=rgba(things.PATH), radii=_points(self._rr, 1.8))
+        style = self._rr.LineStrips3D.from_fields(colors=rgba(scene_view.PATH), radii=_points(self._rr, 1.8))
         self._rec.log("world/flown", style, static=True)
 
     def _profiles(self, shown: _Shown, part: Frames) -> None:
@@ -219,11 +220,11 @@ class ViewerSink:
             self._arcs(shown, hits, order)
 
     def _arcs(self, shown: _Shown, hits: Detections, order: Longs) -> None:
-        """Echoes as arcs over the beam, on which each may lie; points where the bearing is known, or ahead."""
+        """Show each echo as the arc of its possible places, and a point at its bearing, or ahead."""
         chunk, rr, path = shown.chunk, self._rr, f"world/echoes/{shown.name}"
         row = np.searchsorted(chunk.t_ns, hits.t_ns[order])
-        opening_deg = things.beam_deg(chunk.spec)[0]
-        strips, ahead = arcs(chunk.believed.world_from_body[row], hits.range_m[order], opening_deg)
+        opening_deg = scene_view.beam_deg(chunk.spec)[0]
+        strips, ahead = beam_arcs(chunk.believed.world_from_body[row], hits.range_m[order], opening_deg)
         known = np.asarray(np.isfinite(hits.point[order]).all(axis=1))
         spots = np.where(known[:, None], hits.point[order], ahead).astype(np.float32)
         count = np.bincount(row, minlength=len(chunk))
@@ -270,7 +271,7 @@ class ViewerSink:
         self._rec.log("world/image", points)
 
     def _plane(self, path: str, grid: Grid, colors: NDArray[np.uint8], *, lift_m: float) -> None:
-        """A picture of a grid as RGBA (rows, columns, 4), of which only the part with something on it is sent."""
+        """Send a picture of a grid, RGBA (rows, columns, 4), cropped to its visible part."""
         some = np.argwhere(colors[..., 3] > 0)
         if not len(some):
             return
@@ -288,19 +289,19 @@ class ViewerSink:
         self._rec.log(path, plane)
 
     def _set_time(self, t_ns: int) -> None:
-        if things.is_date(t_ns):
+        if scene_view.is_date(t_ns):
             self._rec.set_time(TIMELINE, timestamp=np.datetime64(t_ns, "ns"))
         else:
             self._rec.set_time(TIMELINE, duration=np.timedelta64(t_ns, "ns"))
 
-    def _lay_out(self) -> None:
-        """Arrange the windows anew when there is more to show."""
+    def _arrange(self) -> None:
+        """Update the layout of the windows when there are new data to show."""
         parts = [shown.chunk for shown in self._sensors.values()]
         placed = self._bounds is not None or any(part.poses is not None for part in parts)
         state = (tuple(self._sensors), placed, self._bounds is None)
-        if not parts or state == self._laid_out:
+        if not parts or state == self._arranged:
             return
-        self._laid_out = state
+        self._arranged = state
         names = [shown.name for shown in self._sensors.values()]
         blueprint = plots.layout(
             names,
@@ -314,7 +315,7 @@ class ViewerSink:
 
 
 class _Shown:
-    """What is known of one radar: its newest frames, its rolling picture, how fast it was shown."""
+    """State of one radar: its newest frames, its range-time picture, and the rate at which it was shown."""
 
     def __init__(self, part: Frames, color: str) -> None:
         self.name, self.color = entity(part.sensor), color
@@ -324,7 +325,7 @@ class _Shown:
         self._wall_s, self._credit = time.monotonic(), RATE_HZ
 
     def allowed(self, wanted: int) -> int:
-        """How many of the frames at hand may be shown now, to keep to the bound by the wall's clock; at least one."""
+        """Return the number of available frames to show now, limited by wall-clock time; at least one."""
         wall = time.monotonic()
         self._credit = min(RATE_HZ, self._credit + RATE_HZ * (wall - self._wall_s))
         self._wall_s = wall
@@ -334,7 +335,7 @@ class _Shown:
 
 
 def spread(t_ns: Longs, rate_hz: float) -> Longs:
-    """Rows of rising times, thinned to at most this rate [Hz]; the last one is always among them."""
+    """Select rows of increasing times at no more than this rate [Hz], including the last one."""
     slot = np.ceil((t_ns - t_ns[-1]) * rate_hz * 1e-9 - 1e-6)
     return np.flatnonzero(np.append(slot[1:] != slot[:-1], True))
 

@@ -1,4 +1,4 @@
-"""Where a viewer's data go: a new window, a page for browsers, a viewer that runs already, or a file."""
+"""Destinations of a viewer's data: a new window, a web page, a running viewer, or a file."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ USAGE = (
 class Page(Protocol):
     """A sink that may serve a page."""
 
-    address: str  # of the page; empty where none is served
+    address: str  # address of the page, empty if none is served
 
 
 @dataclass(frozen=True, slots=True)
 class ViewerOutput:
-    """Where a viewer's data go, and how."""
+    """Destination of a viewer's data, with options."""
 
-    place: str  # nothing: a window; `web`; an address; else a file
+    place: str  # empty: a window; `web`; an address; else a file
     rays: bool = False  # draw the rays of the ray model
     port: int = WEB_PORT  # of the page
     overwrite: bool = False  # replace a file
@@ -57,11 +57,11 @@ class ViewerOutput:
 
     @property
     def live(self) -> bool:
-        """Whether someone may be watching now."""
+        """Whether the data are shown live."""
         return self.place in ("", WEB) or "://" in self.place
 
     def check(self) -> None:
-        """Check what can be checked without opening anything.
+        """Check the destination without opening it.
 
         Raises:
             InputError: the file is of another kind, or a port is taken.
@@ -73,7 +73,7 @@ class ViewerOutput:
             raise InputError("not something a viewer shows", where=f"viewer:{self.place}", allowed=USAGE)
 
     def open(self, rr: Any, rec: Any) -> str:
-        """Connect a recording stream of rerun's; give the address of the page, or nothing.
+        """Connect a rerun recording stream; return the address of the page, or an empty text.
 
         Raises:
             InputError: there is no display, no such viewer, a port is taken, or the file cannot be written.
@@ -104,11 +104,11 @@ def _port(value: Any, where: str) -> int:
 
 
 def _spawn(rr: Any, rec: Any) -> None:
-    """Open a viewer's window and send there."""
+    """Open a viewer window and send data to it."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("no display to open a viewer on", where="viewer:", allowed=USAGE)
-    beside = Path(sys.executable).with_name("rerun")
-    program = str(beside) if beside.exists() else shutil.which("rerun")
+    local = Path(sys.executable).with_name("rerun")
+    program = str(local) if local.exists() else shutil.which("rerun")
     try:
         rr.spawn(recording=rec, executable_path=program)
     except Exception as error:  # rerun raises kinds of its own
@@ -129,7 +129,7 @@ def _check_free(port: int) -> None:
 
 
 def _serve(rr: Any, rec: Any, output: ViewerOutput) -> str:
-    """Serve rerun's own viewer as a page from this machine, and the data beside it; print the address."""
+    """Serve rerun's own viewer as a web page, and the data on the next port; print the address."""
     try:
         data = rec.serve_grpc(grpc_port=output.port + 1)
         rr.serve_web_viewer(web_port=output.port, open_browser=False)
@@ -151,7 +151,7 @@ def keep_serving(sinks: Iterable[object]) -> None:
 
 
 def _connect(rec: Any, address: str) -> None:
-    """Send to a viewer that runs already; that it answers is tried first, for rerun itself would wait for it."""
+    """Send to a running viewer, after a check that it answers: rerun itself would wait for it."""
     place = urlsplit(address)
     try:
         socket.create_connection((place.hostname or "", place.port or 9876), timeout=3.0).close()

@@ -1,4 +1,4 @@
-"""What stands beside the viewed world: rolling range-time pictures with axes, and the layout of it all."""
+"""Range-time pictures with axes for the viewer, and the layout of its windows."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ullage.data import Unit
 from ullage.errors import need
 from ullage.view.viewer_scene import TIMELINE, rgba
 
-WINDOW_S = 20.0  # of the rolling picture
+WINDOW_S = 20.0  # duration of the range-time picture
 COLUMNS = 240
-ROWS = 200  # at most; longer profiles keep the strongest of neighbouring bins
-SPAN_DB = 60.0  # from the strongest echo so far down to the floor of the pictures
-EMPTY = 255  # index of the colour for where nothing was received
-TRAIL_S = 15.0  # how long the points of echoes stay
+ROWS = 200  # largest number of rows; longer profiles keep the strongest of neighbouring bins
+SPAN_DB = 60.0  # dynamic range of the pictures below the strongest echo
+EMPTY = 255  # colour index of places without data
+TRAIL_S = 15.0  # time for which the points of echoes stay visible
 
 
 def unit_label(unit: Unit) -> str:
-    """What the levels of a profile are called."""
+    """Return the label of the levels of a profile."""
     return {"path_gain": "path gain", "normalised": "sensor's own units", "thesis": "thesis' units"}[unit]
 
 
@@ -48,14 +48,14 @@ class RangeTime:
             ahead = column - self._last if self._last is not None else COLUMNS
             if ahead > 0:
                 self._levels = np.roll(self._levels, -min(ahead, COLUMNS), axis=1)
-                # a radar slower than the columns leaves its last profile standing, up to half a second
+                # a radar slower than the columns repeats its last profile, up to half a second
                 fill = profile[:, None] if 1 < ahead <= COLUMNS * 0.5 / WINDOW_S else np.nan
                 self._levels[:, -min(ahead, COLUMNS) :] = fill
                 self._last = column
             self._levels[:, -1] = np.fmax(self._levels[:, -1], profile)
 
     def png(self, top_db: float) -> bytes:
-        """The picture as a file, colours from `top_db` down to the floor [dB]."""
+        """Encode the picture as PNG, with colours from `top_db` down to the floor [dB]."""
         from PIL import Image
 
         share = (self._levels[::-1] - (top_db - SPAN_DB)) / SPAN_DB
@@ -79,7 +79,7 @@ def _palette() -> bytes:
 
 
 def log_axes(rec: Any, path: str, picture: RangeTime) -> None:
-    """Lines and numbers over a range-time picture: metres upwards, seconds back from now."""
+    """Log grid lines and labels of a range-time picture: metres upwards, seconds before now."""
     rr = need("rerun", extra="view")
     near, far = float(picture.range_m[0]), float(picture.range_m[-1])
     tick = next(s for s in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000) if (far - near) / s <= 6)
@@ -90,7 +90,7 @@ def log_axes(rec: Any, path: str, picture: RangeTime) -> None:
     lines = [[[0, v], [COLUMNS, v]] for v in y] + [[[u, 0], [u, picture.rows]] for u in x]
     grid = rr.LineStrips2D(lines, colors=rgba("#5c677d"), radii=rr.Radius.ui_points(0.4), draw_order=10)
     rec.log(f"{path}/grid", grid, static=True)
-    # the viewer writes below a spot: 13 down, at the size of the layout
+    # the viewer draws labels 13 units below their points, at the size of the layout
     spots = [[-14, v - 13] for v in y] + [[u, picture.rows + 12] for u in [*x, COLUMNS]]
     names = [f"{m:g} m" for m in metres] + [f"{s:g} s" for s in seconds] + ["now"]
     marks = rr.Points2D(spots, labels=names, show_labels=True, colors=rgba("#aab4c3"), radii=0.01, draw_order=11)
@@ -100,15 +100,15 @@ def log_axes(rec: Any, path: str, picture: RangeTime) -> None:
 def layout(
     sensors: list[str], *, bounds: Floats | None, label: str, placed: bool, trails: list[str], profile_floor: str
 ) -> Any:
-    """The world at the left; range-time pictures, profiles and nearest echoes at the right.
+    """Arrange the world at the left; range-time pictures, profiles and nearest echoes at the right.
 
     Args:
         sensors: entity names of the radars.
-        bounds: (2, 3) of the world [m], for where the eye stands; None: the viewer finds a place.
-        label: of the levels.
+        bounds: (2, 3) of the world [m], to place the eye; None: the viewer chooses.
+        label: label of the levels.
         placed: whether there are poses, and so a world to show.
-        trails: entities of which a while stays visible.
-        profile_floor: what the bars of the profiles stand on.
+        trails: entities that stay visible for some time.
+        profile_floor: level at the bottom of the profile bars.
     """
     rrb = need("rerun.blueprint", extra="view")
     waterfalls = [
@@ -160,7 +160,7 @@ def _eye(rrb: Any, bounds: Floats | None) -> Any:
 
 
 def _trails(rrb: Any, trails: list[str]) -> dict[str, Any]:
-    """The flown path stays for good, points of echoes for a while."""
+    """Keep the flown path visible for the whole run, and points of echoes for `TRAIL_S`."""
     now = rrb.TimeRangeBoundary.cursor_relative(seconds=0)
     out = {}
     for path in trails:
@@ -171,7 +171,7 @@ def _trails(rrb: Any, trails: list[str]) -> dict[str, Any]:
 
 
 def image_colors(share: NDArray[Any]) -> NDArray[np.uint8]:
-    """Singles 0 to 1 as RGBA (..., 4): the weaker, the clearer, so that the floor stays visible."""
+    """Convert values 0 to 1 to RGBA (..., 4); weak values are transparent, so that the floor stays visible."""
     from matplotlib import colormaps
 
     out = (colormaps["inferno"](share) * 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The things of a viewed world: a scene as coloured meshes seen from outside in, the drone, the beams of its radars."""
+"""Objects in the viewer: the scene as coloured meshes that open towards the eye, the drone, the beams of its radars."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from ullage.view.world_picture import CLEAR, COLORS
 from ullage.world.scene import Scene
 
 SENSOR_COLORS = ("#4cc9f0", "#f9c74f", "#f3722c", "#90be6d", "#c77dff", "#f28482")
-"""One for each radar, in turn."""
-SHELL_SPAN = 0.6  # a hull part is at least this long, as a share of the world's own length in one axis
-SHELL_AREA = 2e-4  # and its triangles are on average at least this large, as a share of the surface of the world's box
+"""Colours of radars, in order."""
+HULL_SPAN = 0.6  # least length of a hull part, as a share of the world's length along one axis
+HULL_AREA = 2e-4  # least mean area of its triangles, as a share of the surface of the world's bounding box
 GREY = "#b4b4b4"
 PATH = "#ff2e63"
-"""Colour of the drone and of where it has flown."""
+"""Colour of the drone and its path."""
 
 
 def rgba(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
-    """A hex colour as bytes."""
+    """Convert a hex colour to bytes."""
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16), alpha
 
 
 def sensor_color(index: int) -> str:
-    """Colour of the n-th radar, as hex."""
+    """Return the colour of the n-th radar, as hex."""
     return SENSOR_COLORS[index % len(SENSOR_COLORS)]
 
 
 def entity(*names: str) -> str:
-    """A path of the viewer's from names in which any sign may stand."""
+    """Make an entity path of the viewer from names with any characters."""
     return "/".join(re.sub(r"[^\w.-]", "_", name) or "_" for name in names)
 
 
 def log_scene(rec: Any, scene: Scene) -> None:
-    """Draw every object, walls of the hull only from within, so that one looks into holds and rooms from outside."""
+    """Draw every object; hull walls are visible from inside only, so that holds and rooms are open to the eye."""
     hull = hull_objects(scene)
     for index, thing in enumerate(scene.objects):
         mine = scene.face_object == index
@@ -59,7 +59,7 @@ def log_scene(rec: Any, scene: Scene) -> None:
 
 
 def hull_objects(scene: Scene) -> Bools:
-    """Which objects are walls, floors and decks around everything else: long, and of large triangles."""
+    """Select walls, floors and decks that surround everything else: long objects of large triangles."""
     size = np.ptp(scene.bounds, axis=0)
     surface = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
     corners = scene.corners()
@@ -69,12 +69,12 @@ def hull_objects(scene: Scene) -> Bools:
         mine = scene.face_object == index
         if mine.any():
             span = np.ptp(corners[mine].reshape(-1, 3), axis=0) / np.maximum(size, 1e-9)
-            out[index] = span.max() >= SHELL_SPAN and area[mine].mean() >= SHELL_AREA * surface
+            out[index] = span.max() >= HULL_SPAN and area[mine].mean() >= HULL_AREA * surface
     return out
 
 
 def _mesh(corners: Floats, color: tuple[int, int, int, int], *, center: Floats | None) -> Any:
-    """Triangles (f, 3, 3) with flat shading; with a centre, turned towards it and seen from that side alone."""
+    """Make a flat-shaded mesh of triangles (f, 3, 3); with a centre, facing it and visible from that side only."""
     rr = need("rerun", extra="view")
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -105,7 +105,7 @@ def _wires(scene: Scene, mine: Bools) -> Any:
 
 
 def log_poses(rec: Any, path: str, poses: Trajectory) -> None:
-    """Where something was and how it was turned, over time."""
+    """Log positions and orientations over time."""
     rr = need("rerun", extra="view")
     columns = rr.Transform3D.columns(
         translation=poses.position.astype(np.float32), quaternion=poses.quat_xyzw.astype(np.float32)
@@ -114,7 +114,7 @@ def log_poses(rec: Any, path: str, poses: Trajectory) -> None:
 
 
 def time_column(t_ns: Longs) -> Any:
-    """Times on the viewer's one time line: seconds of the run, or dates where the clock is one of dates."""
+    """Make a column of the viewer's time line: seconds of the run, or dates where the clock counts dates."""
     rr = need("rerun", extra="view")
     if is_date(int(t_ns[0])):
         return rr.TimeColumn(TIMELINE, timestamp=t_ns.astype("datetime64[ns]"))
@@ -125,12 +125,12 @@ TIMELINE = "time"
 
 
 def is_date(t_ns: int) -> bool:
-    """Whether a time counts from 1970, as recordings' clocks do, and not from the start of the run."""
+    """Return whether a time counts from 1970, as in recordings, and not from the start of the run."""
     return t_ns > 10**17  # 1973
 
 
 def log_drone(rec: Any) -> None:
-    """Arms and rotors of a small quadrotor, in the body's frame."""
+    """Draw arms and rotors of a small quadrotor, in the body frame."""
     rr = need("rerun", extra="view")
     turn = np.linspace(0, 2 * np.pi, 25)
     rim = 0.13 * np.stack([np.cos(turn), np.sin(turn), np.zeros(25)], axis=1)
@@ -140,7 +140,7 @@ def log_drone(rec: Any) -> None:
 
 
 def log_beam(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
-    """The radar's -3 dB beam as a faint frustum, in the sensor's frame."""
+    """Draw the radar's -3 dB beam as a faint frustum, in the sensor frame."""
     rr = need("rerun", extra="view")
     reach = float(min(spec.range_m[-1], 2.5))
     wide, tall = np.tan(np.radians([*beam_deg(spec)]) / 2)
@@ -159,7 +159,7 @@ def log_beam(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
 
 
 def log_rays(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
-    """The ray model's fan as thin lines to its maximum range, in the sensor's frame; drawn once."""
+    """Draw the ray model's fan as thin lines to its maximum range, in the sensor frame, once."""
     rr = need("rerun", extra="view")
     ends = drawn_rays(spec)
     strips = np.stack([np.zeros_like(ends), ends], axis=1).astype(np.float32)
@@ -168,21 +168,21 @@ def log_rays(rec: Any, path: str, spec: RadarSpec, color: str) -> None:
 
 
 def beam_deg(spec: RadarSpec) -> tuple[float, float]:
-    """Openings of the beam at -3 dB, azimuth and elevation [deg]; what is wider than 120 is drawn as 120."""
+    """Return the -3 dB beam widths in azimuth and elevation [deg], at most 120 each."""
     wide = {"x4a02": 65.0, "isotropic": 120.0}.get(spec.antenna.kind)
     pair = (spec.antenna.azimuth_deg, spec.antenna.elevation_deg) if wide is None else (wide, wide)
     return min(pair[0], 120.0), min(pair[1], 120.0)
 
 
 def body_of(frames: Frames) -> Trajectory | None:
-    """The path of the body that carries the radar, where it is known."""
+    """Return the path of the body that carries the radar, if it is known."""
     from ullage.geometry import invert
 
     return None if frames.poses is None else frames.poses.mounted(invert(frames.spec.mount.body_from_sensor()))
 
 
-def arcs(world_from_sensor: Floats, range_m: Floats, opening_deg: float) -> tuple[Floats, Floats]:
-    """Where echoes may have come from, for poses (d, 4, 4): arcs (d, 17, 3) over the beam, points ahead (d, 3)."""
+def beam_arcs(world_from_sensor: Floats, range_m: Floats, opening_deg: float) -> tuple[Floats, Floats]:
+    """Return the possible places of echoes at poses (d, 4, 4): arcs (d, 17, 3) over the beam, points ahead (d, 3)."""
     turn = np.radians(np.linspace(-opening_deg / 2, opening_deg / 2, 17))
     local = np.stack([np.cos(turn), np.sin(turn), np.zeros(17)], axis=1)
     seen = np.einsum("dij,kj->dki", world_from_sensor[:, :3, :3], local) * range_m[:, None, None]

@@ -1,7 +1,6 @@
-"""Pictures of worlds: a cutaway seen from a corner, with true hiding, and a plan in metres with the flight in it.
+"""Pictures of worlds: a cutaway view from a corner, and a plan in metres with the flight.
 
-The picture is cast ray by ray, so that nothing is drawn in the wrong order. Rays start behind the surfaces between
-the eye and the inside (near walls, roof).
+Ray casting resolves occlusion exactly. Rays start behind the near walls and the roof, which would hide the inside.
 """
 
 from __future__ import annotations
@@ -29,20 +28,20 @@ COLORS = {
     "glass": "#9fd3e6", "plastic": "#f0f0ea", "rubber": "#3c3c40", "skin": "#e0a98a", "brick": "#b5654a",
     "plasterboard": "#ece8df", "gypsum": "#ece8df", "ground": "#b8a88a",
 }  # fmt: skip
-"""Colours of materials, as hex; what is not named here is grey."""
+"""Colours of materials, as hex; other materials are grey."""
 CLEAR = ("glass",)
-"""Materials that one sees through."""
+"""Transparent materials."""
 LIGHT = np.array([-0.35, -0.55, 0.76])
 PATH_COLOR = "#d1495b"
-_ROOM_VIEW: dict[str, Any] = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
+_ROOM_EYE: dict[str, Any] = {"elevation_deg": 38, "azimuth_deg": -120, "cut_height_m": 2.55, "plan_height_m": 1.1}
 VIEWS: dict[str, dict[str, Any]] = {
-    **{f"ntnu-{name}": _ROOM_VIEW for name in ("room", "plate", "plate45", "pole", "wire", "mapping")},
+    **{f"ntnu-{name}": _ROOM_EYE for name in ("room", "plate", "plate45", "pole", "wire", "mapping")},
     "cluttered-room": {"elevation_deg": 42, "azimuth_deg": -70, "cut_height_m": 3.2, "plan_height_m": 1.0},
     "cargo-hold": {"elevation_deg": 17, "azimuth_deg": -163, "cut_side_m": (6.0, 0.0), "plan_height_m": 4.0},
 }
-"""How the shipped worlds are best seen."""
+"""Views of the shipped worlds."""
 LEAST_SHARE = 0.1
-"""Least width or height of a picture as a share of the other: a plate seen from its edge has room about it."""
+"""Least width or height of a picture as a share of the other, for thin objects such as a plate seen edge-on."""
 PLAN_SHARE, LEAST_M = 0.4, 0.2
 """Least width and height of a plan, as a share of the scene's longest edge and in metres."""
 _BACKGROUND = np.array([1.0, 1.0, 1.0])
@@ -62,15 +61,15 @@ def world_picture(
     colors: Sequence[str] | None = None,
     width_px: int = 1150,
 ) -> Figure:
-    """A cutaway view and a plan of a world.
+    """Draw a cutaway view and a plan of a world.
 
     Args:
         scene: what to draw.
         path: PNG file to write, or None.
-        elevation_deg: height of the eye over the horizon [deg].
+        elevation_deg: elevation of the eye above the horizon [deg].
         azimuth_deg: direction of the eye from the middle; 0 is +x, 90 is +y [deg].
-        cut_height_m: what lies above is left out [m]; None: nothing is.
-        cut_side_m: what lies this near to the sides that face the eye is left out, along x and y [m]; 0: nothing.
+        cut_height_m: height above which everything is cut away [m]; None: no cut.
+        cut_side_m: depth that is cut away at the sides facing the eye, along x and y [m]; 0: no cut.
         plan_height_m: height of the plan's section [m]; None: a third of the way up.
         waypoints: the flight (n, 3 or more) [m], drawn into both.
         title: text over the picture.
@@ -97,7 +96,7 @@ def world_picture(
     box = np.array([low, [high[0], high[1], top]])
     eye = _Eye.looking(box, elevation_deg, azimuth_deg, width_px)
     route = None if waypoints is None else np.asarray(waypoints, float)[:, :3]
-    _draw_view(left, paint, eye, _inside(box, eye.toward, cut_side_m), route)
+    _draw_cutaway(left, paint, eye, _inside(box, eye.toward, cut_side_m), route)
     level = float(low[2] + (high[2] - low[2]) / 3) if plan_height_m is None else plan_height_m
     _draw_plan(right, scene, paint, _Eye.above(box, width_px * 2 // 3), level, route)
     if title:
@@ -110,7 +109,7 @@ def world_picture(
 def draw_cut(
     axes: Any, scene: Scene, height_m: float | None = None, route: Floats | None = None, *, width_px: int = 450
 ) -> None:
-    """Draw the plan of a world: what lies below a height, the cut at that height in black, and a flight (n, 3) [m].
+    """Draw the plan of a world: everything below a height, the cut at that height in black, and a flight (n, 3) [m].
 
     Args:
         axes: matplotlib Axes.
@@ -121,7 +120,7 @@ def draw_cut(
     """
     low, high = scene.bounds
     level = float(low[2] + (high[2] - low[2]) / 3) if height_m is None else height_m
-    room = np.zeros(3)  # about a thin thing
+    room = np.zeros(3)  # margin around thin objects
     room[:2] = np.maximum(np.maximum(PLAN_SHARE * np.max(high - low), LEAST_M) - (high - low)[:2], 0.0) / 2
     _draw_plan(
         axes, scene, _Paint(scene, None), _Eye.above(np.array([low - room, high + room]), width_px), level, route
@@ -136,7 +135,9 @@ class _Eye:
         corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
         seen = self.project(corners)
         least, size = seen.min(0), np.ptp(seen, axis=0)
-        margin = 0.02 * size[0] + np.maximum(LEAST_SHARE * max(size.max(), 0.01) - size, 0.0) / 2  # of a flat thing
+        margin = (
+            0.02 * size[0] + np.maximum(LEAST_SHARE * max(size.max(), 0.01) - size, 0.0) / 2
+        )  # more for flat objects
         (left, bottom), (right_end, top) = least - margin, least + size + margin
         self.extent = (left, right_end, bottom, top)
         self.back = float((corners @ toward).min()) - 1.0
@@ -155,11 +156,11 @@ class _Eye:
         return cls(np.array([0, 0, -1.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), box, width_px)
 
     def project(self, points: Floats) -> Floats:
-        """Points (n, 3) in the picture (n, 2) [m]."""
+        """Project points (n, 3) into the picture (n, 2) [m]."""
         return np.stack([points @ self.right, points @ self.up], axis=-1)
 
     def origins(self) -> Floats:
-        """Origins of the rays of all pixels (h w, 3), top row first."""
+        """Return the origins of the rays of all pixels (h w, 3), top row first."""
         rows, columns = self.shape
         u = self.extent[0] + (np.arange(columns) + 0.5) * self.pixel
         v = self.extent[3] - (np.arange(rows) + 0.5) * self.pixel
@@ -168,7 +169,7 @@ class _Eye:
 
 
 def _inside(box: Floats, toward: Floats, side_m: float | tuple[float, float]) -> list[tuple[Floats, float]]:
-    """Half-spaces n.x <= d that hold what is drawn: below the cut, and behind the near sides."""
+    """Return half-spaces n.x <= d that bound the drawn part: below the cut, and behind the near sides."""
     keep = [(np.array([0.0, 0.0, 1.0]), float(box[1, 2]) + 1e-3)]
     for axis, cut in zip((0, 1), np.broadcast_to(side_m, 2), strict=True):
         if abs(toward[axis]) > 1e-6 and cut > 0:
@@ -197,7 +198,7 @@ class _Paint:
         self.solid = Raycaster(solid, wires=True) if clear.any() else self.all
 
     def picture(self, eye: _Eye, keep: list[tuple[Floats, float]]) -> tuple[Floats, Floats]:
-        """Colours (h, w, 3) and depths (h, w) along the sight [m], inf where nothing is."""
+        """Render colours (h, w, 3) and depths (h, w) along the view direction [m], inf without a hit."""
         start = eye.origins()
         ahead = np.zeros(len(start))
         for normal, edge in keep:
@@ -225,14 +226,14 @@ class _Paint:
         normal *= np.where(normal @ toward > 0, -1.0, 1.0)[:, None]
         point = start[hit] + depth[hit, None] * toward + 1e-3 * normal
         bright = 0.62 + 0.38 * np.clip(normal @ (LIGHT / np.linalg.norm(LIGHT)), -0.4, 1)
-        shade = bright * (0.45 + 0.55 * _openness(caster, point, normal))
-        color[hit] = self.rgb[caster.owner[ids]] * shade[:, None]
+        brightness = bright * (0.45 + 0.55 * _openness(caster, point, normal))
+        color[hit] = self.rgb[caster.owner[ids]] * brightness[:, None]
         return color, depth
 
 
 def _openness(caster: Raycaster, point: Floats, normal: Floats, *, reach_m: float = 1.5) -> Floats:
     """Return each point's distance from near surfaces as 0 to 1, so that corners are darker."""
-    turn = np.arange(20) * 2.39996  # a sunflower over the half sphere
+    turn = np.arange(20) * 2.39996  # golden-angle spiral over the half sphere
     z = np.sqrt((np.arange(20) + 0.5) / 20)
     local = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
     side = np.cross(normal, np.where(abs(normal[:, 2:]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]]))
@@ -256,7 +257,7 @@ def _edges(depth: Floats, pixel: float) -> Bools:
     return out
 
 
-def _draw_view(axes: Any, paint: _Paint, eye: _Eye, keep: list[tuple[Floats, float]], route: Floats | None) -> None:
+def _draw_cutaway(axes: Any, paint: _Paint, eye: _Eye, keep: list[tuple[Floats, float]], route: Floats | None) -> None:
     picture, depth = paint.picture(eye, keep)
     axes.imshow(np.clip(picture, 0, 1), extent=eye.extent, interpolation="antialiased")
     if route is not None:
@@ -281,7 +282,7 @@ def _draw_route(axes: Any, eye: _Eye, depth: Floats, route: Floats) -> None:
 
 
 def _draw_wires(axes: Any, eye: _Eye, depth: Floats, wires: Wires, keep: list[tuple[Floats, float]]) -> None:
-    """Wires as thin lines: a pixel is wider than most of them."""
+    """Draw wires as thin lines: a pixel is wider than most of them."""
     for start, end in zip(wires.start, wires.end, strict=True):
         fine = np.linspace(start, end, 200)
         gone = _hidden(eye, depth, fine)
@@ -313,7 +314,7 @@ def _draw_plan(axes: Any, scene: Scene, paint: _Paint, above: _Eye, level: float
 
 
 def save_palette_png(figure: Figure, file: Path) -> None:
-    """Write a PNG with a palette of 256 colours, a third of the size, under a temporary name until whole."""
+    """Write a PNG with 256 colours, at a third of the size, under a temporary name until complete."""
     from PIL import Image
 
     file.parent.mkdir(parents=True, exist_ok=True)
