@@ -77,8 +77,9 @@ def test_the_code_map_names_packages_and_files_that_exist() -> None:
     assert {name for name in packages if f"| `ullage.{name}` |" not in page} <= {"devices"}
 
 
-def test_the_page_of_physics_names_modules_that_exist() -> None:
-    table = (DOCS / "physics.md").read_text(encoding="utf-8").split("module in `ullage.radar`")[1].split("\n\n")[0]
+@pytest.mark.parametrize("page", ["physics.md", "physics_curved.md"])
+def test_pages_of_physics_name_modules_that_exist(page: str) -> None:
+    table = (DOCS / page).read_text(encoding="utf-8").split("module in `ullage.radar`")[1].split("\n\n")[0]
     named = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[-2])]
     assert len(named) > 10
     assert [name for name in named if not (ROOT / "src" / "ullage" / "radar" / f"{name}.py").exists()] == []
