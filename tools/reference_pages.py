@@ -26,7 +26,7 @@ its own. For example, `ullage run ntnu-wire --law physical --by-hand` is `ullage
 `ullage list scenarios` shows both names of every variant. Three of them differ from `ntnu-mapping` only in the size of
 their cells: `ntnu-mapping-5cm`, `ntnu-mapping-20cm` and `ntnu-mapping-50cm`.
 
-- What a file leaves out has the default below. `name` is the file's own name unless it says otherwise.
+- Absent fields have the defaults below. `name` is by default the file name.
 - `-o a.b=value` changes one field; values are YAML, e.g. `-o flight.waypoints='[[0, 0, 1], [2, 0, 1]]'`.
 - A field that does not exist, or a value out of bounds, is refused with its name.
 - `ullage config --schema` prints the JSON schema, with which editors complete and check such files.
@@ -68,7 +68,7 @@ expect:
   surface_declared_free: {{max: 0.02}}
 ```
 
-Any metric in the run's `metrics.json` can be bounded. `ullage measure` tells each, and exits 1 when one
+Any metric in the run's `metrics.json` can be bounded. `ullage measure` checks each, and exits 1 when one
 is broken or unknown.
 
 ## Fields of a radar
