@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ullage as ul
-from ullage.geometry import C0
+from ullage.experiments.validation import oracles
 from ullage.radar.physical import path_gain_cw
 
 ISO = ul.RadarSpec.preset("x4m05", antenna={"kind": "isotropic"}, noise=None)
@@ -15,17 +15,8 @@ def db(value):
     return 20 * np.log10(abs(value))
 
 
-def dense(size_m, yaw_deg=0.0, distance_m=3.0):
-    """The near-field Kirchhoff integral of a conducting square at 7.29 GHz, sampled at 2 mm."""
-    n = round(size_m / 0.002)
-    side = (np.arange(n) + 0.5) / n * size_m - size_m / 2
-    across, up = np.meshgrid(side, side)
-    yaw = np.radians(yaw_deg)
-    point = np.stack([distance_m - across * np.sin(yaw), across * np.cos(yaw), up], -1)
-    r = np.linalg.norm(point, axis=-1)
-    cosine = abs(point @ [np.cos(yaw), np.sin(yaw), 0]) / r
-    k = 2 * np.pi * ISO.center_hz / C0
-    return -1j / (4 * np.pi) * np.sum(cosine / r**2 * np.exp(-2j * k * r)) * (size_m / n) ** 2
+def dense(size_m, yaw_deg=0.0):
+    return oracles.dense_plate(size_m, 3.0, ISO.center_hz, yaw_deg)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import uuid
 from pathlib import Path
@@ -108,3 +109,16 @@ def same_message(one: Message, other: Message) -> None:
             assert got == pytest.approx(value, rel=1e-9, abs=1e-6), key
         else:
             assert got == value, key
+
+
+def compiled(source: Path, folder: Path) -> Path:
+    """Compile a C++ program on Gazebo's transport library, or skip the test."""
+    if not (shutil.which("g++") and shutil.which("pkg-config")):
+        pytest.skip("no g++ and pkg-config")
+    words = ["pkg-config", "--cflags", "--libs", "ignition-transport11"]
+    flags = subprocess.run(words, capture_output=True, text=True, check=False)
+    if flags.returncode:
+        pytest.skip("libignition-transport-dev (11) is not installed")
+    out = folder / source.stem
+    subprocess.run(["g++", "-O0", "-w", source, "-o", out, *flags.stdout.split()], check=True)
+    return out

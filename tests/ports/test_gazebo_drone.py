@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from conftest import compiled
 
 import ullage as ul
 
@@ -21,15 +21,7 @@ DRONE, PILOT = HERE / "gazebo_drone.cpp", HERE / "imc/imc_pilot.py"
 @pytest.fixture(scope="session")
 def program(tmp_path_factory):
     """The drone, compiled from the few lines beside this file."""
-    if not (shutil.which("g++") and shutil.which("pkg-config")):
-        pytest.skip("no g++ and pkg-config")
-    words = ["pkg-config", "--cflags", "--libs", "ignition-transport11"]
-    flags = subprocess.run(words, capture_output=True, text=True, check=False)
-    if flags.returncode:
-        pytest.skip("libignition-transport-dev (11) is not installed")
-    out = tmp_path_factory.mktemp("gazebo") / "drone"
-    subprocess.run(["g++", "-O0", "-w", DRONE, "-o", out, *flags.stdout.split()], check=True)
-    return out
+    return compiled(DRONE, tmp_path_factory.mktemp("gazebo"))
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """`gazebo:` beside a server on the real library of Gazebo Transport, which says what gz-sim's server says."""
 
-import shutil
 import subprocess
 import threading
 import time
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import compiled
 
 import ullage as ul
 
@@ -28,15 +28,7 @@ SERVER = Path(__file__).with_name("gazebo_server.cpp")
 @pytest.fixture(scope="session")
 def program(tmp_path_factory):
     """The server, compiled from the few lines beside this file."""
-    if not (shutil.which("g++") and shutil.which("pkg-config")):
-        pytest.skip("no g++ and pkg-config")
-    words = ["pkg-config", "--cflags", "--libs", "ignition-transport11"]
-    flags = subprocess.run(words, capture_output=True, text=True, check=False)
-    if flags.returncode:
-        pytest.skip("libignition-transport-dev (11) is not installed")
-    out = tmp_path_factory.mktemp("gazebo") / "server"
-    subprocess.run(["g++", "-O0", "-w", SERVER, "-o", out, *flags.stdout.split()], check=True)
-    return out
+    return compiled(SERVER, tmp_path_factory.mktemp("gazebo"))
 
 
 class Server:

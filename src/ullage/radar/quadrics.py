@@ -253,16 +253,26 @@ def _strips(points: Floats, centre: Floats, area: Floats) -> Floats:
     return np.array(out).reshape(-1, 4)
 
 
-def _fit_sphere(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
-    """Fit a sphere to triangles (n, 3, 3), if they lie on one."""
-    points = corners.reshape(-1, 3)
+def sphere_through(points: Floats) -> tuple[Floats, Floats] | None:
+    """Fit a sphere to points (n, 3) by least squares: its centre and the points' distances (n) from it [m].
+
+    Returns None where the points do not determine a sphere, such as points of one plane.
+    """
     middle = points.mean(0)
     equations = np.column_stack([2 * (points - middle), np.ones(len(points))])
     (x, y, z, _), *_, rank, _ = np.linalg.lstsq(equations, ((points - middle) ** 2).sum(1), rcond=1e-9)
     centre = middle + np.array([x, y, z])
-    away = np.linalg.norm(points - centre, axis=1)
+    return (centre, np.linalg.norm(points - centre, axis=1)) if rank == 4 else None
+
+
+def _fit_sphere(corners: Floats, normals: Floats, area: Floats, object_id: int) -> Quadric | None:
+    """Fit a sphere to triangles (n, 3, 3), if they lie on one."""
+    fit = sphere_through(corners.reshape(-1, 3))
+    if fit is None:
+        return None
+    centre, away = fit
     whole = 4 * np.pi * away.mean() ** 2
-    if rank < 4 or np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or area.sum() < _MOST * whole:
+    if np.ptp(away) > 2 * OFF_M or away.mean() < LEAST_M or area.sum() < _MOST * whole:
         return None
     out = corners.mean(1) - centre
     if (abs((out * normals).sum(1)) < np.cos(np.deg2rad(SMOOTH_DEG)) * np.linalg.norm(out, axis=1)).any():

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ullage.arrays import Bools, Floats
 from ullage.radar.facets import Surfaces
-from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, connected_parts
+from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, connected_parts, sphere_through
 from ullage.radar.solids import welded
 
 _FEWEST = 16  # triangles
@@ -96,12 +96,11 @@ def _grow_domes(surface: SmoothSurface) -> list[Sphere]:
 
 def _fit_sphere(points: Floats) -> tuple[Floats, float, float]:
     """Fit a sphere to points (n, 3): centre, radius and largest spread of the distances [m]."""
-    middle = points.mean(0)
-    equations = np.column_stack([2 * (points - middle), np.ones(len(points))])
-    (x, y, z, _), *_, rank, _ = np.linalg.lstsq(equations, ((points - middle) ** 2).sum(1), rcond=1e-9)
-    centre = middle + np.array([x, y, z])
-    away = np.linalg.norm(points - centre, axis=1)
-    return centre, float(away.mean()), float(np.ptp(away)) if rank == 4 else np.inf
+    fit = sphere_through(points)
+    if fit is None:
+        return np.zeros(3), 0.0, np.inf
+    centre, away = fit
+    return centre, float(away.mean()), float(np.ptp(away))
 
 
 def _fit_whole(surface: SmoothSurface) -> Sphere | None:

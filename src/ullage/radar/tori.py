@@ -16,6 +16,7 @@ from ullage.arrays import Bools, Floats, Longs
 from ullage.radar.facets import SMOOTH_DEG, PlanarPatches, Surfaces, strewn
 from ullage.radar.quadrics import OFF_M, Quadric, SmoothSurface
 from ullage.radar.solids import Backs
+from ullage.world import point_normal
 
 EDGE_M = 0.03
 """Longest edge of the triangles that represent a torus [m]."""
@@ -144,23 +145,13 @@ def _refined(corners: Floats, tube: Tube) -> tuple[Floats, Longs]:
     cut, of = [], []
     for many in np.unique(count):
         mine = np.flatnonzero(count == many)
-        pieces = _pieces(int(many))
-        turned = np.einsum("pcb,nba->npca", pieces, angles[mine]).reshape(-1, 3, 2)
+        shares = point_normal.pieces(int(many))
+        turned = np.einsum("pcb,nba->npca", shares, angles[mine]).reshape(-1, 3, 2)
         points, halves = tube.points(turned[..., 0], turned[..., 1]), (turned + np.roll(turned, 1, 1)) / 2
         rise = tube.points(halves[..., 0], halves[..., 1]) - (points + np.roll(points, 1, 1)) / 2
         cut.append(points + rise.mean(1, keepdims=True))  # on the torus in the mean
-        of.append(np.repeat(mine, len(pieces)))
+        of.append(np.repeat(mine, len(shares)))
     return np.concatenate(cut), np.concatenate(of)
-
-
-def _pieces(many: int) -> Floats:
-    """Cut a triangle into (p, 3, 3) with `many` along each side, in barycentric coordinates."""
-    i, j = (row.ravel() for row in np.meshgrid(np.arange(many), np.arange(many), indexing="ij"))
-    up, down = i + j < many, i + j < many - 1
-    one = np.stack([np.stack([i, j], 1), np.stack([i + 1, j], 1), np.stack([i, j + 1], 1)], 1)[up]
-    other = np.stack([np.stack([i + 1, j], 1), np.stack([i + 1, j + 1], 1), np.stack([i, j + 1], 1)], 1)[down]
-    share = np.concatenate([one, other]) / many
-    return np.concatenate([1 - share.sum(2, keepdims=True), share], 2)
 
 
 def _faces_on(still: Surfaces, tube: Tube, object_id: int) -> tuple[Bools, Bools]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ullage.arrays import Floats
 from ullage.data import Frames, Metric
 from ullage.errors import UllageWarning
+from ullage.experiments.validation.recordings import corner_towards
 from ullage.grids import Grid, Image
 from ullage.ports.registry import open as open_source
 from ullage.ports.tracked import RailSource
@@ -24,8 +25,6 @@ from ullage.world import scenes
 from ullage.world.scene import Scene
 
 READS = ("pulson440/rail_a/radar.out", "pulson440/rail_a/mocap.csv", "pulson440/rail_a/reflector.csv")
-EDGE_M = 0.3
-"""Edge of the simulated corner reflector [m]: the real one's is not written down; one gain factor takes it up."""
 HALF_M = 0.35
 """Half length of the waveforms that are compared [m]."""
 CLUTTER_M = (5.5, 10.0)
@@ -63,17 +62,12 @@ def run(work: Workspace) -> None:
 
 
 def simulated(real: Frames, place: Floats) -> Frames:
-    """Simulate the same track, radar and range axis, with a corner reflector above a concrete floor."""
+    """Simulate the same track, radar and range axis, with a corner reflector above a concrete floor.
+
+    The size of the real reflector is not recorded. One gain factor absorbs the difference.
+    """
     path = real.believed
-    middle = path.position.mean(0)
-    away = place - middle
-    distance = float(np.linalg.norm(away))
-    x = away / distance
-    y = np.cross([0.0, 0.0, 1.0], x)
-    y /= np.linalg.norm(y)
-    turn = np.stack([x, y, np.cross(x, y)], axis=1)
-    corner = scenes.trihedral(EDGE_M, distance)
-    corner = replace(corner, vertices=corner.vertices @ turn.T + middle)
+    corner = corner_towards(path.position.mean(0), place)
     ground = scenes.floor((24.0, 24.0), 0.0)
     spec = real.spec.but(noise=None, range_start_m=float(real.range_m[0]))
     return simulate(Scene.union([corner, ground]), path, spec, max_bounces=3)

@@ -88,7 +88,7 @@ def cut(corners: Floats, control: Floats, count: Longs) -> tuple[Floats, Longs, 
 
 
 def pieces(many: int) -> Floats:
-    """Triangles (p, 3, 3) that a triangle is cut into, with so many along each side, by shares of its corners."""
+    """Cut a triangle into (p, 3, 3) with `many` along each side, in barycentric coordinates."""
     i, j = (row.ravel() for row in np.meshgrid(np.arange(many), np.arange(many), indexing="ij"))
     up, down = i + j < many, i + j < many - 1
     one = np.stack([np.stack([i, j], 1), np.stack([i + 1, j], 1), np.stack([i, j + 1], 1)], 1)[up]

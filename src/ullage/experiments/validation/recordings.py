@@ -118,23 +118,23 @@ def _tracked(folder: Path, what: str) -> Recorded | None:
 def _with_track(name: str, what: str, raw: Frames, places: Floats, floor_z_m: float) -> Recorded:
     frames = calibrate(raw, reflectors=places)
     middle = frames.believed.position.mean(0)
-    targets = Scene.union([_corner(place, middle) for place in places])
+    targets = Scene.union([corner_towards(middle, place) for place in places])
     scene = Scene.union([targets, scenes.floor((24.0, 24.0), floor_z_m)])
     count = "a corner reflector" if len(places) == 1 else f"{len(places)} corner reflectors"
     known = f"{count} of {EDGE_M:g} m on a bare concrete floor"
     return Recorded(name, what, raw, frames, scene, known, places, targets, floor_z_m=floor_z_m)
 
 
-def _corner(place: Floats, towards: Floats) -> Scene:
-    """Place a trihedral that opens towards a point."""
-    away = place - towards
+def corner_towards(point: Floats, place: Floats) -> Scene:
+    """Place a trihedral of `EDGE_M` at a place (3), open towards a point (3) [m]."""
+    away = place - point
     distance = float(np.linalg.norm(away))
     x = away / distance
     y = np.cross([0.0, 0.0, 1.0], x)
     y /= np.linalg.norm(y)
     turn = np.stack([x, y, np.cross(x, y)], axis=1)
     corner = scenes.trihedral(EDGE_M, distance)
-    return replace(corner, vertices=corner.vertices @ turn.T + towards)
+    return replace(corner, vertices=corner.vertices @ turn.T + point)
 
 
 def _rail_b(folder: Path) -> Recorded | None:
