@@ -132,7 +132,7 @@ def accumulate_body_pairs(
     loud = (most * full**2 > least**2) & ((one < other) if together else (one != other))
     if not loud.any():
         return []
-    return _echoes_of(context, parts, seen, bodies, one[loud], other[loud], weights, least, grids)
+    return _echoes_of(context, parts, seen, bodies, np.stack([one[loud], other[loud]]), weights, least, grids)
 
 
 def largest_bodies(
@@ -162,13 +162,13 @@ def _echoes_of(
     parts: list[Surfaces],
     antennas: AntennaPair,
     bodies: Bodies,
-    one: Longs,
-    other: Longs,
+    pairs: Longs,
     weights: Floats,
     least: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Add the echoes over pairs of bodies (m) whose path gain amplitude exceeds `least`."""
+    """Add the echoes over pairs of bodies (2, m) whose path gain amplitude exceeds `least`."""
+    one, other = pairs
     first, last = bodies.take(one), bodies.take(other)
     paths = paths_over(antennas.origins[0], antennas.origins[1], first, last)
     wavelength = context.spec.wavelength_m

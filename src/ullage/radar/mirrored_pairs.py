@@ -60,7 +60,7 @@ def accumulate_mirrored_pairs(
     nth = rows[:, 1]
     rows = np.stack([rows[:, 0], faces[nth], which[rows[:, 2]], which[rows[:, 3]]], 1)
     counts = twice * shares[held][nth] * weights[rows[:, 2]] * weights[rows[:, 3]]
-    return _echoes_of(context, parts, planar, antennas, bodies, rows, counts, FAINT * float(abs(grids).max()), grids)
+    return _echoes_of(context, parts, planar, antennas, bodies, rows, counts, grids)
 
 
 @lru_cache(maxsize=64)
@@ -84,10 +84,10 @@ def _echoes_of(
     bodies: Bodies,
     rows: Longs,
     counts: Floats,
-    least: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Add the echoes over chains (m, 4) of some multiplicity (m) whose path gain amplitude exceeds `least`."""
+    """Add the echoes over chains (m, 4) of some multiplicity (m) that are strong enough."""
+    least = FAINT * float(abs(grids).max())
     wavelength, top = context.spec.wavelength_m, float(context.table.max()) ** 2
     full, gate = wavelength / (4 * np.pi) * antennas.factor, 2 * context.gate[1]
     faint = least / (abs(full) * top)  # as a spread
