@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage import checks
 from ullage.arrays import Floats, Longs, Singles
 from ullage.display import Displayed, plots
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 from ullage.geometry import matrix_quat, quat_matrix, rotations, rpy_quat
 from ullage.specs import RadarSpec, ThesisSpec
 
@@ -22,7 +23,7 @@ Samples = NDArray[np.complex64] | Singles
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[Any]:
-    out = np.ascontiguousarray(value, dtype)
+    out = checks.array(name, value, dtype)
     if out.shape != shape:
         raise InputError(f"{name} has shape {out.shape}", allowed=f"{shape}")
     if out.dtype.kind == "f" and not np.isfinite(out).all():
@@ -32,7 +33,7 @@ def _array(name: str, value: ArrayLike, shape: tuple[int, ...], dtype: Any = np.
 
 
 def _rising(t_ns: ArrayLike) -> Longs:
-    out = np.ascontiguousarray(t_ns, np.int64)
+    out = checks.times_ns("t_ns", t_ns)
     if out.ndim != 1 or out.size == 0:
         raise InputError(f"t_ns has shape {out.shape}", allowed="(n,) with n >= 1")
     back = np.flatnonzero(np.diff(out) <= 0)
@@ -107,7 +108,9 @@ class Trajectory(Displayed):
         Raises:
             InputError: a time lies outside the trajectory (one sample stands for all times).
         """
-        want = np.atleast_1d(np.asarray(t_ns, np.int64))
+        want = np.atleast_1d(checks.times_ns("t_ns", t_ns))
+        if want.ndim != 1 or want.size == 0:
+            raise InputError(f"t_ns has shape {want.shape}", where="at", allowed="(m,) with m >= 1")
         velocity, spin = self.rates
         if len(self) == 1:
             return Trajectory(
@@ -137,7 +140,12 @@ class Trajectory(Displayed):
         return self.at(times)
 
     def mounted(self, body_from_sensor: Floats) -> Trajectory:
-        """The path of a sensor fixed to the body by a (4, 4) transform."""
+        """The path of a sensor fixed to the body by a (4, 4) transform.
+
+        Raises:
+            InputError: the transform is not rigid and right-handed.
+        """
+        body_from_sensor = checks.rigid("body_from_sensor", body_from_sensor, "mounted")
         velocity, spin = self.rates
         rot = quat_matrix(self.quat_xyzw)
         arm = body_from_sensor[:3, 3]
@@ -161,13 +169,15 @@ class Trajectory(Displayed):
     def stationary(
         cls, position_m: Sequence[float] = (0, 0, 0), yaw_deg: float = 0.0, n: int = 1, *, rate_hz: float = 17.0
     ) -> Trajectory:
-        """Standing still for `n` samples."""
-        if n < 1:
-            raise InputError(f"n is {n}", where="stationary", allowed="n >= 1")
-        t_ns = even_times(rate_hz, count=n)
-        quat = np.tile(rpy_quat(0, 0, np.radians(yaw_deg)), (n, 1))
-        still = np.zeros((n, 3))
-        return cls(t_ns, np.tile(np.asarray(position_m, float), (n, 1)), quat, still, still)
+        """Standing still for `n` samples.
+
+        Raises:
+            InputError: no place, no heading, or no whole number of samples.
+        """
+        t_ns = even_times(rate_hz, count=checks.whole("n", n, "stationary", low=1, allowed="n >= 1"))
+        quat = np.tile(rpy_quat(0, 0, np.radians(checks.number("yaw_deg", yaw_deg, "stationary"))), (n, 1))
+        still, place = np.zeros((n, 3)), _point("position_m", position_m)
+        return cls(t_ns, np.tile(place, (n, 1)), quat, still, still)
 
     @classmethod
     def line(
@@ -182,16 +192,15 @@ class Trajectory(Displayed):
         """A straight track at constant speed and attitude, one sample per 1 / rate_hz.
 
         Raises:
-            InputError: speed or rate is not above zero.
+            InputError: speed or rate is not above zero, or an end is no place.
         """
-        a, b = np.asarray(start_m, float), np.asarray(end_m, float)
+        a, b = _point("start_m", start_m), _point("end_m", end_m)
         length = float(np.linalg.norm(b - a))
-        if not speed_m_s > 0:
-            raise InputError(f"speed_m_s is {speed_m_s}", where="line", allowed="> 0")
+        speed_m_s = checks.number("speed_m_s", speed_m_s, "line", above=0.0, allowed="> 0")
         t_ns = even_times(rate_hz, t1_ns=round(length / speed_m_s * 1e9))
         along = speed_m_s * (b - a) / max(length, 1e-12)
         n = len(t_ns)
-        quat = np.tile(rpy_quat(0, 0, np.radians(yaw_deg)), (n, 1))
+        quat = np.tile(rpy_quat(0, 0, np.radians(checks.number("yaw_deg", yaw_deg, "line"))), (n, 1))
         return cls(t_ns, a + t_ns[:, None] * 1e-9 * along, quat, np.tile(along, (n, 1)), np.zeros((n, 3)))
 
 
@@ -201,11 +210,15 @@ def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, coun
     Raises:
         InputError: the rate is not above zero.
     """
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InputError(f"rate_hz is {rate_hz}", where="rate_hz", allowed="> 0")
+    rate_hz = checks.number("rate_hz", rate_hz, "rate_hz", above=0.0, allowed="> 0")
     if count is None:
         count = 1 if t1_ns is None else int((t1_ns - t0_ns) * rate_hz * 1e-9 + 1e-9) + 1
     return np.asarray(t0_ns + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
+
+
+def _point(name: str, value: ArrayLike) -> Floats:
+    """Three finite numbers [m]."""
+    return np.asarray(_array(name, np.ravel(checks.array(name, value)), (3,)))
 
 
 def _slope(t_ns: Longs, position: Floats) -> Floats:
@@ -224,6 +237,10 @@ def _spin(t_ns: Longs, quat: Floats) -> Floats:
 
 
 Unit = Literal["path_gain", "normalised", "thesis"]
+LEAST_BINS = 3
+"""Range bins of a frame: a peak is found from three."""
+UNEVEN = 0.01
+"""Largest deviation of a range bin's width from the median, relative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,14 +290,19 @@ class Frames(Displayed):
     simulated: SimulatedFrom | None = None  # set by ul.simulate
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         t_ns = _rising(self.t_ns)
-        raw = np.asarray(self.samples)
-        if raw.ndim != 2 or len(raw) != len(t_ns):
-            raise InputError(f"samples have shape {raw.shape}", where=self.sensor, allowed=f"({len(t_ns)}, bins)")
-        samples = np.ascontiguousarray(raw, np.complex64 if np.iscomplexobj(raw) else np.float32)
+        raw = checks.as_given("samples", self.samples)
+        if raw.ndim != 2 or len(raw) != len(t_ns) or raw.shape[1] < LEAST_BINS:
+            raise InputError(f"samples have shape {raw.shape}", where=self.sensor,
+                             allowed=f"({len(t_ns)}, bins), {LEAST_BINS} bins or more")  # fmt: skip
+        samples = checks.array("samples", raw, np.complex64 if np.iscomplexobj(raw) else np.float32)
         range_m = _array("range_m", self.range_m, (samples.shape[1],))
-        if np.any(np.diff(range_m) <= 0):
+        step = np.diff(range_m)
+        if np.any(step <= 0):
             raise InputError("range_m does not rise", where=self.sensor)
+        if np.abs(step / np.median(step) - 1).max() > UNEVEN:
+            raise InputError("range_m is not evenly spaced", where=self.sensor, allowed="bins of one width")
         for name in ("poses", "truth"):
             path = getattr(self, name)
             if path is not None and not np.array_equal(path.t_ns, t_ns):
@@ -291,6 +313,18 @@ class Frames(Displayed):
                 )
         for name, value in (("samples", samples), ("range_m", range_m), ("t_ns", t_ns)):
             object.__setattr__(self, name, value)
+
+    def _check_kinds(self) -> None:
+        """Refuse fields of another type, which no processor could use."""
+        for name, kind in (("spec", RadarSpec), ("sensor", str)):
+            if not isinstance(given := getattr(self, name), kind):
+                raise InputError(f"{name} is {shown(given)}", where="Frames", allowed=f"a {kind.__name__}")
+        for name in ("poses", "truth", "track"):
+            given = getattr(self, name)
+            if given is not None and not isinstance(given, Trajectory):
+                raise InputError(f"{name} is a {type(given).__name__}", where="Frames", allowed="a Trajectory, or None")
+        if self.unit not in get_args(Unit):
+            raise InputError(f"unit is {shown(self.unit)}", where="Frames", allowed=", ".join(get_args(Unit)))
 
     def __repr__(self) -> str:
         n, bins = self.samples.shape
@@ -358,10 +392,23 @@ def sensors_of(frames: Recording) -> list[Frames]:
     Raises:
         InputError: nothing, or something else, was given.
     """
+    if not isinstance(frames, Frames | Iterable):
+        raise InputError(f"frames is {shown(frames)}", where="frames", allowed="Frames, or a dict or list of them")
     parts = [frames] if isinstance(frames, Frames) else list(frames.values() if isinstance(frames, Mapping) else frames)
     if not parts or not all(isinstance(part, Frames) for part in parts):
         raise InputError("no frames", where="frames", allowed="Frames, or a dict or list of them")
     return parts
+
+
+def one_sensor(frames: object, where: str) -> Frames:
+    """The frames of one sensor.
+
+    Raises:
+        InputError: something else was given.
+    """
+    if not isinstance(frames, Frames):
+        raise InputError(f"frames is a {type(frames).__name__}", where=where, allowed="Frames of one sensor")
+    return frames
 
 
 def joined(parts: Sequence[Frames]) -> Frames:

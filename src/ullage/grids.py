@@ -14,14 +14,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage import checks
 from ullage.arrays import Bools, Floats, Ints, Longs, Singles
 from ullage.display import Displayed, plots
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ullage.data import Trajectory
+
+
+MOST_CELLS = 2**31 - 1
+"""Cells along an axis: kernels count them in 32 bits."""
+MOST_BYTES = 4_000_000_000
+"""Memory of arrays with a value in every cell."""
+LEAVES = "a finite number that leaves some of the box"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +43,17 @@ class Grid:
     shape: tuple[int, ...]  # (ny, nx) or (nz, ny, nx)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.step_m) and self.step_m > 0):
-            raise InputError(f"step_m is {self.step_m}", where="Grid", allowed="> 0")
-        if len(self.shape) not in (2, 3) or min(self.shape) < 1:
-            raise InputError(f"shape is {self.shape}", where="Grid", allowed="(ny, nx) or (nz, ny, nx), each >= 1")
-        if not all(map(math.isfinite, self.origin_m[: len(self.shape)])):
-            raise InputError(f"origin_m is {self.origin_m}", where="Grid", allowed="finite numbers")
+        step = checks.number("step_m", self.step_m, "Grid", above=0.0, allowed="> 0")
+        each = f"(ny, nx) or (nz, ny, nx), each >= 1 and at most {MOST_CELLS}"
+        counts = checks.as_given("shape", self.shape)
+        if counts.shape not in ((2,), (3,)):
+            raise InputError(f"shape is {shown(self.shape)}", where="Grid", allowed=each)
+        shape = tuple(checks.whole("shape", n, "Grid", low=1, high=MOST_CELLS, allowed=each) for n in self.shape)
+        origin = checks.array("origin_m", self.origin_m)
+        if origin.shape != (3,) or not np.isfinite(origin[: len(shape)]).all():
+            raise InputError(f"origin_m is {shown(self.origin_m)}", where="Grid", allowed="x, y, z, finite numbers")
+        for name, value in (("origin_m", tuple(origin.tolist())), ("step_m", step), ("shape", shape)):
+            object.__setattr__(self, name, value)
 
     @classmethod
     def covering(
@@ -56,22 +69,38 @@ class Grid:
             margin_m: room added on every side [m].
 
         Raises:
-            InputError: the box is not finite or the step not above zero.
+            InputError: the box is not finite, the step not above zero, or another number out of bounds.
         """
-        box = np.asarray(bounds, float)
+        box = checks.array("bounds", bounds)
         if box.shape != (2, 3) or not np.isfinite(box).all() or np.any(box[1] < box[0]):
             raise InputError(
                 f"bounds are {box.tolist()}", where="Grid", allowed="(2, 3) finite, lower then upper corner"
             )
-        if not (math.isfinite(step_m) and step_m > 0):
-            raise InputError(f"step_m is {step_m}", where="Grid", allowed="> 0")
+        step_m = checks.number("step_m", step_m, "Grid", above=0.0, allowed="> 0")
+        checks.whole("dims", dims, "Grid", low=2, high=3, allowed="2 or 3")
+        margin_m = checks.number("margin_m", margin_m, "Grid", allowed=LEAVES)
+        if np.any(box[0] - margin_m > box[1] + margin_m):
+            raise InputError(f"margin_m is {margin_m}", where="Grid", allowed=LEAVES)
         low = np.floor((box[0] - margin_m) / step_m + 1e-9)
         high = np.maximum(np.ceil((box[1] + margin_m) / step_m - 1e-9), low + 1)
         nx, ny, nz = (int(k) for k in high - low)
         x, y, z = (float(k) for k in low * step_m)
         if dims == 3:
             return cls((x, y, z), step_m, (nz, ny, nx))
-        return cls((x, y, math.nan if z_m is None else z_m), step_m, (ny, nx))
+        height = math.nan if z_m is None else checks.number("z_m", z_m, "Grid")
+        return cls((x, y, height), step_m, (ny, nx))
+
+    def check_memory(self, bytes_per_cell: float, what: str) -> None:
+        """Refuse a grid of so many cells that arrays over all of them would not fit into memory.
+
+        Raises:
+            InputError: they take more than 4 GB.
+        """
+        size = bytes_per_cell * self.size
+        if size > MOST_BYTES:
+            cells = " x ".join(map(str, self.shape))
+            raise InputError(f"{what} of {cells} cells takes {size / 1e9:.1f} GB", where="grid",
+                             allowed=f"up to {MOST_BYTES / 1e9:.0f} GB; a larger step or a smaller box")  # fmt: skip
 
     @property
     def dims(self) -> int:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from ullage import checks
 from ullage.arrays import Floats
 from ullage.data import Trajectory
-from ullage.errors import InputError
+from ullage.errors import InputError, shown
 from ullage.flight.wander import Wander
 from ullage.world.scene import Scene
 from ullage.world.section import section, wire_section
@@ -59,6 +60,8 @@ class Waypoints:
             if self.yaw != "along":
                 raise InputError("yaw is given twice", where="Waypoints", allowed="a fourth column or yaw=, not both")
             object.__setattr__(self, "yaw", tuple(points[:, 3].tolist()))
+        if self.wander is not None and not isinstance(self.wander, Wander):
+            raise InputError(f"wander is {shown(self.wander)}", where="Waypoints", allowed="a Wander, or None")
         object.__setattr__(self, "points", points[:, :3].copy())
         object.__setattr__(self, "yaw", _yaw(self.yaw, len(points)))
 
@@ -101,7 +104,7 @@ def _yaw(yaw: Yaw, count: int) -> Yaw:
         if yaw not in ("along", "hold"):
             raise InputError(f"yaw is {yaw!r}", where="Waypoints", allowed='"along", "hold", degrees, or one per point')
         return yaw
-    angles = np.asarray(yaw, float)
+    angles = checks.array("yaw", yaw)
     if angles.ndim > 1 or (angles.ndim == 1 and len(angles) != count):
         raise InputError(f"yaw has shape {angles.shape} for {count} points", where="Waypoints", allowed=f"({count},)")
     if not np.isfinite(angles).all():

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
+from ullage import checks
 from ullage.arrays import Floats
 from ullage.data import Trajectory
 from ullage.errors import InputError
@@ -38,6 +39,9 @@ def navigate(
     Raises:
         InputError: a size is negative or not finite, or the correlation time not above zero.
     """
+    if not isinstance(flown, Trajectory):
+        raise InputError(f"flown is a {type(flown).__name__}", where="navigate", allowed="a Trajectory")
+    checks.whole("seed", seed, "navigate", low=0)
     _check(noise_m=noise_m, drift_m=drift_m, yaw_deg=yaw_deg, drift_time_s=drift_time_s)
     t_s = flown.t_ns * 1e-9
     velocity, spin = flown.rates
@@ -62,10 +66,9 @@ def navigate(
 
 def _check(*, drift_time_s: float, **sizes: float) -> None:
     for name, value in sizes.items():
-        if not (math.isfinite(value) and value >= 0):
+        if checks.number(name, value, "navigate", allowed=">= 0") < 0:
             raise InputError(f"{name} is {value}", where="navigate", allowed=">= 0")
-    if not (math.isfinite(drift_time_s) and drift_time_s > 0):
-        raise InputError(f"drift_time_s is {drift_time_s}", where="navigate", allowed="> 0")
+    checks.number("drift_time_s", drift_time_s, "navigate", above=0.0, allowed="> 0")
 
 
 def _white(flown: Trajectory, seed: int) -> Floats:

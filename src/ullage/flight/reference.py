@@ -14,7 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ullage.arrays import Floats
+from ullage.errors import InputError
 from ullage.flight.missions import Waypoints
+
+LONGEST_S = 14400.0
+"""Longest mission [s]: its control samples take 0.4 GB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +43,9 @@ def plan(waypoints: Waypoints, *, rate_hz: float, start: Floats | None = None, s
         rate_hz: samples per second [Hz].
         start: position of the drone at the start (3) [m]; None: the first waypoint.
         start_yaw_deg: heading held by yaw="hold" [deg].
+
+    Raises:
+        InputError: the mission takes more than four hours.
     """
     goals = _headings(waypoints, start, start_yaw_deg)
     points = waypoints.points if start is None else np.vstack([start, waypoints.points])
@@ -46,7 +53,10 @@ def plan(waypoints: Waypoints, *, rate_hz: float, start: Floats | None = None, s
     rate = math.radians(waypoints.yaw_rate_deg_s)
     legs = _schedule(waypoints, points, goals, sum(boxes), rate)
     turns = _turns(waypoints, legs, goals, rate)
-    count = math.ceil((max(legs.times[-1], turns[-1, 0]) + sum(boxes)) * rate_hz) + 1
+    duration_s = float(max(legs.times[-1], turns[-1, 0]) + sum(boxes))
+    if duration_s > LONGEST_S:
+        raise InputError(f"the mission takes {duration_s:.3g} s", where="Waypoints", allowed=f"up to {LONGEST_S:.0f} s")
+    count = math.ceil(duration_s * rate_hz) + 1
     t_s = np.arange(count) / rate_hz
     track = np.empty((count, 14))
     for k, part in enumerate(_smooth(t_s, legs.times, legs.points, boxes)):

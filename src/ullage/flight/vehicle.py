@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ullage import checks
 from ullage.arrays import Floats, Longs
 from ullage.data import Trajectory, even_times
 from ullage.errors import InputError, UllageError, UllageWarning
@@ -145,8 +146,11 @@ class _Conditions(NamedTuple):
 
 
 def _fly(waypoints: Waypoints | ArrayLike, vehicle: str | Airframe, given: _Conditions) -> tuple[Trajectory, FlightLog]:
-    mission = waypoints if isinstance(waypoints, Waypoints) else Waypoints(np.asarray(waypoints))
+    mission = waypoints if isinstance(waypoints, Waypoints) else Waypoints(checks.array("waypoints", waypoints))
     frame, scene = airframe(vehicle), given.scene
+    if scene is not None and not isinstance(scene, Scene):
+        raise InputError(f"scene is a {type(scene).__name__}", where="fly", allowed="a Scene, or None")
+    checks.whole("seed", given.seed, "fly", low=0)
     wind = _checked(given.wind_m_s, given.gust_m_s, given.rate_hz, given.on_contact)
     place, yaw_deg = _start(given.start)
     parts = bodies(scene) if scene is not None else []
@@ -216,12 +220,12 @@ def _result(
 
 
 def _checked(wind_m_s: Sequence[float], gust_m_s: float, rate_hz: float, on_contact: str) -> Floats:
-    wind = np.asarray(wind_m_s, float)
+    wind = checks.array("wind_m_s", wind_m_s)
     if wind.shape != (3,) or not np.isfinite(wind).all() or np.linalg.norm(wind) > 60:
         raise InputError(f"wind_m_s is {wind_m_s}", where="fly", allowed="three finite numbers, at most 60 m/s")
-    if not (math.isfinite(gust_m_s) and 0 <= gust_m_s <= 30):
+    if not 0 <= checks.number("gust_m_s", gust_m_s, "fly", allowed="0 .. 30") <= 30:
         raise InputError(f"gust_m_s is {gust_m_s}", where="fly", allowed="0 .. 30")
-    if not (math.isfinite(rate_hz) and 0 < rate_hz <= 1e4):
+    if not 0 < checks.number("rate_hz", rate_hz, "fly", allowed="above 0, at most 10000") <= 1e4:
         raise InputError(f"rate_hz is {rate_hz}", where="fly", allowed="above 0, at most 10000")
     if on_contact not in ("record", "raise"):
         raise InputError(f"on_contact is {on_contact!r}", where="fly", allowed='"record", "raise"')
@@ -231,7 +235,7 @@ def _checked(wind_m_s: Sequence[float], gust_m_s: float, rate_hz: float, on_cont
 def _start(start: ArrayLike | None) -> tuple[Floats | None, float]:
     if start is None:
         return None, 0.0
-    place = np.asarray(start, float)
+    place = checks.array("start", start)
     if place.shape not in ((3,), (4,)) or not np.isfinite(place).all():
         raise InputError(f"start is {start}", where="fly", allowed="x, y, z [m], and yaw [deg] or not, all finite")
     return place[:3], float(place[3]) if len(place) == 4 else 0.0

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Floats, Longs
-from ullage.data import Trajectory
+from ullage.data import UNEVEN, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.geometry import C0
 from ullage.ports.protocol import mend_clock, warn_of_saturation
@@ -41,8 +41,6 @@ LIKE = {True: "x4m05", False: "pulson440"}
 """Preset whose carrier and bandwidth are assumed, by whether the samples are complex."""
 BAND = ("center_hz", "bandwidth_hz")
 MOST_S, MOST_M, MOST_BYTES = 9e9, 1e6, 4_000_000_000
-UNEVEN = 0.01
-"""Largest deviation of a range bin's width from the median, relative."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage import checks
 from ullage.arrays import Floats, Singles
 from ullage.data import Frames
 from ullage.errors import InputError
@@ -22,7 +23,7 @@ from ullage.kernels.backprojection import Pattern, Profiles, Rows, Track, backpr
 from ullage.processing.baseband import checked, to_baseband
 from ullage.specs import AntennaSpec, RadarSpec
 
-MEMORY_LIMIT_BYTES = 4_000_000_000
+MOST_THREADS = 1024
 _SPAN = 1 / (1 - math.sqrt(0.5))  # (1 - q / span)^2 is one half at q = 1, the -3 dB opening
 
 
@@ -79,19 +80,13 @@ class Backprojector:
         threads: 0 takes every core.
 
     Raises:
-        InputError: the grid would not fit into memory.
+        InputError: the grid would not fit into memory, or no such number of threads.
     """
 
     def __init__(self, grid: Grid, *, antenna: bool = True, min_weight: float = 0.05, threads: int = 0) -> None:
-        size = 20 * grid.size
-        if size > MEMORY_LIMIT_BYTES:
-            raise InputError(
-                f"the image of {' x '.join(map(str, grid.shape))} cells takes {size / 1e9:.1f} GB",
-                where="grid",
-                allowed=f"up to {MEMORY_LIMIT_BYTES / 1e9:.0f} GB; a larger step or a smaller box",
-            )
+        grid.check_memory(20, "the image")
         self.grid, self.antenna, self.min_weight = grid, antenna, min_weight
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = checks.whole("threads", threads, "focus", low=0, high=MOST_THREADS) or os.cpu_count() or 1
         self.frames = 0
         self._weight, self._wavelength_m = 0.0, 0.0
         self._sums = np.zeros((grid.size // grid.shape[-1], 5, grid.shape[-1]), np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ullage.arrays import Floats
-from ullage.data import Calibration, Frames, Trajectory
+from ullage.data import Calibration, Frames, Trajectory, one_sensor
 from ullage.errors import CalibrationError, InputError, UllageWarning
 from ullage.processing.baseband import checked
 from ullage.processing.bundle import CLOCK, PARAMETERS, RANGE, RATE, Bundle, adjusted
@@ -107,6 +107,7 @@ def calibrate(
             )
             for name, part in frames.items()
         }
+    frames = one_sensor(frames, "calibrate")
     track = frames.track if frames.track is not None else frames.believed
     _check_track(track, frames.sensor)
     if not 0 <= lever_arm_sigma_m < np.inf:

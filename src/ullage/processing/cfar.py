@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ullage import checks
 from ullage.arrays import Complexes, Floats
 from ullage.data import Frames
 from ullage.errors import InputError
@@ -45,6 +46,14 @@ def _ordered_factor(pfa: float, train: int, rank: int, correlation: tuple[comple
     ordered = np.partition(np.abs(white @ root.T) ** 2, rank, axis=1)[:, rank]
     least = float(ordered.min())  # taken out of the mean, which would underflow for a large alpha
     return _solved(lambda alpha: float(np.log(pfa) + alpha * least - np.log(np.exp(-alpha * (ordered - least)).mean())))
+
+
+def _lags(correlation: ArrayLike) -> Complexes:
+    lags = checks.array("correlation", correlation, np.complex128)
+    if lags.ndim != 1 or not len(lags) or not np.isfinite(lags).all():
+        raise InputError(f"correlation has shape {lags.shape}, or is not finite", where="cfar",
+                         allowed="one finite number for each lag 0, 1, ...")  # fmt: skip
+    return lags
 
 
 def _covariance(train: int, correlation: ArrayLike, guard: int) -> Complexes:
@@ -87,20 +96,22 @@ def cfar_threshold(
     Raises:
         InputError: a number out of bounds, more cells than bins, or amplitudes without phase.
     """
-    if not 0 < pfa < 0.5:
+    if not 0 < checks.number("pfa", pfa, "cfar", allowed="0 .. 0.5") < 0.5:
         raise InputError(f"pfa is {pfa}", where="cfar", allowed="0 .. 0.5")
-    if guard < 0 or train < 2 or 2 * (guard + train) >= frames.samples.shape[1]:
+    checks.whole("guard", guard, "cfar", low=0, allowed="guard >= 0, train >= 2")
+    checks.whole("train", train, "cfar", low=2, allowed="guard >= 0, train >= 2")
+    if 2 * (guard + train) >= frames.samples.shape[1]:
         raise InputError(
             f"{guard} guard and {train} training cells a side do not fit {frames.samples.shape[1]} bins",
             where="cfar",
             allowed="guard >= 0, train >= 2",
         )
-    if not 0 <= quantile < 1:
+    if not 0 <= checks.number("quantile", quantile, "cfar", allowed=">= 0, < 1") < 1:
         raise InputError(f"quantile is {quantile}", where="cfar", allowed=">= 0, < 1")
     if not has_phase(frames):
         raise InputError("amplitudes without phase carry no exponential noise", where="cfar", allowed="threshold")
     power = np.abs(to_baseband(frames).astype(np.complex128)) ** 2
-    lags = noise_correlation(frames.spec) if correlation is None else correlation
+    lags = noise_correlation(frames.spec) if correlation is None else _lags(correlation)
     if not ordered:
         return np.sqrt(cell_average_factor(pfa, train, lags, guard) * _window_mean(power, guard, train))
     from ullage.kernels.cfar import windowed_order

@@ -9,8 +9,9 @@ from typing import Any, Literal, get_args, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ullage import checks
 from ullage.arrays import Bools, Floats, Longs
-from ullage.data import Detections, Frames
+from ullage.data import Detections, Frames, one_sensor
 from ullage.errors import InputError
 from ullage.geometry import C0
 from ullage.processing.baseband import checked, envelope, has_phase, noise_sigma, to_baseband
@@ -102,7 +103,11 @@ def detect(
             "window_m": window_m, "remove_own_echo": remove_own_echo,
         }  # fmt: skip
         return {name: detect(part, **kept) for name, part in frames.items()}
+    frames = one_sensor(frames, "detect")
     _refuse_unknown(method, threshold)
+    checks.whole("max_echoes", max_echoes, "detect", low=1, allowed=">= 1")
+    if min_range_m is not None:
+        min_range_m = checks.number("min_range_m", min_range_m, "detect")
     frames = own_echo(checked(frames)).removed_from(frames) if remove_own_echo else frames
     sigma = noise_sigma(checked(frames))
     least_m = blind_m(frames) if min_range_m is None else min_range_m
@@ -125,8 +130,8 @@ def detect(
 def _refuse_unknown(method: str, threshold: float | None) -> None:
     if method not in get_args(Method):
         raise InputError(f"no method {method!r}", where="detect", allowed=", ".join(get_args(Method)))
-    if threshold is not None and not threshold > 0:
-        raise InputError(f"threshold is {threshold}", where="detect", allowed="> 0")
+    if threshold is not None:
+        checks.number("threshold", threshold, "detect", above=0.0, allowed="> 0")
 
 
 def _vertex(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
@@ -157,8 +162,6 @@ def _detections(frames: Frames, frame: Longs, range_m: Floats, amplitude: Floats
 
 def _cleaned(frames: Frames, far: Bools, level: Floats, sigma: float, most: int) -> Detections:
     """CLEAN [Hogbom1974] with the Gaussian pulse as point response, all frames at once."""
-    if most < 1:
-        raise InputError(f"max_echoes is {most}", where="detect", allowed=">= 1")
     rest = (np.asarray(frames.samples, np.float64) if not has_phase(frames) else to_baseband(frames)).astype(
         np.complex128
     )

@@ -43,7 +43,7 @@ class ElfesMapper:
             None: that one.
 
     Raises:
-        InputError: the grid is a volume, no such number of bits, or `certain` out of bounds.
+        InputError: the grid is a volume or too large, no such number of bits, or `certain` out of bounds.
     """
 
     def __init__(
@@ -65,6 +65,7 @@ class ElfesMapper:
             raise InputError(
                 "the Elfes grid is a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
             )
+        grid.check_memory(1 if bits == 8 else 8, "the map")
         self.grid = grid
         self._threshold = threshold
         self._cells = Cells(float(grid.origin_m[0]), float(grid.origin_m[1]), float(grid.step_m))

@@ -10,6 +10,7 @@ from itertools import chain
 
 import numpy as np
 
+from ullage import checks
 from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.arrays import Bools, Floats
 from ullage.data import Recording
@@ -72,15 +73,17 @@ class UllageMapper:
         vehicle_radius_m: radius of the ball about the antenna that the vehicle fills, and so shows free [m].
 
     Raises:
-        InputError: the radius is not a positive number.
+        InputError: the radius is not a positive number, or the floor's height not a finite one.
     """
 
     def __init__(
         self, grid: Grid, *, phase: bool = True, floor_z_m: float | None = None, vehicle_radius_m: float = FLOWN_M
     ) -> None:
-        if not 0 < vehicle_radius_m <= MOST_RADIUS_M:
-            raise InputError(f"vehicle_radius_m is {vehicle_radius_m}", where="mapper",
-                             allowed=f"above 0, at most {MOST_RADIUS_M:g} m")  # fmt: skip
+        limits = f"above 0, at most {MOST_RADIUS_M:g} m"
+        if checks.number("vehicle_radius_m", vehicle_radius_m, "mapper", above=0.0, allowed=limits) > MOST_RADIUS_M:
+            raise InputError(f"vehicle_radius_m is {vehicle_radius_m}", where="mapper", allowed=limits)
+        if floor_z_m is not None:
+            floor_z_m = checks.number("floor_z_m", floor_z_m, "mapper")
         self.grid, self._radius_m = grid, vehicle_radius_m
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.arrays import Bools, Complexes, Floats
-from ullage.data import Frames, Recording, joined, sensors_of
+from ullage.data import Frames, Recording, joined, one_sensor, sensors_of
 from ullage.geometry import C0
 from ullage.processing.baseband import has_phase, to_baseband
 from ullage.processing.echoes import BLIND_M
@@ -83,7 +83,7 @@ def own_echo(frames: Frames) -> OwnEcho:
             Nothing is estimated from fewer than three frames or three known places, from amplitudes without phase,
             from samples that are not finite, or where `spec.noise` says that there is no direct path.
     """
-    if not _expected(frames):
+    if not _expected(one_sensor(frames, "own_echo")):
         return _none(frames)
     frames, places = _distinct(frames)
     if frames.poses is not None and places < _LEAST_FRAMES:

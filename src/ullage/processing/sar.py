@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ullage import checks
 from ullage.arrays import Floats
 from ullage.data import Frames, Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Grid, Image
-from ullage.processing.backprojection import Backprojector
+from ullage.processing.backprojection import MOST_THREADS, Backprojector
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.summation import summed
 
 Window = Literal["path", "none", "hann", "taylor"]
+Combine = Literal["incoherent", "coherent"]
 
 
 def focus(
@@ -25,7 +27,7 @@ def focus(
     method: Literal["backprojection", "summation"] = "backprojection",
     window: Window = "path",
     antenna: bool = True,
-    combine: Literal["incoherent", "coherent"] = "incoherent",
+    combine: Combine = "incoherent",
     subaperture_m: float | None = None,
     threads: int = 0,
     remove_own_echo: bool = True,
@@ -51,6 +53,7 @@ def focus(
         InputError: unknown method, no poses, no phase, a sample that is not finite, a grid too large for memory, or
             sensors of different frequency to be added in phase.
     """
+    _check_choices(window, combine, threads)
     parts = without_own_echo(frames) if remove_own_echo else sensors_of(frames)
     if method == "summation":
         return summed(parts, grid)
@@ -72,6 +75,14 @@ def focus(
     power = np.sqrt(np.sum([np.abs(i.values) ** 2 for i in images], axis=0))
     coherence = np.max([i.coherence for i in images if i.coherence is not None], axis=0)
     return Image(grid, power.astype(np.float32), coherence, "backprojection")
+
+
+def _check_choices(window: str, combine: str = "incoherent", threads: int = 0) -> None:
+    if window not in get_args(Window):
+        raise InputError(f"no window {window!r}", where="focus", allowed=", ".join(get_args(Window)))
+    if combine not in get_args(Combine):
+        raise InputError(f"combine is {combine!r}", where="focus", allowed=", ".join(get_args(Combine)))
+    checks.whole("threads", threads, "focus", low=0, high=MOST_THREADS)
 
 
 def _in_phase(parts: list[Frames], grid: Grid, *, window: Window, antenna: bool, threads: int) -> Backprojector:
@@ -100,8 +111,7 @@ def subapertures(frames: Frames, length_m: float) -> list[slice]:
     Raises:
         InputError: the length is not above zero.
     """
-    if not (np.isfinite(length_m) and length_m > 0):
-        raise InputError(f"subaperture_m is {length_m}", where="focus", allowed="> 0")
+    checks.number("subaperture_m", length_m, "focus", above=0.0, allowed="> 0")
     step = np.linalg.norm(np.diff(frames.believed.position, axis=0), axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(step)])
     count = max(1, round(float(travelled[-1]) / length_m))
@@ -116,6 +126,7 @@ def frame_weights(frames: Frames, window: Window = "path") -> Floats:
     Raises:
         InputError: unknown window.
     """
+    _check_choices(window)
     position = frames.believed.position
     if window == "none" or len(frames) < 3:
         return np.ones(len(frames))
@@ -128,8 +139,6 @@ def frame_weights(frames: Frames, window: Window = "path") -> Floats:
         return np.asarray(moved)
     from scipy.signal.windows import hann, taylor
 
-    if window not in ("hann", "taylor"):
-        raise InputError(f"no window {window!r}", where="focus", allowed="path, none, hann, taylor")
     shape = hann(1001) if window == "hann" else taylor(1001, nbar=5, sll=35)
     centred = position - position.mean(0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage import checks
 from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.errors import InputError
@@ -78,7 +79,7 @@ def find_scatterers(
     Raises:
         InputError: `pfa` is not between 0 and 1.
     """
-    if not 0 < pfa < 1:
+    if not 0 < checks.number("pfa", pfa, "find_scatterers", allowed="between 0 and 1") < 1:
         raise InputError(f"pfa is {pfa}", where="find_scatterers", allowed="between 0 and 1")
     frames = as_baseband(frames)  # removes noise outside the band
     focus = PointFocus(frames, frames.believed, 0.0)

@@ -12,9 +12,14 @@ from ullage.processing.baseband import checked, envelope
 
 
 def summed(parts: list[Frames], grid: Grid) -> Image:
-    """Amplitudes of every sensor's profiles, summed along lines; objects become hyperbolas as the sensor passes."""
+    """Amplitudes of every sensor's profiles, summed along lines; objects become hyperbolas as the sensor passes.
+
+    Raises:
+        InputError: the grid would not fit into memory.
+    """
     heights = np.concatenate([part.believed.position[:, 2] for part in parts])
     grid = grid.at_height(float(heights.mean()))
+    grid.check_memory(20, "the image")  # the sum, one part of it, and the image
     out = np.zeros(grid.size)
     for part in parts:
         for frames in part.chunks(128):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ullage import checks
 from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
@@ -40,10 +41,9 @@ def tracked(
 
     if not has_phase(frames) or not sigma > 0:
         raise InputError("no exponential noise to judge by", where="track", allowed="frames with noise; threshold")
-    if not 0 < pfa < 0.5:
+    if not 0 < checks.number("pfa", pfa, "track", allowed="0 .. 0.5") < 0.5:
         raise InputError(f"pfa is {pfa}", where="track", allowed="0 .. 0.5")
-    if not window_m > 0:
-        raise InputError(f"window_m is {window_m}", where="track", allowed="> 0")
+    window_m = checks.number("window_m", window_m, "track", above=0.0, allowed="> 0")
     path = frames.believed
     power = np.abs(np.asarray(to_baseband(frames), np.complex128)) ** 2 / sigma**2
     levels = level_of_sums(pfa / COSINES)

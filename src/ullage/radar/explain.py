@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from ullage import checks
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.data import Frames, Samples, Trajectory
 from ullage.errors import InputError
@@ -89,24 +90,30 @@ def explain(
         seed: of the fine structure of rough surfaces; None: as the frames were simulated, else 0.
 
     Raises:
-        InputError: something needed is missing, or there is no frame `i`.
+        InputError: something needed is missing or of another type, a number is out of bounds, or there is no frame `i`.
     """
     made = None
     if isinstance(scene_or_frames, Frames):
-        number = path if isinstance(path, int | np.integer) else i
+        number = i if path is None else checks.whole("i", path, "explain", low=-(2**63))
         made = scene_or_frames.simulated
         world, track, spec = _of_frames(scene_or_frames, scene)
     else:
-        if not isinstance(path, Trajectory) or radar is None:
+        if not isinstance(scene_or_frames, Scene | Frames) or not isinstance(path, Trajectory) or radar is None:
             raise InputError("a scene alone cannot be explained", where="explain",
                              allowed="explain(scene, path, radar, i) or explain(frames, i)")  # fmt: skip
+        if not isinstance(radar, RadarSpec):
+            raise InputError(f"radar is a {type(radar).__name__}", where="explain", allowed="a RadarSpec, one of a Rig")
         number, world, spec = i, scene_or_frames, radar
         track = path.mounted(radar.mount.body_from_sensor())
     if max_bounces is None:
         max_bounces = 1 if made is None else made.max_bounces
     if seed is None:
         seed = 0 if made is None else made.seed
-    if not -len(track) <= number < len(track):
+    checks.whole("max_bounces", max_bounces, "explain", low=1, high=3)
+    checks.whole("seed", seed, "explain", low=0)
+    if count is not None:
+        checks.whole("count", count, "explain", low=0)
+    if not -len(track) <= checks.whole("i", number, "explain", low=-(2**63)) < len(track):
         raise InputError(f"no frame {number}", where="explain", allowed=f"0 to {len(track) - 1}")
     pose = track[np.array([number % len(track)])]
     return contributions(world, pose, spec, max_bounces=max_bounces, seed=seed, count=count)
@@ -116,6 +123,8 @@ def _of_frames(frames: Frames, scene: Scene | None) -> tuple[Scene, Trajectory, 
     track = frames.truth if frames.truth is not None else frames.poses
     if scene is None and frames.simulated is not None:
         scene = frames.simulated.scene
+    if scene is not None and not isinstance(scene, Scene):
+        raise InputError(f"scene is a {type(scene).__name__}", where="explain", allowed="a Scene")
     if scene is None or track is None:
         what = "the scene" if scene is None else "their poses"
         raise InputError(f"frames cannot be explained without {what}", where="explain",

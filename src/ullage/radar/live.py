@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ullage import checks
 from ullage.arrays import Floats, Longs
 from ullage.data import Frames
 from ullage.errors import InputError
@@ -45,8 +46,9 @@ class LiveRadars:
         seed: int = 0,
         rate_hz: float | None = None,
     ) -> None:
-        if rate_hz is not None and not 0 < rate_hz <= 10_000:
-            raise InputError(f"rate_hz is {rate_hz}", where="LiveRadars", allowed="above 0, at most 10000")
+        limits = "above 0, at most 10000"
+        if rate_hz is not None and checks.number("rate_hz", rate_hz, "LiveRadars", above=0, allowed=limits) > 10_000:
+            raise InputError(f"rate_hz is {rate_hz}", where="LiveRadars", allowed=limits)
         self._work = Receiving(scene, radar, fidelity=fidelity, max_bounces=max_bounces, seed=seed)
         self.sensors = self._work.sensors
         self._rate_hz = {name: rate_hz or spec.fps for name, spec in self.sensors.items()}
@@ -75,13 +77,9 @@ class LiveRadars:
             quat_xyzw: world_from_body (4) or (n, 4).
 
         Raises:
-            InputError: the clock does not rise; `reset` first.
+            InputError: the clock does not rise (`reset` first), or a pose is no pose; nothing of it is taken in then.
         """
-        poses = self._with_last(
-            np.atleast_1d(np.asarray(t_ns, np.int64)),
-            np.atleast_2d(np.asarray(position, float)),
-            np.atleast_2d(np.asarray(quat_xyzw, float)),
-        )
+        poses = self._with_last(*_checked(t_ns, position, quat_xyzw))
         jobs = {}
         for name in self.sensors:
             first = self._given[name]
@@ -116,3 +114,23 @@ class LiveRadars:
         number = np.arange(self._given[name], max(count, self._given[name]), dtype=np.int64)
         times: NDArray[np.int64] = start + np.rint(number * (1e9 / rate)).astype(np.int64)
         return np.asarray(times[times <= now_ns], np.int64)
+
+
+def _checked(t_ns: ArrayLike, position: ArrayLike, quat_xyzw: ArrayLike) -> tuple[Longs, Floats, Floats]:
+    """One pose or several as arrays, their quaternions of unit length.
+
+    Raises:
+        InputError: shapes differ, or a pose is not finite.
+    """
+    times = np.atleast_1d(checks.times_ns("t_ns", t_ns))
+    place = np.atleast_2d(checks.array("position", position))
+    quat = np.atleast_2d(checks.array("quat_xyzw", quat_xyzw))
+    shapes = times.shape, place.shape, quat.shape
+    count = times.size
+    if count == 0 or shapes != ((count,), (count, 3), (count, 4)):
+        raise InputError(f"poses of shapes {', '.join(map(str, shapes))}", where="advance",
+                         allowed="times (n), positions (n, 3) and quaternions (n, 4), n >= 1")  # fmt: skip
+    norm = np.linalg.norm(quat, axis=1, keepdims=True)
+    if not np.isfinite(place).all() or not (np.isfinite(norm) & (norm > 0)).all():
+        raise InputError("a pose is not finite, or its quaternion is zero", where="advance", allowed="finite poses")
+    return times, place, quat if (abs(norm - 1) < 1e-12).all() else quat / norm

@@ -6,6 +6,7 @@ import zlib
 
 import numpy as np
 
+from ullage import checks
 from ullage.data import Frames, Samples, SimulatedFrom, Trajectory
 from ullage.errors import InputError
 from ullage.radar.models import echo_model
@@ -81,10 +82,5 @@ def _check(scene: Scene, radar: RadarSpec | Rig, max_bounces: int, seed: int) ->
         raise InputError(f"scene is a {type(scene).__name__}", where="simulate", allowed="a Scene")
     if not isinstance(radar, RadarSpec | Rig):
         raise InputError(f"radar is a {type(radar).__name__}", where="simulate", allowed="a RadarSpec or Rig")
-    _check_whole("max_bounces", max_bounces, 1, 3)
-    _check_whole("seed", seed, 0, 2**63 - 1)
-
-
-def _check_whole(name: str, number: int, low: int, high: int) -> None:
-    if not isinstance(number, int | np.integer) or isinstance(number, bool) or not low <= number <= high:
-        raise InputError(f"{name} is {number!r}", where="simulate", allowed=f"a whole number {low} to {high}")
+    checks.whole("max_bounces", max_bounces, "simulate", low=1, high=3)
+    checks.whole("seed", seed, "simulate", low=0)

@@ -14,10 +14,10 @@ from typing import overload
 
 import numpy as np
 
-from ullage import kernels
+from ullage import checks, kernels
 from ullage.data import Frames, Samples, Trajectory, gathered
 from ullage.errors import InputError
-from ullage.radar.receiving import Fidelity, Receiving, _check_whole
+from ullage.radar.receiving import Fidelity, Receiving
 from ullage.radar.warmup import warming_up
 from ullage.radar.worker_pool import PAYS_S, WorkerPool, cores
 from ullage.specs import RadarSpec, Rig
@@ -183,8 +183,8 @@ def _fork_where_it_pays(pool: WorkerPool[Samples], first: dict[str, Future[Sampl
 def _check_track(path: Trajectory, believed: Trajectory | None, chunk: int, first_frame: int) -> None:
     if not isinstance(path, Trajectory):
         raise InputError(f"path is a {type(path).__name__}", where="simulate", allowed="a Trajectory")
-    _check_whole("chunk", chunk, 1, 2**31)
-    _check_whole("first_frame", first_frame, 0, 2**62)
+    checks.whole("chunk", chunk, "simulate", low=1, high=2**31)
+    checks.whole("first_frame", first_frame, "simulate", low=0, high=2**62)
     if believed is not None:
         if not isinstance(believed, Trajectory):
             raise InputError(f"believed is a {type(believed).__name__}", where="simulate", allowed="a Trajectory")

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, count
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from ullage import checks
 from ullage.arrays import Bools, Floats, Ints, Longs
 from ullage.data import Trajectory
 from ullage.display import Displayed, plots
@@ -53,6 +54,16 @@ class Wires:
     radius_m: Floats = field(default_factory=lambda: np.zeros(0))  # (w) [m]
     object_id: Ints = field(default_factory=lambda: np.zeros(0, np.int32))  # (w)
 
+    def __post_init__(self) -> None:
+        count = np.size(self.radius_m)
+        for name, shape in (("start", (count, 3)), ("end", (count, 3)), ("radius_m", (count,))):
+            value = checks.array(name, getattr(self, name))
+            if value.shape != shape or not np.isfinite(value).all():
+                raise InputError(f"{name} has shape {value.shape}, or is not finite", where="wires", allowed=f"{shape}")
+            object.__setattr__(self, name, value)
+        if not (self.radius_m > 0).all():
+            raise InputError("a wire's radius is not above zero", where="wires", allowed="> 0 m")
+
     def __len__(self) -> int:
         return len(self.radius_m)
 
@@ -73,9 +84,8 @@ class Scene(Displayed):
     corner_normals: Floats | None = None  # (f, 3, 3) of the true surface at the faces' corners; zero where unknown
 
     def __post_init__(self) -> None:
-        vertices = np.ascontiguousarray(self.vertices, np.float64).reshape(-1, 3)
-        faces = np.ascontiguousarray(self.faces, np.int32).reshape(-1, 3)
-        owner = np.ascontiguousarray(self.face_object, np.int32)
+        vertices, faces = self._rows("vertices", np.float64), self._rows("faces", np.int32)
+        owner = checks.array("face_object", self.face_object, np.int32)
         if not np.isfinite(vertices).all():
             raise InputError("a vertex is not finite", where=self.name)
         if len(owner) != len(faces):
@@ -89,6 +99,13 @@ class Scene(Displayed):
             object.__setattr__(self, "corner_normals", self._checked(self.corner_normals, len(faces)))
         for key, value in (("vertices", vertices), ("faces", faces), ("face_object", owner)):
             object.__setattr__(self, key, value)
+
+    def _rows(self, name: str, dtype: Any) -> NDArray[Any]:
+        """A field as rows of three numbers."""
+        out = checks.array(name, getattr(self, name), dtype)
+        if out.size and (out.ndim != 2 or out.shape[1] != 3):
+            raise InputError(f"{name} have shape {out.shape}", where=self.name, allowed="(n, 3)")
+        return out.reshape(-1, 3)
 
     def _checked(self, normals: Floats, count: int) -> Floats:
         out = np.ascontiguousarray(normals, np.float64)
@@ -367,13 +384,21 @@ class Scene(Displayed):
     ) -> Scene:
         """One object from straight wires of one radius."""
         chosen = made_of if isinstance(made_of, Material) else material(made_of)
-        a = np.atleast_2d(np.asarray(start, float))
-        wires = Wires(a, np.atleast_2d(np.asarray(end, float)), np.full(len(a), radius_m), np.zeros(len(a), np.int32))
+        a, b = (np.atleast_2d(checks.array(name, ends)) for name, ends in (("start", start), ("end", end)))
+        radius = np.full(len(a), checks.number("radius_m", radius_m, "of_wires", above=0.0, allowed="> 0"))
+        wires = Wires(a, b, radius, np.zeros(len(a), np.int32))
         return replace(cls.empty(name), objects=(SceneObject(name, chosen),), wires=wires)
 
     @classmethod
     def union(cls, parts: Sequence[Scene], *, name: str = "scene") -> Scene:
-        """Several scenes in one."""
+        """Several scenes in one.
+
+        Raises:
+            InputError: a part is no scene.
+        """
+        parts = list(parts)
+        if not all(isinstance(part, Scene) for part in parts):
+            raise InputError("a part is no scene", where="union", allowed="Scene, one or more")
         shift = np.cumsum([0, *(len(p.vertices) for p in parts)])
         owner = np.cumsum([0, *(len(p.objects) for p in parts)])
         if not parts:

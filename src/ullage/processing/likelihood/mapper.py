@@ -38,6 +38,7 @@ class LikelihoodMapper:
             raise InputError(
                 "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
             )
+        grid.check_memory(40, "the map")
         self.grid = grid
         self.spec = spec or LikelihoodSpec()
         self._keyframes = KeyframeSelector(self.spec)
