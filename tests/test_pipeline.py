@@ -109,6 +109,12 @@ def test_ctrl_c_ends_with_everything_so_far_written() -> None:
     assert isinstance(kept.items[-1], ul.OccupancyMap)
 
 
+@pytest.mark.parametrize("parts", [{"stages": ["map"]}, {"sinks": ["flight.mcap"]}])
+def test_names_are_no_stages_or_sinks(parts: dict[str, Any]) -> None:
+    with pytest.raises(ul.InputError, match="objects with"):
+        ul.run(thesis_frames(3), **parts)
+
+
 def test_sinks_are_closed_when_the_source_fails() -> None:
     class Broken:
         def stream(self) -> Iterator[dict[str, ul.Frames]]:

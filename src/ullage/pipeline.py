@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ullage.config import DetectMethod, ImageMethod, MapMethod
 from ullage.data import Detections, Frames, Recording, joined, sensors_of
-from ullage.errors import InputError, UllageWarning, need
+from ullage.errors import InputError, UllageWarning, need, shown
 from ullage.grids import Grid, Image, OccupancyMap
 
 if TYPE_CHECKING:
@@ -182,12 +182,14 @@ def run(
         Counts, and what the stages gave when they finished.
 
     Raises:
-        InputError: the source gives no frames.
+        InputError: the source gives no frames, or a stage or sink is none.
     """
     given = InMemorySource(source) if isinstance(source, Frames | Mapping | list | tuple) else source
     stream = getattr(given, "stream", None)
     if stream is None:
         raise InputError(f"the source is a {type(source).__name__}", where="run", allowed="ul.open(...), or Frames")
+    _check_parts("stage", stages, ("update", "finish"))
+    _check_parts("sink", sinks, ("write", "close"))
     count, interrupted = _Count(), False
     passing = getattr(source, "passing", None)  # of a live port: messages that are no frames
     try:
@@ -212,6 +214,13 @@ def run(
             for sink in reversed(sinks):
                 closing.callback(sink.close)
     return Outcome(count.frames, count.duration_s, interrupted, results)
+
+
+def _check_parts(kind: str, parts: Sequence[Any], methods: tuple[str, str]) -> None:
+    """Refuse a stage or sink that is none."""
+    for part in parts:
+        if not all(callable(getattr(part, method, None)) for method in methods):
+            raise InputError(f"a {kind} is {shown(part)}", where="run", allowed=f"objects with {' and '.join(methods)}")
 
 
 def _give(item: Any, sinks: Sequence[Sink]) -> None:

@@ -112,6 +112,7 @@ def test_an_unknown_band_is_assumed_and_said_or_given(tmp_path: Path) -> None:
         ({"times_s": T_S[1:]}, "samples is of shape .*29 times"),
         ({"times_s": np.full(N, np.nan)}, "times_s is .*not all finite"),
         ({"times_s": 1e12 * T_S}, "times_s is absurd"),
+        ({"times_s": np.random.default_rng(1).permutation(T_S)}, "times are earlier than the one before"),
         ({"samples": np.full((N, BINS), np.inf)}, "samples of frame 0 are not finite"),
         ({"samples": np.array([["a"]])}, "samples is of shape"),
         ({"ranges_m": np.arange(BINS)[::-1]}, "ranges_m does not rise"),

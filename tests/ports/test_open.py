@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import some_frames
@@ -33,6 +35,25 @@ def test_other_files_and_folders_are_refused(tmp_path: Path) -> None:
     for target in (tmp_path / "a.txt", "nothing:"):
         with pytest.raises(ul.InputError, match="not something to write to"):
             ul.sink(target)
+
+
+@pytest.mark.parametrize("target", ["", None, 5])
+@pytest.mark.parametrize("use", [ul.open, ul.sink])
+def test_what_names_nothing_is_refused(use: Callable[[Any], Any], target: Any) -> None:
+    with pytest.raises(ul.InputError, match="names nothing"):
+        use(target)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".zarr"])
+def test_pieces_have_a_whole_number_of_frames(tmp_path: Path, suffix: str) -> None:
+    with ul.sink(tmp_path / f"a{suffix}") as sink:
+        sink.write(some_frames(3))
+    source = ul.open(tmp_path / f"a{suffix}")
+    for chunk in (0, 1.5):
+        with pytest.raises(ul.InputError, match=f"chunk is {chunk}"):
+            next(source.stream(chunk))
+    with pytest.raises(ul.InputError, match=r"no sensor 'x' \(allowed: front"):
+        source.frames("x")
 
 
 def test_options_that_do_not_apply_are_refused(tmp_path: Path) -> None:

@@ -47,7 +47,14 @@ def named() -> str:
 
 
 @pytest.mark.parametrize(
-    ("name", "text"), [("track.txt", tum()), ("track.tum", tum()), ("track.csv", euroc()), ("track.csv", named())]
+    ("name", "text"),
+    [
+        ("track.txt", tum()),
+        ("track.tum", tum()),
+        ("track.txt", tum().replace(" ", "\t")),
+        ("track.csv", euroc()),
+        ("track.csv", named()),
+    ],
 )
 def test_every_kind_of_track_gives_the_same_poses(folder: Path, name: str, text: str) -> None:
     (folder / name).write_text(text)
@@ -87,6 +94,8 @@ def test_what_evo_reads_is_read_alike(folder: Path) -> None:
         ("1 0 0 0 0 0 0 3\n2 0 0 0 0 0 0 1\n", "quaternion of pose 0 is not of unit length"),
         ("t_s,x_m,y_m\n1,2,3\n", "no column z_m"),
         ("t_s,x_m,y_m,z_m,qx\n1,2,3,4,0\n", "only qx of the attitude"),
+        ("t_s,x_m,y_m,z_m,x_m\n1,2,3,4,5\n2,2,3,4,5\n", "stand twice: x_m"),
+        ("".join(f"{-t} 0 0 0 0 0 0 1\n" for t in range(9)), r"track\.txt: 8 of 8 times are earlier.*in order of time"),
     ],
 )
 def test_what_is_no_track_is_refused_in_one_line(folder: Path, text: str, words: str) -> None:

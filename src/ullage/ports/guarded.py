@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from ullage import checks
 from ullage.data import Frames, Trajectory
 from ullage.errors import InputError
 from ullage.grids import OccupancyMap
@@ -48,6 +49,7 @@ class GuardedSource:
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """Give the frames in order of time, at most `chunk` of each sensor at once."""
+        checks.whole("chunk", chunk, "stream", low=1)
         pieces = self._call(lambda: iter(self._source.stream(chunk)))
         while (piece := self._call(lambda: next(pieces, None))) is not None:
             yield piece

@@ -12,6 +12,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage import checks
 from ullage.data import Detections, Frames, Trajectory
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Image, OccupancyMap
@@ -56,6 +57,9 @@ class Passing:
 
 Item = Frames | Chunk | Trajectory | OccupancyMap | Detections | ObstacleSectors | Scene | Image | Passed
 """Types that a sink accepts; it ignores those that it cannot use."""
+
+MOST_JUMPS, SHARE_OF_JUMPS = 3, 0.1
+"""Steps of a clock that may go back: so many, or such a share of all."""
 
 
 @runtime_checkable
@@ -116,7 +120,7 @@ class WholeSource:
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:
         """The same in pieces of at most `chunk` frames of each sensor, in order of time."""
-        start = 0
+        start, chunk = 0, checks.whole("chunk", chunk, "stream", low=1)
         while True:
             part = {name: f[start : start + chunk] for name, f in self._frames.items() if len(f) > start}
             if not part:
@@ -147,11 +151,19 @@ def one_or_all(frames: dict[str, Frames], sensor: str | None) -> Frames | dict[s
 
 
 def mend_clock(t_ns: NDArray[np.int64], *, where: str | Path) -> NDArray[np.int64]:
-    """Times that rise: where the clock jumps back or stands still, the usual step is taken instead, with a warning."""
+    """Times that rise: where the clock jumps back or stands still, the usual step is taken instead, with a warning.
+
+    Raises:
+        InputError: so many steps go back that the rows are out of order, which no step in between mends.
+    """
     step = np.diff(t_ns)
     bad = np.flatnonzero(step <= 0)
     if not bad.size:
         return t_ns
+    back = int(np.count_nonzero(step < 0))
+    if back > max(MOST_JUMPS, SHARE_OF_JUMPS * len(step)):
+        raise InputError(f"{back} of {len(step)} times are earlier than the one before", where=where,
+                         allowed="rows in order of time")  # fmt: skip
     usual = max(int(np.median(step[step > 0])), 1) if np.any(step > 0) else 1_000_000
     jumps = [float(step[i]) * 1e-9 for i in bad[:3]]
     warnings.warn(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from ullage import plugins
-from ullage.errors import InputError, need
+from ullage.errors import InputError, need, shown
 from ullage.grids import OccupancyMap
 from ullage.ports.arrays import refuse_pickle
 from ullage.ports.guarded import GuardedSource, only_files
@@ -59,7 +59,7 @@ def open(target: str | Path, **options: Any) -> Source:
     Raises:
         InputError: it is missing, of unknown kind, or damaged; the methods of the source raise it too.
     """
-    path = Path(target)
+    path = _path_of(target, SOURCES)
     if not os.path.exists(path):
         if address := Address.of(target, **options):
             return address.source()
@@ -67,6 +67,17 @@ def open(target: str | Path, **options: Any) -> Source:
     with reading(path):
         source = _opened(path, options)
     return source if isinstance(source, WholeSource) else GuardedSource(source, path)
+
+
+def _path_of(target: str | Path, allowed: str) -> Path:
+    """The path of a target that names something.
+
+    Raises:
+        InputError: it is no name.
+    """
+    if not isinstance(target, str | os.PathLike) or not os.fspath(target):
+        raise InputError(f"{shown(target)} names nothing", allowed=allowed)
+    return Path(target)
 
 
 def _opened(path: Path, options: dict[str, Any]) -> Source:
@@ -106,7 +117,7 @@ def sink(target: str | Path, **options: Any) -> Sink:
     Raises:
         InputError: it is of unknown kind, or cannot be written.
     """
-    path = Path(target)
+    path = _path_of(target, SINKS)
     kind = path.suffix.lower()
     address = Address.of(target, **options)
     if address and address.known:
@@ -140,7 +151,7 @@ def check_sink(target: str | Path) -> None:
         InputError: it is of unknown kind, its file exists already, or its folder cannot be written.
         MissingExtra: its library is not installed.
     """
-    path = Path(target)
+    path = _path_of(target, SINKS)
     kind = path.suffix.lower()
     if address := Address.of(target):
         if not address.known:

@@ -159,6 +159,8 @@ class ZarrSource:
         names = self.sensors if sensor is None else (sensor,)
         if not self.sensors:
             raise InputError("no radar frames in it", where=self.path)
+        if sensor is not None and sensor not in self.sensors:
+            raise InputError(f"no sensor {sensor!r}", where=self.path, allowed=", ".join(self.sensors))
         return one_or_all({name: self._cut(name, 0, None) for name in names if name in self.sensors}, sensor)
 
     def stream(self, chunk: int = 64) -> Iterator[dict[str, Frames]]:

@@ -62,8 +62,8 @@ def _rows(
 ) -> list[list[str]]:
     """The cells of every pose; comments and empty lines are left out."""
     out = []
-    for number, cells in enumerate(csv.reader(lines, delimiter=mark, skipinitialspace=True), start):
-        kept = [cell for cell in cells if cell] if mark == " " else cells
+    blanks = map(str.split, lines) if mark == " " else csv.reader(lines, delimiter=mark, skipinitialspace=True)
+    for number, kept in enumerate(blanks, start):
         if not any(cell.strip() for cell in kept) or kept[0].startswith("#"):
             continue
         if len(kept) < len(names):
@@ -83,6 +83,10 @@ def _track(rows: list[list[str]], names: tuple[str, ...] | list[str], path: Path
     clock = "t_ns" if "t_ns" in at else "t_s"
     if missing := [name for name in (clock, *PLACE) if name not in at]:
         raise InputError(f"no column {', '.join(missing)}", where=path, allowed=KINDS)
+    if twice := [name for name in (clock, *PLACE, *TURN) if list(names).count(name) > 1]:
+        raise InputError(
+            f"{len(twice)} columns stand twice: {', '.join(twice)}", where=path, allowed="each column once"
+        )
     some = [name for name in TURN if name in at]
     if some and len(some) < len(TURN):
         raise InputError(f"only {', '.join(some)} of the attitude", where=path, allowed=", ".join(TURN))
