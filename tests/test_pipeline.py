@@ -246,3 +246,9 @@ def test_the_stages_of_the_mapping_node_estimate_the_own_echo_once() -> None:
     echoes = {id(stage.own_echo) for stage in stages if isinstance(stage, DetectStage | MapStage | ImageStage)}
     assert len(stages) == 3
     assert len(echoes) == 1
+
+
+def test_a_map_larger_than_memory_is_refused_before_the_flight() -> None:
+    grid = ul.Grid((0, 0, 0), 1e-4, (60_000, 40_000))
+    with pytest.raises(ul.InputError, match=r"takes 7\.2 GB"):
+        MapStage(grid)

@@ -316,6 +316,9 @@ class MapStage:
     _mapper: Any = None
     _due: Due | None = None
 
+    def __post_init__(self) -> None:
+        self.grid.check_memory(3, "the map")  # whole, as it is shown and written, with what makes it
+
     def update(self, chunk: Chunk) -> Iterable[OccupancyMap]:
         """Return the map so far, once per `every_s` of recording."""
         from ullage.processing.occupancy import Mapper

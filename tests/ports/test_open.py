@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -71,3 +72,13 @@ def test_every_folder_with_one_recording_opens(tmp_path: Path) -> None:
         assert isinstance(source, Source)
         assert isinstance(sink, Sink)
         assert len(source.frames()) == 9
+
+
+def test_only_what_is_read_is_looked_through(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    os.mkfifo(tmp_path / "deep" / "pipe")
+    with pytest.raises(ul.InputError, match="no recording in this folder"):
+        ul.open(tmp_path)
+    (tmp_path / "metadata.yaml").touch()
+    with pytest.raises(ul.InputError, match="is a pipe"):
+        ul.open(tmp_path)

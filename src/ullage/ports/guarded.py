@@ -65,8 +65,12 @@ class GuardedSource:
         return found
 
 
-def only_files(folder: Path) -> None:
+def only_files(folder: Path, *, below: bool) -> None:
     """Refuse a folder that holds anything but folders and regular files: a reader would wait for a pipe without end.
+
+    Args:
+        folder: what is to be read.
+        below: look into its folders too, from which stores and bags read.
 
     Raises:
         InputError: something in it is a pipe, a socket or a device.
@@ -80,3 +84,5 @@ def only_files(folder: Path) -> None:
                 continue  # a broken link: the reader reports it
             if not stat.S_ISREG(mode):
                 raise InputError("is a pipe, a socket or a device", where=path, allowed="regular files")
+        if not below:
+            return

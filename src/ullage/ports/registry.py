@@ -83,8 +83,9 @@ def _path_of(target: str | Path, allowed: str) -> Path:
 def _opened(path: Path, options: dict[str, Any]) -> Source:
     """Open a file or folder with the reader of its suffix."""
     if path.is_dir():
-        only_files(path)
-        if path.suffix.lower() != ".zarr":
+        store = path.suffix.lower() == ".zarr"
+        only_files(path, below=store or (path / "metadata.yaml").exists())
+        if not store:
             return _open_folder(path, options)
     else:
         regular_size(path, allowed=SOURCES)
