@@ -51,6 +51,9 @@ def test_the_schema_names_every_group() -> None:
         (b"3", "not a scenario"),
         (b"colour: red", "colour"),
         (b"flight: {waypoints: [[0, 0, .nan]]}", "waypoints"),
+        (b"flight: {waypoints: [[0, 0]]}", ":1: flight.waypoints: waypoint 0 has 2 numbers .allowed: x, y, z"),
+        (b"flight: {waypoints: [[0, 0, 1], [1, 0, 1, 90]]}", "waypoint 1 has 4 numbers"),
+        (b"flight: {waypoints: [[0, 0, 1, 90, 0]]}", "waypoint 0 has 5 numbers"),
     ],
 )
 def test_a_bad_scenario_is_refused_with_its_file(tmp_path: Path, content: bytes, words: str) -> None:

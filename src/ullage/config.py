@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError, PydanticUndefined
 
 from ullage import plugins
@@ -85,6 +85,16 @@ class FlightSpec(Spec):
     wander_deg: float = Field(0.0, ge=0, le=90, description="the same of the heading, rms")
     hover_s: float = Field(0.0, ge=0, le=600, description="hover at the last waypoint")
     guard: GuardSpec = GuardSpec()
+
+    @field_validator("waypoints")
+    @classmethod
+    def _points(cls, rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        for number, row in enumerate(rows):
+            if len(row) not in (3, 4) or len(row) != len(rows[0]):
+                raise ValueError(
+                    f"waypoint {number} has {len(row)} numbers (allowed: x, y, z, or x, y, z, yaw in each)"
+                )
+        return rows
 
     @model_validator(mode="after")
     def _guarded(self) -> Self:
