@@ -66,6 +66,8 @@ def test_seconds_times_a_billion_are_rounded() -> None:
         ("n is 2.5", lambda: ul.Trajectory.stationary(n=2.5)),
         ("end_m has shape", lambda: ul.Trajectory.line((0, 0, 0), (1, 0))),
         ("end_m is not finite", lambda: ul.Trajectory.line((0, 0, 0), (np.nan, 0, 0))),
+        ("1e\\+10 samples", lambda: ul.Trajectory.stationary(n=10**10)),
+        ("1e\\+12 samples", lambda: ul.Trajectory.line((0, 0, 0), (1e6, 0, 0), 1.0, 1e6)),
         ("speed_m_s is inf", lambda: ul.Trajectory.line((0, 0, 0), (1, 0, 0), np.inf)),
     ],
 )

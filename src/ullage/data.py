@@ -208,11 +208,13 @@ def even_times(rate_hz: float, *, t0_ns: int = 0, t1_ns: int | None = None, coun
     """Longs [ns] at an even rate from t0_ns, `count` of them or up to and with t1_ns; rounded singly, so no drift.
 
     Raises:
-        InputError: the rate is not above zero.
+        InputError: the rate is not above zero, or they are more than fit into memory.
     """
     rate_hz = checks.number("rate_hz", rate_hz, "rate_hz", above=0.0, allowed="> 0")
     if count is None:
         count = 1 if t1_ns is None else int((t1_ns - t0_ns) * rate_hz * 1e-9 + 1e-9) + 1
+    if count > MOST_SAMPLES:
+        raise InputError(f"{count:.3g} samples", where="rate_hz", allowed=f"at most {MOST_SAMPLES}; a lower rate")
     return np.asarray(t0_ns + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64))
 
 
@@ -236,6 +238,8 @@ def _spin(t_ns: Longs, quat: Floats) -> Floats:
     return np.vstack([step[:1], (step[:-1] + step[1:]) / 2, step[-1:]])
 
 
+MOST_SAMPLES = 20_000_000
+"""Poses of one path: they take 2 GB."""
 Unit = Literal["path_gain", "normalised", "thesis"]
 LEAST_BINS = 3
 """Range bins of a frame: a peak is found from three."""
