@@ -28,7 +28,8 @@ BANDS_DEG = ((0, 25), (30, 45), (50, 60), (65, 75))
 FIELDS = ("vertical", "horizontal")
 BOX_M = 1.055 * WAVE_M  # between two resonances of the hollow cube, where the integral equation is sure
 SHAPES = {"plate 2": (moments.plate, 2 * WAVE_M, 1), "plate 3": (moments.plate, 3 * WAVE_M, 1),
-          "box": (moments.box, BOX_M, 1), "dihedral": (moments.dihedral, 3 * WAVE_M, 2)}  # fmt: skip
+          "box": (moments.box, BOX_M, 1),
+          "dihedral 2": (moments.dihedral, 2 * WAVE_M, 2), "dihedral": (moments.dihedral, 3 * WAVE_M, 2)}  # fmt: skip
 
 
 def views(theta_deg=THETA_DEG, azimuth_deg=AZIMUTH_DEG):
@@ -80,5 +81,5 @@ def rows(shape, per_wave=8):
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or SHAPES:
-        for low, high, off, median, worst, weak in rows(name, 6 if name == "dihedral" else 8):
+        for low, high, off, median, worst, weak in rows(name, 6 if name.startswith("dihedral") else 8):
             print(f"| {name} | {low} to {high} | {'off' if off else 'in'} | {median:.1f} | {worst:.1f} | {weak:.0f} |")

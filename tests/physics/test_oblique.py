@@ -20,6 +20,7 @@ BOUNDS = {
     "plate 2": ((0.4, 1.8, 2.0, 2.1), (0.6, 3.5, 8.0, 12.5), -22),
     "plate 3": ((0.4, 0.6, 1.4, 1.8), (0.6, 3.3, 5.5, 12.0), -27),
     "box": ((0.8, 0.9, 0.8, 1.3), (0.8, 3.8, 9.5, 5.0), -16),
+    "dihedral 2": ((1.6, 0.7, 7.5, 1.5), (1.9, 3.3, 3.5, 10.5), -7),
     "dihedral": ((0.9, 1.2, 2.4, 2.0), (0.8, 2.6, 2.2, 5.2), -8),
 }
 
@@ -38,7 +39,9 @@ def test_small_plate():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("shape", "per_wave"), [("plate 2", 8), ("plate 3", 8), ("box", 8), ("dihedral", 6)])
+@pytest.mark.parametrize(
+    ("shape", "per_wave"), [("plate 2", 8), ("plate 3", 8), ("box", 8), ("dihedral 2", 6), ("dihedral", 6)]
+)
 def test_small_bodies(shape, per_wave):
     assert_within_bounds(shape, per_wave)
 

@@ -8,6 +8,7 @@ from ullage.kernels import bounces
 from ullage.radar import multipath
 from ullage.radar.context import antenna_pair, radar_context
 from ullage.radar.multipath import between
+from ullage.radar.physical import path_gain_cw
 from ullage.radar.prepared import prepare
 from ullage.world import shapes
 from ullage.world.scene import Scene
@@ -111,3 +112,34 @@ def test_a_corner_of_dielectric_returns_the_square_of_fresnel_s_coefficient(name
     te, tm = (cosine - slant) / (cosine + slant), (eps * cosine - slant) / (eps * cosine + slant)
     expected = abs(te if polarization == "vertical" else tm) ** 2
     assert peak(name) / peak("pec") == pytest.approx(expected, rel=within)
+
+
+@pytest.mark.parametrize("waves", [1.2, 1.5, 2.0, 2.5, 3.0, 5.0])
+def test_a_dihedral_of_any_size_has_its_radar_cross_section(waves):
+    """On its axis 8 pi a^4 / lambda^2, down to faces of hardly more than a wavelength."""
+    spec = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic", "polarization": "horizontal"})
+    edge, away = waves * spec.wavelength_m, 5.0
+    echo = path_gain_cw(ul.scenes.dihedral(edge, away), ul.Trajectory.stationary(), spec, max_bounces=2)[0]
+    section = 8 * np.pi * edge**4 / spec.wavelength_m**2
+    want = spec.wavelength_m * np.sqrt(section) / (4 * np.pi) ** 1.5 / away**2
+    assert 20 * np.log10(abs(echo) / want) == pytest.approx(0, abs=0.4)
+
+
+@pytest.mark.parametrize("waves", [2.0, 2.5, 3.0, 5.0])
+def test_a_trihedral_of_square_plates_has_its_radar_cross_section(waves):
+    """On its axis 12 pi a^4 / lambda^2."""
+    spec = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic"})
+    edge, away = waves * spec.wavelength_m, 5.0
+    echo = path_gain_cw(square_trihedral(edge, away), ul.Trajectory.stationary(), spec, max_bounces=3)[0]
+    section = 12 * np.pi * edge**4 / spec.wavelength_m**2
+    want = spec.wavelength_m * np.sqrt(section) / (4 * np.pi) ** 1.5 / away**2
+    assert 20 * np.log10(abs(echo) / want) == pytest.approx(0, abs=0.4)
+
+
+def square_trihedral(edge, away):
+    """Three square plates whose common corner lies `away` ahead on the axis of symmetry."""
+    shape = ul.scenes.trihedral(edge, away)
+    apex, (a, b, c) = shape.vertices[0], shape.vertices[1:4] - shape.vertices[0]
+    vertices = apex + np.array([0 * a, a, b, c, a + b, b + c, c + a])
+    faces = np.array([[0, 1, 4], [0, 4, 2], [0, 2, 5], [0, 5, 3], [0, 3, 6], [0, 6, 1]])
+    return Scene(vertices, faces, np.zeros(6, np.int32), shape.objects)

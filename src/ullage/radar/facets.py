@@ -16,8 +16,10 @@ from ullage.radar.solids import EVEN, Backs, backs, welded
 from ullage.world.raycast import Raycaster
 from ullage.world.scene import Scene
 
-FLAT_M = 0.15
-"""Patches at least this long are done by their rim, shorter ones by their triangles [m]."""
+FLAT_M = 0.05
+"""Flat faces at least this long, about a wave, are done by their rims and mirror waves [m]."""
+STRIP_M = 0.15
+"""The same for facets of curved surfaces [m]: shorter ones cost less as triangles, and none is a mirror."""
 MIRROR_CORNERS = 12
 """Convex outlines with more corners than this mirror in slices."""
 SMOOTH_DEG = 25.0
@@ -117,10 +119,10 @@ def gather(scene: Scene, faces: Bools) -> Surfaces:
     rays = Raycaster(part)
     corners, normals, object_ids = corners[index], cross[index] / (2 * area[index, None]), scene.face_object[index]
     patch = coplanar(corners, normals, object_ids)
-    large = _extents(corners, patch)[patch] >= FLAT_M
+    bends = slight_bends(corners, normals, object_ids, patch)
+    large = (_extents(corners, patch) >= np.where(bends > 0, STRIP_M, FLAT_M))[patch]
     sides = backs(corners, normals, object_ids)
-    curved = smooth(corners, normals, object_ids, patch)[patch[large]]
-    planar = _planar(corners[large], normals[large], object_ids[large], patch[large], curved)
+    planar = _planar(corners[large], normals[large], object_ids[large], patch[large], bends[patch[large]] > 1)
     lead, at = np.unique(patch[large], return_index=True, return_inverse=True)[1:]
     small = np.flatnonzero(~large)
     order, first = _clusters(corners[small].mean(1), np.sqrt(area[index][small]))
@@ -215,16 +217,18 @@ def _planes(corners: Floats, normals: Floats, patch: Longs) -> tuple[Floats, Flo
     return normal, np.asarray(middle)
 
 
-def smooth(corners: Floats, normals: Floats, object_ids: Ints, patch: Longs) -> Bools:
-    """Whether each patch is a facet of a curved surface: one that goes on over two edges with hardly a bend."""
+def slight_bends(corners: Floats, normals: Floats, object_ids: Ints, patch: Longs) -> Longs:
+    """Count the edges over which each patch continues with hardly a bend: facets of a curved surface have two or more.
+
+    Those at its rim may have only one.
+    """
     count = int(patch.max()) + 1 if len(patch) else 0
     if not count:
-        return np.zeros(0, bool)
+        return np.zeros(0, np.int64)
     a, b = twins(corners)
     bend = abs(np.einsum("ni,ni->n", normals[a], normals[b]))
     goes_on = (patch[a] != patch[b]) & (object_ids[a] == object_ids[b]) & (bend > np.cos(np.deg2rad(SMOOTH_DEG)))
-    paths = np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)
-    return np.asarray(paths >= 2)
+    return np.bincount(np.concatenate([patch[a[goes_on]], patch[b[goes_on]]]), minlength=count)
 
 
 def _extents(corners: Floats, patch: Longs) -> Floats:
