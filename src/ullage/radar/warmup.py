@@ -36,7 +36,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "thesis": ("rays",),
     "physical": ("pulse", "edges", "outlines", "rays", "receiver"),
     "rough": ("diffuse_scatterers",),
-    "bounces": ("beams", "bounces"),
+    "bounces": ("beams", "bounces", "corners"),
     "shapes": ("facets", "wires"),
     "paths": ("paths", "lit"),
     "curved": ("impulses",),
@@ -344,10 +344,12 @@ def _echoes() -> None:
 
 
 def _beams() -> None:
+    from ullage.radar.corners import corners_of
     from ullage.radar.multipath import apparent_sizes, beams_of
 
     context, antennas, planar = _bench(_room())
-    beams_of(context, planar, antennas, 3, apparent_sizes(context, planar, antennas))
+    none = 0 * apparent_sizes(context, planar, antennas)  # so no face is a mirror, and all corners are followed
+    beams_of(context, planar, antennas, 3, none, corners_of(context.world.parts()))
 
 
 def _paths() -> None:
