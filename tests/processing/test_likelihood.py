@@ -243,6 +243,27 @@ def test_a_wall_that_folds_back_is_one_wall():
     assert np.abs(occupied[:, 0] - 7.4).max() < 0.15
 
 
+def test_a_folded_echo_shows_its_wall_and_frees_its_whole_path():
+    """One leg sees the wall directly, the other one beyond the unambiguous range."""
+    fold_m = RIG["front"].unambiguous_range_m
+    x = np.linspace(-2.5, 2.5, 80)
+    legs = np.concatenate([np.stack([x, 0 * x - 1.0], 1), np.stack([-x, 0 * x - 4.0], 1)])
+    path = Trajectory(
+        np.arange(160) * 120_000_000, np.column_stack([legs, np.zeros(160)]), np.tile([0, 0, 0, 1.0], (160, 1))
+    )
+    near, far = flown(path[:80], wall(90, 7.0)), flown(path[80:], wall(90, 7.0, folded_m=fold_m))
+    mapper = LikelihoodMapper(ul.Grid.covering([[-4, -5, 0], [4, 8, 0]], 0.1, z_m=0.0))
+    for part in (near, far):
+        mapper.update(part)
+    mapper.finish()
+    omap = mapper.map()
+    occupied = centres(omap)
+    assert len(occupied)
+    assert np.abs(occupied[:, 1] - 7.0).max() < 0.15
+    between, _ = omap.grid.index(np.array([[x, -2.5, 0.0] for x in (-1.5, -0.5, 0.5, 1.5)]))
+    assert omap.free[tuple(between.T)].all(), "only the folded echoes passed here"
+
+
 def test_standing_still_adds_nothing():
     frames = flown(curve(), wall(40, 2.5))
     count = len(frames["front"])

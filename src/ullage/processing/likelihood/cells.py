@@ -21,7 +21,7 @@ from ullage.kernels.surface_cells import (
     find_hidden,
 )
 from ullage.processing.likelihood.spec import LikelihoodSpec
-from ullage.processing.likelihood.surfaces import Surface, smoothed, transported
+from ullage.processing.likelihood.surfaces import Surface, smoothed
 
 FREE, OCCUPIED = 5, 95  # percent
 FULL_NATS = 30.0  # an echo with as many counts in full
@@ -29,6 +29,7 @@ MOST_HALF_M, MOST_BEND = 0.5, 2.0  # of the piece of a surface that one echo sho
 DOUBT = 0.3  # standard deviations of the curvature by which that piece is narrowed
 FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near to the track, so many of them, is false
 FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
+FOLD_REACH_M = 1.0  # along a surface, from where it was seen to where a folded echo comes from
 LEAST_FLATNESS = 0.1  # of edges and poles, whose own law differs
 FULL_PERCENT, CLEAR = 90.0, 0.7  # level of a surface without obstacles; share of it that a clear path leaves
 SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
@@ -57,9 +58,9 @@ def render(
     kept = np.zeros(len(surfaces), bool)
     percent[_body(grid, flown)] = FREE
     if surfaces:
-        views, owner = _views(surfaces, wavelength_m, spec)
+        views, owner = _views(surfaces, wavelength_m, fold_m, spec)
         sloped = np.array([one.sloped for one in surfaces])
-        false = _flown_through(views, owner, flown) | _folded(surfaces, fold_m)
+        false = _flown_through(views, owner, flown)
         possible = ~(sloped | false)
         alive, evidence, level = _visible(plane, views, owner, possible, spec)
         kept = np.bincount(owner, alive, len(surfaces)) > 0
@@ -100,27 +101,27 @@ def _body(grid: Grid, flown: Floats) -> Longs:
     return np.unique(np.ravel_multi_index(tuple(cell[inside].T), grid.shape))
 
 
-def _views(surfaces: list[Surface], wavelength_m: float, spec: LikelihoodSpec) -> tuple[Views, Longs]:
-    """All sightings of all surfaces as rows, and the surface of each."""
+def _views(surfaces: list[Surface], wavelength_m: float, fold_m: float, spec: LikelihoodSpec) -> tuple[Views, Longs]:
+    """All sightings of all surfaces as rows, and the surface of each.
+
+    A folded echo shows the surface that it comes from, at its true range.
+    """
     states, sigmas = zip(*(smoothed(one) for one in surfaces), strict=True)
     state, sigma = np.concatenate(states), np.concatenate(sigmas)
     seen = [one for surface in surfaces for one in surface.sightings.values()]
     owner = np.repeat(np.arange(len(surfaces)), [len(one.sightings) for one in surfaces])
+    place, level = np.array([one.position for one in seen]), np.array([one.level for one in seen])
+    folded = _folded(place, state, owner, fold_m)[owner]
+    level[folded] *= 1 + fold_m / state[folded, 0]
+    state[folded, 0] += fold_m
     range_m, curvature = state[:, 0], state[:, 2]
     flatness = 1 - curvature * range_m  # by which the specular point moves as the sensor moves: 1 for a flat wall
     narrowed = np.maximum(np.abs(flatness) - DOUBT * sigma * range_m, 0)
     half = np.minimum(spec.support * np.sqrt(0.5 * wavelength_m * range_m * narrowed), MOST_HALF_M)
     steep = np.abs(flatness) > 0.2
     bend = np.where(steep, curvature / np.where(steep, flatness, 1.0), 0.0)
-    views = Views(
-        np.array([one.position for one in seen]),
-        np.ascontiguousarray(state),
-        half,
-        np.clip(bend, -MOST_BEND, MOST_BEND),
-        np.array([one.level for one in seen]),
-        np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0),
-    )
-    return views, owner
+    weight = np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0)
+    return Views(place, np.ascontiguousarray(state), half, np.clip(bend, -MOST_BEND, MOST_BEND), level, weight), owner
 
 
 def _visible(
@@ -165,19 +166,25 @@ def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:
     return np.asarray(np.bincount(owner, near) / np.bincount(owner) > FLOWN_SHARE)
 
 
-def _folded(surfaces: list[Surface], fold_m: float) -> Bools:
-    """Whether echoes of each surface (s) are those of another one, farther by the unambiguous range."""
-    out = np.zeros(len(surfaces), bool)
-    reference = np.stack([one.position for one in surfaces])
-    state = np.stack([one.state for one in surfaces])
-    for index, one in enumerate(surfaces):
-        seen = list(one.sightings.values())
-        place, mine = np.array([row.position for row in seen]), np.array([row.state for row in seen])
-        step = (place[None] - reference[:, None]).reshape(-1, 2)
-        other = transported(np.repeat(state, len(seen), axis=0), step).reshape(len(surfaces), len(seen), 4)
-        apart_m = other[..., 0] - fold_m - mine[None, :, 0]
-        turned = np.cos(other[..., 1] - mine[None, :, 1])
-        same = (np.abs(apart_m) < FOLD_M) & (turned > np.cos(FOLD_RAD))
-        same[index] = False
-        out[index] = (same.mean(axis=1) > FOLD_SHARE).any()
-    return out
+def _folded(place: Floats, state: Floats, owner: Longs, fold_m: float) -> Bools:
+    """Whether echoes of each surface (s) are those of another one, farther by the unambiguous range.
+
+    The test is local: near the place that a folded echo comes from, the other surface must have been seen, at the same
+    distance and with the same normal. A long surface is known better there than from its state at a single place.
+
+    Args:
+        place: (k, 2) of the keyframes [m].
+        state: (k, 4) of the echoes.
+        owner: (k) surface of each.
+        fold_m: unambiguous range [m].
+    """
+    unit = np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
+    point = place + state[:, :1] * unit
+    origin = point + fold_m * unit
+    same = np.zeros(len(owner), bool)
+    for index, near in enumerate(cKDTree(point).query_ball_point(origin, FOLD_REACH_M)):
+        other = np.array([k for k in near if owner[k] != owner[index]], np.int64)
+        apart = np.abs(np.sum((point[other] - origin[index]) * unit[index], axis=1))
+        parallel = unit[other] @ unit[index] > np.cos(FOLD_RAD)
+        same[index] = (parallel & (apart < FOLD_M)).any()
+    return np.asarray(np.bincount(owner, same) / np.bincount(owner) > FOLD_SHARE)
