@@ -311,6 +311,20 @@ def test_white_errors_of_the_poses_are_estimated(sigma_m):
     assert mapper.pose_sigma_m == pytest.approx(sigma_m, rel=0.4, abs=2e-4)
 
 
+def test_the_search_takes_amplitudes_where_the_poses_leave_no_phase():
+    """At errors of a quarter wavelength phases are random, and only the pulse and the antennas show the bearing."""
+    frames = flown(curve(spacing=0.04, turns=0.25), wall(40, 2.4))
+    mapper = mapped(shaken(frames, 0.01))
+    assert mapper.pose_sigma_m > 0.006
+    strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
+    unit = np.array([np.cos(np.radians(40)), np.sin(np.radians(40))])
+    assert np.cos(strongest.state[1] - np.radians(40)) > np.cos(np.radians(4.0))
+    assert strongest.state[0] + strongest.position @ unit == pytest.approx(2.4, abs=0.03)
+    occupied = centres(mapper.map())
+    assert len(occupied) >= 4
+    assert np.mean(np.abs(occupied @ unit - 2.4) < 0.15) > 0.7
+
+
 def test_the_poses_errors_turn_the_coherent_score_into_that_of_the_amplitudes():
     """At exact poses no phase is explained by the poses. At poor ones each is, and only amplitudes count."""
     rng = np.random.default_rng(3)
@@ -318,12 +332,14 @@ def test_the_poses_errors_turn_the_coherent_score_into_that_of_the_amplitudes():
     samples = np.zeros((48, 40, 2), np.float32)
     samples[:, 18:22, 0] = 1.0
     gains = np.ones((4, 2001))
-    aperture = Aperture(samples, np.zeros((48, 3)), np.tile(np.arange(4), 12), np.eye(4, 3), gains, 3.0)
+    aperture = Aperture(
+        samples, np.zeros((48, 3)), np.tile(np.arange(4), 12), np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))
+    )
     error = rng.normal(size=(12, 1)) * 0.3  # bins: 0.9 rad
     aperture.offset[:, :1] = error[moment]
     unit, explained = np.array([1.0, 0, 0]), []
     for sigma in (0.0, 0.01, 0.03, 0.1, 0.3, 100.0):
-        poses = AperturePoses(aperture, moment)
+        poses = AperturePoses(aperture)
         poses.expect(sigma)
         phases = poses.phases(unit, np.ones(4), 0.0, 20.0)
         left = phases.turn - poses.expected(unit, phases)
@@ -338,10 +354,13 @@ def test_echoes_correct_the_positions_along_their_direction():
     moment = np.repeat(np.arange(12), 4)
     samples = np.zeros((48, 40, 2), np.float32)
     samples[:, 18:22, 0] = 1.0
-    aperture = Aperture(samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), np.ones((4, 2001)), 3.0)
+    gains = np.ones((4, 2001))
+    aperture = Aperture(
+        samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))
+    )
     error = np.random.default_rng(3).normal(size=(12, 3)) * 0.2
     aperture.offset[:] = error[moment]
-    poses = AperturePoses(aperture, moment)
+    poses = AperturePoses(aperture)
     poses.expect(0.2)
     x, y = np.eye(3)[:2]
     before = poses.variance(y)
@@ -357,10 +376,13 @@ def test_large_errors_correct_nothing():
     moment = np.repeat(np.arange(12), 4)
     samples = np.zeros((48, 40, 2), np.float32)
     samples[:, 18:22, 0] = 1.0
-    aperture = Aperture(samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), np.ones((4, 2001)), 3.0)
+    gains = np.ones((4, 2001))
+    aperture = Aperture(
+        samples, np.zeros((48, 3)), np.arange(48) % 4, np.eye(4, 3), gains, 3.0, moment, np.zeros((3, 3))
+    )
     aperture.offset[:, 0] = np.linspace(-0.5, 0.5, 12)[moment]
     given = aperture.offset.copy()
-    poses = AperturePoses(aperture, moment)
+    poses = AperturePoses(aperture)
     poses.expect(3.0)
     x = np.array([1.0, 0, 0])
     poses.correct(x, poses.phases(x, np.ones(4), 0.0, 20.0))

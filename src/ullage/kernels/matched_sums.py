@@ -13,6 +13,7 @@ from ullage.kernels.loops import inner, loop
 LEAST_GAIN = 0.1  # amplitude against the sensor that faces the direction best; weaker sensors add noise only
 ROUNDS, STEPS = 5, 6  # of the search: each round has smaller steps
 SHRINK = 0.45
+COHERENT = 0.95  # expected coherence from which the sizes of the moments' sums are left out
 LEAST_COSINE = 0.2  # of the elevation that the search tries
 GAIN_CELLS = 2000  # cells of the table of gains, even in 1 - cosine
 
@@ -26,6 +27,8 @@ class Aperture(NamedTuple):
     axes: NDArray[np.float64]  # (s, 3) boresights
     gains: NDArray[np.float64]  # (s, GAIN_CELLS + 1) two-way amplitude gain, against 1 - cosine
     phase: float  # of one bin of range [rad]
+    moment: NDArray[np.int64]  # (m) index of the time of each row
+    spread: NDArray[np.float64]  # (3, 3) covariance of the errors of a moment's position [bin^2]
 
 
 @inner(fastmath=True)
@@ -49,11 +52,22 @@ def _gains(aperture, unit, out):  # type: ignore[no-untyped-def]
         out[s] /= best
 
 
+@inner(fastmath=True)
+def _expected_coherence(aperture, unit):  # type: ignore[no-untyped-def]
+    """Share of the energy that stays coherent over moments, under the errors of the positions in a direction."""
+    variance = 0.0
+    for i in range(3):
+        for j in range(3):
+            variance += unit[i] * aperture.spread[i, j] * unit[j]
+    return math.exp(-variance * aperture.phase * aperture.phase)
+
+
 @loop(fastmath=True)
 def sum_directions(aperture, directions, curvature, low, high, out):  # type: ignore[no-untyped-def]
     """Energy that one reflector in each direction and bin explains.
 
     The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
+    Where the positions have errors, the sums of the moments count by their sizes as far as their phases are unknown.
 
     Args:
         aperture: the rows.
@@ -67,11 +81,17 @@ def sum_directions(aperture, directions, curvature, low, high, out):  # type: ig
     rows, bins = samples.shape[0], samples.shape[1]
     real, imag = np.empty(bins, np.float32), np.empty(bins, np.float32)
     gain = np.empty(len(aperture.axes))
+    moments = aperture.moment.max() + 1
+    parts = np.empty((moments, bins, 2), np.float32)
     for d in range(len(directions)):
         _gains(aperture, directions[d], gain)
+        coherence = _expected_coherence(aperture, directions[d])
+        apart = coherence < COHERENT
         for k in range(low, high):
             real[k] = 0.0
             imag[k] = 0.0
+        if apart:
+            parts[:, low:high] = 0.0
         total = 0.0
         for i in range(rows):
             g = gain[aperture.sensor[i]]
@@ -89,8 +109,17 @@ def sum_directions(aperture, directions, curvature, low, high, out):  # type: ig
                 y = samples[i, first + k, 1] * rest + samples[i, first + k + 1, 1] * share
                 real[k] += x * c - y * s
                 imag[k] += x * s + y * c
+                if apart:
+                    parts[aperture.moment[i], k, 0] += x * c - y * s
+                    parts[aperture.moment[i], k, 1] += x * s + y * c
         for k in range(low, high):
             out[d, k] = (real[k] * real[k] + imag[k] * imag[k]) / max(total, 1e-9)
+        if apart:
+            for k in range(low, high):
+                size = np.float32(0.0)
+                for t in range(moments):
+                    size += math.sqrt(parts[t, k, 0] * parts[t, k, 0] + parts[t, k, 1] * parts[t, k, 1])
+                out[d, k] = coherence * out[d, k] + (1 - coherence) * size * size / max(total, 1e-9)
 
 
 @loop()
@@ -117,7 +146,7 @@ def strongest(energy, floor, low, high):  # type: ignore[no-untyped-def]
 
 
 @inner(fastmath=True)
-def _fit(aperture, unit, curvature, place, gain, sums):  # type: ignore[no-untyped-def]
+def _fit(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[no-untyped-def]
     """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
     samples = aperture.samples
     for s in range(len(gain)):
@@ -125,6 +154,7 @@ def _fit(aperture, unit, curvature, place, gain, sums):  # type: ignore[no-untyp
         sums[s, 1] = 0.0
         sums[s, 2] = 0.0
     energy = total = 0.0
+    parts[:] = 0.0
     _gains(aperture, unit, gain)
     for i in range(samples.shape[0]):
         delay = _delay(aperture.offset[i], unit, curvature)
@@ -140,13 +170,22 @@ def _fit(aperture, unit, curvature, place, gain, sums):  # type: ignore[no-untyp
         sums[mine, 0] += x * real - y * imag
         sums[mine, 1] += x * imag + y * real
         sums[mine, 2] += 1
+        parts[aperture.moment[i], 0] += gain[mine] * (x * real - y * imag)
+        parts[aperture.moment[i], 1] += gain[mine] * (x * imag + y * real)
         energy += x * x + y * y
         total += gain[mine] ** 2
     real, imag = 0.0, 0.0
     for s in range(len(gain)):
         real += gain[s] * sums[s, 0]
         imag += gain[s] * sums[s, 1]
-    return (real * real + imag * imag) / max(total, 1e-9), energy
+    coherence = _expected_coherence(aperture, unit)
+    whole = real * real + imag * imag
+    if coherence < COHERENT:
+        size = 0.0
+        for t in range(len(parts)):
+            size += math.sqrt(parts[t, 0] * parts[t, 0] + parts[t, 1] * parts[t, 1])
+        whole = coherence * whole + (1 - coherence) * size * size
+    return whole / max(total, 1e-9), energy
 
 
 @inner()
@@ -171,6 +210,7 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
         found: (6) set to energy explained, all energy, bearing, curvature, range and cosine.
     """
     unit, gain = np.empty(3), np.empty(len(aperture.axes))
+    parts = np.empty((aperture.moment.max() + 1, 2))
     now, trial, size = np.empty(4), np.empty(4), np.empty(4)
     for p in range(4):
         now[p] = start[(p + 1) % 4]
@@ -178,7 +218,7 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
     if start[0] <= 0:
         size[0] = size[3] = 0.0
     _turn(now[3], now[0], unit)
-    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums)
+    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums, parts)
     for _ in range(ROUNDS):
         for _ in range(STEPS):
             better = False
@@ -193,7 +233,7 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
                 if size[3] > 0:
                     trial[3] = min(max(trial[3], LEAST_COSINE), 1.0)
                 _turn(trial[3], trial[0], unit)
-                value, all_energy = _fit(aperture, unit, trial[1], trial[2], gain, sums)
+                value, all_energy = _fit(aperture, unit, trial[1], trial[2], gain, sums, parts)
                 if value > best * 1.0005:
                     best, energy, better = value, all_energy, True
                     for other in range(4):
@@ -203,7 +243,7 @@ def refine(aperture, start, steps, most_curvature, sums, found):  # type: ignore
         for p in range(4):
             size[p] *= SHRINK
     _turn(now[3], now[0], unit)
-    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums)
+    best, energy = _fit(aperture, unit, now[1], now[2], gain, sums, parts)
     found[0], found[1] = best, energy
     for p in range(4):
         found[2 + p] = now[p]

@@ -16,7 +16,7 @@ import numpy as np
 from ullage.arrays import Floats, Singles
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, strongest, subtract, sum_directions
 from ullage.processing.likelihood.keyframes import Keyframe
-from ullage.processing.likelihood.poses import AperturePoses, PoseErrors
+from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 FAR_END_M = 0.3  # of the range axis that the search leaves out
@@ -76,9 +76,10 @@ class EchoFinder:
         low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
         found: list[Found] = []
         if len(aperture.offset) >= LEAST_ROWS and low < high:
-            poses, samples = AperturePoses(aperture, key.moment), aperture.samples.copy()
+            poses, samples = AperturePoses(aperture), aperture.samples.copy()
+            poses.expect(self.pose_errors.sigma_m / key.bin_m)
             search = key, low, high, np.zeros((0, 4)) if known is None else known
-            found = self._clean(*search, poses)
+            found = self._clean(*search, poses, first=True)
             if poses.uncertain:  # all echoes together have shown the errors, so the samples are explained anew
                 aperture.samples[:] = samples
                 found = self._clean(*search, poses)
@@ -91,7 +92,9 @@ class EchoFinder:
         """Energy that a flat reflector explains; `refine` finds its curvature."""
         sum_directions(key.aperture, self._directions, 0.0, low, high, energy[0])
 
-    def _clean(self, key: Keyframe, low: int, high: int, known: Floats, poses: AperturePoses) -> list[Found]:
+    def _clean(
+        self, key: Keyframe, low: int, high: int, known: Floats, poses: AperturePoses, *, first: bool = False
+    ) -> list[Found]:
         """Take the echoes out one after the other, and list the level ones."""
         spec, aperture, noise = self._spec, key.aperture, key.noise**2
         bins = aperture.samples.shape[1]
@@ -105,6 +108,8 @@ class EchoFinder:
                 break
             start = np.array([self._level[d], self._bearing[d], 0.0, k])
             start, fit = self._refined(key, start, known)
+            if first and not out:
+                self._learn(key, poses, start, fit)
             fit, echo = self._explain(key, poses, (start, fit), (floor[k] - 1) * noise)
             if start[0] > 0:
                 out.append(echo)
@@ -113,6 +118,19 @@ class EchoFinder:
             pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
             floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
         return out
+
+    def _phases(self, key: Keyframe, poses: AperturePoses, fit: Floats) -> tuple[Floats, EchoPhases]:
+        """Direction of an echo, and its phases."""
+        unit = _unit(fit[5], fit[2])
+        gains = gains_of(key.aperture, unit)
+        return unit, poses.phases(unit, gains / gains.max(), fit[3], fit[4])
+
+    def _learn(self, key: Keyframe, poses: AperturePoses, start: Floats, fit: Floats) -> None:
+        """Learn from the strongest echo how large the errors of the poses are."""
+        unit, phases = self._phases(key, poses, fit)
+        expected, fitted = math.exp(-0.5 * poses.variance(unit)), 3 if start[0] > 0 else 2
+        self.pose_errors.learn(phases, fitted, expected, 4 * math.pi / key.wavelength_m)
+        poses.expect(self.pose_errors.sigma_m / key.bin_m)
 
     def _explain(
         self, key: Keyframe, poses: AperturePoses, hypothesis: tuple[Floats, Floats], left: float
@@ -128,13 +146,8 @@ class EchoFinder:
         Returns:
             The fit at corrected phases, and the echo.
         """
-        start, fit = hypothesis
-        unit = _unit(fit[5], fit[2])
-        gains = gains_of(key.aperture, unit)
-        phases = poses.phases(unit, gains / gains.max(), fit[3], fit[4])
-        if poses.sigma is None:
-            self.pose_errors.learn(phases, 3 if start[0] > 0 else 2, 4 * math.pi / key.wavelength_m)
-            poses.expect(self.pose_errors.sigma_m / key.bin_m)
+        _, fit = hypothesis
+        unit, phases = self._phases(key, poses, fit)
         turn = poses.expected(unit, phases)
         poses.shift(unit, turn)
         fit, sums = self._fitted(key, np.array([fit[5], *fit[2:5]]), AS_IT_IS)
@@ -206,7 +219,8 @@ class EchoFinder:
         coherence = min(explained / max(energy + left, 1e-30), MOST_COHERENCE)
         aperture = key.aperture
         ahead = np.array([math.cos(bearing), math.sin(bearing), 0.0])
-        gains = gains_of(aperture, cosine * ahead)
+        unit = cosine * ahead
+        gains = gains_of(aperture, unit)
         active = (gains > LEAST_GAIN * gains.max())[aperture.sensor]
         along = aperture.offset[active] @ ahead * key.bin_m
         across = aperture.offset[active] @ [-ahead[1], ahead[0], 0.0] * key.bin_m
@@ -217,25 +231,34 @@ class EchoFinder:
         nats = active.sum() * -math.log(1 - coherence)
         return (
             state,
-            self._covariance(along, cosine * across, key.wavelength_m, coherence),
+            self._covariance(along, cosine * across, self._errors(key, unit, coherence)),
             coherence,
             mean / gains[loudest] * range_m,
             nats,
         )
 
-    def _covariance(self, along: Floats, across: Floats, wavelength_m: float, coherence: float) -> Floats:
-        """Covariance (4, 4) of range, bearing, curvature and cosine, by least squares on the phases along the aperture.
+    def _errors(self, key: Keyframe, unit: Floats, coherence: float) -> float:
+        """Standard deviation of one row's range, from its phase as far as the poses keep that coherent [m].
 
-        What is not coherent adds to the error of the phases.
+        The envelope of the pulse gives the rest. What an echo does not explain adds to both.
+        """
+        aperture, unexplained = key.aperture, math.sqrt(max(1 - coherence, 0.02) / 0.02)
+        pose = float(unit @ aperture.spread @ unit)
+        share = math.exp(-pose * aperture.phase**2)
+        phase = self._spec.phase_sigma_rad / aperture.phase * unexplained
+        envelope = self._spec.envelope_sigma * key.pulse * unexplained
+        weight = share / (phase**2 + pose) + (1 - share) / (envelope**2 + pose)
+        return key.bin_m / math.sqrt(weight)
+
+    def _covariance(self, along: Floats, across: Floats, sigma: float) -> Floats:
+        """Covariance (4, 4) of range, bearing, curvature and cosine, by least squares on the ranges of the rows.
 
         Args:
             along: level offsets of the rows along the direction [m].
             across: offsets across it, times the cosine [m].
-            wavelength_m: of the carrier [m].
-            coherence: of the echo.
+            sigma: standard deviation of one range [m].
         """
         spec = self._spec
-        sigma = spec.phase_sigma_rad * wavelength_m / (4 * math.pi) * math.sqrt(max(1 - coherence, 0.02) / 0.02)
         design = np.stack([np.ones_like(across), -across, 0.5 * across**2, -along], axis=1) / sigma
         prior = np.diag([0.0, BEARING_PRIOR_RAD**-2, CURVATURE_PRIOR**-2, COSINE_PRIOR**-2])
         inverse = np.linalg.inv(design.T @ design + prior)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ullage.antenna import boresight_pattern
-from ullage.arrays import Floats, Longs
+from ullage.arrays import Floats
 from ullage.data import Frames
 from ullage.geometry import C0, quat_matrix
 from ullage.kernels.matched_sums import GAIN_CELLS, Aperture
@@ -57,7 +57,6 @@ class Keyframe:
     first_bin: int  # beyond the direct path
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
-    moment: Longs  # (m) index of the time of each row of the aperture
 
 
 class KeyframeSelector:
@@ -150,16 +149,17 @@ class KeyframeSelector:
         gains = np.stack([channel.gains for channel in channels])
         phase = 4 * np.pi / leader.wavelength_m * leader.bin_m
         pairs = np.ascontiguousarray(np.stack([samples.real, samples.imag], axis=-1), np.float32)
+        moment = np.unique([row.t_ns for _, row in picked], return_inverse=True)[1]
+        sensor = np.array([s for s, _ in picked])
         return Keyframe(
             place,
-            Aperture(pairs, offset, np.array([s for s, _ in picked]), axes, gains, phase),
+            Aperture(pairs, offset, sensor, axes, gains, phase, moment, np.zeros((3, 3))),
             leader.start_m,
             leader.bin_m,
             float(np.median([row.noise for _, row in picked])),
             max(int((leader.blind_m - leader.start_m) / leader.bin_m), 0),
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
-            np.unique([row.t_ns for _, row in picked], return_inverse=True)[1],
         )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ullage.arrays import Complexes, Floats, Longs
 from ullage.kernels.matched_sums import Aperture
 
-KEPT = 41  # estimates of the variance; their median counts
+KEPT = 161  # estimates of the variance; their median counts
 LEAST_VARIANCE = 1e-3  # of a phase, that the model itself leaves [rad^2]
 LEAST_SHARE = 0.8  # of its energy that an echo must explain at free phases to speak for the poses
 LEAST_COHERENCE = 1e-3  # bounds the variance of phases that have nothing in common
@@ -34,17 +34,22 @@ class PoseErrors:
         """Standard deviation of one coordinate of a position [m]; 0 as long as no echo shows it."""
         return math.sqrt(float(np.median(self._variance_m2))) if self._variance_m2 else 0.0
 
-    def learn(self, phases: EchoPhases, fitted: int, rad_per_m: float) -> None:
+    def learn(self, phases: EchoPhases, fitted: int, expected: float, rad_per_m: float) -> None:
         """Take the phases of an echo that no earlier echo corrected.
+
+        Random phases leave the coherence 1 / T over T moments. A search that trusts phases adds 1 / T for each
+        parameter that it fits to them.
 
         Args:
             phases: of the echo.
-            fitted: parameters that were fitted to them; each takes up a degree of freedom.
+            fitted: parameters that were fitted to them.
+            expected: coherence of the amplitudes that the search expected; how far it trusted phases.
             rad_per_m: phase that a metre of range turns.
         """
-        count = len(phases.turn)
-        if count > fitted and phases.share > LEAST_SHARE:
-            variance = -2 * math.log(max(phases.coherence, LEAST_COHERENCE)) * count / (count - fitted)
+        random = (1 + fitted * expected) / len(phases.turn)
+        if random < 1 and phases.share > LEAST_SHARE:
+            coherence = (phases.coherence**2 - random) / (1 - random)
+            variance = -math.log(max(coherence, LEAST_COHERENCE))
             self._variance_m2.append(max(variance - phases.variance, 0.0) / rad_per_m**2)
 
 
@@ -73,24 +78,22 @@ class AperturePoses:
     """Positions of one aperture with the covariance of their errors; each echo corrects them.
 
     Args:
-        aperture: its offsets change.
-        moment: (m) index of the time of each row; sensors share the errors of one time.
+        aperture: its offsets and their covariance change.
     """
 
-    def __init__(self, aperture: Aperture, moment: Longs) -> None:
-        self._aperture, self._moment = aperture, moment
-        self._covariance = np.zeros((3, 3))
-        self.sigma: float | None = None
+    def __init__(self, aperture: Aperture) -> None:
+        self._aperture, self._moment, self._covariance = aperture, aperture.moment, aperture.spread
+        self.sigma = 0.0
 
     def expect(self, sigma: float) -> None:
         """Expect errors of this standard deviation in each coordinate [bin], before any correction."""
         self.sigma = sigma
-        self._covariance = sigma**2 * np.eye(3)
+        self._covariance[:] = sigma**2 * np.eye(3)
 
     @property
     def uncertain(self) -> bool:
         """Whether the errors were expected to turn phases by more than the model itself does."""
-        return self.sigma is not None and (self.sigma * self._aperture.phase) ** 2 > LEAST_PRIOR
+        return (self.sigma * self._aperture.phase) ** 2 > LEAST_PRIOR
 
     def variance(self, unit: Floats) -> float:
         """Variance of a phase in a direction [rad^2]."""
@@ -138,4 +141,4 @@ class AperturePoses:
         spread = float(((weight * turns**2).sum(axis=1) - mean**2).mean())
         gain = self._covariance @ unit * self._aperture.phase / total
         self._aperture.offset[:] += mean[self._moment, None] * gain
-        self._covariance -= np.outer(gain, gain) * max(total - spread, 0.0)
+        self._covariance[:] -= np.outer(gain, gain) * max(total - spread, 0.0)

@@ -30,6 +30,7 @@ class LikelihoodSpec:
     # surfaces
     least_coherence: float = 0.5  # share of the energy that an echo must explain to start a surface
     phase_sigma_rad: float = 0.6  # error of a sample's phase against the model, which sets the errors of bearings
+    envelope_sigma: float = 0.15  # error of a sample's range by its envelope alone, in standard deviations of the pulse
     range_sigma_m: float = 0.012  # of an echo's range: a quarter of a range bin
     bearing_sigma_deg: float = 0.5  # added to what the phases give
     curvature_sigma: float = 0.1  # the same of the curvature [1/m]
