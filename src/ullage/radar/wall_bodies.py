@@ -1,9 +1,9 @@
-"""Echoes over the wall of a round tank and a ball or drum that stands in it.
+"""Echoes over the wall of a cylindrical tank and a sphere or drum inside it.
 
-A concave wall gives up to three paths of stationary phase and focuses; a body seen from outside gives one path and
-spreads. So the body is done by geometrical optics, for each line along the wall by itself: of the ways over the line
-and the body there is one that is shortest, and its second derivatives are its spread [BornWolf1999]. Kirchhoff's
-integral across those lines is the sum over them [LingChouLee1989], which is infinite nowhere and has all paths in it.
+A concave wall gives up to three paths of stationary phase and focuses. A body seen from outside gives one path and
+spreads the wave. So geometrical optics treats the body, separately for each line along the wall: one path over the line
+and the body is the shortest, and its second derivatives give the spreading [BornWolf1999]. Kirchhoff's integral across
+those lines is the sum over them [LingChouLee1989]. It is finite everywhere and includes all paths.
 """
 
 from __future__ import annotations
@@ -28,29 +28,38 @@ from ullage.radar.real_paths import Real, free, turned
 from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, accumulate, around, planes_of, swapped
 
 Turn = tuple[Plane, int] | None
-Chain = tuple[AntennaPair, bool, tuple[bool, ...], Turn]
 
 WALL_FIRST = (True, False)
 TO_AND_FRO = (False, True, False)
-"""Which surfaces of a chain are the wall."""
-_STEPS = 12  # of Newton's method, at the most
-_TURN = 0.8  # the phase turns by no more from place to place [rad]
-_CLOSE = 0.3  # lines along the wall lie this apart for a point a metre before it, closer for a nearer one
-_FEWEST, _MOST = 64, 720  # so many lines
+"""Order of the surfaces of a path: True for the wall, False for the body."""
+_STEPS = 12  # most steps of Newton's method
+_TURN = 0.8  # largest phase difference between neighbouring places [rad]
+_CLOSE = 0.3  # spacing of lines along the wall for a point 1 m in front of it [m]; less for a nearer one
+_FEWEST, _MOST = 64, 720  # number of lines
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """The order in which a path meets wall, body and plane."""
+
+    antennas: AntennaPair
+    back: bool  # traced from the receiver
+    walls: tuple[bool, ...]  # order of wall and body
+    turn: Turn = None  # plane across the axis, and the end of the path at which it is met
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """Paths over each of some lines along the wall, all round."""
+    """Paths over lines along the wall, around the whole circle."""
 
-    walls: Bools  # (s) which surfaces are the wall
+    walls: Bools  # (s) whether each surface is the wall
     corners: Floats  # (s + 2, n, 3) [m]
-    normals: Floats  # (s, n, 3) of the surfaces, to where the waves are
+    normals: Floats  # (s, n, 3) of the surfaces, towards the waves
     length: Floats  # (n) [m]
-    slope: Floats  # (n) how fast that grows along the wall
-    spread: Floats  # (n) what a source's wave is less at the end, but for the integral across the lines [m^-1.5]
-    bends: Floats  # (s, n) second derivative along the axis of each surface, all else as it fits [1/m]
-    near: float  # how far off the wall the nearer leg begins, both as one [m]
+    slope: Floats  # (n) derivative of the length along the wall
+    spread: Floats  # (n) spreading factor without the integral across the lines [m^-1.5]
+    bends: Floats  # (s, n) second derivative along the axis of each surface, minimised over the rest [1/m]
+    near: float  # harmonic sum of the shortest legs before and after the wall [m]
 
 
 def accumulate_wall_bodies(
@@ -60,39 +69,40 @@ def accumulate_wall_bodies(
     planar: PlanarPatches,
     antennas: AntennaPair,
     most: int,
-    look: Floats,
+    sizes: Floats,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes over the wall of a tank that the radar is in and one body in it to the delay grids.
+    """Add the echoes over the wall of a tank that contains the radar and one body in it to the delay grids.
 
-    Two bounces; with three, another one at a floor or a roof across the axis, those that look largest (p), or from the
-    body to the wall and back. What is too faint beside what the grids hold is left out.
+    Paths have two bounces. With three, the additional bounce is at a floor or a roof across the axis among those of the
+    largest apparent `sizes` (p), or the path goes from the body to the wall and back. Echoes that are too weak against
+    those in the grids are left out.
     """
     out: list[EchoSet] = []
     one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     least = FAINT * float(abs(grids).max())
     for wall in around(context, quadrics, antennas):
-        planes = planes_of(planar, wall, look) if most > 2 else []
+        planes = planes_of(planar, wall, sizes) if most > 2 else []
         for body, weight in _within(context, quadrics, wall, antennas):
-            told = replace(antennas, factor=weight * antennas.factor)
-            sides = [(replace(told, factor=2 * told.factor), False)] if one else [(told, False), (swapped(told), True)]
-            chains: list[Chain] = [(side, back, WALL_FIRST, turn) for side, back in sides for turn in _turns(planes)]
-            chains += [(told, False, TO_AND_FRO, None)] if most > 2 else []
-            for side, back, walls, turn in chains:
-                echoes = _over(context, parts, side, wall, body, walls, turn, least, grids)
-                out += [] if echoes is None else [_reversed(echoes) if back else echoes]
+            pair = replace(antennas, factor=weight * antennas.factor)
+            sides = [(replace(pair, factor=2 * pair.factor), False)] if one else [(pair, False), (swapped(pair), True)]
+            chains = [Chain(side, back, WALL_FIRST, turn) for side, back in sides for turn in _turns(planes)]
+            chains += [Chain(pair, False, TO_AND_FRO)] if most > 2 else []
+            for chain in chains:
+                echoes = _over(context, parts, chain, wall, body, least, grids)
+                out += [] if echoes is None else [_reversed(echoes) if chain.back else echoes]
     return out
 
 
 def _turns(planes: list[Plane]) -> list[Turn]:
-    """No plane at all; each of some, met before the body or after it."""
+    """List the turns: no plane, and each plane at either end of the path."""
     return [None, *((plane, end) for plane in planes for end in (0, 1))]
 
 
 def _within(
     context: RadarContext, quadrics: tuple[Quadric, ...], wall: Quadric, antennas: AntennaPair
 ) -> Iterator[tuple[Quadric, float]]:
-    """The bodies within a wall that have both antennas outside, those that look largest, and what each counts."""
+    """Find the bodies inside a wall with both antennas outside them, of the largest apparent sizes, with weights."""
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
     bodies = [b for b in quadrics if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
     gaps = np.array([np.linalg.norm(antennas.origins - body.centre, axis=1).max() for body in bodies])
@@ -108,11 +118,13 @@ def _outside(body: Quadric, antennas: AntennaPair) -> bool:
 
 
 def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ...]) -> Lines:
-    """The shortest paths from one point (2, 3) [m] over each of many lines along a wall, and a body, to another."""
+    """Find the shortest paths from one point (2, 3) [m] over each line along a wall, and a body, to another."""
     many = len(walls)
     x, y, _ = wall.local(np.concatenate([ends, body.centre[None]])).T
     gaps = wall.radius - np.hypot(x, y) - [0.0, 0.0, body.radius]
-    close = _CLOSE * max(float(gaps.min()), 0.1) ** 0.75  # so is a cubic between them right to a fraction of a wave
+    close = (
+        _CLOSE * max(float(gaps.min()), 0.1) ** 0.75
+    )  # a cubic between lines is then right to a fraction of a wavelength
     count = int(np.clip(2 * np.pi * wall.radius / close, _FEWEST, _MOST))
     out, feet = _feet(wall, count)
     kinds, at = np.array(walls), walls.index(True)
@@ -131,7 +143,7 @@ def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ..
 
 @lru_cache(maxsize=32)
 def _feet(wall: Quadric, count: int) -> tuple[Floats, Floats]:
-    """Unit vectors (n, 3) out from the axis all round a wall, and lines there, where they are level with its centre."""
+    """Return unit vectors (n, 3) from the axis of a wall, and points of lines along it, level with the centre."""
     angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
     out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
     return out, wall.centre + wall.radius * out
@@ -140,15 +152,14 @@ def _feet(wall: Quadric, count: int) -> tuple[Floats, Floats]:
 def _over(
     context: RadarContext,
     parts: list[Surfaces],
-    antennas: AntennaPair,
+    chain: Chain,
     wall: Quadric,
     body: Quadric,
-    walls: tuple[bool, ...],
-    turn: Turn,
     least: float,
     grids: Complexes,
 ) -> EchoSet | None:
-    """Lays the echo over one chain of surfaces, with a bounce at a plane across the axis or without."""
+    """Add the echo over one chain of surfaces, with or without a bounce at a plane across the axis."""
+    antennas, turn = chain.antennas, chain.turn
     ends = antennas.origins
     if turn is not None:
         heights = wall.local(ends)[:, 2] - turn[0].level
@@ -156,7 +167,7 @@ def _over(
             return None
         ends = ends.copy()
         ends[turn[1]] -= 2 * heights[turn[1]] * wall.axes[2]
-    lines, wave = lines_over(wall, body, ends, walls), 2 * np.pi / context.spec.wavelength_m
+    lines, wave = lines_over(wall, body, ends, chain.walls), 2 * np.pi / context.spec.wavelength_m
     near = lines.length < 2 * context.gate[1]
     value = lines.spread * near * antennas.factor / (2 * wave) * np.sqrt(0.5j * wave / np.pi)
     around_ = _sampled(lines, wall.radius, wave, value != 0)
@@ -168,18 +179,18 @@ def _over(
         return None
     wanted = np.zeros(len(value), np.bool_)
     wanted[first] = wanted[(first + 1) % len(value)] = True
-    asked = np.flatnonzero(wanted)
-    path = _real(lines, wall, body, antennas.origins, turn, asked)
+    wanted_lines = np.flatnonzero(wanted)
+    path = _real(lines, wall, body, antennas.origins, turn, wanted_lines)
     seen = np.zeros(len(value), complex)
-    seen[asked] = value[asked] * free(parts, path) * turned(context, antennas, path)
-    seen[asked] *= _covered(lines, wall, body, asked, turn, context.spec.wavelength_m)
-    return _deposited(context, lines, wall, path, asked, (first, share, weights), seen, grids)
+    seen[wanted_lines] = value[wanted_lines] * free(parts, path) * turned(context, antennas, path)
+    seen[wanted_lines] *= _end_factors(lines, wall, body, wanted_lines, turn, context.spec.wavelength_m)
+    return _add_echoes(context, lines, wall, path, wanted_lines, (first, share, weights), seen, grids)
 
 
 def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Longs, Floats, Floats] | None:
-    """Places for the sum along the wall: after which line, by what share of the way to the next, and what each counts.
+    """Choose places for the sum along the wall: line before each, share of the distance to the next line, and weight.
 
-    All about points of stationary phase, as far as the phase runs ahead by half of `ZONES` at the least.
+    They surround the points of stationary phase, to a phase of at least half of `ZONES`.
     """
     count = len(lines.length)
     step, cut = 2 * np.pi * radius / count, min(float(np.sqrt(ZONES / (wave * lines.near))), 2.0)
@@ -190,14 +201,14 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
     return (first[:made], share[:made], weights[:made]) if made else None
 
 
-def _real(lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Turn, asked: Longs) -> Real:
-    """Some paths (n), what lies beyond a plane brought back; corners beyond ends of round things drawn onto them."""
-    corners, normals = lines.corners[:, asked], lines.normals[:, asked]
-    kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(asked), 1)  # wall, body, plane
-    there, plane_object_id = np.ones(len(asked), bool), -1
+def _real(lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Turn, wanted_lines: Longs) -> Real:
+    """Return some geometric paths (n): unfolded at a plane, with corners past the ends of bodies moved onto them."""
+    corners, normals = lines.corners[:, wanted_lines], lines.normals[:, wanted_lines]
+    kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(wanted_lines), 1)  # wall, body, plane
+    there, plane_object_id = np.ones(len(wanted_lines), bool), -1
     if turn is not None:
         plane, end = turn
-        back = slice(None, None, -1 if end else 1)  # as seen from the end that is an image
+        back = slice(None, None, -1 if end else 1)  # from the end that is an image
         side = float(np.sign(wall.local(origins[end])[2] - plane.level))
         corners, normals, kinds, there = _unfolded(wall, plane, side, corners[back], normals[back], kinds[back])
         corners, normals, kinds, plane_object_id = corners[back], normals[back], kinds[back], plane.object_id
@@ -217,16 +228,16 @@ def _real(lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Tur
 def _unfolded(
     wall: Quadric, plane: Plane, side: float, corners: Floats, normals: Floats, kinds: Longs
 ) -> tuple[Floats, Floats, Longs, Bools]:
-    """Paths (n) that begin beyond a plane across the axis as they run, turned back at it, and whether that may be."""
+    """Reflect paths (n) from an image behind a plane across the axis at the plane; return whether they exist."""
     axis = side * wall.axes[2]
     gaps = (corners - wall.centre) @ axis - side * plane.level
-    late = (gaps[1] < 0) & (kinds[0] == 0)  # the wall's own image is met first
+    late = (gaps[1] < 0) & (kinds[0] == 0)  # the wall's image comes first
     a, b = (np.where(late[:, None], corners[k + 1], corners[k]) for k in (0, 1))
     gap, then = (np.where(late, gaps[k + 1], gaps[k]) for k in (0, 1))
-    foot = a + (gap / np.where(gap < then, gap - then, -1.0))[:, None] * (b - a)
+    crossing = a + (gap / np.where(gap < then, gap - then, -1.0))[:, None] * (b - a)
     begin, first = (corners[k] - 2 * gaps[k][:, None] * axis for k in (0, 1))
-    swap, flat = late[:, None], np.broadcast_to(axis, foot.shape)
-    stops = [np.where(swap, first, foot), np.where(swap, foot, corners[1]), *corners[2:]]
+    swap, flat = late[:, None], np.broadcast_to(axis, crossing.shape)
+    stops = [np.where(swap, first, crossing), np.where(swap, crossing, corners[1]), *corners[2:]]
     faces = [np.where(swap, normals[0], flat), np.where(swap, flat, normals[0]), *normals[1:]]
     floor = np.full(len(late), 2)
     which = [np.where(late, kinds[0], floor), np.where(late, floor, kinds[0]), *kinds[1:]]
@@ -234,21 +245,23 @@ def _unfolded(
     return np.stack([begin, *stops]), np.stack(faces), np.stack(which), there
 
 
-def _covered(lines: Lines, wall: Quadric, body: Quadric, asked: Longs, turn: Turn, wavelength: float) -> Complexes:
-    """What the ends of wall and drum leave of the waves (n), by Fresnel's integral along their axes.
+def _end_factors(
+    lines: Lines, wall: Quadric, body: Quadric, wanted_lines: Longs, turn: Turn, wavelength: float
+) -> Complexes:
+    """Compute the factors (n) of the ends of wall and drum, by Fresnel integrals along their axes.
 
-    The wall's end that stands on a plane which is met beside the wall is none: beyond it the wall's image goes on.
+    An end of the wall on a plane that the path meets next to the wall does not count: the wall continues as its image.
     """
-    total = np.ones(len(asked), complex)
+    total = np.ones(len(wanted_lines), complex)
     for s, on_wall in enumerate(lines.walls):
         thing = wall if on_wall else body
         if thing.is_sphere:
             continue
-        along = (lines.corners[1 + s, asked] - thing.centre) @ thing.axes[2]
-        root, ends = np.sqrt(np.maximum(2 * lines.bends[s, asked], 0.0) / wavelength), []
+        along = (lines.corners[1 + s, wanted_lines] - thing.centre) @ thing.axes[2]
+        root, ends = np.sqrt(np.maximum(2 * lines.bends[s, wanted_lines], 0.0) / wavelength), []
         for sign, end in ((-1, thing.low), (1, thing.high)):
-            beside = on_wall and turn is not None and s == (0, len(lines.walls) - 1)[turn[1]]
-            if beside and turn is not None and abs(end - turn[0].level) < SAME_M:
+            next_to_wall = on_wall and turn is not None and s == (0, len(lines.walls) - 1)[turn[1]]
+            if next_to_wall and turn is not None and abs(end - turn[0].level) < SAME_M:
                 ends.append(np.full(len(along), sign * (0.5 - 0.5j)))
             else:
                 sine, cosine = fresnel((end - along) * root)
@@ -257,11 +270,11 @@ def _covered(lines: Lines, wall: Quadric, body: Quadric, asked: Longs, turn: Tur
     return total
 
 
-def _deposited(
-    context: RadarContext, lines: Lines, wall: Quadric, path: Real, asked: Longs, places: tuple[Longs, Floats, Floats],
-    seen: Complexes, grids: Complexes,
+def _add_echoes(
+    context: RadarContext, lines: Lines, wall: Quadric, path: Real, wanted_lines: Longs,
+    places: tuple[Longs, Floats, Floats], seen: Complexes, grids: Complexes,
 ) -> EchoSet:  # fmt: skip
-    """Lays the sum over places along the wall; told as one echo for each point of stationary phase."""
+    """Add the sum over places along the wall; return one echo for each point of stationary phase."""
     first, share, _ = places
     value, (length, slope) = np.empty(len(first), complex), np.empty((2, len(first)))
     step = 2 * np.pi * wall.radius / len(seen)
@@ -272,7 +285,7 @@ def _deposited(
     count = len(leads)
     led, total = np.empty(len(first), np.int64), np.empty(count, complex)
     kernel.gathered(first, share, leads, len(seen), echo, led, total)
-    at = np.searchsorted(asked, first[leads])
+    at = np.searchsorted(wanted_lines, first[leads])
     names = path.object_ids[:, at]
     via = np.full((count, 2), -1, np.int64)
     via[:, : len(names) - 1] = names[:-1].T
@@ -284,6 +297,6 @@ def _deposited(
 
 
 def _reversed(echoes: EchoSet) -> EchoSet:
-    """Echoes traced from the receiver, as the wave runs: it meets last what was traced first."""
+    """Reverse echoes that were traced from the receiver: the surface traced first is the last one met."""
     via = np.array([[b, a] if b >= 0 else [a, b] for a, b in np.asarray(echoes.via)], np.int64)
     return replace(echoes, via=via, before=np.zeros(len(via), np.int64))

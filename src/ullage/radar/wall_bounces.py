@@ -1,15 +1,14 @@
-"""Echoes from wall to wall inside a round tank, by rays that bounce and physical optics at the last wall.
+"""Echoes between the walls inside a cylindrical tank: reflected rays, and physical optics at the last wall.
 
-Rays leave one antenna all round the axis and are bounced by geometrical optics [Deschamps1972], each with the spread
-of its tube and the caustics it has passed [KravtsovOrlov1993]; Kirchhoff's integral over the last wall, to the other
-antenna, is the sum over them [LingChouLee1989]. Round a cylinder it is a sum over one angle: along the axis nothing
-bends, so paths go straight on there and the integral is that of a point of stationary phase. In the sum a tube counts
-by the root of its width, so where walls focus the wave nothing becomes infinite. That integral errs where a tube has
-shrunk to nothing on the last wall. It may as well be done over the first wall, from the other antenna; each path is
-shared between both by how wide its tube is there, and how far the antenna.
+Rays leave one antenna in all directions around the axis. Geometrical optics reflects them [Deschamps1972] and follows
+the width of each ray tube and the caustics that it passes [KravtsovOrlov1993]. Kirchhoff's integral over the last wall
+to the other antenna becomes the sum over the rays [LingChouLee1989]. In a cylinder it is a sum over one angle: along
+the axis the wall is straight, so the integral there follows by stationary phase. A tube counts with the square root of
+its width, so the sum stays finite where walls focus. The integral is wrong where a tube has zero width on the last
+wall. It may equally run over the first wall, from the other antenna. So each path is shared between both integrals, by
+the width of its tube and the distance of the antenna at each.
 
-A level floor or roof across the axis turns the way along the axis back: one bounce more, at the height where its
-image has it.
+A floor or roof across the axis reverses the path along the axis. It adds one bounce, at the height given by its image.
 """
 
 from __future__ import annotations
@@ -32,37 +31,37 @@ from ullage.radar.quadrics import Quadric
 from ullage.radar.visibility import between
 
 LEAST_M = 0.25
-"""Narrower pipes are wave guides, not mirrors: their radius is but a few waves [m]."""
+"""Least radius [m]: narrower pipes are wave guides, not mirrors."""
 ZONES = 50.0
-"""The sum over a wall fades out where its phase runs ahead by half of this [rad]."""
+"""Twice the phase at which the sum over a wall fades out [rad]."""
 ALIAS = 4.0
-"""It fades out, too, where the phase turns by this from one ray to the next [rad]."""
+"""Phase difference between neighbouring rays at which the sum also fades out [rad]."""
 FAINT = 1e-3
-"""Rays that count less than this share of the one that counts most are left out."""
+"""Least weight of a ray, as a share of the largest weight."""
 FLOORS = 2
-"""Over so many planes across the axis, those whose faces look largest, waves go on."""
+"""Most planes across the axis that reflect, in the order of their faces' apparent sizes."""
 EVERY = 8
-"""Of so many rays one is asked what stands in its way and what becomes of its field; they are but 1 or 2 cm apart."""
+"""Visibility and fields are computed for one of this many rays: neighbours are only 1 or 2 cm apart."""
 SAME_M = 0.01
-"""Planes so near to each other are one [m]."""
+"""Planes that are closer than this count as one [m]."""
 PULL_M = 4e-3
-"""Points on round things are looked at so far off their facets [m]."""
+"""Distance of visibility tests from the facets of curved bodies [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fan:
-    """Rays across the axis of a cylinder, from wall to wall and to where they are to end, those that count."""
+    """Rays across the axis of a cylinder, from wall to wall and to their end; rays of small weight are left out."""
 
-    points: Floats  # (b, n, 2) where they meet the wall [m]
+    points: Floats  # (b, n, 2) reflection points on the wall [m]
     paths: Floats  # (b + 1, n, 2) unit vectors of travel
-    along: Floats  # (b + 1, n) path up to each wall, and to the end [m]
-    weights: Complexes  # (n) of each in the sum, but for the root of the wave number across the axis
-    names: Longs  # (n) number of each among those all round
-    leads: Longs  # (m) those that are paths, turned at the last wall as by a mirror
-    led: Longs  # (n) which of them is next to each
+    along: Floats  # (b + 1, n) path length up to each wall, and to the end [m]
+    weights: Complexes  # (n) weight in the sum, without the root of the wave number across the axis
+    names: Longs  # (n) number of each among all rays around the axis
+    leads: Longs  # (m) rays that are specular at the last wall
+    led: Longs  # (n) the nearest of these
 
     def some(self) -> Fan:
-        """Every `EVERY`th of them."""
+        """Select every `EVERY`th ray."""
         which = np.append(np.arange(0, len(self.names) - 1, EVERY), len(self.names) - 1)
         return replace(self, points=self.points[:, which], paths=self.paths[:, which], along=self.along[:, which],
                        weights=self.weights[which], names=self.names[which])  # fmt: skip
@@ -70,7 +69,7 @@ class Fan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A floor or a roof, across a cylinder's axis."""
+    """A floor or a roof across the axis of a cylinder."""
 
     level: float  # along the axis [m]
     object_id: int  # object
@@ -83,32 +82,32 @@ def accumulate_walls(
     planar: PlanarPatches,
     antennas: AntennaPair,
     max_bounces: int,
-    look: Floats,
+    sizes: Floats,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes from wall to wall of the round tanks that the radar is in to the delay grids.
+    """Add the echoes from wall to wall of the cylindrical tanks that contain the radar to the delay grids.
 
-    Two bounces; with three, another one at the wall, or one at a floor or a roof, those that look largest (p).
+    Paths have two bounces. With three, the additional bounce is at the wall, or at a floor or a roof among those of the
+    largest apparent `sizes` (p).
     """
     out: list[EchoSet] = []
     one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     sides = [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, swapped(antennas)]
     for wall in around(context, quadrics, antennas):
-        planes = planes_of(planar, wall, look) if max_bounces > 2 else []
+        planes = planes_of(planar, wall, sizes) if max_bounces > 2 else []
         for side in sides:
             for bounces in range(2, max_bounces + 1):
-                told = _echoes_of(context, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
-                out += told
+                out += _echoes_of(context, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
     return out
 
 
 def swapped(antennas: AntennaPair) -> AntennaPair:
-    """The antennas in each other's place."""
+    """Exchange transmitter and receiver."""
     return replace(antennas, **{row: getattr(antennas, row)[::-1].copy() for row in ("origins", "frames", "fields")})
 
 
 def around(context: RadarContext, quadrics: tuple[Quadric, ...], antennas: AntennaPair) -> Iterator[Quadric]:
-    """The walls about both antennas whose opposite sides lie within the gate, but for facets that mirror as flats."""
+    """Find the walls around both antennas with their far side within the gate and facets too narrow for mirrors."""
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
     for wall in quadrics:
         if not wall.is_sphere and wall.radius > LEAST_M and wall.widest < narrow and 2 * wall.radius < context.gate[1]:
@@ -117,11 +116,11 @@ def around(context: RadarContext, quadrics: tuple[Quadric, ...], antennas: Anten
                 yield wall
 
 
-def planes_of(planar: PlanarPatches, wall: Quadric, look: Floats) -> list[Plane]:
-    """Floors and roofs: where faces lie across the axis, plane by plane, those that look largest (p) first."""
-    level = np.flatnonzero((abs(planar.normals @ wall.axes[2]) > 1 - 1e-6) & (look > 0))
+def planes_of(planar: PlanarPatches, wall: Quadric, sizes: Floats) -> list[Plane]:
+    """Find floors and roofs: planes of faces across the axis, in the order of apparent sizes (p)."""
+    level = np.flatnonzero((abs(planar.normals @ wall.axes[2]) > 1 - 1e-6) & (sizes > 0))
     found: list[Plane] = []
-    for face in level[np.argsort(-look[level], kind="stable")]:
+    for face in level[np.argsort(-sizes[level], kind="stable")]:
         height = float(wall.local(planar.starts[planar.first[face]])[2])
         if all(abs(height - plane.level) > SAME_M for plane in found):
             found.append(Plane(height, int(planar.object_ids[face])))
@@ -145,19 +144,19 @@ def _echoes_of(
     for plane in (None, *planes):
         if plane is not None and (start[2] - plane.level) * (stop[2] - plane.level) <= 0:
             continue
-        told = _over(context, parts, antennas, wall, fan, plane, grids)
-        if told is not None:
-            out.append(told)
+        echo = _over(context, parts, antennas, wall, fan, plane, grids)
+        if echo is not None:
+            out.append(echo)
     return out
 
 
 def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float) -> Fan:
-    """Rays from one point (2) within a circle over its wall to another (2), the way on from the last wall any.
+    """Trace rays from one point (2) inside a circle over its wall to another (2), in any direction at the last wall.
 
     Args:
         radius: of the circle [m].
-        start: from where, about its middle [m].
-        stop: to where [m].
+        start: first point, from the centre [m].
+        stop: last point [m].
         bounces: 2 or more.
         wave: wave number [1/m].
     """
@@ -168,7 +167,7 @@ def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float
     on, off = stop[0] - x, stop[1] - y
     last = np.sqrt(on * on + off * off)
     on, off = on / last, off / last
-    turn = (y * (on - u) - x * (off - v)) / radius  # how fast the path grows along the wall
+    turn = (y * (on - u) - x * (off - v)) / radius  # derivative of the path length along the wall
     back = np.maximum(-(on * x + off * y) / radius, 0.0)
     path = shot.legs.sum(0) + last
     weights = np.sqrt(abs(width) / last * path) * (slope + back) / (2 * slope) * _share(shot, last, radius)
@@ -183,14 +182,14 @@ def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """Rays that were sent all round, up to their last wall."""
+    """Rays in all directions around the axis, up to their last wall."""
 
-    points: Floats  # (b, 2, n) where they meet walls [m]
-    paths: Floats  # (b, 2, n) how they come there
+    points: Floats  # (b, 2, n) reflection points [m]
+    paths: Floats  # (b, 2, n) directions of arrival
     legs: Floats  # (b, n) from wall to wall [m]
     slopes: Floats  # (b, n) cos(incidence)
-    width: Floats  # (n) of the tube at the last wall over the angle between rays, less than 0 beyond a caustic [m]
-    caustics: Longs  # (n) that they have passed
+    width: Floats  # (n) width of the tube at the last wall over the angle between rays, negative past a caustic [m]
+    caustics: Longs  # (n) number of caustics passed
 
 
 def _shot(radius: float, start: Floats, bounces: int, step: float) -> Shot:
@@ -213,7 +212,7 @@ def _shot(radius: float, start: Floats, bounces: int, step: float) -> Shot:
 
 
 def _leads(names: Longs, turn: Floats, count: int) -> tuple[Longs, Longs]:
-    """Those rays (n) out of `count` all round whose path is stationary along the wall, and which of them is next."""
+    """Find the rays (n), out of `count`, with stationary path length along the wall, and the nearest for each ray."""
     after = np.roll(np.arange(len(names)), -1)
     here = np.flatnonzero((turn * turn[after] <= 0) & ((names[after] - names) % count == 1))
     leads = np.where(abs(turn[here]) < abs(turn[after[here]]), here, after[here])
@@ -224,14 +223,14 @@ def _leads(names: Longs, turn: Floats, count: int) -> tuple[Longs, Longs]:
 
 
 def _fade(turn: Floats, last: Floats, width: Floats, radius: float, wave: float, step: float) -> Floats:
-    """What counts of rays (n) whose path grows by `turn` along the last wall: all about a point of stationary phase."""
+    """Weigh rays (n) by the derivative `turn` of their path along the last wall: fading off stationary phase."""
     length = last * radius / (last + radius)
     reach = np.sqrt(turn * turn * (wave * length / ZONES + (wave * width * step / ALIAS) ** 2))
     return np.asarray(np.sin(np.pi * np.clip(1 - reach, 0, 0.5)) ** 2)
 
 
 def _share(shot: Shot, last: Floats, radius: float) -> Floats:
-    """What rays (n) count for, done from this end, of what they count for from both."""
+    """Compute the share (n) of the integral over the last wall; the rest belongs to that over the first."""
     width, bend = last, np.ones(len(last))
     for leg, slope in zip(shot.legs[:0:-1], shot.slopes[:0:-1], strict=True):
         bend = bend - 2 * width / (radius * slope)
@@ -249,29 +248,29 @@ def _over(
     plane: Plane | None,
     grids: Complexes,
 ) -> EchoSet | None:
-    """Lays the echo over one fan, with a bounce at a plane across the axis or without."""
+    """Add the echo over one fan, with or without a bounce at a plane across the axis."""
     (_, _, begin), (_, _, end) = wall.local(antennas.origins)
     rise = (end if plane is None else 2 * plane.level - end) - begin
     path = np.sqrt(fan.along[-1] ** 2 + rise**2)
     if path.min(initial=np.inf) > 2 * context.gate[1]:
         return None
-    looked = fan.some()
-    met = _climb(wall, looked, plane, begin, rise)
-    free = _free(parts, antennas, wall, looked, met, plane)
+    sampled = fan.some()
+    met = _climb(wall, sampled, plane, begin, rise)
+    free = _free(parts, antennas, wall, sampled, met, plane)
     if not free.any():
         return None
-    seen = free * _covered(wall, plane, met, looked.along, context.spec.wavelength_m)
-    seen *= _turned(context, antennas, wall, looked, plane, met)
+    seen = free * _end_factors(wall, plane, met, sampled.along, context.spec.wavelength_m)
+    seen *= _turned(context, antennas, wall, sampled, plane, met)
     wavelength = context.spec.wavelength_m
     value = antennas.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * path)) / path * fan.weights
-    value *= np.interp(fan.names, looked.names, seen)
+    value *= np.interp(fan.names, sampled.names, seen)
     echo = accumulate(context, path / C0, value, grids, (0.5, 0.5))
     leads, count = fan.leads, len(fan.leads)
     via = np.full((count, 2), -1, np.int64)
     via[:, : len(fan.points) - 1] = wall.object_id
     if plane is not None:
         via[:, 1] = plane.object_id
-    points = np.stack([np.interp(fan.names[leads], looked.names, row) for row in met.stops[-1].T], 1)
+    points = np.stack([np.interp(fan.names[leads], sampled.names, row) for row in met.stops[-1].T], 1)
     total = np.bincount(fan.led, echo.real, count) + 1j * np.bincount(fan.led, echo.imag, count)
 
     def again(factors: Complexes, others: Complexes) -> None:
@@ -282,13 +281,13 @@ def _over(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Met:
-    """Where rays of a fan meet the wall, as they climb the axis."""
+    """Reflection points of the rays of a fan on the wall, with their heights along the axis."""
 
-    stops: Floats  # (b, n, 3) just within the facets [m]
+    stops: Floats  # (b, n, 3) just inside the facets [m]
     heights: Floats  # (b, n) along the axis [m]
-    level: Floats  # (n) share of their way that runs across the axis
-    climb: Floats  # (n) share of it along the axis, at first
-    leg: Longs  # (n) on which they meet the plane; one more than there are where there is none
+    level: Floats  # (n) cosine between path and cross-section
+    climb: Floats  # (n) cosine between path and axis, at first
+    leg: Longs  # (n) leg that meets the plane; past the last one without a plane
 
 
 def _climb(wall: Quadric, fan: Fan, plane: Plane | None, begin: float, rise: float) -> Met:
@@ -296,19 +295,19 @@ def _climb(wall: Quadric, fan: Fan, plane: Plane | None, begin: float, rise: flo
     heights = begin + rise * fan.along[:-1] / fan.along[-1]
     leg = np.full(len(path), len(fan.paths))
     if plane is not None:
-        beyond = (heights - plane.level) * (begin - plane.level) < 0
-        heights = np.where(beyond, 2 * plane.level - heights, heights)
-        leg = (~beyond).sum(0)
+        after = (heights - plane.level) * (begin - plane.level) < 0
+        heights = np.where(after, 2 * plane.level - heights, heights)
+        leg = (~after).sum(0)
     inner = np.minimum(np.maximum(heights, wall.low + PULL_M), wall.high - PULL_M)
     pulled = fan.points * (1 - (wall.depth + PULL_M) / wall.radius)
     stops = wall.centre + pulled @ wall.axes[:2] + inner[..., None] * wall.axes[2]
     return Met(stops, heights, fan.along[-1] / path, rise / path, leg)
 
 
-def _covered(wall: Quadric, plane: Plane | None, met: Met, along: Floats, wavelength: float) -> Complexes:
-    """What the wall's ends along its axis leave of the waves (n) at their bounces there, by Fresnel's integral.
+def _end_factors(wall: Quadric, plane: Plane | None, met: Met, along: Floats, wavelength: float) -> Complexes:
+    """Compute the factors (n) of the wall's ends along its axis, by Fresnel integrals at the bounces.
 
-    The end that stands on the plane is none: beyond it the wall's image goes on.
+    An end on the plane does not count: past it the wall continues as its image.
     """
     zone = np.sqrt(wavelength * along[:-1] * (1 - along[:-1] / along[-1]) / met.level**3)
     ends = [np.full(zone.shape, -0.5 + 0.5j), np.full(zone.shape, 0.5 - 0.5j)]
@@ -322,7 +321,7 @@ def _covered(wall: Quadric, plane: Plane | None, met: Met, along: Floats, wavele
 def _free(
     parts: list[Surfaces], antennas: AntennaPair, wall: Quadric, fan: Fan, met: Met, plane: Plane | None
 ) -> Bools:
-    """Which rays (n) have all legs free and meet what is there: the wall may have gaps, the floor may end."""
+    """Return which rays (n) have free legs and existing reflection points: walls have gaps, floors end."""
     stops, count = met.stops, len(met.leg)
     ends = [np.broadcast_to(origin, (1, count, 3)) for origin in antennas.origins]
     corners = np.concatenate([ends[0], stops, ends[1]])
@@ -331,12 +330,13 @@ def _free(
     if plane is not None:
         rows, normal = np.arange(count), wall.axes[2]
         a, b = corners[met.leg, rows], corners[met.leg + 1, rows]
-        gap, beyond = ((point - wall.centre) @ normal - plane.level for point in (a, b))
-        foot = a + (gap / (gap + beyond))[:, None] * (b - 2 * beyond[:, None] * normal - a)
+        gap, opposite = ((point - wall.centre) @ normal - plane.level for point in (a, b))
+        image = b - 2 * opposite[:, None] * normal
+        hit = a + (gap / (gap + opposite))[:, None] * (image - a)
         lift = np.sign(gap)[:, None] * PULL_M * normal
-        legs[1][met.leg, rows] = foot + lift
-        legs = [np.concatenate([legs[0], (foot + lift)[None]]), np.concatenate([legs[1], b[None]])]
-        holds = [np.concatenate([here, (foot + side)[None]]) for here, side in zip(holds, (lift, -lift), strict=True)]
+        legs[1][met.leg, rows] = hit + lift
+        legs = [np.concatenate([legs[0], (hit + lift)[None]]), np.concatenate([legs[1], b[None]])]
+        holds = [np.concatenate([here, (hit + side)[None]]) for here, side in zip(holds, (lift, -lift), strict=True)]
     both = [np.concatenate(rows).reshape(-1, 3) for rows in zip(legs, holds, strict=True)]
     clear = between(parts, *both).reshape(-1, count)
     return np.asarray(clear[: len(legs[0])].all(0) & ~clear[len(legs[0]) :].any(0))
@@ -345,7 +345,7 @@ def _free(
 def _turned(
     context: RadarContext, antennas: AntennaPair, wall: Quadric, fan: Fan, plane: Plane | None, met: Met
 ) -> Complexes:
-    """What the antennas and all reflections make of the waves (n)."""
+    """Compute the product (n) of antenna gains and reflections, with polarisation."""
     paths, climb = fan.paths @ wall.axes[:2] * met.level[:, None], met.climb[:, None] * wall.axes[2]
     normals, object_ids = fan.points @ wall.axes[:2] / wall.radius, np.full(len(climb), wall.object_id)
     u = paths[0] + climb
@@ -368,10 +368,10 @@ def _turned(
 def accumulate(
     context: RadarContext, delay: Floats, value: Complexes, grids: Complexes, shares: tuple[float, float]
 ) -> Complexes:
-    """Lays impulses (n) at their delays [s] on the grids; gives them at the carrier.
+    """Add impulses (n) at their delays [s] to the grids; return their values at the carrier.
 
-    They fall by their `shares` as 1 and as 1 / f: a mirror's as 1 / f, points whose sum along a line makes a mirror's
-    as its root, which is half of each.
+    `shares` are the parts that are constant in frequency and that fall as 1 / f. A mirror echo falls as 1 / f. Points
+    whose sum along a line makes a mirror echo fall as its square root, which is half of each.
     """
     echo = np.empty(len(value), complex)
     kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), context.pulse_grid, shares, grids, echo)
