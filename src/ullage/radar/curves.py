@@ -1,16 +1,17 @@
-"""Echoes of curved surfaces by way of large flat faces: a round tank's wall over its floor, a drum beside a wall.
+"""Echoes of curved surfaces over large flat faces: the wall of a tank over its floor, a drum next to a wall.
 
-A curved surface comes as many facets, each smaller than a Fresnel zone, so it is no mirror. But flat faces mirror the
-radar, and from its images the facets are done by physical optics as from the radar itself: Kirchhoff's integral with
-one end of the path at an image [AllenBerkley1979], [Balanis2012, ch. 7].
-Polarisation and reflection are those of a mirror at each point that turns the wave there the way it goes on.
-Of a facet counts what both legs reach: where they meet their faces within the rims, and are free.
+A curved surface consists of many facets, each smaller than a Fresnel zone, so it is no mirror. But flat faces mirror
+the radar, and physical optics treats the facets from its images as from the radar itself. This is Kirchhoff's integral
+with one end of the path at an image [AllenBerkley1979], [Balanis2012, ch. 7]. Polarisation and reflection at each point
+are those of a mirror that reflects the wave into its further direction. A facet counts where both legs meet their faces
+inside the outlines and are free.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,25 +31,35 @@ from ullage.radar.planar import Outlined, Shading, accumulate_parted, cut_outlin
 from ullage.radar.solids import Backs
 
 NUDGE_M = 5e-3
-"""Points of facets are looked at so far within their rims [m]."""
+"""Distance of visibility tests inside the outlines of facets [m]."""
 FACETS = 1.5e-2
-"""What facets that are left out would make within a pulse's length at the most, with phases at random, is no more than
-this of a frame's strongest echo. What they make turns out to be far less: most are hidden, or cancel."""
+"""Bound on the omitted facets within a pulse's length, with random phases, as a share of a frame's strongest echo.
+
+The actual error is far smaller: most omitted facets are hidden, or cancel."""
 REST = 4e-3
-"""So much for parts of the rims of the facets that are left."""
+"""The same for omitted parts of the outlines of the other facets."""
 MANY = 25.0
-"""So many would have to be in phase to make that: one that makes more than so small a share is not left out."""
-_LEVELS = 40  # loudness in steps of 3 dB
+"""A single omitted contribution is at most this fraction of the bound."""
+_LEVELS = 40  # histogram bins of amplitudes, 3 dB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Strips:
-    """Facets as ways meet them, one for each way and facet: what their rims are done by."""
+class MetFacets:
+    """Pairs of a path and a facet that it meets."""
 
-    of: Longs  # (m) way
+    of: Longs  # (m) path
     on: Longs  # (m) face
-    gains: Floats  # (m) the antennas' gains there, times what the way counts
+    gains: Floats  # (m) antenna gains towards the facet, times the weight of the path
     faces: Outlined  # (m)
+
+
+class PathPoints(NamedTuple):
+    """Points that paths (m) end at."""
+
+    of: Longs  # (m) path
+    points: Floats  # (m, 3) [m], or (p, 3) with `at`
+    object_ids: NDArray[np.integer]  # (m)
+    at: Longs | None = None  # (m) index of each one's point
 
 
 def accumulate_curves(
@@ -60,9 +71,9 @@ def accumulate_curves(
     peak: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes of small triangles and of facets of curved surfaces over flat faces to the delay grids.
+    """Add the echoes of small triangles and of facets of curved surfaces over flat faces to the delay grids.
 
-    Facets, and parts of their rims, that are too faint beside the path gain amplitude `peak` are left out.
+    Facets and parts of their outlines that are too weak against the path gain amplitude `peak` are left out.
     """
     if not len(paths):
         return []
@@ -72,13 +83,13 @@ def accumulate_curves(
             out += _accumulate_small(context, parts, part, planar, antennas, paths, grids)
     smooth = np.flatnonzero(planar.smooth)
     if len(smooth):
-        out += _accumulate_strips(context, parts, planar, antennas, paths, smooth, peak, grids)
+        out += _accumulate_facets(context, parts, planar, antennas, paths, smooth, peak, grids)
     return out
 
 
 @lru_cache(maxsize=8)
 def _bare(context: RadarContext) -> RadarContext:
-    """The bench with everything reflecting 1, for paths whose coefficients are known otherwise."""
+    """Return the context with reflection coefficients of 1, for paths with separate coefficients."""
     count = len(context.gamma)
     gamma, bounce = (one[-1:].repeat(count, axis=0) for one in (context.gamma, context.bounce))
     return replace(context, gamma=gamma, lag=context.lag[-1:].repeat(count, axis=0), bounce=bounce)
@@ -86,7 +97,7 @@ def _bare(context: RadarContext) -> RadarContext:
 
 @lru_cache(maxsize=8)
 def _most(context: RadarContext) -> Floats:
-    """The larger of both reflection coefficients of each object over cos(incidence)."""
+    """Return the larger of both reflection coefficients of each object over cos(incidence)."""
     return np.ascontiguousarray(abs(context.bounce[:, 0]).max(1))
 
 
@@ -106,7 +117,8 @@ def _accumulate_small(
     of, at = np.empty((2, len(paths) * len(owner)), np.int64)
     count = lit.pair_up(reach, owner, of, at)
     of, at = of[:count], at[:count]
-    factor = heard(context, parts, planar, antennas, paths, of, centroids(leaves), part.object_ids[owner[at]], at)
+    targets = PathPoints(of, centroids(leaves), part.object_ids[owner[at]], at)
+    factor = reflected_fields(context, parts, planar, antennas, paths, targets)
     free = np.flatnonzero(factor)
     if not len(free):
         return []
@@ -118,7 +130,7 @@ def _accumulate_small(
 
 
 def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
-    """Which small triangles each way can reach (n, f), if nothing stands between."""
+    """Return the small triangles that each path can reach without obstacles (n, f)."""
     out = np.zeros((len(paths), len(part.corners)), np.bool_)
     inside = part.backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
     clusters = TriangleClusters(part.spheres, part.first, part.corners)
@@ -127,11 +139,11 @@ def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
     return out
 
 
-def audible(context: RadarContext, loud: Floats, paths: Floats, rest: float) -> Bools:
-    """Which of some echoes (n) of amplitudes `loud` at mean ranges `paths` [m] count.
+def strong_enough(context: RadarContext, loud: Floats, paths: Floats, rest: float) -> Bools:
+    """Select the echoes (n) of amplitudes `loud` at mean ranges `paths` [m] that count.
 
-    All the others within a pulse's length make, with phases at random, at most a path gain amplitude of `rest`, and
-    none of them makes more than its `MANY`th.
+    With random phases, the others within a pulse's length sum to at most a path gain amplitude of `rest`, and each is
+    at most `rest / MANY`.
     """
     if rest <= 0:
         return np.asarray(loud != 0)
@@ -141,7 +153,7 @@ def audible(context: RadarContext, loud: Floats, paths: Floats, rest: float) -> 
     return out
 
 
-def _accumulate_strips(
+def _accumulate_facets(
     context: RadarContext,
     parts: list[Surfaces],
     planar: PlanarPatches,
@@ -154,45 +166,46 @@ def _accumulate_strips(
     backs = parts[0].flat_backs
     if len(parts) > 1:
         backs = Backs.joined([part.flat_backs for part in parts])
-    strips = met(context, planar, backs, paths, smooth, peak)
-    if not len(strips.on):
+    met_facets = met(context, planar, backs, paths, smooth, peak)
+    if not len(met_facets.on):
         return []
-    faces = strips.faces
-    limits, many, ends = np.array(context.gate[1:]), np.arange(len(strips.on)), paths.ends[strips.of]
+    faces = met_facets.faces
+    limits, many, ends = np.array(context.gate[1:]), np.arange(len(met_facets.on)), paths.ends[met_facets.of]
     follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
     outline = cut_outlines(many, face_outlines(faces), ends, antennas.aside, follow)
     if not (len(outline.pieces) or len(outline.tips) or (outline.windings > 0.5).any()):
         return []
 
-    loud = outlines_heard(context, outline, strips.gains, REST * peak)
+    loud = strong_pieces(context, outline, met_facets.gains, REST * peak)
 
     def shaded(points: Floats, owner: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         out = np.zeros(len(points), complex)
         wanted = np.concatenate([np.flatnonzero(loud), np.arange(len(loud), len(points))])
         points, owner = points.take(wanted, 0), owner[wanted]
-        inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims
+        inward = faces.spheres[owner, :3] - points  # mirror points of walls on floors lie on the outlines
         points = points + NUDGE_M * unit(inward)
-        object_ids = planar.object_ids[strips.on[owner]]
-        out[wanted] = heard(context, parts, planar, antennas, paths, strips.of[owner], points, object_ids)
+        object_ids = planar.object_ids[met_facets.on[owner]]
+        targets = PathPoints(met_facets.of[owner], points, object_ids)
+        out[wanted] = reflected_fields(context, parts, planar, antennas, paths, targets)
         return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
-    seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), strips.of), context.reflection)
+    seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), met_facets.of), context.reflection)
     echoes, owner = accumulate_parted(context, faces, many, outline, limits, Shading(shaded), seen, grids)
-    return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
+    return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[met_facets.on[owner]]), met_facets.of[owner])]
 
 
-def outlines_heard(context: RadarContext, outline: Outline, gains: Floats, rest: float) -> Bools:
-    """Which pieces of rims and which ends without one count, of faces (k) with so much gain."""
+def strong_pieces(context: RadarContext, outline: Outline, gains: Floats, rest: float) -> Bools:
+    """Select the pieces of outlines and the separate ends that count, of faces (k) with gains (k)."""
     louds, lengths = np.empty((2, len(outline.pieces) + len(outline.tips)))
     count = lit.outline_louds(outline, gains, context.spec.wavelength_m / (16 * np.pi**2), louds, lengths)
-    return audible(context, louds[:count], lengths[:count], rest)
+    return strong_enough(context, louds[:count], lengths[:count], rest)
 
 
 def met(
     context: RadarContext, planar: PlanarPatches, backs: Backs, paths: PathSet, smooth: Longs, peak: float
-) -> Strips:
-    """Those of some faces that ways meet within the gate, but for what is too faint."""
+) -> MetFacets:
+    """Find the faces that paths meet within the gate and that are strong enough."""
     size, inside = min(len(paths) * len(smooth), 8192), backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
     turned, outlined = lit.FaceSides(backs.outward, inside), face_outlines(planar)
     bounds = lit.EchoBounds(context.gate[1], context.pulse.omega / C0, context.table,
@@ -206,7 +219,7 @@ def met(
         if count <= size:
             break
         size = int(1.2 * count)
-    loud = np.flatnonzero(audible(context, louds[:count], lengths[:count], FACETS * peak))
+    loud = np.flatnonzero(strong_enough(context, louds[:count], lengths[:count], FACETS * peak))
     of, on, gains = of[loud], on[loud], gains[loud]
     sides = planar.first[on + 1] - planar.first[on]
     first = np.concatenate([np.zeros(1, np.int32), np.cumsum(sides, dtype=np.int32)])
@@ -220,25 +233,22 @@ def met(
         planar.starts.take(edge, 0),
         planar.ends.take(edge, 0),
     )
-    return Strips(of, on, gains, faces)
+    return MetFacets(of, on, gains, faces)
 
 
-def heard(
+def reflected_fields(
     context: RadarContext,
     parts: list[Surfaces],
     planar: PlanarPatches,
     antennas: AntennaPair,
     paths: PathSet,
-    of: Longs,
-    points: Floats,
-    object_ids: NDArray[np.integer],
-    at: Longs | None = None,
+    targets: PathPoints,
 ) -> Complexes:
-    """What all reflections of ways (m) over points of objects (m) make of the wave; 0 where it is blocked.
+    """Compute the product of all reflections (m) on paths over points of objects; 0 where the path is blocked.
 
-    The points (m, 3) [m] are those of each, or those that `at` (m) names.
-    The antennas' patterns and the spread of the wave are not in it.
+    Antenna patterns and spreading are not included.
     """
+    of, points, object_ids, at = targets
     known = reached(parts, planar, paths, of, points, at)
     out = np.zeros(len(of), complex)
     pairs = kernel.Weighed(known.stops, known.rows, np.flatnonzero(known.free), of, object_ids)
