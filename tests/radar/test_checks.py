@@ -42,7 +42,7 @@ def test_flipped_unclosed_and_doubled_meshes():
     vertices, faces = box()
     turned = faces.copy()
     turned[4] = turned[4][::-1]
-    assert any("edges of 'crate' join faces that look opposite ways" in line for line in told(scene(vertices, turned)))
+    assert any("edges of 'crate' join faces of opposite orientation" in line for line in told(scene(vertices, turned)))
     (line,) = told(scene(vertices, faces[1:]))
     assert "the mesh of 'crate' is not closed: 3 of its edges" in line
     twice = Scene.union([ul.scenes.plate(0.5, 0.5, 3.0), ul.scenes.plate(0.5, 0.5, 3.0, name="again")])

@@ -24,7 +24,7 @@ from ullage.radar.facets import Surfaces
 from ullage.radar.mirrors import dot
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
-from ullage.radar.real_paths import Real, free, turned
+from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
 from ullage.radar.wall_bounces import PULL_M, accumulate
 
 BODIES = 8
@@ -178,8 +178,8 @@ def _echoes_of(
     if not len(near):
         return []
     paths, first, last = paths.take(near), first.take(near), last.take(near)
-    path = _real(first, last, paths)
-    value = value[near] * turned(context, antennas, path)
+    path = _reflected_paths(first, last, paths)
+    value = value[near] * reflection_gains(context, antennas, path)
     for k, body in enumerate((first, last)):
         value = value * end_factor(body, paths.corners[1 + k], paths.bends[:, k], wavelength)
     value = value * (abs(value) > least) * free(parts, path)
@@ -192,12 +192,12 @@ def _echoes_of(
     return [EchoSet(last.object_ids, paths.corners[2], echo, paths.length / C0, again, via)]
 
 
-def _real(first: Bodies, last: Bodies, paths: Paths) -> Real:
+def _reflected_paths(first: Bodies, last: Bodies, paths: Paths) -> ReflectedPaths:
     """Return the geometric paths, with corners past the ends of drums moved onto the drums."""
     corners = paths.corners.copy()
     for k, body in enumerate((first, last)):
         corners[1 + k] = clamped(body, corners[1 + k])
-    return Real(
+    return ReflectedPaths(
         corners,
         paths.normals,
         np.stack([first.depths, last.depths]),

@@ -1,4 +1,4 @@
-"""What the physical radar says at its door: meshes, poses and settings that it will take but that mean little."""
+"""Warnings of the physical radar about meshes, poses and settings that make echoes doubtful."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ullage.world.scene import Scene
 
 NEAREST_M = 0.05
 """Surfaces nearer than this to a sensor are not in its far field: a bit over a wavelength [m]."""
-_ASKED = 200  # poses along a track that are looked at
-_TOLD: WeakSet[Prepared] = WeakSet()
+_POSES = 200  # largest number of checked poses along a track
+_CHECKED: WeakSet[Prepared] = WeakSet()
 
 
 def check(scene: Scene, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> None:
-    """Warns, one line each, of what makes echoes doubtful.
+    """Warn, in one line each, about meshes, poses and settings that make echoes doubtful.
 
     Args:
         scene: the world.
@@ -33,40 +33,40 @@ def check(scene: Scene, path: Trajectory, sensors: Mapping[str, RadarSpec]) -> N
         sensors: its radars.
     """
     world = prepare(scene)
-    if world not in _TOLD:
-        _TOLD.add(world)
-        _say(_meshes(scene), scene.name)
+    if world not in _CHECKED:
+        _CHECKED.add(world)
+        _warn(_meshes(scene), scene.name)
     for spec in {s.name: s for s in sensors.values()}.values():
         warn_of_folding(spec)
     if len(scene.faces) and len(path):
-        step = max(1, len(path) // _ASKED)
+        step = max(1, len(path) // _POSES)
         for name, spec in sensors.items():
             at = path[::step].mounted(spec.mount.body_from_sensor())
-            _say(_places(world, at.position, at.t_ns, name), scene.name)
+            _warn(_places(world, at.position, at.t_ns, name), scene.name)
 
 
-def _say(lines: list[str], where: str) -> None:
+def _warn(lines: list[str], where: str) -> None:
     for line in lines:
         warnings.warn(f"{where}: {line}", UllageWarning, stacklevel=5)
 
 
 def _meshes(scene: Scene) -> list[str]:
-    """What is wrong with the scene's meshes, by object."""
+    """Describe the defects of the scene's meshes, by object."""
     out: list[str] = []
     if not len(scene.faces):
         return out
     corners = scene.corners()
     tri = _welded(corners)
-    ends = _edges(tri).outline  # where nothing else goes on, as a window does in its frame
+    ends = _edges(tri).outline  # open edges without a neighbour, such as a window's in its frame
     for index in np.unique(scene.face_object):
         mine = scene.face_object == index
         name, edges = scene.objects[index].name, _edges(tri[mine])
         if edges.flipped and not edges.open:  # a sheet has no outside
             out.append(
-                f"{edges.flipped} edges of {name!r} join faces that look opposite ways; faces echo on both sides"
+                f"{edges.flipped} edges of {name!r} join faces of opposite orientation; faces echo on both sides"
             )
         hole = corners[mine].reshape(-1, 3)[np.isin(tri[mine].ravel(), edges.outline)]
-        # the rim of a sheet is as large as the sheet: that is no hole
+        # the outline of a sheet is as large as the sheet: that is no hole
         if np.isin(edges.outline, ends).any() and _size(hole) < 0.9 * _size(corners[mine].reshape(-1, 3)):
             out.append(f"the mesh of {name!r} is not closed: {edges.open} of its edges have one face only")
     low, middle, high = np.sort(tri, axis=1).T
@@ -84,7 +84,7 @@ def _size(points: Floats) -> float:
 
 
 def _welded(corners: Floats) -> Longs:
-    """Numbers (f, 3) of the corners, the same for corners at one place."""
+    """Number the corners (f, 3), with one number for corners at the same place."""
     grid = np.round((corners.reshape(-1, 3) - corners.min((0, 1))) / 1e-6).astype(np.int64)
     order = np.lexsort(grid.T)
     new = np.r_[False, (np.diff(grid[order], axis=0) != 0).any(1)]
@@ -95,7 +95,7 @@ def _welded(corners: Floats) -> Longs:
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    flipped: int  # between two faces turned against each other
+    flipped: int  # between two faces of opposite orientation
     open: int  # with one face only
     outline: Longs  # corners of those
 
@@ -112,7 +112,7 @@ def _edges(tri: Longs) -> _Edges:
 
 
 def _places(world: Prepared, position: Floats, t_ns: Longs, name: str) -> list[str]:
-    """Poses of a sensor that are inside a body or too near to a surface."""
+    """Describe poses of a sensor inside a body or too near to a surface."""
     rays = Raycaster(world.scene)
     around = np.concatenate([np.eye(3), -np.eye(3)])
     start = np.repeat(position, len(around), axis=0)
@@ -133,7 +133,7 @@ def _places(world: Prepared, position: Floats, t_ns: Longs, name: str) -> list[s
 
 
 def _solids(scene: Scene) -> Bools:
-    """Which objects are closed, with all faces turned outward: not rooms, whose faces look inward."""
+    """Return which objects are closed with outward faces; rooms have inward faces."""
     out = np.zeros(max(len(scene.objects), 1), bool)
     corners = scene.corners()
     tri = _welded(corners)

@@ -23,7 +23,7 @@ from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import choose_largest
 from ullage.radar.paths import FACES, largest
 from ullage.radar.quadrics import Quadric
-from ullage.radar.real_paths import Real, free, turned
+from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
 from ullage.radar.wall_bounces import PULL_M, accumulate
 
 FAINT = 2e-3
@@ -119,19 +119,21 @@ def _echoes_of(
         body = chains[:, 2 + k]
         value = value * truncation(bodies.ends[body], bodies.is_sphere[body], alongs[k, :left], paths.bends[some, k],
                                    wavelength)  # fmt: skip
-    path = _real(planar, bodies, chains, corners[:, :left], normals[:, :left])
-    value = value * turned(context, antennas, path)
+    path = _reflected_paths(planar, bodies, chains, corners[:, :left], normals[:, :left])
+    value = value * reflection_gains(context, antennas, path)
     value = value * (abs(value) > least) * free(parts, path)
     return [_as_echo_set(context, path, chains[:, 0] == AFTER, lengths, value, grids)]
 
 
-def _real(planar: PlanarPatches, bodies: Bodies, chains: Longs, corners: Floats, normals: Floats) -> Real:
+def _reflected_paths(
+    planar: PlanarPatches, bodies: Bodies, chains: Longs, corners: Floats, normals: Floats
+) -> ReflectedPaths:
     """Return the paths of chains (n, 4) with the objects that they meet, in the order of the wave."""
     at, face, first, last = chains.T
     many = len(at)
     depths = _met(at, np.zeros(many), bodies.depths[first], bodies.depths[last])
     object_ids = _met(at, planar.object_ids[face], bodies.object_ids[first], bodies.object_ids[last])
-    return Real(corners, normals, depths, object_ids, np.ones(many, np.bool_))
+    return ReflectedPaths(corners, normals, depths, object_ids, np.ones(many, np.bool_))
 
 
 def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any]) -> NDArray[Any]:
@@ -141,7 +143,7 @@ def _met(at: Longs, face: NDArray[Any], first: NDArray[Any], last: NDArray[Any])
 
 
 def _as_echo_set(
-    context: RadarContext, path: Real, after: Bools, lengths: Floats, value: Complexes, grids: Complexes
+    context: RadarContext, path: ReflectedPaths, after: Bools, lengths: Floats, value: Complexes, grids: Complexes
 ) -> EchoSet:
     """Add the echoes of paths (n), some of which meet their face after both bodies."""
     echo = accumulate(context, lengths / C0, value, grids, (0.0, 1.0))

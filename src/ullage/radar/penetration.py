@@ -1,4 +1,4 @@
-"""Waves at plane layers: Fresnel coefficients, slabs with all their inner reflections, and what comes through them.
+"""Plane layers: Fresnel coefficients, slabs with all inner reflections, and transmission.
 
 Time runs as e^{+jwt}; permittivity is eps' - j eps''. Both polarisations are given for the electric field's tangential
 sense, so that at normal incidence TE and TM agree, and a perfect conductor reflects -1 in both.
@@ -139,7 +139,7 @@ def reflection_tables(materials: Sequence[Material], spec: RadarSpec) -> tuple[C
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transmissive:
-    """What lets waves through, by object and cos(incidence): two-way factors at the carrier and delays."""
+    """Two-way transmission factors at the carrier and delays, by object and cos(incidence)."""
 
     factor: Complexes  # (o, COSINES) two-way amplitude, the carrier's turn over `delay_s` taken out; 0: opaque
     delay_s: Floats  # (o, COSINES) two-way delay over that of the air replaced [s]
@@ -152,13 +152,15 @@ def transmissive_of(materials: Sequence[Material], spec: RadarSpec) -> Transmiss
     Raises:
         InputError: the carrier lies outside a material's data.
     """
-    rows = [_curtain(m, spec.center_hz) for m in materials] or [(np.zeros(COSINES, complex), np.zeros(COSINES))]
+    rows = [_slab_transmission(m, spec.center_hz) for m in materials] or [
+        (np.zeros(COSINES, complex), np.zeros(COSINES))
+    ]
     factor = np.stack([r[0] for r in rows])
     return Transmissive(factor, np.stack([r[1] for r in rows]), np.asarray(abs(factor).max(1) > 0))
 
 
 @lru_cache(maxsize=512)
-def _curtain(material: Material, center_hz: float) -> tuple[Complexes, Floats]:
+def _slab_transmission(material: Material, center_hz: float) -> tuple[Complexes, Floats]:
     c = np.linspace(0, 1, COSINES)
     if material.conductor or material.thickness_m is None:
         return np.zeros(COSINES, complex), np.zeros(COSINES)

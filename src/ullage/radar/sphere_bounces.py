@@ -16,7 +16,7 @@ from ullage.geometry import C0
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.real_paths import Real, free, turned
+from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
 from ullage.radar.sphere_echoes import bistatic_phase_rad
 from ullage.radar.spheres import Sphere
 from ullage.radar.wall_bounces import LEAST_M, PULL_M, Fan, accumulate, fan_of
@@ -63,7 +63,7 @@ def _echoes_of(
         return None
     sampled = fan.some()
     real = _in_all_planes(sphere, antennas, sampled, gap, away)
-    seen = (free(parts, real) * turned(context, antennas, real)).reshape(len(sampled.names), _PLANES)
+    seen = (free(parts, real) * reflection_gains(context, antennas, real)).reshape(len(sampled.names), _PLANES)
     if not seen.any():
         return None
     value = 2 * antennas.factor * fan_weights(fan) * np.interp(fan.names, sampled.names, seen.mean(1))
@@ -92,7 +92,7 @@ def fan_weights(fan: Fan) -> Complexes:
     return np.asarray(fan.weights * across * (0.25j / np.sqrt(0.5j / np.pi)) * 1j ** (crossed % 4))
 
 
-def _in_all_planes(sphere: Sphere, antennas: AntennaPair, fan: Fan, gap: Floats, away: float) -> Real:
+def _in_all_planes(sphere: Sphere, antennas: AntennaPair, fan: Fan, gap: Floats, away: float) -> ReflectedPaths:
     """Rotate the rays (n) of a fan into all planes (m) through the centre and the radar, flattened to (n m)."""
     _, _, axes = np.linalg.svd(gap[None] + 1e-12 * np.array([1.0, 2.0, 3.0]))
     axes[0] *= np.sign(axes[0] @ gap) or 1.0
@@ -102,5 +102,5 @@ def _in_all_planes(sphere: Sphere, antennas: AntennaPair, fan: Fan, gap: Floats,
     stops = out.reshape(len(fan.points), -1, 3)
     ends = [np.broadcast_to(origin, (1, *stops.shape[1:])) for origin in antennas.origins]
     shape = stops.shape[:2]
-    return Real(np.concatenate([ends[0], sphere.centre + stops, ends[1]]), -stops / sphere.radius,
+    return ReflectedPaths(np.concatenate([ends[0], sphere.centre + stops, ends[1]]), -stops / sphere.radius,
                 np.full(shape, sphere.depth), np.full(shape, sphere.object_id), np.ones(shape[1], bool))  # fmt: skip

@@ -24,7 +24,7 @@ from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
-from ullage.radar.real_paths import Real, free, turned
+from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
 from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, accumulate, around, planes_of, swapped
 
 Turn = tuple[Plane, int] | None
@@ -180,9 +180,9 @@ def _over(
     wanted = np.zeros(len(value), np.bool_)
     wanted[first] = wanted[(first + 1) % len(value)] = True
     wanted_lines = np.flatnonzero(wanted)
-    path = _real(lines, wall, body, antennas.origins, turn, wanted_lines)
+    path = _reflected_paths(lines, wall, body, antennas.origins, turn, wanted_lines)
     seen = np.zeros(len(value), complex)
-    seen[wanted_lines] = value[wanted_lines] * free(parts, path) * turned(context, antennas, path)
+    seen[wanted_lines] = value[wanted_lines] * free(parts, path) * reflection_gains(context, antennas, path)
     seen[wanted_lines] *= _end_factors(lines, wall, body, wanted_lines, turn, context.spec.wavelength_m)
     return _add_echoes(context, lines, wall, path, wanted_lines, (first, share, weights), seen, grids)
 
@@ -201,7 +201,9 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
     return (first[:made], share[:made], weights[:made]) if made else None
 
 
-def _real(lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Turn, wanted_lines: Longs) -> Real:
+def _reflected_paths(
+    lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Turn, wanted_lines: Longs
+) -> ReflectedPaths:
     """Return some geometric paths (n): unfolded at a plane, with corners past the ends of bodies moved onto them."""
     corners, normals = lines.corners[:, wanted_lines], lines.normals[:, wanted_lines]
     kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(wanted_lines), 1)  # wall, body, plane
@@ -222,7 +224,7 @@ def _real(lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Tur
         np.array([wall.depth, body.depth, 0.0]),
         np.array([wall.object_id, body.object_id, plane_object_id]),
     )
-    return Real(corners, normals, depths[kinds], object_ids[kinds], there)
+    return ReflectedPaths(corners, normals, depths[kinds], object_ids[kinds], there)
 
 
 def _unfolded(
@@ -271,7 +273,7 @@ def _end_factors(
 
 
 def _add_echoes(
-    context: RadarContext, lines: Lines, wall: Quadric, path: Real, wanted_lines: Longs,
+    context: RadarContext, lines: Lines, wall: Quadric, path: ReflectedPaths, wanted_lines: Longs,
     places: tuple[Longs, Floats, Floats], seen: Complexes, grids: Complexes,
 ) -> EchoSet:  # fmt: skip
     """Add the sum over places along the wall; return one echo for each point of stationary phase."""

@@ -1,9 +1,9 @@
-"""Echoes of wires by way of large flat faces: over faces before the wire, after it, or both.
+"""Echoes of wires over large flat faces: over faces before the wire, after it, or both.
 
-The mirror image of the radar in a face sees the wire as the radar itself does, at another angle: the line integral
-along the wire is that of a direct echo from the image's place, with the cylinder's series for the angle between the two
-directions. Polarisation, reflection and that angle are those at the wire's point of shortest path. A piece of
-wire counts where its path meets the faces within their rims and is free on all legs.
+The mirror image of the radar in a face sees the wire as the radar itself does, at another angle. So the line integral
+along the wire is that of a direct echo from the place of the image, with the cylinder's series for the angle between
+the two directions. Polarisation, reflection and that angle are those at the specular point of the wire. A piece of wire
+counts where its path meets the faces inside their outlines and is free on all legs.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from ullage.radar.wires import placed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Strung:
-    """Wires as ways meet them, one for each way and wire."""
+class MetWires:
+    """Pairs of a path and a wire that it meets."""
 
-    of: Longs  # (m) way
+    of: Longs  # (m) path
     on: Longs  # (m) wire
-    waves: Complexes  # (m, 2) what the fields make of the cylinder's series, TM and TE
-    turns: Floats  # (m) angle about the wire between the way on and the way it came [rad]
+    waves: Complexes  # (m, 2) factors of the cylinder's series by the fields, TM and TE
+    turns: Floats  # (m) angle around the wire between the outgoing and the reversed incoming direction [rad]
 
 
 def accumulate_wire_bounces(
@@ -42,7 +42,7 @@ def accumulate_wire_bounces(
     paths: PathSet,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Adds the echoes of wires over flat faces to the delay grids."""
+    """Add the echoes of wires over flat faces to the delay grids."""
     lines = context.lines
     starts, ends = placed(lines, poses)
     met = _met(context, planar, antennas, paths, starts, ends)
@@ -69,25 +69,25 @@ def accumulate_wire_bounces(
 
 def _met(
     context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, paths: PathSet, starts: Floats, ends: Floats
-) -> Strung:
-    """Wires that ways meet within the gate where their paths are shortest."""
+) -> MetWires:
+    """Find the wires that paths meet within the gate at their specular points."""
     size = len(paths) * len(starts)
     met = kernel.WireMeetings(np.empty(size, np.int64), np.empty(size, np.int64), np.empty((size, 2), complex),
                               np.empty(size))  # fmt: skip
     scratch = kernel.FieldScratch(np.empty((5, 4, 3)), np.empty((2, 3), complex))
     count = kernel.meet_wires(np.stack([starts, ends]), paths.over_mirrors, context.gate[1], antennas.fields,
                               context.mirrors(planar), flat_faces(planar), met, scratch)  # fmt: skip
-    return Strung(met.of[:count], met.on[:count], met.waves[:count], met.turns[:count])
+    return MetWires(met.of[:count], met.on[:count], met.waves[:count], met.turns[:count])
 
 
-def _series(context: RadarContext, met: Strung) -> Complexes:
-    """Series (m, 2, sines) of wires as the receiver's polarisation takes them: both rows alike."""
+def _series(context: RadarContext, met: MetWires) -> Complexes:
+    """Compute the series (m, 2, sines) of wires for the receiver's polarisation: both rows are equal."""
     modes, kinds = context.lines.modes, context.lines.kinds[met.on]
     orders = np.cos(met.turns[:, None] * np.arange(modes.shape[2]))
     share = (met.waves[:, :, None] * orders[:, None]).reshape(len(kinds), -1)
     out = np.empty((len(kinds), 2, modes.shape[3]), complex)
     for kind in np.unique(kinds):
         mine = kinds == kind
-        # no product of matrices: for so little its library wakes threads that take longer
+        # no matrix product: for small arrays its threads cost more than they save
         out[mine] = np.einsum("kn,ns->ks", share[mine], modes[kind].reshape(-1, modes.shape[3]))[:, None]
     return out

@@ -109,13 +109,13 @@ def strung(scene: Scene, center_hz: float) -> Lines:
         raise InputError(f"wire {name!r} has a radius of {wires.radius_m[thin[0]] * 1e3:g} mm", where=scene.name,
                          allowed=f"at least {THINNEST_M * 1e3:g} mm")  # fmt: skip
     held = np.flatnonzero(np.linalg.norm(wires.end - wires.start, axis=1) > 1e-9)
-    told = [(float(wires.radius_m[i]), scene.objects[wires.object_id[i]].material) for i in held]
-    known = list(dict.fromkeys(told))
+    wanted = [(float(wires.radius_m[i]), scene.objects[wires.object_id[i]].material) for i in held]
+    known = list(dict.fromkeys(wanted))
     rows = [_modes(radius, material, center_hz) for radius, material in known]
     modes = np.zeros((len(rows), 2, max([r.shape[1] for r in rows], default=0), _SINES), complex)
     for i, row in enumerate(rows):
         modes[i, :, : row.shape[1]] = row
-    kinds = np.array([known.index(kind) for kind in told], np.int64)
+    kinds = np.array([known.index(kind) for kind in wanted], np.int64)
     straight_back = (-1.0) ** np.arange(modes.shape[2])
     # the electric field across the axis then points the other way for the same magnetic one
     series = np.einsum("n,kpns->kps", straight_back, modes)[kinds] * np.array([[1], [-1]])

@@ -1,4 +1,4 @@
-"""Paths over mirrors and round bodies as they run: what stands in their way, and what becomes of the field."""
+"""Geometric paths over flat faces and curved bodies: visibility, reflection and polarisation."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from ullage.radar.wall_bounces import PULL_M
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Real:
-    """Paths from antenna to antenna over as many surfaces each."""
+class ReflectedPaths:
+    """Paths (n) from antenna to antenna over the same number of surfaces (s) each."""
 
     corners: Floats  # (s + 2, n, 3) [m]
-    normals: Floats  # (s, n, 3) to where the waves are
-    depths: Floats  # (s, n) by so much facets lie off [m]
+    normals: Floats  # (s, n, 3) towards the waves
+    depths: Floats  # (s, n) largest distance of facets from the surfaces [m]
     object_ids: NDArray[np.integer]  # (s, n)
-    there: Bools  # (n) whether there is such a path
+    there: Bools  # (n) whether the path exists
 
 
-def free(parts: list[Surfaces], path: Real) -> Bools:
-    """Which paths (n) are free, and touch what is there."""
+def free(parts: list[Surfaces], path: ReflectedPaths) -> Bools:
+    """Return which paths (n) are free and touch existing surfaces: one may have a hole or end."""
     stops, lift = path.corners[1:-1], path.normals * (path.depths + PULL_M)[..., None]
     corners = np.concatenate([path.corners[:1], stops + lift, path.corners[-1:]])
     here, there = np.concatenate([corners[:-1], stops + lift]), np.concatenate([corners[1:], stops - lift])
@@ -36,8 +36,8 @@ def free(parts: list[Surfaces], path: Real) -> Bools:
     return np.asarray(path.there & clear[:legs].all(0) & ~clear[legs:].any(0))
 
 
-def turned(context: RadarContext, antennas: AntennaPair, path: Real) -> Complexes:
-    """What the antennas and all reflections make of the waves (n); the pattern is interpolated, to 3e-4."""
+def reflection_gains(context: RadarContext, antennas: AntennaPair, path: ReflectedPaths) -> Complexes:
+    """Compute the products (n) of antenna gains and reflections; the pattern is interpolated, to 3e-4."""
     out = np.empty(len(path.there), complex)
     corners, normals = (np.ascontiguousarray(row) for row in (path.corners, path.normals))
     paths = kernel.ReflectedPaths(corners, normals, path.object_ids.astype(np.int64))
