@@ -292,14 +292,14 @@ def test_what_is_far_away_changes_nothing_of_what_is_near(thing):
 
 def left_out(monkeypatch, told):
     """What comes with and without what is too faint, and how many parts of rims count in either."""
-    held, found, heard = [], [], curves.strong_enough
+    held, found, heard = [], [], curves.audible
 
     def counted(*told):
         known = heard(*told)
         held.append(int(known.sum()))
         return known
 
-    monkeypatch.setattr(curves, "strong_enough", counted)
+    monkeypatch.setattr(curves, "audible", counted)
     for share in (1.0, 0.0):
         monkeypatch.setattr(curves, "FACETS", share * curves.FACETS)
         monkeypatch.setattr(curves, "REST", share * curves.REST)

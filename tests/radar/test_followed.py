@@ -36,7 +36,7 @@ def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
     rng, context, rest = np.random.default_rng(1), radar_context(room(), RADAR), 2e-6
     loud, paths = rest * 10 ** rng.uniform(-2.0, -1.3, 4000), rng.uniform(0, 1.0, 4000) ** 3
     loud[::50] = 0
-    told = curves.strong_enough(context, loud, paths, rest)
+    told = curves.audible(context, loud, paths, rest)
     cells, steps = (paths / (2 * context.pulse.half_m)).astype(int), np.frexp((loud / rest) ** 2)[1]
     steps[loud == 0] = 1000
     below = np.zeros(len(loud))
@@ -47,7 +47,7 @@ def test_what_counts_is_told_by_what_all_fainter_ones_of_a_pulse_make():
     together = told & (loud <= rest / curves.MANY)
     assert together.mean() > 0.02
     assert (~told & (loud > 0)).mean() > 0.2
-    assert (curves.strong_enough(context, loud, paths, 0.0) == (loud > 0)).all()
+    assert (curves.audible(context, loud, paths, 0.0) == (loud > 0)).all()
 
 
 def test_an_end_from_which_a_piece_goes_on_is_as_loud_as_either():

@@ -1,17 +1,16 @@
-"""Echoes of curved surfaces over large flat faces: the wall of a tank over its floor, a drum next to a wall.
+"""Echoes of curved surfaces by way of large flat faces: a round tank's wall over its floor, a drum beside a wall.
 
-A curved surface consists of many facets, each smaller than a Fresnel zone, so it is no mirror. But flat faces mirror
-the radar, and physical optics treats the facets from its images as from the radar itself. This is Kirchhoff's integral
-with one end of the path at an image [AllenBerkley1979], [Balanis2012, ch. 7]. Polarisation and reflection at each point
-are those of a mirror that reflects the wave into its further direction. A facet counts where both legs meet their faces
-inside the outlines and are free.
+A curved surface comes as many facets, each smaller than a Fresnel zone, so it is no mirror. But flat faces mirror the
+radar, and from its images the facets are done by physical optics as from the radar itself: Kirchhoff's integral with
+one end of the path at an image [AllenBerkley1979], [Balanis2012, ch. 7].
+Polarisation and reflection are those of a mirror at each point that turns the wave there the way it goes on.
+Of a facet counts what both legs reach: where they meet their faces within the rims, and are free.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,35 +30,25 @@ from ullage.radar.planar import Outlined, Shading, accumulate_parted, cut_outlin
 from ullage.radar.solids import Backs
 
 NUDGE_M = 5e-3
-"""Distance of visibility tests inside the outlines of facets [m]."""
+"""Points of facets are looked at so far within their rims [m]."""
 FACETS = 1.5e-2
-"""Bound on the omitted facets within a pulse's length, with random phases, as a share of a frame's strongest echo.
-
-The actual error is far smaller: most omitted facets are hidden, or cancel."""
+"""What facets that are left out would make within a pulse's length at the most, with phases at random, is no more than
+this of a frame's strongest echo. What they make turns out to be far less: most are hidden, or cancel."""
 REST = 4e-3
-"""The same for omitted parts of the outlines of the other facets."""
+"""So much for parts of the rims of the facets that are left."""
 MANY = 25.0
-"""A single omitted contribution is at most this fraction of the bound."""
-_LEVELS = 40  # histogram bins of amplitudes, 3 dB each
+"""So many would have to be in phase to make that: one that makes more than so small a share is not left out."""
+_LEVELS = 40  # loudness in steps of 3 dB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MetFacets:
-    """Pairs of a path and a facet that it meets."""
+class Strips:
+    """Facets as ways meet them, one for each way and facet: what their rims are done by."""
 
-    of: Longs  # (m) path
+    of: Longs  # (m) way
     on: Longs  # (m) face
-    gains: Floats  # (m) antenna gains towards the facet, times the weight of the path
+    gains: Floats  # (m) the antennas' gains there, times what the way counts
     faces: Outlined  # (m)
-
-
-class PathPoints(NamedTuple):
-    """Points that paths (m) end at."""
-
-    of: Longs  # (m) path
-    points: Floats  # (m, 3) [m], or (p, 3) with `at`
-    object_ids: NDArray[np.integer]  # (m)
-    at: Longs | None = None  # (m) index of each one's point
 
 
 def accumulate_curves(
@@ -71,9 +60,9 @@ def accumulate_curves(
     peak: float,
     grids: Complexes,
 ) -> list[EchoSet]:
-    """Add the echoes of small triangles and of facets of curved surfaces over flat faces to the delay grids.
+    """Adds the echoes of small triangles and of facets of curved surfaces over flat faces to the delay grids.
 
-    Facets and parts of their outlines that are too weak against the path gain amplitude `peak` are left out.
+    Facets, and parts of their rims, that are too faint beside the path gain amplitude `peak` are left out.
     """
     if not len(paths):
         return []
@@ -83,13 +72,13 @@ def accumulate_curves(
             out += _accumulate_small(context, parts, part, planar, antennas, paths, grids)
     smooth = np.flatnonzero(planar.smooth)
     if len(smooth):
-        out += _accumulate_facets(context, parts, planar, antennas, paths, smooth, peak, grids)
+        out += _accumulate_strips(context, parts, planar, antennas, paths, smooth, peak, grids)
     return out
 
 
 @lru_cache(maxsize=8)
 def _bare(context: RadarContext) -> RadarContext:
-    """Return the context with reflection coefficients of 1, for paths with separate coefficients."""
+    """The bench with everything reflecting 1, for paths whose coefficients are known otherwise."""
     count = len(context.gamma)
     gamma, bounce = (one[-1:].repeat(count, axis=0) for one in (context.gamma, context.bounce))
     return replace(context, gamma=gamma, lag=context.lag[-1:].repeat(count, axis=0), bounce=bounce)
@@ -97,7 +86,7 @@ def _bare(context: RadarContext) -> RadarContext:
 
 @lru_cache(maxsize=8)
 def _most(context: RadarContext) -> Floats:
-    """Return the larger of both reflection coefficients of each object over cos(incidence)."""
+    """The larger of both reflection coefficients of each object over cos(incidence)."""
     return np.ascontiguousarray(abs(context.bounce[:, 0]).max(1))
 
 
@@ -117,8 +106,7 @@ def _accumulate_small(
     of, at = np.empty((2, len(paths) * len(owner)), np.int64)
     count = lit.pair_up(reach, owner, of, at)
     of, at = of[:count], at[:count]
-    targets = PathPoints(of, centroids(leaves), part.object_ids[owner[at]], at)
-    factor = reflected_fields(context, parts, planar, antennas, paths, targets)
+    factor = heard(context, parts, planar, antennas, paths, of, centroids(leaves), part.object_ids[owner[at]], at)
     free = np.flatnonzero(factor)
     if not len(free):
         return []
@@ -130,7 +118,7 @@ def _accumulate_small(
 
 
 def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
-    """Return the small triangles that each path can reach without obstacles (n, f)."""
+    """Which small triangles each way can reach (n, f), if nothing stands between."""
     out = np.zeros((len(paths), len(part.corners)), np.bool_)
     inside = part.backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
     clusters = TriangleClusters(part.spheres, part.first, part.corners)
@@ -139,11 +127,11 @@ def lit_by(context: RadarContext, part: Surfaces, paths: PathSet) -> Bools:
     return out
 
 
-def strong_enough(context: RadarContext, loud: Floats, paths: Floats, rest: float) -> Bools:
-    """Select the echoes (n) of amplitudes `loud` at mean ranges `paths` [m] that count.
+def audible(context: RadarContext, loud: Floats, paths: Floats, rest: float) -> Bools:
+    """Which of some echoes (n) of amplitudes `loud` at mean ranges `paths` [m] count.
 
-    With random phases, the others within a pulse's length sum to at most a path gain amplitude of `rest`, and each is
-    at most `rest / MANY`.
+    All the others within a pulse's length make, with phases at random, at most a path gain amplitude of `rest`, and
+    none of them makes more than its `MANY`th.
     """
     if rest <= 0:
         return np.asarray(loud != 0)
@@ -153,7 +141,7 @@ def strong_enough(context: RadarContext, loud: Floats, paths: Floats, rest: floa
     return out
 
 
-def _accumulate_facets(
+def _accumulate_strips(
     context: RadarContext,
     parts: list[Surfaces],
     planar: PlanarPatches,
@@ -166,46 +154,45 @@ def _accumulate_facets(
     backs = parts[0].flat_backs
     if len(parts) > 1:
         backs = Backs.joined([part.flat_backs for part in parts])
-    met_facets = met(context, planar, backs, paths, smooth, peak)
-    if not len(met_facets.on):
+    strips = met(context, planar, backs, paths, smooth, peak)
+    if not len(strips.on):
         return []
-    faces = met_facets.faces
-    limits, many, ends = np.array(context.gate[1:]), np.arange(len(met_facets.on)), paths.ends[met_facets.of]
+    faces = strips.faces
+    limits, many, ends = np.array(context.gate[1:]), np.arange(len(strips.on)), paths.ends[strips.of]
     follow = CutLimits(limits, 1e9, context.pulse.omega, context.whole_outlines)
     outline = cut_outlines(many, face_outlines(faces), ends, antennas.aside, follow)
     if not (len(outline.pieces) or len(outline.tips) or (outline.windings > 0.5).any()):
         return []
 
-    loud = strong_pieces(context, outline, met_facets.gains, REST * peak)
+    loud = outlines_heard(context, outline, strips.gains, REST * peak)
 
     def shaded(points: Floats, owner: NDArray[np.integer]) -> tuple[Complexes, Floats]:
         out = np.zeros(len(points), complex)
         wanted = np.concatenate([np.flatnonzero(loud), np.arange(len(loud), len(points))])
         points, owner = points.take(wanted, 0), owner[wanted]
-        inward = faces.spheres[owner, :3] - points  # mirror points of walls on floors lie on the outlines
+        inward = faces.spheres[owner, :3] - points  # where walls stand on floors, mirror points lie on their very rims
         points = points + NUDGE_M * unit(inward)
-        object_ids = planar.object_ids[met_facets.on[owner]]
-        targets = PathPoints(met_facets.of[owner], points, object_ids)
-        out[wanted] = reflected_fields(context, parts, planar, antennas, paths, targets)
+        object_ids = planar.object_ids[strips.on[owner]]
+        out[wanted] = heard(context, parts, planar, antennas, paths, strips.of[owner], points, object_ids)
         return out, np.zeros(len(out))
 
     plain = np.full(len(many), len(context.gamma) - 1, np.int32)
-    seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), met_facets.of), context.reflection)
+    seen = LitFaces(faces.normals, plain, paths.antennas(context.antennas(antennas), strips.of), context.reflection)
     echoes, owner = accumulate_parted(context, faces, many, outline, limits, Shading(shaded), seen, grids)
-    return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[met_facets.on[owner]]), met_facets.of[owner])]
+    return [paths.with_paths(replace(echoes, object_ids=planar.object_ids[strips.on[owner]]), strips.of[owner])]
 
 
-def strong_pieces(context: RadarContext, outline: Outline, gains: Floats, rest: float) -> Bools:
-    """Select the pieces of outlines and the separate ends that count, of faces (k) with gains (k)."""
+def outlines_heard(context: RadarContext, outline: Outline, gains: Floats, rest: float) -> Bools:
+    """Which pieces of rims and which ends without one count, of faces (k) with so much gain."""
     louds, lengths = np.empty((2, len(outline.pieces) + len(outline.tips)))
     count = lit.outline_louds(outline, gains, context.spec.wavelength_m / (16 * np.pi**2), louds, lengths)
-    return strong_enough(context, louds[:count], lengths[:count], rest)
+    return audible(context, louds[:count], lengths[:count], rest)
 
 
 def met(
     context: RadarContext, planar: PlanarPatches, backs: Backs, paths: PathSet, smooth: Longs, peak: float
-) -> MetFacets:
-    """Find the faces that paths meet within the gate and that are strong enough."""
+) -> Strips:
+    """Those of some faces that ways meet within the gate, but for what is too faint."""
     size, inside = min(len(paths) * len(smooth), 8192), backs.inside(paths.images[:1, :, 0].reshape(-1, 3))
     turned, outlined = lit.FaceSides(backs.outward, inside), face_outlines(planar)
     bounds = lit.EchoBounds(context.gate[1], context.pulse.omega / C0, context.table,
@@ -219,7 +206,7 @@ def met(
         if count <= size:
             break
         size = int(1.2 * count)
-    loud = np.flatnonzero(strong_enough(context, louds[:count], lengths[:count], FACETS * peak))
+    loud = np.flatnonzero(audible(context, louds[:count], lengths[:count], FACETS * peak))
     of, on, gains = of[loud], on[loud], gains[loud]
     sides = planar.first[on + 1] - planar.first[on]
     first = np.concatenate([np.zeros(1, np.int32), np.cumsum(sides, dtype=np.int32)])
@@ -233,22 +220,25 @@ def met(
         planar.starts.take(edge, 0),
         planar.ends.take(edge, 0),
     )
-    return MetFacets(of, on, gains, faces)
+    return Strips(of, on, gains, faces)
 
 
-def reflected_fields(
+def heard(
     context: RadarContext,
     parts: list[Surfaces],
     planar: PlanarPatches,
     antennas: AntennaPair,
     paths: PathSet,
-    targets: PathPoints,
+    of: Longs,
+    points: Floats,
+    object_ids: NDArray[np.integer],
+    at: Longs | None = None,
 ) -> Complexes:
-    """Compute the product of all reflections (m) on paths over points of objects; 0 where the path is blocked.
+    """What all reflections of ways (m) over points of objects (m) make of the wave; 0 where it is blocked.
 
-    Antenna patterns and spreading are not included.
+    The points (m, 3) [m] are those of each, or those that `at` (m) names.
+    The antennas' patterns and the spread of the wave are not in it.
     """
-    of, points, object_ids, at = targets
     known = reached(parts, planar, paths, of, points, at)
     out = np.zeros(len(of), complex)
     pairs = kernel.Weighed(known.stops, known.rows, np.flatnonzero(known.free), of, object_ids)

@@ -394,7 +394,7 @@ def _paths_over_faces() -> None:
     paths.meet_wires(np.zeros((2, 0, 3)), led.over_mirrors, 9.0, antennas.fields, mirrors, flat_faces(planar), met,
                      scratch)  # fmt: skip
     curves.met(context, planar, still.flat_backs, led, long, 1.0)
-    curves.strong_pieces(context, Outline.none(0), np.zeros(0), 1.0)
+    curves.outlines_heard(context, Outline.none(0), np.zeros(0), 1.0)
     lit.pair_up(curves.lit_by(context, still, led), np.zeros(0, np.int32), long, long)
 
 
