@@ -10,7 +10,7 @@ from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.patches import Patches
-from ullage.radar.torus_echoes import accumulate_spheres_and_tori
+from ullage.radar.torus_echoes import accumulate_heads
 from ullage.radar.wall_bounces import PULL_M
 
 
@@ -29,7 +29,7 @@ def accumulate_curved(
     Returns:
         What was added; of each part which small triangles (f) and which flat faces (p) are done so.
     """
-    out, heads = accumulate_spheres_and_tori(context, parts, antennas, grids)
+    out, heads = accumulate_heads(context, parts, antennas, grids)
     wavelength = context.spec.wavelength_m
     widest = float(np.sqrt(wavelength * context.gate[1] / 2))
     done = [heads, *[(None, None)] * (len(parts) - 1)]

@@ -57,7 +57,7 @@ class Prepared:
         return tori_of(self._smooth_surfaces, walls, self.still) if walls else ()
 
     def patches(self, wavelength_m: float, widest_m: float, poses: Floats | None = None) -> list[Patches | None]:
-        """Return the curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None: none exist.
+        """Curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None where there are none.
 
         Facets wider than `widest_m` [m] are left as they are.
         """

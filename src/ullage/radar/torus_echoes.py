@@ -14,7 +14,7 @@ from ullage.radar.tori import Torus
 from ullage.radar.wall_bounces import PULL_M
 
 
-def accumulate_spheres_and_tori(
+def accumulate_heads(
     context: RadarContext, parts: list[Surfaces], antennas: AntennaPair, grids: Complexes
 ) -> tuple[list[EchoSet], tuple[Bools | None, Bools | None]]:
     """Add the echoes of spheres, domes and tori at rest to the delay grids, as `sphere_echoes.accumulate_spheres`."""
