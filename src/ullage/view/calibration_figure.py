@@ -1,4 +1,4 @@
-"""The posterior of a calibration as a figure: over all clock offsets, and the candidates in clock and range."""
+"""Draw the posterior of a calibration: over all clock offsets, and the candidates in clock and range."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def explain_figure(
     title: str = "",
     most: int = 8,
 ) -> Path:
-    """Draws frame `i` with its strongest contributions, in the profile and in plan.
+    """Draw frame `i` with its strongest contributions, in the profile and in plan.
 
     Args:
         path: PNG file.

@@ -44,7 +44,7 @@ TRUTH_COLOR = "#d1495b"
 def drawing(
     path: str | Path, *, size_in: tuple[float, float] = (7.0, 5.0), columns: int = 1
 ) -> Iterator[tuple[Figure, Any]]:
-    """A figure that is written to `path` at the end (under a temporary name until whole)."""
+    """Make a figure that is written to `path` at the end, under a temporary name until complete."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -86,7 +86,7 @@ def draw_map(
     marks: Floats | None = None,
     level: int | None = None,
 ) -> Any:
-    """An occupancy map: white free, black occupied, grey unknown, striped ambiguous; true walls and path over it.
+    """Draw an occupancy map: white free, black occupied, grey unknown, striped ambiguous; true walls and path over it.
 
     Args:
         axes: where to draw.
@@ -121,7 +121,7 @@ def _zoom(axes: Axes, omap: OccupancyMap, known: NDArray[Any]) -> None:
 def draw_plan(
     axes: Axes, *, walls: Floats | None = None, path: Trajectory | None = None, marks: Floats | None = None
 ) -> None:
-    """True walls in red, marks (m, 2 or 3) in green and the flown path in blue, on axes in metres of equal scale."""
+    """Draw true walls (red), marks (m, 2 or 3) (green) and the flown path (blue) on axes in metres of equal scale."""
     from matplotlib.collections import LineCollection
 
     if walls is not None and len(walls):
@@ -145,7 +145,7 @@ def map_figure(
     flown: Trajectory | None = None,
     marks: Floats | None = None,
 ) -> Path:
-    """The occupancy map with colour bar and legend, as a picture file."""
+    """Write the occupancy map with colour bar and legend as a picture file."""
     with drawing(path) as (figure, axes):
         mesh = draw_map(axes, omap, walls=walls, path=flown, marks=marks)
         figure.set_size_inches(_size_about(axes))
@@ -157,7 +157,7 @@ def map_figure(
 
 
 def _size_about(axes: Axes) -> tuple[float, float]:
-    """Width and height of a figure that axes of equal scale fill, beside a colour bar and above a legend [in]."""
+    """Return the size of a figure that axes of equal scale fill, with a colour bar and a legend [in]."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     width = min(5.4, 7.0 * (right - left) / (top - bottom))
     return max(width + 2.0, 4.5), max(width * (top - bottom) / (right - left) + 1.5, 3.2)
@@ -172,7 +172,7 @@ def draw_image(
     marks: Floats | None = None,
     span_db: float = 40,
 ) -> Any:
-    """A SAR image in dB below its brightest cell; a volume is shown as its brightest value over height.
+    """Draw a SAR image in dB below its brightest cell; a volume is shown as its brightest value over height.
 
     Args:
         axes: where to draw.
@@ -203,7 +203,7 @@ def image_figure(
     notes: Sequence[str] = (),
     span_db: float = 40,
 ) -> Path:
-    """A SAR image in dB below its peak, as a picture file; a volume is shown as its brightest value over height.
+    """Write a SAR image in dB below its peak as a picture file; a volume is shown as its brightest value over height.
 
     `notes` stand beneath the title, as which plane was imaged.
     """
@@ -228,13 +228,13 @@ LINEAR_UNITS = ("thesis",)
 
 
 def _levels(amplitude: ArrayLike, unit: str) -> Floats:
-    """Return amplitudes as they are drawn: in dB, or as they are."""
+    """Return amplitudes for drawing: in dB, or unchanged."""
     value = np.asarray(amplitude, float)
     return value if unit in LINEAR_UNITS else np.asarray(20 * np.log10(np.maximum(value, 1e-12)))
 
 
 def level_limits(amplitudes: Sequence[ArrayLike], unit: str) -> tuple[float, float]:
-    """Lowest and highest level of the colours of range-time pictures, at most 70 dB apart."""
+    """Return the lowest and highest level of the colours of range-time pictures, at most 70 dB apart."""
     values = [_levels(one, unit) for one in amplitudes]
     top = max(float(np.quantile(v, 0.999)) for v in values)
     low = 0.0 if unit in LINEAR_UNITS else max(min(float(np.quantile(v, 0.05)) for v in values), top - 70)
@@ -244,7 +244,7 @@ def level_limits(amplitudes: Sequence[ArrayLike], unit: str) -> tuple[float, flo
 def draw_range_time(
     axes: Axes, t_s: Floats, range_m: Floats, amplitude: ArrayLike, *, unit: str, limits: tuple[float, float]
 ) -> Any:
-    """Amplitudes (n, b) in colour over times (n) [s] and ranges (b) [m]; limits as `level_limits` gives them."""
+    """Draw amplitudes (n, b) in colour over times (n) [s] and ranges (b) [m]; limits from `level_limits`."""
     extent = (t_s[0], max(t_s[-1], t_s[0] + 1e-9), range_m[0], range_m[-1])
     low, top = limits
     value = _levels(amplitude, unit).T
@@ -254,7 +254,7 @@ def draw_range_time(
 
 
 def draw_profile(axes: Axes, frames: Frames, index: int) -> None:
-    """One frame's amplitude over range."""
+    """Draw one frame's amplitude over range."""
     axes.plot(frames.range_m, _levels(frames.amplitude[index], frames.unit), linewidth=1.0, label=frames.sensor)
     axes.set_xlabel("range [m]")
 
@@ -262,7 +262,7 @@ def draw_profile(axes: Axes, frames: Frames, index: int) -> None:
 def range_time_figure(
     path: Path, pictures: Sequence[tuple[str, Floats, Floats, Floats]], *, unit: str, title: str
 ) -> Path:
-    """Range-time amplitude pictures, one panel a sensor.
+    """Draw range-time amplitude pictures, one panel for each sensor.
 
     Args:
         path: where to write.
@@ -283,7 +283,7 @@ def range_time_figure(
 
 
 def snapshot_figure(path: Path, frames: Sequence[Frames], index: int, *, threshold: float | None, title: str) -> Path:
-    """One profile of each sensor: amplitude over range, with the detection threshold."""
+    """Draw one profile of each sensor: amplitude over range, with the detection threshold."""
     with drawing(path, size_in=(7.5, 3.6)) as (_, axes):
         for part in frames:
             draw_profile(axes, part, min(index, len(part) - 1))

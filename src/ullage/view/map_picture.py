@@ -1,4 +1,4 @@
-"""An occupancy map as a picture that can be read at a glance, the same in figures and in viewers."""
+"""Draw an occupancy map as a picture, in the same style for figures and viewers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def map_picture(omap: OccupancyMap, *, level: int | None = None, free_alpha: int
 
 
 def plane_of(omap: OccupancyMap, level: int | None = None) -> NDArray[np.int8]:
-    """The cells (ny, nx) of a plane or of one level of a volume; without a level, the highest chance of each column.
+    """Return the cells (ny, nx) of a plane or of one level of a volume; without a level, the column maximum.
 
     A column of a volume is ambiguous where nothing in it is known but its ambiguity.
     """
@@ -55,7 +55,7 @@ def plane_of(omap: OccupancyMap, level: int | None = None) -> NDArray[np.int8]:
 
 
 def _thin(percent: NDArray[np.int8], occupied_from: int) -> NDArray[np.int8]:
-    """Occupied cells that lie in no square of four occupied cells; the others are below any known value."""
+    """Return occupied cells outside all squares of four occupied cells; others get less than any known value."""
     from scipy.ndimage import binary_opening
 
     occupied = percent >= occupied_from
@@ -63,7 +63,7 @@ def _thin(percent: NDArray[np.int8], occupied_from: int) -> NDArray[np.int8]:
 
 
 def _grown(fine: NDArray[np.int8]) -> NDArray[np.int8]:
-    """The highest value within half a cell in either axis."""
+    """Return the highest value within half a cell in each axis."""
     from scipy.ndimage import maximum_filter
 
     return np.asarray(maximum_filter(fine, size=PIXELS + 1, mode="nearest"))

@@ -1,4 +1,4 @@
-"""Draw one object on one pair of axes: what `.plot()` and a notebook's cell show."""
+"""Draw one object on one pair of axes, for `.plot()` and notebooks."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def plot_map(
 
 
 def plot_scene(scene: Scene, ax: Any = None, *, height_m: float | None = None, path: Trajectory | None = None) -> Axes:
-    """Draw a plan: what lies below a horizontal cut, and the cut itself in black.
+    """Draw a plan: everything below a horizontal cut, and the cut itself in black.
 
     Args:
         scene: the world.
@@ -206,7 +206,7 @@ _PLOTS: dict[type, Callable[..., Any]] = {
 
 
 def html(thing: Any) -> str:
-    """The picture of a thing and its short text, as a notebook shows it; the text alone without matplotlib."""
+    """Return the picture and the short text of an object for a notebook; only the text without matplotlib."""
     text = f"<pre>{escape.escape(repr(thing))}</pre>"
     try:
         need("matplotlib")
@@ -225,7 +225,7 @@ def html(thing: Any) -> str:
 
 
 def _axes(ax: Any) -> Axes:
-    """The axes given, or those of a new figure."""
+    """Return the given axes, or those of a new figure."""
     if ax is not None:
         return ax  # type: ignore[no-any-return]
     axes: Axes = need("matplotlib.pyplot").subplots(figsize=(7.0, 4.5), layout="constrained")[1]
@@ -242,7 +242,7 @@ def _legend(axes: Axes) -> None:
 
 
 def _walls(scene: Scene | None, z_m: Any, path: Trajectory | None) -> Any:
-    """Outline (s, 2, 2) of the true world at the height of a plane, of the flight, or of a volume's middle [m]."""
+    """Return the outline (s, 2, 2) of the true world at the height of a plane, a flight or a volume's middle [m]."""
     if scene is None:
         return None
     flown = float(np.median(path.position[:, 2])) if path is not None else float(scene.bounds[:, 2].mean())
@@ -251,7 +251,7 @@ def _walls(scene: Scene | None, z_m: Any, path: Trajectory | None) -> Any:
 
 
 def _pooled(frames: Frames) -> tuple[Any, Any]:
-    """Amplitudes (r, b) of at most `MOST_ROWS` rows, each the highest of as many frames, and their times (r) [s]."""
+    """Pool amplitudes (r, b) to at most `MOST_ROWS` rows, each the maximum of equal groups, and times (r) [s]."""
     stride = -(-len(frames) // MOST_ROWS)
     rows = np.arange(0, len(frames), stride)
     return np.maximum.reduceat(frames.amplitude, rows, axis=0), frames.t_ns[rows] * 1e-9

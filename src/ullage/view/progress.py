@@ -45,7 +45,7 @@ def open_page(page: Path) -> None:
 
 @dataclass(slots=True)
 class ProgressBar:
-    """Takes how much is done; where there is no terminal it prints a line every few seconds."""
+    """A callable that takes the amount done; without a terminal it prints a line every few seconds."""
 
     bar: Progress
     task: TaskID
@@ -54,7 +54,7 @@ class ProgressBar:
     unit: str
     last_s: float
     rated: bool = False
-    first: tuple[float, float] | None = None  # amount that was done before, and when [s]
+    first: tuple[float, float] | None = None  # amount done at the first call, and its time [s]
 
     def __call__(self, done: float) -> None:
         """Report the amount done, in the bar's unit."""

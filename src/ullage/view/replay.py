@@ -31,17 +31,17 @@ from ullage.world.scene import Scene
 
 FILE = "replay.json.gz"
 MOST_FACES = 300_000
-"""A world of more triangles is not drawn."""
+"""Largest number of drawn triangles; a larger world is left out."""
 SPAN_DB = 60.0
-"""Profiles go from their highest level so far down [dB]."""
+"""Dynamic range of profiles below their highest level [dB]."""
 IMAGE_DB = 30.0
-"""The image goes from its peak so far down [dB]."""
+"""Dynamic range of the image below its peak [dB]."""
 UNKNOWN_CELL, FREE_CELL, OCCUPIED_CELL, AMBIGUOUS_CELL = range(4)
 
 
 @dataclass(slots=True)
 class MapHistory:
-    """A sink that keeps the maps of a run, at most `most` of them and at most so many bytes, evenly over time."""
+    """A sink that keeps at most `most` maps and `most_bytes` bytes of a run, evenly over time."""
 
     most: int = 120
     most_bytes: int = 64_000_000
@@ -96,7 +96,7 @@ class Parts:
 
 
 def replay(parts: Parts) -> dict[str, Any]:
-    """Give everything that is replayed as plain values.
+    """Return the contents of a replay as plain values.
 
     Raises:
         InputError: no frames have poses.
@@ -121,7 +121,7 @@ def replay(parts: Parts) -> dict[str, Any]:
 
 
 def _bounds(parts: Parts, body: Trajectory) -> Floats:
-    """The box (2, 3) of world, flight and known cells [m]; a plane of cells adds nothing to its height."""
+    """Return the box (2, 3) of world, flight and known cells [m]; a plane of cells adds nothing to its height."""
     boxes = [body.position]
     if parts.scene is not None:
         boxes.append(parts.scene.bounds)
@@ -147,7 +147,7 @@ def write_replay(folder: Path, parts: Parts) -> Path:
 
 
 def read_replay(folder: Path) -> dict[str, Any]:
-    """Read what a run replays.
+    """Read the replay of a run.
 
     Raises:
         InputError: the run has none, or it cannot be read.
@@ -166,12 +166,12 @@ def packed(values: ArrayLike, kind: str) -> dict[str, Any]:
 
 
 def unpacked(tree: Mapping[str, Any]) -> NDArray[Any]:
-    """Give the array that was packed."""
+    """Return the array that was packed."""
     return np.frombuffer(base64.b64decode(tree["data"]), f"<{tree['type']}").reshape(tree["shape"])
 
 
 def world_tree(scene: Scene, states: Mapping[str, str]) -> dict[str, Any]:
-    """The objects of a world with their triangles and wires; hull parts are turned inwards."""
+    """Return the objects of a world with triangles and wires; hull parts are turned inwards."""
     hull, corners = hull_objects(scene), scene.corners()
     objects = []
     for index, thing in enumerate(scene.objects):
@@ -195,7 +195,7 @@ def world_tree(scene: Scene, states: Mapping[str, str]) -> dict[str, Any]:
 
 
 def path_tree(path: Trajectory, start_ns: int) -> dict[str, Any]:
-    """Poses with their times."""
+    """Return poses with their times."""
     return {
         "t": packed((path.t_ns - start_ns) * 1e-9, "f4"),
         "position": packed(path.position, "f4"),
@@ -204,7 +204,7 @@ def path_tree(path: Trajectory, start_ns: int) -> dict[str, Any]:
 
 
 def _radar(number: int, part: Frames, start_ns: int) -> dict[str, Any]:
-    """One radar: its poses, its beam, its profiles in steps of the span, and the nearest echo of each frame."""
+    """Return one radar: its poses, its beam, its profiles in steps of the span, and the nearest echo of each frame."""
     from ullage.processing.detect import detect
     from ullage.processing.own_echo import without_own_echo
 
@@ -238,7 +238,7 @@ def _plane(grid: Grid, height: float) -> dict[str, Any]:
 
 
 def map_tree(maps: Sequence[tuple[float, OccupancyMap]], start_ns: int, height: float) -> dict[str, Any]:
-    """The maps of a run as what each changes in the one before: cells by flat index, and their states."""
+    """Return the maps of a run as changes: cells by flat index, and their states."""
     before = np.zeros(maps[-1][1].grid.size, np.uint8)
     indices, states, ends = [], [], []
     for _, omap in maps:
@@ -257,7 +257,7 @@ def map_tree(maps: Sequence[tuple[float, OccupancyMap]], start_ns: int, height: 
 
 
 def maps_of(tree: Mapping[str, Any]) -> list[tuple[float, OccupancyMap]]:
-    """The maps of a replay, with their times since its start [s]; cells are free, occupied, ambiguous or unknown."""
+    """Return the maps of a replay, with their times since its start [s]; cells are free, occupied, ambiguous or unknown."""
     if not (plane := tree.get("map")):
         return []
     grid = _grid_of(plane)
@@ -272,7 +272,7 @@ def maps_of(tree: Mapping[str, Any]) -> list[tuple[float, OccupancyMap]]:
 
 
 def images_of(tree: Mapping[str, Any]) -> list[Image]:
-    """The image of a replay, if there is one, as amplitudes below its brightest cell."""
+    """Return the image of a replay, if any, as amplitudes below its brightest cell."""
     if not (plane := tree.get("image")):
         return []
     share = unpacked(plane["level"]).astype(np.float32) / 255
@@ -285,7 +285,7 @@ def _grid_of(plane: Mapping[str, Any]) -> Grid:
 
 
 def cell_states(omap: OccupancyMap) -> NDArray[np.uint8]:
-    """Each cell of a map as unknown, free, occupied or ambiguous (flat); of a volume only occupied ones are told."""
+    """Return the state of each cell (flat): unknown, free, occupied or ambiguous; in a volume only occupied ones."""
     out = np.full(omap.grid.size, UNKNOWN_CELL, np.uint8)
     if omap.grid.dims == 2:
         out[omap.free.ravel()] = FREE_CELL
@@ -295,7 +295,7 @@ def cell_states(omap: OccupancyMap) -> NDArray[np.uint8]:
 
 
 def _image(image: Image, height: float) -> dict[str, Any]:
-    """An image in steps of its span; a volume as its brightest value over height."""
+    """Return an image in steps of its span; a volume as its brightest value over height."""
     amplitude = image.amplitude.max(axis=0) if image.grid.dims == 3 else image.amplitude
     grid = image.grid if image.grid.dims == 2 else Grid((*image.grid.origin_m[:2], height), image.grid.step_m,
                                                         image.grid.shape[-2:])  # fmt: skip

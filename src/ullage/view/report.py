@@ -1,4 +1,4 @@
-"""One HTML page for a run: verdict, replay in 3D, figures, metrics and settings; everything is inside the file."""
+"""One HTML page for a run: verdict, replay in 3D, figures, metrics and settings; the file contains everything."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CAPTIONS = {
     "snapshot": "One profile of each radar in the middle of the run.",
 }
 KINDS = {"mapped": "good", "missed": "bad"}
-"""How the state of an object is marked."""
+"""Marks of the states of objects."""
 UNSAFE = 0.01
 """Share of the surface in sight that may be marked as free before the verdict warns."""
 
@@ -121,7 +121,7 @@ def _percent(share: float) -> str:
 
 
 def _part(name: str) -> str:
-    """A part of the page that comes with the package."""
+    """Read a part of the page from the package."""
     return (resources.files("ullage.view") / "web" / name).read_text(encoding="utf-8")
 
 

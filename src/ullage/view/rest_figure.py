@@ -14,7 +14,7 @@ LAGS = 6
 
 
 def rest_figure(path: Path, still: Mapping[str, Frames], *, title: str) -> Path:
-    """Mean profile with the noise under it, and the noise's correlation from bin to bin.
+    """Draw the mean profile with its noise, and the correlation of the noise from bin to bin.
 
     Args:
         path: where to write.

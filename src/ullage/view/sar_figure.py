@@ -1,4 +1,4 @@
-"""SAR images as figures for a report."""
+"""Draw SAR images for a report."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sar_figure(
     span_db: float = 30.0,
     zoom_m: float = 0.6,
 ) -> Path:
-    """Draws an image in dB under its peak, with the sensor's track and where reflectors truly stood.
+    """Draw an image in dB below its peak, with the sensor's track and the true places of reflectors.
 
     Args:
         image: an image on a plane.

@@ -1,4 +1,4 @@
-"""A window with the amplitudes of each radar's newest frame, in matplotlib: `--to window:`; neither ROS nor rerun."""
+"""A matplotlib window with the amplitudes of each radar's newest frame (`--to window:`), without ROS and rerun."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 BACKENDS = ("QtAgg", "TkAgg", "GTK4Agg", "GTK3Agg", "WxAgg", "MacOSX")
 EVERY_S = 0.1
-"""Between two drawings, by the wall's clock."""
+"""Least time between two drawings, by wall-clock time [s]."""
 FLOOR = 1e-9
 
 
@@ -37,7 +37,7 @@ class WindowSink:
         self._drawn_s = -EVERY_S
 
     def write(self, item: Any) -> None:
-        """Take frames; everything else passes by."""
+        """Draw frames; other items are ignored."""
         if not isinstance(item, Frames | Mapping):
             return
         now = time.monotonic()

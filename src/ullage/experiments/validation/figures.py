@@ -1,4 +1,4 @@
-"""Pictures of the validation page: ours against references, over angle, frequency, radius and size."""
+"""Draw the figures of the validation page: results and references over angle, frequency, radius and size."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ullage.world import scenes
 
 
 def draw(folder: Path) -> list[tuple[str, str]]:
-    """Draws every figure into a folder; gives titles and file names."""
+    """Draw every figure into a folder; return titles and file names."""
     import matplotlib as mpl
 
     mpl.use("Agg")
