@@ -257,7 +257,7 @@ def map_tree(maps: Sequence[tuple[float, OccupancyMap]], start_ns: int, height: 
 
 
 def maps_of(tree: Mapping[str, Any]) -> list[tuple[float, OccupancyMap]]:
-    """Return the maps of a replay and their times since its start [s], of free, occupied, ambiguous or unknown cells."""
+    """Return the maps of a replay with times since its start [s], of free, occupied, ambiguous or unknown cells."""
     if not (plane := tree.get("map")):
         return []
     grid = _grid_of(plane)
