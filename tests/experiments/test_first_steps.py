@@ -35,6 +35,22 @@ def test_the_map_holds_a_flight_that_stays_outside_the_world(tmp_path: Path) -> 
     assert right >= 4.05
 
 
+def test_a_flight_above_all_walls_is_complete_without_scores(tmp_path: Path) -> None:
+    (tmp_path / "wall.sdf").write_text(WALL)
+    tree = {
+        "name": "wall", "world": {"file": str(tmp_path / "wall.sdf")}, "do": ["map"],
+        "flight": {"vehicle": "ideal", "waypoints": [[0, -1, 3], [0, 1, 3]]},
+        "sensing": {"fidelity": "thesis", "rig": "single", "rate_hz": 5},
+    }  # fmt: skip
+    folder = tmp_path / "run"
+    folder.mkdir()
+    said: list[str] = []
+    report = execute(of_scenario(folder, prepare(make_scenario(tree))), log=said.append)
+    assert "f1" not in report.metrics
+    assert "The map has no scores: w: no surface of the scene lies on the grid at z = 3.00 m." in said
+    assert "The map has no scores" in (report.folder / "report.html").read_text()
+
+
 def test_the_last_run_can_be_taken_up_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import ullage as ul
 

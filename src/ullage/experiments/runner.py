@@ -285,9 +285,13 @@ def _metrics(job: Run, outcome: Outcome) -> dict[str, Metric]:
         out |= {one.name: one for one in job.obstacles.metrics()}
     if job.scene is not None and maps:
         from ullage.processing.metrics import map_quality
+        from ullage.processing.truth import NoSurfaceError
 
-        out |= map_quality(maps[-1], job.scene, job.sampled.frames())
-        job.objects = inspect(maps[-1], job.scene, job.sampled.frames())
+        try:
+            out |= map_quality(maps[-1], job.scene, job.sampled.frames())
+            job.objects = inspect(maps[-1], job.scene, job.sampled.frames())
+        except NoSurfaceError as error:  # a flight above all walls is a flight all the same
+            job.findings = [*job.findings, f"The map has no scores: {error}."]
     return out
 
 

@@ -55,6 +55,10 @@ def spaced_looks(path: Trajectory, *, step_m: float = LOOK_M, turn_rad: float = 
     return np.asarray(keep, np.int64)
 
 
+class NoSurfaceError(InputError):
+    """No surface of a scene lies on a grid, so that nothing can be compared there."""
+
+
 def true_path(frames: Frames) -> Trajectory:
     """Return the true poses of the sensor, as far as known."""
     return frames.believed if frames.truth is None else frames.truth
@@ -64,7 +68,7 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     """Sample the true surfaces on the grid and count the views that could see each point.
 
     Raises:
-        InputError: nothing of the scene lies on the grid.
+        NoSurfaceError: nothing of the scene lies on the grid.
     """
     parts = sensors_of(frames)
     plane = grid.at_height(float(np.mean(np.concatenate([true_path(p).position[:, 2] for p in parts]))))
@@ -73,7 +77,8 @@ def surface_of(scene: Scene, grid: Grid, frames: Recording, *, spacing_m: float 
     inside = _on_grid(plane, points)
     points, normals, owner = points[inside], normals[inside], owner[inside]
     if not len(points):
-        raise InputError("no surface of the scene lies on the grid", where=scene.name)
+        height = f" at z = {plane.origin_m[2]:.2f} m" if plane.dims == 2 else ""
+        raise NoSurfaceError(f"no surface of the scene lies on the grid{height}", where=scene.name)
     looks, seen = np.zeros(len(points), np.int64), np.zeros(len(points), bool)
     caster = Raycaster(scene)
     smooth = np.array([8 * o.material.roughness_m < parts[0].spec.wavelength_m for o in scene.objects])[owner]
