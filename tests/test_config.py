@@ -45,6 +45,8 @@ def test_the_schema_names_every_group() -> None:
         (b"sensing:\n  changes:\n    fps: 4\n    bins: 2", r":4: sensing.changes.bins is 2"),
         (b"sensing: {preset: x5}", r":1: sensing: no radar preset 'x5' .allowed: x4m05"),
         (b"map: [1, 2]", ":1: map"),
+        (b"seed: 3\nmap: {step_m: 1}\nseed: 4", r":3: not YAML: the name 'seed' stands twice"),
+        (b"map: {step_m: 1, dims: 2, step_m: 2}", "the name 'step_m' stands twice"),
         (b"a: b: c", "not YAML.*|mapping values"),
         (b"\xff\xfea\x00", "not UTF-8"),
         (b"", "not a scenario"),
@@ -63,6 +65,18 @@ def test_a_bad_scenario_is_refused_with_its_file(tmp_path: Path, content: bytes,
         read_scenario(file)
     assert "bad.yaml" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_merged_group_may_be_changed(tmp_path: Path) -> None:
+    file = tmp_path / "a.yaml"
+    file.write_text("expect: {f1: &one {min: 0.1, max: 0.9}, recall: {<<: *one, min: 0.2}}")
+    assert read_scenario(file).expect["recall"].model_dump() == {"min": 0.2, "max": 0.9}
+
+
+def test_a_file_name_of_any_letters_names_the_run(tmp_path: Path) -> None:
+    file = tmp_path / "ü my yard.yaml"
+    file.write_text("seed: 3")
+    assert read_scenario(file).name == "my-yard"
 
 
 @pytest.mark.parametrize("option", ["map.step_m", "=3", "seed.x=3", "map.step_m=[", "nothing=3"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -253,6 +254,11 @@ class Scenario(Spec):
         return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
+def run_name(text: str) -> str:
+    """Text as the name of a run: letters, digits and _.- only, at most 60 of them."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("_.-")[:60] or "run"
+
+
 def read_scenario(path: str | Path, *, options: Sequence[str] = ()) -> Scenario:
     """A scenario file, with `a.b=value` options laid over it.
 
@@ -264,7 +270,7 @@ def read_scenario(path: str | Path, *, options: Sequence[str] = ()) -> Scenario:
     if not isinstance(tree, dict):
         raise InputError("not a scenario", where=file, allowed="YAML with fields like world, flight, sensing")
     try:
-        return make_scenario({"name": file.stem} | tree, options=options, where=str(file))
+        return make_scenario({"name": run_name(file.stem)} | tree, options=options, where=str(file))
     except InputError as error:
         place = ".".join(str(part) for part in error.field)
         if is_set_by(options, place):

@@ -41,7 +41,8 @@ _KINDS = {
 class PlainLoader(_PARSER):  # type: ignore[misc]  # one of two classes
     """YAML without dates, and with the truth values of YAML 1.2: `on`, `off`, `yes` and `no` stay text.
 
-    Names of settings are text: a group with another key, such as a number, is refused at the key's line.
+    Names of settings are text: a group with another key, such as a number, is refused at the key's line. So is one with
+    a key that stands twice, of which other readers keep the last in silence.
     """
 
     yaml_implicit_resolvers = {  # noqa: RUF012  # PyYAML's own name and kind
@@ -50,7 +51,14 @@ class PlainLoader(_PARSER):  # type: ignore[misc]  # one of two classes
     }
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        """Build a group whose keys are all text."""
+        """Build a group whose keys are all text, each given once."""
+        given: set[str] = set()
+        for key_node, _ in node.value:
+            if isinstance(key_node.value, str) and not key_node.tag.endswith(":merge"):
+                if key_node.value in given:
+                    what = f"the name {one_line(key_node.value)!r} stands twice"
+                    raise yaml.constructor.ConstructorError(None, None, what, key_node.start_mark)
+                given.add(key_node.value)
         made = super().construct_mapping(node, deep=deep)
         for key_node, _ in node.value:
             if not isinstance(self.construct_object(key_node, deep=True), str):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 
 from ullage.arrays import Floats
-from ullage.config import Scenario, Task, is_set_by, make_scenario
+from ullage.config import Scenario, Task, is_set_by, make_scenario, run_name
 from ullage.data import Frames, Trajectory, strung
 from ullage.errors import InputError
 from ullage.experiments.catalog import families, find_scenario, scenario_names, suggestion
@@ -143,11 +142,6 @@ def _with_flight(
     log(f"default flight in {Path(target).name}: {length:.0f} m in {len(points) - 1} legs from {list(points[0])}")
     log("to change it: -o 'flight.waypoints=[[x, y, z, yaw], ...]'; the run's scenario.yaml holds all settings")
     return scenario.but(flight=scenario.flight.but(waypoints=points)), scene
-
-
-def run_name(text: str) -> str:
-    """Text as the name of a run: letters, digits and _.- only, at most 60 of them."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("_.-")[:60] or "run"
 
 
 def _begin(run: Run, to: Sequence[str], out: Path | None, *, force: bool = False) -> Run:
