@@ -293,3 +293,13 @@ def test_a_family_with_options_is_the_scenario_of_the_older_name(
                 ("config", older), place, capsys
             ).stdout.replace(f'name: "{one.words}"', f'name: "{older}"')
     assert len(families()) == 8
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+@pytest.mark.parametrize("words", [["list"], ["config"]])
+def test_output_onto_a_full_disk_is_one_line(tmp_path: Path, words: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-m", "ullage", *words], stdout=full, stderr=subprocess.PIPE, text=True,
+                              cwd=tmp_path, timeout=120, check=False)  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines() == ["ullage: [Errno 28] No space left on device"]

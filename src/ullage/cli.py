@@ -28,6 +28,8 @@ Options = Annotated[
     list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
 ]
 MAP_SCORES = ("f1", "precision", "recall", "recall_in_view", "flyable_found", "flyable_false")
+INTERRUPTED = 130
+"""Exit code of typer after Ctrl-C, which it takes itself."""
 NEWEST = 3
 """Runs that the overview names."""
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
@@ -78,7 +80,7 @@ def main(words: list[str] | None = None) -> None:
     Raises:
         SystemExit: the command is over; its code is 0, or 2 for what was refused.
     """
-    from ullage.errors import DamageWarning, UllageError
+    from ullage.errors import DamageWarning, UllageError, one_line
     from ullage.experiments.stop_signals import stop_as_ctrl_c
 
     words = sys.argv[1:] if words is None else words
@@ -89,6 +91,8 @@ def main(words: list[str] | None = None) -> None:
         with stop_as_ctrl_c():
             app([word for word in words if word != "--debug"], standalone_mode=True)
     except SystemExit as done:
+        if done.code == INTERRUPTED:
+            typer.echo("ullage: interrupted", err=True)
         if not done.code and any(issubclass(category, DamageWarning) for category in warned.values()):
             sys.exit(2)
         raise
@@ -99,9 +103,11 @@ def main(words: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:  # the reader, say `head`, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except KeyboardInterrupt:
-        typer.echo("ullage: interrupted", err=True)
-        sys.exit(130)
+    except (OSError, MemoryError) as error:  # a full disk, also under the output; no memory
+        if debug:
+            raise
+        typer.echo(f"ullage: {one_line(str(error)) or 'not enough memory'}", err=True)
+        sys.exit(2)
 
 
 def _quiet_warnings() -> dict[str, type[Warning]]:
