@@ -20,6 +20,7 @@ from ullage.arrays import Floats, Ints
 from ullage.errors import InputError, shown
 from ullage.untrusted import regular_size
 from ullage.world.notices import notify
+from ullage.world.polygons import plain_obj, triangle_corners
 
 Mesh = tuple[Floats, Ints]
 
@@ -180,6 +181,7 @@ def _by_trimesh(raw: bytes, path: Path, kind: str) -> list[tuple[set[str], MeshF
     if kind in ("glb", "gltf"):
         _check_gltf(raw, path)
     if kind == "obj":
+        raw = plain_obj(raw)
         objects = raw.startswith(b"o ") or b"\no " in raw
         options = {"split_objects": objects, "split_groups": not objects, "group_material": False}
     found = trimesh.load_scene(
@@ -235,14 +237,19 @@ def _collada_node(
 
 
 def _collada_triangles(primitive: Any) -> MeshFile | None:
-    found = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
-    index = getattr(found, "vertex_index", None)
-    if index is None or np.ndim(index) != 2 or np.shape(index)[1] != 3 or not len(index):
+    index, normals = getattr(primitive, "vertex_index", None), getattr(primitive, "normal", None)
+    where, counts = getattr(primitive, "normal_index", None), getattr(primitive, "vcounts", None)
+    if index is None or not len(index):
+        return None
+    vertices, index = np.asarray(primitive.vertex, np.float64), np.asarray(index, np.int64)
+    if counts is not None:
+        corners = triangle_corners(np.asarray(counts, np.int64), vertices[index])
+        index, where = index[corners], None if where is None else np.asarray(where)[corners]
+    if index.ndim != 2 or index.shape[1] != 3 or not len(index):
         return None  # lines
-    normals, where = getattr(found, "normal", None), getattr(found, "normal_index", None)
     known = normals is not None and where is not None and np.shape(where) == np.shape(index)
     given = _at_corners(normals, np.asarray(where)) if known else None
-    return MeshFile(np.asarray(found.vertex, np.float64), np.asarray(index, np.int32), given)
+    return MeshFile(vertices, np.asarray(index, np.int32), given)
 
 
 def _at_corners(normals: Any, index: NDArray[np.integer]) -> Floats | None:
