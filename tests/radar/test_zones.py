@@ -68,6 +68,18 @@ def test_in_the_open_nothing_changes(monkeypatch):
     assert ours == pytest.approx(echoes(room, path, RADAR, max_bounces=3), abs=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_zone_that_a_border_crosses_comes_before_stronger_ones_in_the_open(monkeypatch, whole):
+    """Two paths are judged by their zones: that to the fold behind its screen, not both to the bracket before it."""
+    shaded, bracket = fold(2.0, 0.1), scenes.dihedral(0.4, 3.0)
+    peak = abs(whole).argmax()
+    both, alone, free = (double(s)[peak] for s in (ul.Scene.union([shaded, bracket]), shaded, bracket))
+    assert abs(free) < 0.01 * abs(alone)
+    monkeypatch.setattr(zones, "BEST", 2)
+    assert abs(double(bracket)).max() > 1.2 * abs(whole).max()
+    assert double(ul.Scene.union([shaded, bracket]))[peak] == pytest.approx(both, abs=0.1 * float(abs(alone)))
+
+
 def directions(rays):
     """Unit vectors (rays, 2) evenly around."""
     angles = 2 * np.pi * (np.arange(rays) + 0.5) / rays

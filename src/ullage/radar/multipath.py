@@ -31,7 +31,7 @@ from ullage.radar.zones import shares, strengths
 
 MIRRORS = 32
 """Greatest number of mirrors of a frame: those of the largest apparent size."""
-CORNERS = 32
+CORNERS = 24
 """Greatest number of corners of a frame beyond those between these mirrors: those with the strongest echoes."""
 FADE = 0.1
 """Mirrors and end faces fade in over this share of the size at which they are chosen, so that none appears at once."""

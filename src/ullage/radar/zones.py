@@ -27,6 +27,8 @@ NEAR = 0.02
 """Paths over points that exceed the mirror path by more than this many waves are judged by one point."""
 BEST = 10
 """So many paths of a frame, the strongest if they were free, are judged over their zone."""
+EVEN = 0.1
+"""Paths whose zone is free, or hidden, at five points alike give way to others unless they are stronger by this."""
 FAINT = 0.02
 """Paths this much weaker than the strongest of a frame, free or not, are judged by one point."""
 RAYS = 24
@@ -83,15 +85,19 @@ def shares(
         strong: what they would bring; of 0 for those that do not matter.
         clear: whether paths (n, 5, 3) that are wanted (n), not 0, are free.
     """
-    zones = _strongest(beams, path, strong, NEAR * context.spec.wavelength_m)
-    many = len(zones.paths)
 
-    def reached(of: Longs, points: Floats) -> Bools:
+    def free_paths(of: Longs, points: Floats) -> Bools:
         out = np.empty((len(of), 5, 3))
-        bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, zones.paths[of], points, out)
+        bounces.legs(beams.paths, planar.normals, planar.offsets, antennas.origins, of, points, out)
         return clear(out, np.ones(len(of)))
 
     out = clear(path, strong.level).astype(complex)
+    zones = _strongest(beams, path, strong, NEAR * context.spec.wavelength_m, out != 0, free_paths)
+    many = len(zones.paths)
+
+    def reached(of: Longs, points: Floats) -> Bools:
+        return free_paths(zones.paths[of], points)
+
     if not many:
         return out
     asked, places = np.empty((many, RAYS, CELLS)), np.empty((many * RAYS * CELLS, 3))
@@ -132,8 +138,14 @@ def strengths(
     return out
 
 
-def _strongest(beams: Beams, path: Floats, strong: Strengths, near_m: float) -> Zones:
-    """Paths over mirror points that would be the strongest if nothing stood in their way, and their zones."""
+def _strongest(
+    beams: Beams, path: Floats, strong: Strengths, near_m: float, free: Bools, clear: Callable[[Longs, Floats], Bools]
+) -> Zones:
+    """Choose the paths over mirror points whose shadow matters most, and lay out their zones.
+
+    They would be the strongest if nothing stood in their way, and a border of shadow crosses their zone. `free` tells
+    whether paths (b) are free at their mirror points, `clear` whether paths (n) over other points (n, 3) are.
+    """
     level = strong.level * (strong.excess < near_m)
     some = np.argsort(-level)[: 2 * BEST]  # laying out a zone costs more than telling these
     some = some[level[some] > 0]
@@ -143,9 +155,32 @@ def _strongest(beams: Beams, path: Floats, strong: Strengths, near_m: float) -> 
     counts = np.empty(len(some), complex)
     kernel.whole(rough, LAST, counts)
     level *= abs(counts)
-    order = np.argsort(-level)[:BEST]
-    order = order[level[order] > FAINT * level.max(initial=0.0)]
+    loud = level > FAINT * level.max(initial=0.0)
+    order = np.flatnonzero(loud)
+    if len(order) > BEST:
+        even = _even(some[order], lit[order], axes[order], rough[order], free, clear)
+        order = order[np.argsort(-level[order] * np.where(even, EVEN, 1.0))[:BEST]]
     ends = np.empty((len(order), FINE * RAYS))
     some, lit, axes = some[order], lit[order], axes[order]
     kernel.outline(lit, axes, some, beams.first, beams.edges, _turn(FINE * RAYS), LAST, ends)
     return Zones(some, lit, axes, ends)
+
+
+def _even(
+    some: Longs, lit: Floats, axes: Floats, rough: Floats, free: Bools, clear: Callable[[Longs, Floats], Bools]
+) -> Bools:
+    """Whether paths `some` (k) are free, or hidden, alike at their mirror points and at four points around these.
+
+    Args:
+        some: (k) paths.
+        lit: (k, 3) mirror points [m].
+        axes: (k, 2, 3) as in `Zones`.
+        rough: (k, RAYS) phases at which the lit part of the last face ends [rad].
+        free: (b) whether paths are free at their mirror points.
+        clear: whether paths (n) over other points (n, 3) are free.
+    """
+    rays = np.arange(0, RAYS, RAYS // 4)
+    turn = np.sqrt(np.minimum(np.pi, 0.8 * rough[:, rays]))[:, :, None] * _turn(RAYS)[rays]
+    points = lit[:, None] + np.einsum("kra,kai->kri", turn, axes)
+    there = clear(np.repeat(some, len(rays)), points.reshape(-1, 3)).reshape(len(some), -1)
+    return np.asarray((there == free[some][:, None]).all(1))
