@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -181,10 +182,11 @@ def _folded(place: Floats, state: Floats, owner: Longs, fold_m: float) -> Bools:
     unit = np.stack([np.cos(state[:, 1]), np.sin(state[:, 1])], axis=1)
     point = place + state[:, :1] * unit
     origin = point + fold_m * unit
-    same = np.zeros(len(owner), bool)
-    for index, near in enumerate(cKDTree(point).query_ball_point(origin, FOLD_REACH_M)):
-        other = np.array([k for k in near if owner[k] != owner[index]], np.int64)
-        apart = np.abs(np.sum((point[other] - origin[index]) * unit[index], axis=1))
-        parallel = unit[other] @ unit[index] > np.cos(FOLD_RAD)
-        same[index] = (parallel & (apart < FOLD_M)).any()
+    near = cKDTree(point).query_ball_point(origin, FOLD_REACH_M)
+    echo = np.repeat(np.arange(len(near)), [len(one) for one in near])
+    other = np.fromiter(chain.from_iterable(near), np.int64, len(echo))
+    apart = np.abs(np.sum((point[other] - origin[echo]) * unit[echo], axis=1))
+    parallel = np.sum(unit[other] * unit[echo], axis=1) > np.cos(FOLD_RAD)
+    fits = (owner[other] != owner[echo]) & parallel & (apart < FOLD_M)
+    same = np.bincount(echo, fits, len(owner)) > 0
     return np.asarray(np.bincount(owner, same) / np.bincount(owner) > FOLD_SHARE)
