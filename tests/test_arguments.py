@@ -154,6 +154,10 @@ def test_detection_refuses_numbers_out_of_bounds(words: str, options: dict[str, 
     [
         ("floor_z_m is nan", {"floor_z_m": np.nan}),
         ("vehicle_radius_m is 'a'", {"vehicle_radius_m": "a"}),
+        ("no option 'treshold' of method 'elfes'.*allowed: threshold", {"method": "elfes", "treshold": 0.1}),
+        ("no option 'threshold' of method 'ullage'", {"threshold": 0.1}),
+        ("threshold is -1", {"method": "elfes", "threshold": -1}),
+        ("lobe_deg is nan", {"method": "elfes", "lobe_deg": np.nan}),
     ],
 )
 def test_the_mapper_refuses_numbers_out_of_bounds(words: str, options: dict[str, Any], frames: ul.Frames) -> None:
@@ -191,6 +195,17 @@ def test_a_grid_of_arrays_is_the_same_as_one_of_numbers() -> None:
 def test_maps_larger_than_memory_are_refused(method: str, frames: ul.Frames) -> None:
     grid = ul.Grid.covering(BOX, 2e-6)
     refused("takes .* GB", lambda: ul.map_occupancy(frames, grid, method=method))
+
+
+@pytest.mark.parametrize("use", [ul.focus, ul.map_occupancy])
+def test_cells_are_those_of_a_grid(use: Callable[..., Any], frames: ul.Frames) -> None:
+    refused("grid is a list", lambda: use(frames, [1, 2]))
+
+
+def test_only_a_map_and_a_scene_are_compared(frames: ul.Frames) -> None:
+    omap: Any = ul.map_occupancy(frames, PLANE, method="elfes")
+    refused("scene is a str", lambda: ul.metrics.map_quality(omap, "room", frames))
+    refused("omap is a Image", lambda: ul.metrics.map_quality(ul.focus(frames, PLANE), ul.scenes.room(), frames))
 
 
 def test_images_larger_than_memory_are_refused(frames: ul.Frames) -> None:

@@ -88,6 +88,16 @@ def times_ns(name: str, value: Any) -> Longs:
     return np.ascontiguousarray(given, np.int64)
 
 
+def instance(name: str, value: Any, kind: type, where: str) -> None:
+    """Refuse a value of another type.
+
+    Raises:
+        InputError: it is one.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{name} is a {type(value).__name__}", where=where, allowed=f"a {kind.__name__}")
+
+
 def rigid(name: str, value: Any, where: str) -> Floats:
     """Return a rigid transform (4, 4).
 

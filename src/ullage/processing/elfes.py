@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ullage import checks
 from ullage.arrays import Longs
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
@@ -43,7 +44,7 @@ class ElfesMapper:
             None: that one.
 
     Raises:
-        InputError: the grid is a volume or too large, no such number of bits, or `certain` out of bounds.
+        InputError: the grid is a volume or too large, no such number of bits, or a number out of bounds.
     """
 
     def __init__(
@@ -57,6 +58,10 @@ class ElfesMapper:
         certain: float = 1.0,
         kernel: Callable[..., None] | None = None,
     ) -> None:
+        checks.number("lobe_deg", lobe_deg, "elfes", above=0.0, allowed="> 0")
+        checks.number("spread_m", spread_m, "elfes", above=0.0, allowed="> 0")
+        if threshold is not None:
+            checks.number("threshold", threshold, "elfes", above=0.0, allowed="> 0")
         if not 0.5 < certain <= 1:
             raise InputError(f"certain is {certain}", where="elfes", allowed="above 0.5, at most 1")
         if bits not in (8, 32):

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
+from ullage import checks
 from ullage.arrays import Bools, Floats, Longs
 from ullage.data import Metric, Recording, sensors_of
 from ullage.grids import Grid, OccupancyMap
@@ -74,8 +75,10 @@ def map_quality(
         Scores by name; `found:NAME` for each object smaller than 0.6 m on the map.
 
     Raises:
-        InputError: nothing of the scene lies on the grid.
+        InputError: nothing of the scene lies on the grid, or an argument is of another type.
     """
+    checks.instance("omap", omap, OccupancyMap, "map_quality")
+    checks.instance("scene", scene, Scene, "map_quality")
     judged = _judge(omap, scene, frames, min_looks)
     near = judged.surface_gap <= match_m
     scores = (

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from ullage import plugins
+from ullage import checks, plugins
 from ullage.data import Recording, sensors_of
 from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap
@@ -46,8 +47,9 @@ def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMa
         **options: those of the method.
 
     Raises:
-        InputError: the method is unknown.
+        InputError: the method or an option of it is unknown, or `grid` is no grid.
     """
+    checks.instance("grid", grid, Grid, "map_occupancy")
     make: Callable[..., StreamingMapper] | None
     if method in METHODS:
         module, name = METHODS[method]
@@ -57,6 +59,11 @@ def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMa
     if make is None:
         allowed = ", ".join((*METHODS, *plugins.names("ullage.map_methods")))
         raise InputError(f"no mapping method {method!r}", where="method", allowed=allowed)
+    known = inspect.signature(make).parameters
+    any_option = any(one.kind is one.VAR_KEYWORD for one in known.values())
+    if not any_option and (unknown := [name for name in options if name not in known]):
+        allowed = ", ".join(name for name, one in known.items() if one.kind is one.KEYWORD_ONLY)
+        raise InputError(f"no option {unknown[0]!r} of method {method!r}", where="map_occupancy", allowed=allowed)
     return make(grid, **options)
 
 

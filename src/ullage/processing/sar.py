@@ -54,6 +54,7 @@ def focus(
             sensors of different frequency to be added in phase.
     """
     _check_choices(window, combine, threads)
+    checks.instance("grid", grid, Grid, "focus")
     parts = without_own_echo(frames) if remove_own_echo else sensors_of(frames)
     if method == "summation":
         return summed(parts, grid)
