@@ -281,3 +281,8 @@ def test_explain_refuses_what_names_no_frame(words: str, options: dict[str, Any]
 def test_explain_takes_one_radar_of_a_rig() -> None:
     rig: Any = ul.Rig.preset("thesis-4")
     refused("radar is a Rig", lambda: ul.explain(ul.Scene.empty(), ul.Trajectory.stationary(), rig))
+
+
+def test_one_heading_for_a_whole_flight_stays_one_number() -> None:
+    for yaw in (90.0, 90, np.float32(90)):
+        assert ul.Waypoints([(0, 0, 1), (1, 0, 1)], yaw=yaw).yaw == 90.0

@@ -55,13 +55,13 @@ def array(name: str, value: Any, dtype: Any = np.float64) -> NDArray[Any]:
             wanted, or fractions where integers are wanted.
     """
     if type(value) is np.ndarray and value.dtype == dtype:
-        return np.ascontiguousarray(value)
+        return np.asarray(value, order="C")
     given = as_given(name, value)
     if given.dtype.kind == "c" and np.dtype(dtype).kind != "c":
         raise InputError(f"{name} is complex", where=name, allowed="real numbers")
     try:
         if given.dtype.kind in "biufcO":
-            out = np.ascontiguousarray(given, dtype)
+            out = np.asarray(given, dtype, order="C")
             if out.dtype.kind != "i" or np.array_equal(out, given):
                 return out
     except (TypeError, ValueError, OverflowError):
@@ -76,16 +76,16 @@ def times_ns(name: str, value: Any) -> Longs:
         InputError: the value holds no times, or times beyond 292 years.
     """
     if type(value) is np.ndarray and value.dtype == np.int64:
-        return np.ascontiguousarray(value)
+        return np.asarray(value, order="C")
     given = as_given(name, value)
     if given.dtype.kind in "mM" and not np.isnat(given).any():
-        return np.ascontiguousarray(given.astype(f"{given.dtype.kind}8[ns]").astype(np.int64))
+        return np.asarray(given.astype(f"{given.dtype.kind}8[ns]").astype(np.int64), order="C")
     if given.dtype.kind not in "biu":
         given = np.rint(array(name, given))
     if not ((given >= -(2.0**63)) & (given < 2.0**63)).all():  # also NaN
         raise InputError(f"{name} has a time that is not finite, or beyond 292 years", where=name,
                          allowed="whole nanoseconds")  # fmt: skip
-    return np.ascontiguousarray(given, np.int64)
+    return np.asarray(given, np.int64, order="C")
 
 
 def instance(name: str, value: Any, kind: type, where: str) -> None:
