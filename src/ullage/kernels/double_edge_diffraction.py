@@ -1,4 +1,10 @@
-"""Loops for waves that cross a face from edge to edge, there and back, by uniform diffraction."""
+"""Loops for waves that cross a face from edge to edge, there and back, by uniform diffraction.
+
+A wave crosses straight over, or it turns at the edge of a sheet at right angles between both. That turn sends it back
+to where it came from, as a dihedral does: for a distant radar all these paths of one sheet have the same length, off
+the principal planes too. Each diffraction is Keller's [Keller1962] with the transition function of the uniform theory,
+whose distance parameter at the turn is that of two edges in a row [KouyoumjianPathak1974].
+"""
 
 from __future__ import annotations
 
@@ -6,12 +12,14 @@ import math
 from typing import NamedTuple
 
 from ullage.arrays import Bools, Floats, Ints
-from ullage.kernels.facets import FROM, ONE, TO, Antennas, EchoSums, PulseGrid, Transmission, same, toward, turned
+from ullage.kernels.facets import FROM, ONE, TO, VERTEX, Antennas, EchoSums, PulseGrid, Transmission, same, toward
+from ullage.kernels.facets import turned as phasor
 from ullage.kernels.loops import core, lean
 from ullage.kernels.near import spread
-from ullage.kernels.outlines import accumulate_line
+from ullage.kernels.outlines import LineEcho, accumulate_pulses
 
 C0 = 299_792_458.0
+_LEAST_PARTS = 8  # over which the reflection at the edge between changes slowly
 
 
 class EdgePairs(NamedTuple):
@@ -22,13 +30,24 @@ class EdgePairs(NamedTuple):
     inward: Floats  # (p, 2, 3) unit vectors from each edge into the face
     normals: Floats  # (p, 3) unit normals of the face
     transmissive: Bools  # (p) whether the wave runs over both sides
+    lengths: Floats  # (p) of the first edge [m]
+
+
+class PairLines(NamedTuple):
+    """Pairs (p) of parallel edges as lines, and the edges that close the face between them."""
+
+    starts: Floats  # (p, 3) of the first edge [m]
+    ends: Floats  # (p, 3) [m]
+    gaps: Floats  # (p, 3) from the first edge to the second [m]
+    closed: Bools  # (p) whether it is a sheet, and edges run from start to start and from end to end
 
 
 class PairPieces(NamedTuple):
     """Pieces (m) of the first edges of pairs."""
 
-    ends: Floats  # (m, 2, 3) both ends of each piece [m]
+    ends: Floats  # (m, 2, 3) both ends of each piece [m]; of a path that turns as `turning` gives them
     pair: Ints  # (m) pair of each piece
+    turns: Bools  # (m) whether the wave turns at an edge between both; otherwise it crosses straight over
 
 
 @lean(fastmath=True, nogil=True, error_model="numpy")
@@ -46,7 +65,7 @@ def transition(x):  # type: ignore[no-untyped-def]
         total += term / (2 * n + 1)
     root = complex(math.sqrt(0.5), math.sqrt(0.5))
     tail = 0.5 * math.sqrt(math.pi) / root - s * total  # integral of e^{-j t^2} from s on
-    return 2j * s * turned(-x) * tail
+    return 2j * s * phasor(-x) * tail
 
 
 @core(fastmath=True, nogil=True, error_model="numpy")
@@ -116,6 +135,155 @@ def _twice(pieces, k, end, pairs, width, wave, antennas, out):  # type: ignore[n
     return value, path + width
 
 
+@core(fastmath=True, nogil=True, error_model="numpy", forceinline=True)
+def _forward(x, y, z, t, sign, origins):  # type: ignore[no-untyped-def]
+    """Mean cosine between the directions from both antennas to a place and the unit vector sign t."""
+    total = 0.0
+    for s in range(2):
+        dx, dy, dz = x - origins[0, s, 0], y - origins[0, s, 1], z - origins[0, s, 2]
+        total += (dx * t[0] + dy * t[1] + dz * t[2]) / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+    return 0.5 * sign * total
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _advance(lines, w, end, t, size, sign, origins):  # type: ignore[no-untyped-def]
+    """How far a wave runs along pair w while it crosses the face and turns at its `end`; 0 where no path does [m]."""
+    width2, run = 0.0, 0.0
+    for j in range(3):
+        width2 += lines.gaps[w, j] ** 2
+    corner = lines.ends[w] if end == 1 else lines.starts[w]
+    gap = lines.gaps[w]
+    for _ in range(3):
+        back = -sign * min(0.5 * run, size)
+        x, y, z = corner[0] + back * t[0], corner[1] + back * t[1], corner[2] + back * t[2]
+        one = _forward(x, y, z, t, sign, origins)
+        cosine = 0.5 * (one + _forward(x + gap[0], y + gap[1], z + gap[2], t, sign, origins))
+        if cosine <= 0:
+            return 0.0
+        run = math.sqrt(width2 / max(1 - cosine * cosine, 1e-9)) * cosine
+    return run if run < 2 * size else 0.0
+
+
+@lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
+def turning(which, lines: PairLines, origins, t, ends, pair):  # type: ignore[no-untyped-def]
+    """Find the paths from the first edge of pairs to the second that turn at the edge between them.
+
+    The path leaves the first edge as far before the turn as it meets the second behind it, in the mean. That point lies
+    half way between both ends that are written: the corner, and the place by the wave's run along the pair before it.
+
+    Args:
+        which: (q) pairs to follow.
+        lines: `PairLines` (p).
+        origins: (1, 2, 3) transmitter and receiver [m].
+        t: (3) scratch.
+        ends: (q, 2, 3) gets both ends of each path's piece of the first edge, moved by half the gap [m].
+        pair: (q) gets the pair of each path.
+
+    Returns:
+        How many paths there are.
+    """
+    at = 0
+    for w in which:
+        if not lines.closed[w]:
+            continue
+        size = 0.0
+        for j in range(3):
+            t[j] = lines.ends[w, j] - lines.starts[w, j]
+            size += t[j] * t[j]
+            ends[at, 0, j] = 0.5 * (lines.starts[w, j] + lines.ends[w, j] + lines.gaps[w, j])
+        size = math.sqrt(size)
+        for j in range(3):
+            t[j] /= size
+        end = 1 if _forward(ends[at, 0, 0], ends[at, 0, 1], ends[at, 0, 2], t, 1.0, origins) > 0 else 0
+        sign = 2.0 * end - 1
+        run = _advance(lines, w, end, t, size, sign, origins)
+        if run <= 0:
+            continue
+        for j in range(3):
+            ends[at, 0, j] = (lines.ends[w, j] if end == 1 else lines.starts[w, j]) + 0.5 * lines.gaps[w, j]
+            ends[at, 1, j] = ends[at, 0, j] - sign * run * t[j]
+        pair[at] = w
+        at += 1
+    return at
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def along_sheet(x):  # type: ignore[no-untyped-def]
+    """e^{jx} erfc(sqrt(jx)): what is left at some distance of the wave that the edge of a sheet sends along it.
+
+    At the edge the current across it has no way out, and the wave cancels the incident one (x = 0). Far off the wave
+    is Keller's.
+    """
+    x = max(x, 1e-6)
+    return transition(x) / math.sqrt(math.pi * x) * complex(math.sqrt(0.5), -math.sqrt(0.5))
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _turned_strength(pieces, k, pairs, width, run, wave, antennas, out):  # type: ignore[no-untyped-def]
+    """Strength per length of the wave that crosses obliquely, as if the turn returned all of it."""
+    product, w = 1.0 + 0j, pieces.pair[k]
+    sine = width / math.sqrt(width * width + run * run)
+    for side in range(2):
+        for j in range(3):
+            out[2, j] = 0.5 * (pieces.ends[k, 0, j] + pieces.ends[k, 1, j]) + (pairs.gaps[w, j] if side == 1 else 0.0)
+        product *= _graze(out[2], w, side, pairs, width * sine, wave, antennas, out)
+    both = -0.5 * (out[0, 0] * out[1, 1] + out[0, 1] * out[1, 0])
+    crossing = width / sine
+    spreading = 1 / math.sqrt(2 * math.pi * wave * width * (1 + crossing / (out[0, 2] + out[1, 2])))
+    # the stationary crossing and both diffractions at oblique incidence
+    oblique = 1 / (sine * sine * math.sqrt(sine))
+    return -2 * both * spreading * oblique * product * complex(math.sqrt(0.5), -math.sqrt(0.5))
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _turned_path(pieces, k, pairs, shift, run, origins):  # type: ignore[no-untyped-def]
+    """Both ranges [m] of the path that leaves the first edge by `shift` farther from the turn than in the mean.
+
+    It meets the second edge by as much nearer to the turn.
+    """
+    total, w = 0.0, pieces.pair[k]
+    for side in range(2):
+        share = 0.5 + (shift if side == 0 else -shift) / run
+        for s in range(2):
+            square = 0.0
+            for j in range(3):
+                place = pieces.ends[k, 0, j] + share * (pieces.ends[k, 1, j] - pieces.ends[k, 0, j])
+                square += (place + (pairs.gaps[w, j] if side == 1 else 0.0) - origins[0, s, j]) ** 2
+            total += 0.5 * math.sqrt(square)
+    return total
+
+
+@core(fastmath=True, nogil=True, error_model="numpy")
+def _accumulate_turned(pieces, k, pairs, width, late, antennas, pulse, sums, scale, rows):  # type: ignore[no-untyped-def]
+    """Add the echo of the paths of one pair that turn; they form a family along the first edge."""
+    w, run, wave = pieces.pair[k], 0.0, pulse.omega / C0
+    for j in range(3):
+        run += (pieces.ends[k, 1, j] - pieces.ends[k, 0, j]) ** 2
+    run = math.sqrt(run)
+    reach = min(0.5 * run, pairs.lengths[w] - 0.5 * run)
+    strength = scale * _turned_strength(pieces, k, pairs, width, run, wave, antennas, rows)
+    crossing = math.sqrt(width * width + run * run)
+    middle = _turned_path(pieces, k, pairs, 0.0, run, antennas.origins)
+    sums.delay_s[k] = (middle + crossing) / C0 + late
+    count = max(_LEAST_PARTS, int(2 * reach / math.sqrt(math.pi * middle / wave)) + 1)
+    half = math.asin(min(2 * reach / run, 1.0))  # even parts of this angle: the reflection changes fast at the ends
+    low = -reach
+    before = _turned_path(pieces, k, pairs, low, run, antennas.origins)
+    for i in range(count):
+        high = 0.5 * run * math.sin(half * (2 * (i + 1) / count - 1))
+        cosine = math.cos(half * ((2 * i + 1) / count - 1))
+        after = _turned_path(pieces, k, pairs, high, run, antennas.origins)
+        size = high - low
+        returned = along_sheet(0.5 * wave * (run * cosine) ** 2 / crossing)
+        value = strength * returned * size
+        early = size * size / 12 * 4 / max(before + after, 0.02)
+        delay = late - early / C0
+        mean = (0.5 * (before + after) + crossing) / C0 + delay
+        line = LineEcho(value, value, (before + crossing) / C0, (after + crossing) / C0, 1.5 * pulse.omega * early / C0)
+        sums.echo[k] += accumulate_pulses(sums.grids, pulse, True, VERTEX, line, delay, mean)
+        low, before = high, after
+
+
 @lean(by_fields=True, fastmath=True, nogil=True, error_model="numpy")
 def accumulate_doubles(  # type: ignore[no-untyped-def]
     pieces: PairPieces,
@@ -137,10 +305,9 @@ def accumulate_doubles(  # type: ignore[no-untyped-def]
         sums: `facets.EchoSums` (m), written.
         rows: (3, 3), scratch.
     """
-    omega, start, step, fold = pulse.omega, pulse.start_s, pulse.step_s, pulse.fold_s
+    omega = pulse.omega
     wave = omega / C0
     scale = antennas.factor[0] / (4 * math.pi * wave)
-    last = start + sums.grids.shape[1] * step
     for k in range(len(pieces.ends)):
         sums.echo[k], sums.delay_s[k] = 0j, 0.0
         if between.factor[k] == 0:
@@ -150,6 +317,10 @@ def accumulate_doubles(  # type: ignore[no-untyped-def]
             size += (pieces.ends[k, 1, j] - pieces.ends[k, 0, j]) ** 2
             width += pairs.gaps[w, j] * pairs.gaps[w, j]
         size, width = math.sqrt(size), math.sqrt(width)
+        if pieces.turns[k]:
+            strong = scale * between.factor[k]
+            _accumulate_turned(pieces, k, pairs, width, between.delay_s[k], antennas, pulse, sums, strong, rows)
+            continue
         w0, path0 = _twice(pieces, k, FROM, pairs, width, wave, antennas, rows)
         w1, path1 = _twice(pieces, k, TO, pairs, width, wave, antennas, rows)
         w0, w1 = w0 * scale * size * between.factor[k], w1 * scale * size * between.factor[k]
@@ -157,12 +328,5 @@ def accumulate_doubles(  # type: ignore[no-untyped-def]
         late = between.delay_s[k] - early / C0
         mean = 0.5 * (path0 + path1) / C0 + late
         sums.delay_s[k] = mean
-        landed = mean - math.floor((mean - start) / fold) * fold
-        shift = late + landed - mean
-        while landed < last:
-            a, b = path0 / C0 + shift, path1 / C0 + shift
-            value = accumulate_line(sums.grids, w0, w1, omega * a, omega * b, 1.5 * omega * early / C0,
-                                    (a - start) / step, (b - start) / step)  # fmt: skip
-            sums.echo[k] += value if landed < start + fold else 0j  # what lands a pulse later is the same echo
-            landed += fold
-            shift += fold
+        line = LineEcho(w0, w1, path0 / C0, path1 / C0, 1.5 * omega * early / C0)
+        sums.echo[k] = accumulate_pulses(sums.grids, pulse, True, VERTEX, line, late, mean)

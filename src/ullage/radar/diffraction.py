@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.radar import corner_diffraction as corner
 from ullage.radar import double_diffraction as double
 from ullage.radar.solids import welded
 from ullage.radar.wires import moved
@@ -57,10 +58,11 @@ class Edges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharp:
-    """All edges of a scene, and those that face each other."""
+    """All edges of a scene, those that face each other, and the corners where they meet."""
 
     edges: Edges
     pairs: double.Pairs
+    corners: corner.Corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +75,9 @@ class OutlineSet:
     both: Bools  # (p) the wave runs over both sides
     bare: Bools  # (p) of a sheet, which a wave from behind meets too
     strong: Floats  # (p) strength of the wave across over that of an edge by itself, at most
+    closed: Bools  # (p) of thin bodies with free edges all around
+    corners: corner.Corners
+    corners_bare: Bools  # (c) of a sheet, which a wave from behind meets too
 
 
 def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
@@ -95,16 +100,20 @@ def sharp_edges(scene: Scene, still: Raycaster) -> Sharp:
         edges = _free(_edges(alone, np.ones(len(alone.faces), bool)), Raycaster(alone))
         found.append(replace(edges, object_ids=np.full(len(edges), index, np.int32)))
     joined = Edges(*(np.concatenate([getattr(e, f.name) for e in found]) for f in fields(Edges)))
-    return Sharp(joined, double.strung([_pairs(e) for e in found]))
+    return Sharp(joined, double.strung([_pairs(e) for e in found]), corner.joined([_corners(e) for e in found]))
 
 
 def nowhere() -> Sharp:
     """No edges at all."""
-    return Sharp(_none(), _pairs(_none()))
+    return Sharp(_none(), _pairs(_none()), _corners(_none()))
 
 
 def _pairs(edges: Edges) -> double.Pairs:
     return double.facing_pairs(*(getattr(edges, f.name) for f in fields(edges)))
+
+
+def _corners(edges: Edges) -> corner.Corners:
+    return corner.face_corners(*(getattr(edges, f.name) for f in fields(edges)))
 
 
 def outlines_of(sharp: Sharp, wavelength_m: float) -> OutlineSet:
@@ -117,11 +126,12 @@ def outlines_of(sharp: Sharp, wavelength_m: float) -> OutlineSet:
     row = np.arange(len(held))[:, None]
     held = replace(held, inward=held.inward[row, order], normals=held.normals[row, order],
                    widths=held.widths[row, order])  # fmt: skip
-    pairs, both, bare = double.at_wavelength(sharp.pairs, NARROW * wavelength_m)
+    pairs, both, bare, closed = double.at_wavelength(sharp.pairs, NARROW * wavelength_m)
     gaps_m = np.linalg.norm(pairs.gaps, axis=1)
     return OutlineSet(
-        held, np.asarray(~wide.all(1)), pairs, both, bare, 4 * np.sqrt(wavelength_m / gaps_m) / (2 * np.pi)
-    )
+        held, np.asarray(~wide.all(1)), pairs, both, bare, 4 * np.sqrt(wavelength_m / gaps_m) / (2 * np.pi),
+        closed, *corner.at_wavelength(sharp.corners, NARROW * wavelength_m),
+    )  # fmt: skip
 
 
 def placed(edges: Edges, poses: Floats | None) -> Edges:

@@ -3,7 +3,8 @@
 With the electric field across the edges, the wave that one edge bends along the face is bent again by the other. On a
 plate of a few wavelengths, turned away, that is as strong as either edge alone. Keller's coefficients are taken twice
 [Keller1962], with the uniform theory's transition where the face is seen edge on [KouyoumjianPathak1974]. Only pairs
-of parallel edges whose face lies between them, at most `WIDEST_M` apart.
+of parallel edges whose face lies between them, at most `WIDEST_M` apart. On a sheet whose four edges are free,
+the wave also turns at the edge between both.
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.radar.solids import welded
 from ullage.radar.wires import moved
 
 WIDEST_M = 1.0
 """Greatest distance of two edges between which a wave is followed [m]."""
+_APART_M = 1e-4  # corners of one face that lie nearer are one
 _AT_ONCE = 100_000  # pairs: all of a large mesh would fill the memory
 
 
@@ -32,6 +35,9 @@ class Pairs:
     inward: Floats  # (p, 2, 3) from each edge into the face
     normals: Floats  # (p, 3) of the face
     others: Floats  # (p, 2) widths of the faces beyond both edges [m]
+    closing: Floats  # (p, 2) free space about the edge from start to start, and from end to end, over pi; 0: no edge
+    closing_others: Floats  # (p, 2) widths of the faces beyond those edges [m]
+    lengths: Floats  # (p) of the first edge [m]
     object_ids: Ints  # (p) object
 
     def __len__(self) -> int:
@@ -81,11 +87,54 @@ def facing_pairs(
     along /= np.maximum(length, 1e-12)
     one, two = (np.einsum("ni,ni->n", p[b] - starts[a], along) for p in (starts, ends))
     low, high = np.maximum(np.minimum(one, two), 0), np.minimum(np.maximum(one, two), length[:, 0])
-    held = high - low > 1e-3
-    out = Pairs(starts[a] + low[:, None] * along, starts[a] + high[:, None] * along, apart[:, None] * xa,
+    first, last, gaps = starts[a] + low[:, None] * along, starts[a] + high[:, None] * along, apart[:, None] * xa
+    row = _closing(starts[edge], ends[edge], surfaces[edge, side], first, last, gaps, surfaces[a, sa])
+    found = row >= 0
+    out = Pairs(first, last, gaps,
                 np.stack([angles[a], angles[b]], 1), np.stack([xa, inward[b, sb]], 1), n,
-                np.stack([widths[a, 1 - sa], widths[b, 1 - sb]], 1), object_ids[a])  # fmt: skip
-    return out.take(held)
+                np.stack([widths[a, 1 - sa], widths[b, 1 - sb]], 1),
+                np.where(found, angles[edge[row]], 0.0), np.where(found, widths[edge[row], 1 - side[row]], 0.0),
+                high - low, object_ids[a])  # fmt: skip
+    return out.take(high - low > 1e-3)
+
+
+def _closing(
+    starts: Floats, ends: Floats, surfaces: Longs, first: Floats, last: Floats, gaps: Floats, of: Longs
+) -> Longs:
+    """Find the edges that close the faces of pairs at both ends.
+
+    Args:
+        starts: (e, 3) of the edges of faces [m].
+        ends: (e, 3) of the same [m].
+        surfaces: (e) face of each.
+        first: (p, 3) start of the first edge of each pair [m].
+        last: (p, 3) its end [m].
+        gaps: (p, 3) from the first edge to the second [m].
+        of: (p) face of each pair.
+
+    Returns:
+        Row of the edge from start to start, and of that from end to end (p, 2), -1 for none.
+    """
+    if not len(first):
+        return np.full((0, 2), -1)
+    from scipy.spatial import cKDTree
+
+    corners = np.concatenate([starts, ends])
+    ids = welded(np.repeat(corners[:, None], 3, 1))[:, 0]
+    count, one, two = ids.max() + 2, ids[: len(starts)], ids[len(starts) :]
+    apart, near = cKDTree(corners).query(
+        np.stack([first, last, first + gaps, last + gaps]), distance_upper_bound=_APART_M
+    )
+    a, b, c, d = np.where(np.isfinite(apart), ids[np.minimum(near, len(ids) - 1)], count - 1)
+
+    def key(face: Longs, i: Longs, j: Longs) -> Longs:
+        return np.asarray((face * count + np.minimum(i, j)) * count + np.maximum(i, j))
+
+    have = key(surfaces, one, two)
+    order = np.argsort(have, kind="stable")
+    want = np.stack([key(of, a, c), key(of, b, d)], 1)
+    row = order[np.minimum(np.searchsorted(have[order], want), len(have) - 1)]
+    return np.asarray(np.where(have[row] == want, row, -1))
 
 
 def _within(bound: Longs) -> Iterator[tuple[Longs, Longs]]:
@@ -105,19 +154,22 @@ def strung(parts: list[Pairs]) -> Pairs:
     return Pairs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Pairs)))
 
 
-def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools]:
+def at_wavelength(pairs: Pairs, narrow_m: float) -> tuple[Pairs, Bools, Bools, Bools]:
     """Select the pairs that are wide enough [m]; edges of thin bodies become edges of sheets.
 
     Returns:
-        The pairs (p), whether the wave of each runs over both sides, and which of them are sheets.
+        The pairs (p), whether the wave of each runs over both sides, which of them are sheets, and which are thin and
+        have free edges all around.
     """
     held = pairs.take(np.linalg.norm(pairs.gaps, axis=1) >= narrow_m)
     transmissive = held.angles > 2 - 1e-6
     thin = (held.others < narrow_m) | transmissive
+    closed = (held.closing > 2 - 1e-6) | ((held.closing > 0) & (held.closing_others < narrow_m))
     return (
         replace(held, angles=np.where(thin, 2.0, held.angles)),
         np.asarray(thin.all(1)),
         np.asarray(transmissive.all(1)),
+        np.asarray((thin & closed).all(1)),
     )
 
 

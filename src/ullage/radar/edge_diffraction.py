@@ -8,9 +8,11 @@ import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Ints, Longs
 from ullage.geometry import C0
+from ullage.kernels import corner_diffraction as corner_kernel
 from ullage.kernels import double_edge_diffraction, edge_diffraction, lines
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission
+from ullage.radar import corner_diffraction as corner
 from ullage.radar import diffraction
 from ullage.radar import double_diffraction as double
 from ullage.radar.context import KAPPA, REACH, AntennaPair, RadarContext, grown, transmission_to
@@ -39,21 +41,78 @@ def accumulate_edges(
     starts, ends = pairs.starts + pairs.gaps / 2, pairs.ends + pairs.gaps / 2
     heard = _heard(context, antennas, starts, ends, lit, context.outlines.strong)
     over, of = _cut(context, antennas, starts[heard], ends[heard], KAPPA)
-    of = heard[of].astype(np.int32)
+    of, turns = heard[of].astype(np.int32), np.zeros(len(of), np.bool_)
+    if len(of):
+        over, of, turns = _with_turns(context, antennas, pairs, heard, over, of)
     side = np.where(above[of] < 0, -_NUDGE_M, _NUDGE_M)[:, None]
     outward = diffraction.outward(edges, np.concatenate([alone.owner, alone.holders])) * _NUDGE_M
     free = alone.ties < 0
     cut = len(alone.owner)
     seats = np.concatenate([np.arange(cut), np.where(free, cut - 1 + np.cumsum(free), alone.ties)])
+    corners = _corners(context, poses)
+    met = _corners_heard(context, antennas, corners)
+    sunk = np.einsum("ni,ni->n", corners.normals[met], centre - corners.places[met]) < 0
+    beyond = np.where(sunk, -_NUDGE_M, _NUDGE_M)[:, None] * corners.normals[met]
     seen = transmission_to(context, parts, antennas, np.concatenate([
         _middles(alone.pieces) + outward[:cut], alone.tips[free, 0] + outward[cut:][free],
-        _middles(over) + side * pairs.normals[of]]))  # fmt: skip
-    count = len(seen.factor) - len(of)
-    across = Transmission(seen.factor[count:], seen.delay_s[count:])
+        _middles(over) + side * pairs.normals[of], corners.places[met] + beyond]))  # fmt: skip
+    count, last = len(seen.factor) - len(of) - len(met), len(seen.factor) - len(met)
+    across = Transmission(seen.factor[count:last], seen.delay_s[count:last])
+    at_corners = Transmission(seen.factor[last:], seen.delay_s[last:])
     beside = Transmission(seen.factor[seats], seen.delay_s[seats])
     over -= pairs.gaps[of, None] / 2
     out = [_accumulate_edge_diffraction(context, antennas, edges, alone, beside, grids)]
-    return [*out, _accumulate_doubles(context, antennas, pairs, over, of, across, grids)] if len(of) else out
+    if len(of):
+        out.append(_accumulate_doubles(context, antennas, pairs, over, of, turns, across, grids))
+    if len(met):
+        out.append(_accumulate_corners(context, antennas, corners, met, at_corners, grids))
+    return out
+
+
+def _corners(context: RadarContext, poses: Floats | None) -> corner_kernel.Corners:
+    """Give the corners of faces as kernels take them, placed in the world."""
+    at, outlines = corner.placed(context.outlines.corners, poses), context.outlines
+    return corner_kernel.Corners(at.places, at.along, at.lengths, at.normals, outlines.corners_bare)
+
+
+def _corners_heard(context: RadarContext, antennas: AntennaPair, corners: corner_kernel.Corners) -> Longs:
+    out = np.empty(len(corners.places), np.int64)
+    wave, gate = context.pulse.omega / C0, np.array(context.gate)
+    return out[: corner_kernel.audible(corners, context.antennas(antennas), wave, gate, FAINT, out)]
+
+
+def _accumulate_corners(
+    context: RadarContext,
+    antennas: AntennaPair,
+    corners: corner_kernel.Corners,
+    met: Longs,
+    between: Transmission,
+    grids: Complexes,
+) -> EchoSet:
+    radar = context.antennas(antennas)
+
+    def put(between: Transmission, sums: EchoSums) -> None:
+        corner_kernel.accumulate_corners(met, corners, between, radar, context.pulse_grid, sums, np.empty((8, 3)))
+
+    return echo_set(put, between, grids, context.outlines.corners.object_ids[met], corners.places[met])
+
+
+def _with_turns(
+    context: RadarContext, antennas: AntennaPair, pairs: double.Pairs, heard: Longs, over: Floats, of: Ints
+) -> tuple[Floats, Ints, Bools]:
+    """Join the pieces of pairs of edges and those of paths that turn at an edge between.
+
+    Returns:
+        The pieces (m, 2, 3) [m], the pair of each (m), and whether its path turns (m).
+    """
+    paired = double_edge_diffraction.PairLines(pairs.starts, pairs.ends, pairs.gaps, context.outlines.closed)
+    ends, pair = np.empty((len(heard) + 1, 2, 3)), np.empty(len(heard) + 1, np.int32)
+    count = double_edge_diffraction.turning(heard, paired, antennas.origins[None], np.empty(3), ends, pair)
+    turns = np.zeros(len(of) + count, np.bool_)
+    if not count:
+        return over, of, turns
+    turns[len(of) :] = True
+    return np.concatenate([over, ends[:count]]), np.concatenate([of, pair[:count]]), turns
 
 
 def _middles(pieces: Floats) -> Floats:
@@ -153,12 +212,13 @@ def _accumulate_doubles(
     pairs: double.Pairs,
     pieces: Floats,
     owner: Ints,
+    turns: Bools,
     between: Transmission,
     grids: Complexes,
 ) -> EchoSet:
-    radar, double_pieces = context.antennas(antennas), double_edge_diffraction.PairPieces(pieces, owner)
+    radar, double_pieces = context.antennas(antennas), double_edge_diffraction.PairPieces(pieces, owner, turns)
     faced = double_edge_diffraction.EdgePairs(pairs.gaps, pairs.angles, pairs.inward, pairs.normals,
-                                              context.outlines.both)  # fmt: skip
+                                              context.outlines.both, pairs.lengths)  # fmt: skip
 
     def put(between: Transmission, sums: EchoSums) -> None:
         double_edge_diffraction.accumulate_doubles(

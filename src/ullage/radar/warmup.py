@@ -42,7 +42,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "curved": ("impulses",),
     "pairs": ("pairs", "mirrored_pairs"),
     "chains": ("chains",),
-    "conductors": ("lines", "edge_diffraction", "double_edge_diffraction"),
+    "conductors": ("lines", "edge_diffraction", "double_edge_diffraction", "corner_diffraction"),
 }
 """Kernel modules behind each part of a radar."""
 

@@ -1,0 +1,105 @@
+"""Corners of conducting faces, where the wave that one edge diffracts along the face is diffracted by the next.
+
+Off the principal planes no edge faces the radar, and the edges' own echoes come from their ends. There the waves from
+edge to edge are as strong [Michaeli1986]. Those between parallel edges are in `double_diffraction`; this module adds
+those between two edges that meet at a corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ullage.arrays import Bools, Floats, Ints, Longs
+from ullage.radar.solids import welded
+from ullage.radar.wires import moved
+
+_LEAST_SINE = 0.1  # of the angle between the edges of a corner
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """Corners between two edges of one face, in the frame of their objects."""
+
+    places: Floats  # (c, 3) [m]
+    along: Floats  # (c, 2, 3) unit vectors from the corner along both edges
+    lengths: Floats  # (c, 2) of both [m]
+    angles: Floats  # (c, 2) of the free space about both, over pi
+    normals: Floats  # (c, 3) unit normals of the face
+    widths: Floats  # (c, 2, 2) of both faces of both edges, this face first [m]
+    next: Longs  # (c, 2) corners of this face at the other ends of both edges, -1 for none
+    object_ids: Ints  # (c) object
+
+    def __len__(self) -> int:
+        return len(self.object_ids)
+
+    def take(self, index: Bools | Longs) -> Corners:
+        """Select some of them."""
+        return Corners(*(getattr(self, f.name)[index] for f in fields(self)))
+
+
+def face_corners(
+    starts: Floats,
+    ends: Floats,
+    angles: Floats,
+    inward: Floats,
+    normals: Floats,
+    widths: Floats,
+    object_ids: Ints,
+    surfaces: Longs,
+) -> Corners:
+    """Find where two edges of one smooth surface meet; arguments as the fields of `diffraction.Edges`."""
+    edge, side = (a.ravel() for a in np.meshgrid(np.arange(len(angles)), [0, 1], indexing="ij"))
+    keep = (side == 0) | (angles[edge] < 2 - 1e-6)  # both faces of a rim are one
+    edge, side = np.tile(edge[keep], 2), np.tile(side[keep], 2)
+    end = np.repeat([False, True], keep.sum())
+    places, others = (np.where(end[:, None], a[edge], b[edge]) for a, b in ((ends, starts), (starts, ends)))
+    ids = welded(np.repeat(places[:, None], 3, 1))[:, 0]
+    order = np.lexsort((ids, surfaces[edge, side]))
+    same = (np.diff(ids[order]) == 0) & (np.diff(surfaces[edge, side][order]) == 0)
+    first = same & ~np.r_[False, same[:-1]] & ~np.r_[same[1:], False]  # two edges and no third
+    both = np.stack([order[:-1][first], order[1:][first]], 1)  # (c, 2)
+    along = others[both] - places[both]
+    lengths = np.linalg.norm(along, axis=2)
+    along /= np.maximum(lengths, 1e-12)[..., None]
+    into = inward[edge[both], side[both]]
+    turn = np.einsum("cei,cei->ce", along, into[:, ::-1])  # sines of the angle between both edges
+    held = (turn > _LEAST_SINE).all(1) & (lengths > 1e-3).all(1)
+    both, along, lengths = both[held], along[held], lengths[held]
+    row = np.full(len(edge), -1)
+    row[both] = np.arange(len(both))[:, None]
+    e, s = edge[both], side[both]
+    return Corners(places[both[:, 0]], along, lengths, angles[e], normals[e[:, 0], s[:, 0]],
+                   np.stack([widths[e, s], widths[e, 1 - s]], 2), row[(both + len(edge) // 2) % max(len(edge), 1)],
+                   object_ids[e[:, 0]])  # fmt: skip
+
+
+def joined(parts: list[Corners]) -> Corners:
+    """Join the corners of several bodies."""
+    before = np.cumsum([0, *(len(p) for p in parts)])
+    parts = [replace(p, next=np.where(p.next < 0, -1, p.next + n)) for p, n in zip(parts, before[:-1], strict=True)]
+    return Corners(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Corners)))
+
+
+def at_wavelength(corners: Corners, narrow_m: float) -> tuple[Corners, Bools]:
+    """Select the corners of thin bodies that are wide enough [m] and have such corners at both ends of both edges.
+
+    Returns:
+        The corners (c), and which of them are those of sheets, which have no thickness at all.
+    """
+    sheet = corners.angles > 2 - 1e-6
+    wide, thin = corners.widths[:, :, 0] >= narrow_m, sheet | (corners.widths[:, :, 1] < narrow_m)
+    free = np.asarray((wide & thin).all(1))
+    held = free & (corners.next >= 0).all(1) & free[corners.next].all(1)
+    return corners.take(held), np.asarray(sheet[held].all(1))
+
+
+def placed(corners: Corners, poses: Floats | None) -> Corners:
+    """Place the corners in the world where the objects have these poses (o, 4, 4); None: nothing moves."""
+    if poses is None:
+        return corners
+    (places,) = moved((corners.places,), corners.object_ids, poses)
+    vectors = (corners.along[:, 0], corners.along[:, 1], corners.normals)
+    one, two, normals = moved(vectors, corners.object_ids, poses, turn_only=True)
+    return replace(corners, places=places, along=np.stack([one, two], 1), normals=normals)
