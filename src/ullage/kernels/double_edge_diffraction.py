@@ -63,6 +63,8 @@ def transition(x):  # type: ignore[no-untyped-def]
     for n in range(1, 60):
         term *= -z2 / n
         total += term / (2 * n + 1)
+        if abs(term.real) + abs(term.imag) < 1e-10:
+            break
     root = complex(math.sqrt(0.5), math.sqrt(0.5))
     tail = 0.5 * math.sqrt(math.pi) / root - s * total  # integral of e^{-j t^2} from s on
     return 2j * s * phasor(-x) * tail
