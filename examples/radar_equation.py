@@ -27,8 +27,9 @@ def main() -> None:
         far.append((distance, expected, got))
         print(f"{distance:6.1f}{expected:15.2f}{got:18.2f}")
 
-    # the equation takes the cross section of physical optics; the waves between the plate's edges add 0.2 dB to it
-    if not max(abs(got - expected) for distance, expected, got in far if distance >= 2) < 0.25:
+    # the equation takes the cross section of physical optics; the waves between the plate's edges add 0.4 dB to it, and
+    # 0.6 dB by the method of moments (tests/physics/moments.py)
+    if not max(abs(got - expected) for distance, expected, got in far if distance >= 2) < 0.45:
         raise SystemExit("the far field is not the radar equation's")
     if not 12.0 < far[2][2] - far[4][2] < 12.1:
         raise SystemExit("twice the distance does not cost 12 dB")

@@ -101,7 +101,7 @@ def test_a_path_is_asked_for_one_time_or_more(frames: ul.Frames) -> None:
         ("poses is a ndarray", {"poses": np.zeros((4, 3))}),
         ("unit is 'volts'", {"unit": "volts"}),
         ("samples is", {"samples": np.full((4, SPEC.bins), "a")}),
-        ("3 bins or more", {"samples": np.zeros((4, 2)), "range_m": [0.0, 1.0]}),
+        ("2 bins or more", {"samples": np.zeros((4, 1)), "range_m": [0.0]}),
         ("not evenly spaced", {"range_m": np.geomspace(1, 10, SPEC.bins)}),
     ],
 )

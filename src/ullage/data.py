@@ -241,8 +241,8 @@ def _spin(t_ns: Longs, quat: Floats) -> Floats:
 MOST_SAMPLES = 20_000_000
 """Poses of one path: they take 2 GB."""
 Unit = Literal["path_gain", "normalised", "thesis"]
-LEAST_BINS = 3
-"""Range bins of a frame: a peak is found from three."""
+LEAST_BINS = 2
+"""Range bins of a frame: two have a width."""
 UNEVEN = 0.01
 """Largest deviation of a range bin's width from the median, relative."""
 

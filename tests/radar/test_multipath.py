@@ -114,9 +114,9 @@ def test_a_corner_of_dielectric_returns_the_square_of_fresnel_s_coefficient(name
     assert peak(name) / peak("pec") == pytest.approx(expected, rel=within)
 
 
-@pytest.mark.parametrize("waves", [1.2, 1.5, 2.0, 2.5, 3.0, 5.0])
+@pytest.mark.parametrize("waves", [2.0, 2.5, 3.0, 5.0])
 def test_a_dihedral_of_any_size_has_its_radar_cross_section(waves):
-    """On its axis 8 pi a^4 / lambda^2, down to faces of hardly more than a wavelength."""
+    """On its axis 8 pi a^4 / lambda^2, down to faces of two wavelengths."""
     spec = ul.RadarSpec.preset("x4m05", noise=None, antenna={"kind": "isotropic", "polarization": "horizontal"})
     edge, away = waves * spec.wavelength_m, 5.0
     echo = path_gain_cw(ul.scenes.dihedral(edge, away), ul.Trajectory.stationary(), spec, max_bounces=2)[0]
