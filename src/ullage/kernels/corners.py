@@ -85,12 +85,12 @@ def _side(rims, a, b, least):  # type: ignore[no-untyped-def]
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
-def touching(rims: Rims, order, cosine, least, pairs, sides):  # type: ignore[no-untyped-def]
+def touching(rims: Rims, asked, cosine, least, pairs, sides):  # type: ignore[no-untyped-def]
     """Find the pairs of faces that touch about at right angles.
 
     Args:
         rims: `Rims`.
-        order: the faces to compare, in the order in which their spheres begin along x.
+        asked: (p) the faces to compare.
         cosine: greatest of the angle between them.
         least: gaps up to this count as touching [m].
         pairs: (m, 2) gets the pairs that fit.
@@ -101,16 +101,14 @@ def touching(rims: Rims, order, cosine, least, pairs, sides):  # type: ignore[no
         How many pairs there are.
     """
     normals, spheres, found = rims.normals, rims.spheres, 0
-    for i in range(len(order)):
-        for j in range(i + 1, len(order)):
-            a, b = order[i], order[j]
+    for a in range(len(asked)):
+        if not asked[a]:
+            continue
+        for b in range(a + 1, len(asked)):
             gap = spheres[a, 3] + spheres[b, 3] + least
             x, y, z = spheres[a, 0] - spheres[b, 0], spheres[a, 1] - spheres[b, 1], spheres[a, 2] - spheres[b, 2]
-            if -x > gap:
-                break
-            if x * x + y * y + z * z > gap * gap:
+            if not asked[b] or x * x + y * y + z * z > gap * gap:
                 continue
-            a, b = min(a, b), max(a, b)
             dot = normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2]
             if abs(dot) > cosine:
                 continue

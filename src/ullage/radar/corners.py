@@ -85,15 +85,12 @@ def _pairs(planar: PlanarPatches) -> tuple[Longs, NDArray[np.int8]]:
     """Find the pairs (n, 2) of flat faces that touch at right angles, and the sides (n, 2) on which they lie."""
     rims = kernel.Rims(planar.normals, planar.offsets, planar.spheres, planar.across, planar.first, planar.starts,
                        planar.ends)  # fmt: skip
-    begin = planar.spheres[:, 0] - planar.spheres[:, 3]
-    order = np.argsort(np.where(planar.smooth, np.inf, begin), kind="stable")[: len(planar) - planar.smooth.sum()]
     room = 4 * len(planar)
     while True:
         pairs, sides = np.empty((room, 2), np.int64), np.empty((room, 2), np.int8)
-        count = kernel.touching(rims, order, COSINE, GAP_M, pairs, sides)
+        count = kernel.touching(rims, ~planar.smooth, COSINE, GAP_M, pairs, sides)
         if count <= room:
-            row = np.lexsort((pairs[:count, 1], pairs[:count, 0]))
-            return pairs[row], sides[row]
+            return pairs[:count], sides[:count]
         room = count
 
 
