@@ -28,8 +28,6 @@ Options = Annotated[
     list[str] | None, typer.Option("-o", "--option", help="Change a setting: -o map.step_m=0.2", metavar="KEY=VALUE")
 ]
 MAP_SCORES = ("f1", "precision", "recall", "recall_in_view", "flyable_found", "flyable_false")
-INTERRUPTED = 130
-"""Exit code of typer after Ctrl-C, which it takes itself."""
 NEWEST = 3
 """Runs that the overview names."""
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for runs", metavar="DIR")]
@@ -91,7 +89,7 @@ def main(words: list[str] | None = None) -> None:
         with stop_as_ctrl_c():
             app([word for word in words if word != "--debug"], standalone_mode=True)
     except SystemExit as done:
-        if done.code == INTERRUPTED:
+        if isinstance(getattr(done.__context__, "__cause__", None), KeyboardInterrupt):  # typer took it
             typer.echo("ullage: interrupted", err=True)
         if not done.code and any(issubclass(category, DamageWarning) for category in warned.values()):
             sys.exit(2)

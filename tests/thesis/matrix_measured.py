@@ -168,6 +168,11 @@ def drift_scores(spoil: Spoil = lambda frames: frames) -> Scores:
     return scores_of((methods.DRIFT_KNOWN,), spoil, share=1.0)
 
 
+def white_scores(spoil: Spoil = lambda frames: frames) -> Scores:
+    """The rows with 10 mm of error: what phase adds to amplitudes is less than a cell or two of half a flight."""
+    return scores_of((methods.WHITE[0.01], methods.BARE_WHITE), spoil, share=1.0)
+
+
 def hover_of(method: str = "ullage") -> list[dict[str, float]]:
     """Eight seconds of flight, then four of hovering: after six, hovering completes the wall flown past last."""
     scene = flights.judged_room()
@@ -202,7 +207,7 @@ METHODS = Section("ways of mapping", "methods", state_methods, (
            change=lambda mapped: (mapped[0] | scores_of((methods.WHITE[0.01],), each(wrong_sign)), mapped[1])),
     Mutant("Elfes' grid in place of ullage's mapper", ("hover: largest change of F1", "hover: most new false cells"),
            change=lambda mapped: (mapped[0], hover_of("elfes"))),
-), lambda _: (scores_of() | drift_scores(), hover_of()))  # fmt: skip
+), lambda _: (scores_of() | drift_scores() | white_scores(), hover_of()))  # fmt: skip
 
 
 # --- maps in three dimensions: a third of one flight

@@ -179,57 +179,29 @@ def _emit(target, planes, made, faces, outlines, edges, at):  # type: ignore[no-
 
 
 @core(nogil=True, error_model="numpy")
-def _end(beam, t, receiver, gate, faces, out, scratch):  # type: ignore[no-untyped-def]
-    """Write the parts of a beam that light face t.
+def _ends(beam, receiver, gate, faces, out, scratch):  # type: ignore[no-untyped-def]
+    """Write the parts of a beam that light each of the faces on which beams may end.
 
     Args:
         beam: `_Beam`.
-        t: face.
         receiver: (3) [m].
         gate, faces, out, scratch: as in `trace`.
     """
     at = scratch.counts
-    if t == beam.skip or not _reached(faces.spheres, t, beam.planes, beam.made, beam.apex, receiver, gate):
-        return
-    end = _emit(t, beam.planes, beam.made, faces, scratch.outlines, out.edges, at[1])
-    if end == at[1]:
-        return
-    if at[0] < len(out.ends_on) and end <= len(out.edges):
-        for k in range(3):
-            out.apexes[at[0], k] = beam.apex[k]
-        out.chains[at[0], 0], out.chains[at[0], 1] = beam.over
-        out.ends_on[at[0]], out.first[at[0] + 1] = t, end
-    at[0], at[1] = at[0] + 1, end
-
-
-@core(nogil=True, error_model="numpy")
-def _over_one(a, origins, mirrors, faces, scratch):  # type: ignore[no-untyped-def]
-    """Return the beam over mirror a."""
-    p = np.int64(mirrors.flat_of[a])
-    one, clipped = scratch.one, scratch.outlines
-    _image(origins[0], faces.normals[p], faces.offsets[p], one)
-    for i in range(mirrors.sizes[a]):
-        for k in range(3):
-            clipped[LIT, i, k] = mirrors.outlines[a, i, k]
-    size = np.int64(mirrors.sizes[a])
-    made = _walls(one, clipped, LIT, size, faces.normals, faces.offsets, p, scratch.planes1)
-    return _Beam(one, scratch.planes1, made, (np.int64(a), NONE), p)
-
-
-@core(nogil=True, error_model="numpy")
-def _over_two(beam, b, gate, mirrors, faces, scratch):  # type: ignore[no-untyped-def]
-    """Return the beam over mirror b after the beam over another one. It has no walls where that does not light b."""
-    q, clipped = np.int64(mirrors.flat_of[b]), scratch.outlines
-    made = 0
-    if q != beam.skip and _reached(faces.spheres, q, beam.planes, beam.made, beam.apex, beam.apex, gate):
-        for i in range(mirrors.sizes[b]):
+    for t in faces.targets:
+        if t == beam.skip:
+            continue
+        if not _reached(faces.spheres, t, beam.planes, beam.made, beam.apex, receiver, gate):
+            continue
+        end = _emit(t, beam.planes, beam.made, faces, scratch.outlines, out.edges, at[1])
+        if end == at[1]:
+            continue
+        if at[0] < len(out.ends_on) and end <= len(out.edges):
             for k in range(3):
-                clipped[LIT, i, k] = mirrors.outlines[b, i, k]
-        count, lit = _clipped(clipped, LIT, np.int64(mirrors.sizes[b]), beam.planes, beam.made)
-        if count >= 3:
-            _image(beam.apex, faces.normals[q], faces.offsets[q], scratch.two)
-            made = _walls(scratch.two, clipped, lit, count, faces.normals, faces.offsets, q, scratch.planes2)
-    return _Beam(scratch.two, scratch.planes2, made, (beam.over[0], np.int64(b)), q)
+                out.apexes[at[0], k] = beam.apex[k]
+            out.chains[at[0], 0], out.chains[at[0], 1] = beam.over
+            out.ends_on[at[0]], out.first[at[0] + 1] = t, end
+        at[0], at[1] = at[0] + 1, end
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
@@ -248,60 +220,33 @@ def trace(origins, most, gate, mirrors: ConvexMirrors, faces: EndFaces, out: Bea
     Returns:
         How many beams and edges there are; only those that fit are written.
     """
-    at = scratch.counts
+    one, two, planes1, planes2, clipped, at = scratch
+    normals, offsets, sizes, flat_of = faces.normals, faces.offsets, mirrors.sizes, mirrors.flat_of
     at[0], at[1] = 0, 0
     out.first[0] = 0
     for a in mirrors.chosen:
-        beam = _over_one(a, origins, mirrors, faces, scratch)
-        for t in faces.targets:
-            _end(beam, t, origins[1], gate, faces, out, scratch)
-        if most < 3:
-            continue
+        p = np.int64(flat_of[a])
+        _image(origins[0], normals[p], offsets[p], one)
+        for i in range(sizes[a]):
+            for k in range(3):
+                clipped[2, i, k] = mirrors.outlines[a, i, k]
+        made = _walls(one, clipped, LIT, np.int64(sizes[a]), normals, offsets, p, planes1)
+        _ends(_Beam(one, planes1, made, (a, NONE), p), origins[1], gate, faces, out, scratch)
         for b in mirrors.chosen:
-            second = _over_two(beam, b, gate, mirrors, faces, scratch)
-            if second.made > 0:
-                for t in faces.targets:
-                    _end(second, t, origins[1], gate, faces, out, scratch)
-    return at[0], at[1]
-
-
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def trace_chains(  # type: ignore[no-untyped-def]
-    origins, gate, chains, parts, mirrors: ConvexMirrors, faces: EndFaces, out: BeamRows, of, scratch: BeamScratch
-):
-    """Trace the beams over given faces only.
-
-    Args:
-        origins: (2, 3) transmitter and receiver [m].
-        gate: largest mean range [m].
-        chains: (n, 3) faces as the wave meets them; the third is -1 where there are two.
-        parts: (p + 1) first convex part of each face.
-        mirrors: `ConvexMirrors`, in the order of their faces.
-        faces: `EndFaces`.
-        out: `BeamRows` gets the beams.
-        of: (b) gets the chain of each beam.
-        scratch: `BeamScratch`.
-
-    Returns:
-        How many beams and edges there are; only those that fit are written.
-    """
-    at = scratch.counts
-    at[0], at[1] = 0, 0
-    out.first[0] = 0
-    for row in range(len(chains)):
-        before = at[0]
-        p, q, last = chains[row, 0], chains[row, 1], chains[row, 2]
-        for a in range(parts[p], parts[p + 1]):
-            beam = _over_one(a, origins, mirrors, faces, scratch)
-            if last < 0:
-                _end(beam, q, origins[1], gate, faces, out, scratch)
+            q = np.int64(flat_of[b])
+            if most < 3 or q == p:
                 continue
-            for b in range(parts[q], parts[q + 1]):
-                second = _over_two(beam, b, gate, mirrors, faces, scratch)
-                if second.made > 0:
-                    _end(second, last, origins[1], gate, faces, out, scratch)
-        for i in range(before, min(at[0], len(of))):
-            of[i] = row
+            if not _reached(faces.spheres, q, planes1, made, one, one, gate):
+                continue
+            for i in range(sizes[b]):
+                for k in range(3):
+                    clipped[2, i, k] = mirrors.outlines[b, i, k]
+            count, lit = _clipped(clipped, LIT, np.int64(sizes[b]), planes1, made)
+            if count < 3:
+                continue
+            _image(one, normals[q], offsets[q], two)
+            made2 = _walls(two, clipped, lit, count, normals, offsets, q, planes2)
+            _ends(_Beam(two, planes2, made2, (a, b), q), origins[1], gate, faces, out, scratch)
     return at[0], at[1]
 
 

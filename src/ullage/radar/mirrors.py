@@ -28,14 +28,6 @@ class Beams:
     def __len__(self) -> int:
         return len(self.ends_on)
 
-    def joined(self, other: Beams) -> Beams:
-        """These beams, then others."""
-        first = np.concatenate([self.first, self.first[-1] + other.first[1:]]).astype(np.int32)
-        images, firsts = np.concatenate([self.images, other.images]), np.concatenate([self.firsts, other.firsts])
-        chains, ends_on = np.concatenate([self.chains, other.chains]), np.concatenate([self.ends_on, other.ends_on])
-        edges, weights = np.concatenate([self.edges, other.edges]), np.concatenate([self.weights, other.weights])
-        return Beams(images, firsts, chains, ends_on, first, edges, weights)
-
     @property
     def paths(self) -> bounces.ImagePaths:
         """The transmitter's images, for kernels."""

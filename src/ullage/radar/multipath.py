@@ -8,7 +8,6 @@ method [AllenBerkley1979]. A mirror that does not cover its first Fresnel zone r
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -21,7 +20,6 @@ from ullage.kernels import outlines as draw
 from ullage.kernels.edges import CutLimits, FaceOutlines
 from ullage.kernels.facets import LitFaces, Transmission
 from ullage.radar.context import AntennaPair, RadarContext
-from ullage.radar.corners import EVEN, Corners, corners_of, strengths_of
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
 from ullage.radar.mirrors import Beams, mirrored
@@ -31,8 +29,6 @@ from ullage.radar.zones import shares, strengths
 
 MIRRORS = 32
 """Greatest number of mirrors of a frame: those of the largest apparent size."""
-CORNERS = 24
-"""Greatest number of corners of a frame beyond those between these mirrors: those with the strongest echoes."""
 FADE = 0.1
 """Mirrors and end faces fade in over this share of the size at which they are chosen, so that none appears at once."""
 FAINT = 1e-3
@@ -67,10 +63,9 @@ def accumulate_bounces(
     if len(planar) < 2:
         return []
     half = replace(antennas, factor=0.5 * antennas.factor)
-    corners = corners_of(parts)
     out: list[EchoSet] = []
     for radar, back in ((antennas, False),) if antennas.monostatic else ((half, False), (half.swapped(), True)):
-        beams = beams_of(context, planar, radar, max_bounces, sizes, corners)
+        beams = beams_of(context, planar, radar, max_bounces, sizes)
         if len(beams):
             echoes = _accumulate(context, parts, planar, radar, beams, grids)
             out.append(_reversed(echoes) if back else echoes)
@@ -86,39 +81,11 @@ def _reversed(echoes: EchoSet) -> EchoSet:
 
 
 def beams_of(
-    context: RadarContext,
-    planar: PlanarPatches,
-    antennas: AntennaPair,
-    max_bounces: int,
-    sizes: Floats,
-    corners: Corners | None = None,
+    context: RadarContext, planar: PlanarPatches, antennas: AntennaPair, max_bounces: int, sizes: Floats
 ) -> Beams:
-    """Trace all beams of two to `max_bounces` bounces over the mirrors of the largest apparent sizes (p).
-
-    Corners that are not between these add their beams.
-    """
+    """Trace all beams of two to `max_bounces` bounces over the mirrors of the largest apparent sizes (p)."""
     chosen = _chosen(planar, sizes, context.gate[1], context.spec.wavelength_m)
-    beams = trace(planar, antennas, max_bounces, context.gate[1], chosen)
-    if corners is None or not len(corners):
-        return beams
-    strong, counts = strengths_of(context, planar, antennas, corners, max_bounces)
-    some = np.flatnonzero(counts)
-    counts = counts[some] * (1 - _weight(planar, chosen, corners.faces[some]))
-    which, weights = choose_largest(strong[some] * counts, CORNERS)
-    if not len(which):
-        return beams
-    return beams.joined(trace_corners(planar, antennas, context.gate[1], corners.faces[some[which]],
-                                      (weights * counts)[which]))  # fmt: skip
-
-
-def _weight(planar: PlanarPatches, chosen: Chosen, chains: Longs) -> Floats:
-    """How much of the echoes of chains (n, 3) of faces is in those between the chosen mirrors."""
-    mirror = np.ones(len(planar) + 1)
-    mirror[planar.flat_of] = chosen.mirror_weights
-    target = np.append(chosen.target_weights, 1.0)
-    triple = chains[:, 2] >= 0
-    over = mirror[chains[:, 0]] * np.where(triple, mirror[chains[:, 1]], 1.0)
-    return np.asarray(over * target[np.where(triple, chains[:, 2], chains[:, 1])])
+    return trace(planar, antennas, max_bounces, context.gate[1], chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,66 +135,26 @@ def choose_largest(sizes: Floats, count: int | None = None) -> tuple[Longs, Floa
 
 def trace(planar: PlanarPatches, antennas: AntennaPair, bounces_: int, gate_m: float, chosen: Chosen) -> Beams:
     """Trace all beams of two to `bounces_` bounces within the gate [m]."""
-    mirrors, faces = _mirrors(planar, chosen.mirrors), _ends(planar, chosen.targets)
-    out = _traced(lambda rows: kernel.trace(antennas.origins, bounces_, gate_m, mirrors, faces, rows, kernel.scratch()))
-    chain, on = out.chains, out.ends_on
+    rooms = [1024, 8192]
+    mirrors = kernel.ConvexMirrors(chosen.mirrors, planar.mirrors, planar.sizes, planar.flat_of)
+    faces = kernel.EndFaces(chosen.targets, planar.normals, planar.offsets, planar.spheres, planar.loop_of,
+                            planar.loops, planar.starts)  # fmt: skip
+    while True:
+        out = kernel.BeamRows(np.empty((rooms[0], 3)), np.empty((rooms[0], 2), np.int64), np.empty(rooms[0], np.int64),
+                              np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3)))  # fmt: skip
+        made, used = kernel.trace(antennas.origins, bounces_, gate_m, mirrors, faces, out, kernel.scratch())
+        if made <= rooms[0] and used <= rooms[1]:
+            break
+        rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
+    chain, on = out.chains[:made], out.ends_on[:made]
     weights = chosen.target_weights[on] * chosen.mirror_weights[chain[:, 0]]
     double = chain[:, 1] >= 0
     weights[double] *= chosen.mirror_weights[chain[double, 1]]
     over = np.where(chain >= 0, planar.flat_of[chain], -1).astype(np.int64)
     curved = planar.smooth.view(np.int8)
     weights[curved[on] + curved[over[:, 0]] + curved[over[:, 1]] * double == 1] = 0
-    return _beams(planar, antennas, out, over, weights)
-
-
-def trace_corners(planar: PlanarPatches, antennas: AntennaPair, gate_m: float, chains: Longs, weights: Floats) -> Beams:
-    """Trace the beams over chains (n, 3) of faces with these weights (n), within the gate [m]."""
-    mirrors, faces = _mirrors(planar, chains[:0, 0]), _ends(planar, chains[:0, 0])
-    parts, of = _parts(planar), [np.empty(0, np.int64)]
-
-    def run(rows: kernel.BeamRows) -> tuple[int, int]:
-        of[0] = np.empty(len(rows.ends_on), np.int64)
-        made, used = kernel.trace_chains(antennas.origins, gate_m, chains, parts, mirrors, faces, rows, of[0],
-                                         kernel.scratch())  # fmt: skip
-        return made, used
-
-    out = _traced(run)
-    over = np.where(out.chains >= 0, planar.flat_of[out.chains], -1).astype(np.int64)
-    return _beams(planar, antennas, out, over, weights[of[0][: len(out.ends_on)]])
-
-
-@lru_cache(maxsize=8)
-def _parts(planar: PlanarPatches) -> Longs:
-    """First convex part (p + 1) of each face."""
-    return np.searchsorted(planar.flat_of, np.arange(len(planar) + 1)).astype(np.int64)
-
-
-def _mirrors(planar: PlanarPatches, chosen: Longs) -> kernel.ConvexMirrors:
-    return kernel.ConvexMirrors(chosen, planar.mirrors, planar.sizes, planar.flat_of)
-
-
-def _ends(planar: PlanarPatches, targets: Longs) -> kernel.EndFaces:
-    return kernel.EndFaces(targets, planar.normals, planar.offsets, planar.spheres, planar.loop_of, planar.loops,
-                           planar.starts)  # fmt: skip
-
-
-def _traced(run: Callable[[kernel.BeamRows], tuple[int, int]]) -> kernel.BeamRows:
-    """Trace beams, again with more room where there was too little."""
-    rooms = [1024, 8192]
-    while True:
-        out = kernel.BeamRows(np.empty((rooms[0], 3)), np.empty((rooms[0], 2), np.int64), np.empty(rooms[0], np.int64),
-                              np.zeros(rooms[0] + 1, np.int32), np.empty((rooms[1], 2, 3)))  # fmt: skip
-        made, used = run(out)
-        if made <= rooms[0] and used <= rooms[1]:
-            return kernel.BeamRows(out.apexes[:made], out.chains[:made], out.ends_on[:made], out.first[: made + 1],
-                                   out.edges[:used])  # fmt: skip
-        rooms = [int(1.2 * made) + 64, int(1.2 * used) + 512]
-
-
-def _beams(planar: PlanarPatches, antennas: AntennaPair, out: kernel.BeamRows, over: Longs, weights: Floats) -> Beams:
-    """Beams over mirrors `over` (b, 2) with weights (b), as they were traced."""
-    firsts = mirrored(antennas.origins[0], planar, over[:, 0]) if len(over) else np.zeros((0, 3))
-    return Beams(out.apexes, firsts, over, out.ends_on, out.first, out.edges, weights)
+    firsts = mirrored(antennas.origins[0], planar, over[:, 0]) if made else np.zeros((0, 3))
+    return Beams(out.apexes[:made], firsts, over, on, out.first[: made + 1], out.edges[:used], weights)
 
 
 def _accumulate(
@@ -293,7 +220,7 @@ def _both_paths(planar: PlanarPatches, beams: Beams) -> Floats:
     counts twice with physical optics on the smaller face, and not at all with physical optics on the larger one.
     """
     mirror, end = planar.spheres[beams.chains[:, 0], 3], planar.spheres[beams.ends_on, 3]
-    share = np.where(mirror > EVEN * end, 2.0, np.where(end > EVEN * mirror, 0.0, 1.0))
+    share = np.where(mirror > 1.2 * end, 2.0, np.where(end > 1.2 * mirror, 0.0, 1.0))
     return np.where(beams.chains[:, 1] >= 0, 1.0, share)
 
 
@@ -324,8 +251,7 @@ def image_lengths(context: RadarContext, antennas: AntennaPair, order: int) -> F
         first, starts, ends = planar.first, planar.starts, planar.ends
         origins = antennas.origins[None]
     else:
-        sizes = apparent_sizes(context, planar, antennas)
-        beams = beams_of(context, planar, antennas, order, sizes, corners_of([context.world.still]))
+        beams = beams_of(context, planar, antennas, order, apparent_sizes(context, planar, antennas))
         on, first = beams.ends_on, beams.first
         asked = (beams.chains[:, 1] >= 0) == (order == 3)
         starts, ends = np.ascontiguousarray(beams.edges[:, 0]), np.ascontiguousarray(beams.edges[:, 1])

@@ -36,7 +36,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "thesis": ("rays",),
     "physical": ("pulse", "edges", "outlines", "rays", "receiver"),
     "rough": ("diffuse_scatterers",),
-    "bounces": ("beams", "bounces", "corners"),
+    "bounces": ("beams", "bounces"),
     "shapes": ("facets", "wires"),
     "paths": ("paths", "lit"),
     "curved": ("impulses",),
@@ -344,12 +344,10 @@ def _echoes() -> None:
 
 
 def _beams() -> None:
-    from ullage.radar.corners import corners_of
     from ullage.radar.multipath import apparent_sizes, beams_of
 
     context, antennas, planar = _bench(_room())
-    none = 0 * apparent_sizes(context, planar, antennas)  # so no face is a mirror, and all corners are followed
-    beams_of(context, planar, antennas, 3, none, corners_of(context.world.parts()))
+    beams_of(context, planar, antennas, 3, apparent_sizes(context, planar, antennas))
 
 
 def _paths() -> None:
