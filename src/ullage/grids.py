@@ -316,6 +316,17 @@ class MappedSurface:
     points: Floats  # (seen, 2) specular points, which show its extent [m]
     normals: Floats  # (seen, 2) level unit vectors from there towards the sensor
 
+    def lines(self, length_m: float, height_m: float) -> Floats:
+        """Return short lines (seen, 2, 3) along the surface, one through each specular point, for pictures [m].
+
+        Args:
+            length_m: of each line [m].
+            height_m: of the plane [m].
+        """
+        along = 0.5 * length_m * np.stack([-self.normals[:, 1], self.normals[:, 0]], axis=1)
+        ends = np.stack([self.points - along, self.points + along], axis=1)
+        return np.concatenate([ends, np.full((len(ends), 2, 1), height_m)], axis=2)
+
 
 class OccupancyMap(Displayed):
     """What is known of each cell: 0..100 percent chance of being occupied, -1 unknown, -2 ambiguous.

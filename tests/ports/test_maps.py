@@ -16,7 +16,7 @@ from PIL import Image
 from rosbags.highlevel import AnyReader
 
 import ullage as ul
-from ullage.grids import AMBIGUOUS
+from ullage.grids import AMBIGUOUS, MappedSurface
 from ullage.ports import messages as ros
 from ullage.ports import read_map, write_map
 
@@ -364,3 +364,30 @@ def test_viewers_get_the_known_cells_of_a_plane_map_and_no_unknown_ones(tmp_path
     assert occupied.scale.x == pytest.approx(2 * grid.step_m)  # two cells wide
     assert occupied.color.a == 1
     assert max(free.color.a, ambiguous.color.a) < 0.3
+
+
+def a_surface(kind: str, x: float, *, on_map: bool = True) -> MappedSurface:
+    """Three specular points of an upright wall that faces -x."""
+    points, normals = np.array([[x, 0.0], [x, 0.1], [x, 0.2]]), np.tile([-1.0, 0.0], (3, 1))
+    return MappedSurface(
+        kind, np.zeros(2), np.array([x, 0.0, 0.0, 1.0]), np.eye(4), 40.0, 3, on_map, points, normals
+    )  # fmt: skip
+
+
+def test_viewers_get_the_surfaces_of_a_plane_map_as_lines_along_them(tmp_path: Path) -> None:
+    grid = ul.Grid((0.0, 0.0, 1.5), 0.1, (4, 40))
+    surfaces = a_surface("plane", 2.0), a_surface("edge", 3.0, on_map=False), a_surface("slope", 3.5, on_map=False)
+    with ul.sink(tmp_path / "map.mcap") as sink:
+        sink.write(some_frames(2))
+        sink.write(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8), surfaces=surfaces))
+    with AnyReader([tmp_path / "map.mcap"], default_typestore=ros.typestore()) as reader:
+        drawn = [
+            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/map/surfaces"
+        ]
+    before, *shown = drawn[-1].markers
+    assert before.action == 3  # deletes the surfaces of the last message
+    assert [(one.ns, one.id) for one in shown] == [("plane", 0), ("slope", 2)]  # the edge is not on the map
+    ends = np.array([(p.x, p.y, p.z) for p in shown[0].points]).reshape(3, 2, 3)
+    np.testing.assert_allclose(ends[..., 0], 2.0)
+    np.testing.assert_allclose(ends.mean(axis=1)[:, 1], [0.0, 0.1, 0.2], atol=1e-9)
+    assert set(ends[..., 2].ravel()) == {1.5}

@@ -14,6 +14,7 @@ from PIL import Image as Picture
 
 import ullage as ul
 from ullage.errors import MissingExtra
+from ullage.grids import MappedSurface
 from ullage.pipeline import DetectStage, ImageStage, InMemorySource, MapStage
 
 rr = pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'ullage[view]'")
@@ -243,3 +244,20 @@ def test_a_running_viewer_is_shown_no_more_than_it_can_take(monkeypatch: pytest.
     shown = len(rows(tmp_path / "a.rrd", f"strongest/{part.sensor}", "scalars"))
     assert 15 * (pieces - 1) <= shown <= 15 * pieces + 30
     assert shown < len(part)
+
+
+def test_surfaces_are_lines_along_them_by_kind(tmp_path: Path) -> None:
+    grid = ul.Grid((0.0, 0.0, 1.5), 0.1, (4, 40))
+    points, normals = np.array([[2.0, 0.0], [2.0, 0.1]]), np.tile([-1.0, 0.0], (2, 1))
+    given = np.zeros(2), np.array([2.0, 0.0, 0.0, 1.0]), np.eye(4), 40.0, 2
+    surfaces = (
+        MappedSurface("plane", *given, True, points, normals),
+        MappedSurface("edge", *given, False, points, normals),
+    )
+    with ul.sink(f"viewer:{tmp_path / 'map.rrd'}") as sink:
+        sink.write(ul.OccupancyMap(grid, np.zeros(grid.shape, np.int8), surfaces=surfaces))
+    ((_, strips),) = rows(tmp_path / "map.rrd", "world/surfaces/plane", "strips")
+    np.testing.assert_allclose(np.asarray(strips)[..., 0], 2.0)
+    np.testing.assert_allclose(np.asarray(strips).mean(axis=1)[:, 1], [0.0, 0.1], atol=1e-6)
+    ((_, hidden),) = rows(tmp_path / "map.rrd", "world/surfaces/edge", "strips")
+    assert not hidden  # not on the map

@@ -155,7 +155,7 @@ def _style(topic: str) -> dict[str, Any]:
     if topic == "/map":
         clear = {"unknownColor": CLEAR, "invalidColor": CLEAR}
         return {"visible": True, "colorMode": "custom", "minColor": "#ffffff8c", "maxColor": "#000000ff"} | clear
-    if topic in ("/world", "/map/cubes", "/map/plane"):
+    if topic in ("/world", "/map/cubes", "/map/plane", "/map/surfaces"):
         return {"visible": True}
     if topic == "/path":
         return {"visible": True, "type": "line", "lineWidth": 0.05, "gradient": ["#ff2e63ff", "#ff2e63ff"]}

@@ -312,11 +312,11 @@ def scene_message(scene: Scene, t_ns: int) -> bytes:
         colour = ros.make("std_msgs/msg/ColorRGBA", red, green, blue, 0.6)
         if len(triangles):
             found.append(
-                marker(t_ns, thing.name, 11, index, _points(triangles.reshape(-1, 3)), (1.0, 1.0, 1.0), colour)
+                marker(t_ns, thing.name, 11, index, points_of(triangles.reshape(-1, 3)), (1.0, 1.0, 1.0), colour)
             )
         if len(wires):
             width = 2 * float(scene.wires.radius_m[scene.wires.object_id == index].max())
-            places = _points(wires.reshape(-1, 3))
+            places = points_of(wires.reshape(-1, 3))
             found.append(marker(t_ns, f"{thing.name} wires", 5, index, places, (width, 1.0, 1.0), colour))
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, found))
 
@@ -326,7 +326,7 @@ def rays_message(frames: Frames, *, frame_id: str = "") -> bytes:
     t_ns, ends = int(frames.t_ns[0]), drawn_rays(frames.spec)
     lines = np.stack([np.zeros_like(ends), ends], axis=1).reshape(-1, 3)
     colour = ros.make("std_msgs/msg/ColorRGBA", 0.3, 0.5, 1.0, 0.25)
-    made = marker(t_ns, f"rays {frames.sensor}", 5, 0, _points(lines), (0.004, 1.0, 1.0), colour)
+    made = marker(t_ns, f"rays {frames.sensor}", 5, 0, points_of(lines), (0.004, 1.0, 1.0), colour)
     made.header.frame_id = frame_id or frames.sensor
     made.frame_locked = True
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, [made]))
@@ -347,7 +347,8 @@ def marker(
     )  # fmt: skip
 
 
-def _points(corners: Floats) -> list[Any]:
+def points_of(corners: Floats) -> list[Any]:
+    """Encode places (n, 3) as Points [m]."""
     point = ros.typestore().types["geometry_msgs/msg/Point"]
     return [point(x, y, z) for x, y, z in corners.tolist()]
 

@@ -32,6 +32,13 @@ CELL_COLOURS = {
     "occupied": (1.0, 0.72, 0.01, 1.0),
 }
 """Red, green, blue and opacity of the cells of a plane map in viewers."""
+SURFACE_COLOURS = {
+    "plane": (0.1, 0.45, 0.9, 1.0),
+    "cylinder": (0.55, 0.25, 0.85, 1.0),
+    "edge": (0.9, 0.2, 0.3, 1.0),
+    "slope": (0.45, 0.45, 0.45, 0.6),
+}
+"""The same of the surfaces that a mapper estimates, by kind."""
 DEPTH_DB = 40.0
 """What a picture shows below its brightest cell [dB]."""
 
@@ -204,6 +211,24 @@ def plane_message(omap: OccupancyMap, t_ns: int) -> bytes:
         shown = conversions.marker(t_ns, name, 6 if whole else 11, index, found, size, colour(*CELL_COLOURS[name]))
         shown.action = 0 if found else 2  # add, or delete
         made.append(shown)
+    return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, made))
+
+
+def surfaces_message(omap: OccupancyMap, t_ns: int) -> bytes:
+    """MarkerArray of the surfaces of a plane map: a short line along the surface at each specular point.
+
+    A surface is a marker with its number as id, in the name space of its kind. The first marker deletes those of the
+    last message, since surfaces may be merged or dropped. Surfaces that are not on the map are left out, except slopes.
+    """
+    z = omap.grid.origin_m[2] if np.isfinite(omap.grid.origin_m[2]) else 0.0
+    colour, step = ros.typestore().types["std_msgs/msg/ColorRGBA"], float(omap.grid.step_m)
+    made = [conversions.marker(t_ns, "", 5, 0, [], (step, 1.0, 1.0), colour(0.0, 0.0, 0.0, 0.0))]
+    made[0].action = 3  # delete all
+    for number, one in enumerate(omap.surfaces):
+        if one.on_map or one.kind == "slope":
+            places = conversions.points_of(one.lines(1.5 * step, z).reshape(-1, 3))
+            shade = colour(*SURFACE_COLOURS.get(one.kind, SURFACE_COLOURS["slope"]))
+            made.append(conversions.marker(t_ns, one.kind, 5, number, places, (0.5 * step, 1.0, 1.0), shade))
     return ros.to_bytes(ros.MARKERS, ros.make(ros.MARKERS, made))
 
 

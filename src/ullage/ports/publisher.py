@@ -117,6 +117,8 @@ class MapChanges:
             yield Message(t_ns, "map", ros.GRID, "latched", conversions.grid_message(omap, t_ns))
             yield Message(t_ns, "map/cells", ros.CELLS, "latched", conversions.cells_message(omap, t_ns))
             yield Message(t_ns, "map/plane", ros.MARKERS, "latched", encode.plane_message(omap, t_ns))
+            if omap.surfaces:
+                yield Message(t_ns, "map/surfaces", ros.MARKERS, "latched", encode.surfaces_message(omap, t_ns))
         elif box[1] > box[0]:
             y0, y1, x0, x1 = box
             update = encode.update_message(t_ns, x0, y0, cells[y0:y1, x0:x1])

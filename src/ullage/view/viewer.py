@@ -30,6 +30,8 @@ PATH_S = 0.2  # time between two points of the flown path
 MAX_BOXES = 50_000  # largest number of boxes for a volume's cells; more cells become points
 BLENDED = 0.999  # rerun blends pictures with their background only at an opacity below 1
 FREE_ALPHA = 140  # opacity of free cells: the floor stays visible
+SURFACE_LIFT_M = 0.03  # of the lines of surfaces over the map
+SURFACE_COLORS = {"plane": "#1a73e6", "cylinder": "#8c40d9", "edge": "#e6334d", "slope": "#737373"}
 IMAGE_DB = 30.0  # dynamic range of radar images below their peak
 
 
@@ -246,6 +248,7 @@ class ViewerSink:
         self._set_time(self._now_ns)
         if omap.grid.dims == 2:
             self._plane("world/map", omap.grid, map_picture(omap, free_alpha=FREE_ALPHA), lift_m=0.0)
+            self._surfaces(omap)
             return
         rr, cells = self._rr, np.argwhere(omap.occupied)
         centers = _centers(omap.grid, cells)
@@ -257,6 +260,17 @@ class ViewerSink:
         else:
             shape = rr.Points3D(centers, colors=colors, radii=half)
         self._rec.log("world/map", shape)
+
+    def _surfaces(self, omap: OccupancyMap) -> None:
+        """Show the surfaces of a plane map as lines, coloured by kind."""
+        height = float(omap.grid.at_height(self._height_m).origin_m[2]) + SURFACE_LIFT_M
+        for kind, color in SURFACE_COLORS.items():
+            mine = [one for one in omap.surfaces if one.kind == kind and (one.on_map or kind == "slope")]
+            lines = [one.lines(1.5 * omap.grid.step_m, height) for one in mine]
+            strips = np.concatenate(lines).astype(np.float32) if lines else np.zeros((0, 2, 3), np.float32)
+            shown = self._rr.LineStrips3D(strips, colors=rgba(color), radii=_points(self._rr, 1.5))
+            if omap.surfaces:
+                self._rec.log(f"world/surfaces/{kind}", shown)
 
     def _image(self, image: Image) -> None:
         self._set_time(self._now_ns)

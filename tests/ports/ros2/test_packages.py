@@ -112,7 +112,7 @@ def test_what_rviz_and_rqt_look_at_is_what_goes_out() -> None:
         topic = re.sub("/(front|left|back|right)/", "/NAME/", display["Topic"]["Value"]).lstrip("/")
         assert f"`{topic}`" in page
         latched = display["Topic"]["Durability Policy"] == "Transient Local"
-        assert latched == (topic in ("map", "map/plane", "world", "path", "map/cubes", "image"))
+        assert latched == (topic in ("map", "map/plane", "map/surfaces", "world", "path", "map/cubes", "image"))
     perspective = json.loads((PACKAGES / "ullage_ros/config/ullage.perspective").read_text())
     running = ast.literal_eval(perspective["groups"]["pluginmanager"]["keys"]["running-plugins"]["repr"])
     assert set(running) == {
