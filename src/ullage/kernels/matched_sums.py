@@ -26,7 +26,7 @@ class Aperture(NamedTuple):
     sensor: NDArray[np.int64]  # (m) row of `axes`
     axes: NDArray[np.float64]  # (s, 3) boresights
     gains: NDArray[np.float64]  # (s, GAIN_CELLS + 1) two-way amplitude gain, against 1 - cosine
-    phase: float  # of one bin of range [rad]
+    phase: float  # of one bin of range [rad]; 0 where samples are envelopes
     moment: NDArray[np.int64]  # (m) index of the time of each row
     spread: NDArray[np.float64]  # (3, 3) covariance of the errors of a moment's position [bin^2]
 
@@ -60,6 +60,14 @@ def _expected_coherence(aperture, unit):  # type: ignore[no-untyped-def]
         for j in range(3):
             variance += unit[i] * aperture.spread[i, j] * unit[j]
     return math.exp(-variance * aperture.phase * aperture.phase)
+
+
+@inner(fastmath=True)
+def _square(aperture, real, imag):  # type: ignore[no-untyped-def]
+    """Energy of a sum; sums of envelopes have no phase, and below zero they explain nothing."""
+    if aperture.phase == 0 and real < 0:
+        return np.float32(0.0) * real
+    return real * real + imag * imag
 
 
 @loop(fastmath=True)
@@ -113,7 +121,7 @@ def sum_directions(aperture, directions, curvature, low, high, out):  # type: ig
                     parts[aperture.moment[i], k, 0] += x * c - y * s
                     parts[aperture.moment[i], k, 1] += x * s + y * c
         for k in range(low, high):
-            out[d, k] = (real[k] * real[k] + imag[k] * imag[k]) / max(total, 1e-9)
+            out[d, k] = _square(aperture, real[k], imag[k]) / max(total, 1e-9)
         if apart:
             for k in range(low, high):
                 size = np.float32(0.0)
@@ -179,7 +187,7 @@ def _fit(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[n
         real += gain[s] * sums[s, 0]
         imag += gain[s] * sums[s, 1]
     coherence = _expected_coherence(aperture, unit)
-    whole = real * real + imag * imag
+    whole = _square(aperture, real, imag)
     if coherence < COHERENT:
         size = 0.0
         for t in range(len(parts)):

@@ -108,7 +108,7 @@ class EchoFinder:
                 break
             start = np.array([self._level[d], self._bearing[d], 0.0, k])
             start, fit = self._refined(key, start, known)
-            if first and not out:
+            if first and not out and aperture.phase:
                 self._learn(key, poses, start, fit)
             fit, echo = self._explain(key, poses, (start, fit), (floor[k] - 1) * noise)
             if start[0] > 0:
@@ -244,9 +244,11 @@ class EchoFinder:
         """
         aperture, unexplained = key.aperture, math.sqrt(max(1 - coherence, 0.02) / 0.02)
         pose = float(unit @ aperture.spread @ unit)
+        envelope = self._spec.envelope_sigma * key.pulse * unexplained
+        if not aperture.phase:
+            return key.bin_m * math.hypot(envelope, math.sqrt(pose))
         share = math.exp(-pose * aperture.phase**2)
         phase = self._spec.phase_sigma_rad / aperture.phase * unexplained
-        envelope = self._spec.envelope_sigma * key.pulse * unexplained
         weight = share / (phase**2 + pose) + (1 - share) / (envelope**2 + pose)
         return key.bin_m / math.sqrt(weight)
 

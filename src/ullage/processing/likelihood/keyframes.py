@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from ullage.antenna import boresight_pattern
 from ullage.arrays import Floats
@@ -17,6 +19,7 @@ from ullage.processing.likelihood.spec import LikelihoodSpec
 
 UPSAMPLING = 2  # of range bins, so that linear interpolation between them is good to 1 %
 LATEST_NS = 10_000_000_000  # a sensor that lags by more is not waited for
+NORMAL_MAD = 1.4826  # standard deviation of normal noise over its median absolute deviation
 TURN_RAD = np.radians(3.0)  # a frame counts after such a turn, too
 
 
@@ -39,6 +42,7 @@ class Channel:
     bin_m: float  # after upsampling
     gains: Floats  # two-way amplitude gain against 1 - cosine to boresight
     wavelength_m: float
+    envelope: bool  # samples are amplitudes without phase
     blind_m: float  # range that the direct path covers
     pulse_m: float  # standard deviation of the pulse's envelope
     rows: deque[Row] = field(default_factory=deque)
@@ -69,6 +73,7 @@ class KeyframeSelector:
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
+        self._of_sums = float(norm.isf(math.exp(-spec.least_snr))) / math.sqrt(spec.least_snr)
         self._channels: dict[str, Channel] = {}
         self._next = 0  # index of the leading row that may become the next keyframe
         self._last: Floats | None = None
@@ -85,9 +90,17 @@ class KeyframeSelector:
             if channel.rows and not self._has_moved(channel.rows[-1], path.position[i], axes[i]):
                 continue
             samples = np.asarray(part.samples[i])
-            noise = float(np.median(np.abs(samples)) / np.sqrt(np.log(2)))
+            samples, noise = self._without_mean(samples) if channel.envelope else (samples, _noise(samples))
             row = Row(channel.seen_ns, path.position[i], axes[i], _upsampled(samples), noise)
             channel.rows.append(row)
+
+    def _without_mean(self, samples: NDArray[np.floating]) -> tuple[NDArray[np.floating], float]:
+        """Amplitudes (b) less what noise alone gives, and the noise of equal false alarms in sums with phase.
+
+        An envelope of noise has a Rayleigh distribution, whose median is within 6 % of its mean.
+        """
+        above = samples - np.median(samples)
+        return above, self._of_sums * NORMAL_MAD * float(np.median(np.abs(above)))
 
     def _has_moved(self, before: Row, position: Floats, axis: Floats) -> bool:
         away = float(np.linalg.norm(position - before.position))
@@ -147,7 +160,7 @@ class KeyframeSelector:
             axes[s] += row.axis
         axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
         gains = np.stack([channel.gains for channel in channels])
-        phase = 4 * np.pi / leader.wavelength_m * leader.bin_m
+        phase = 0.0 if leader.envelope else 4 * np.pi / leader.wavelength_m * leader.bin_m
         pairs = np.ascontiguousarray(np.stack([samples.real, samples.imag], axis=-1), np.float32)
         moment = np.unique([row.t_ns for _, row in picked], return_inverse=True)[1]
         sensor = np.array([s for s, _ in picked])
@@ -163,6 +176,11 @@ class KeyframeSelector:
         )
 
 
+def _noise(samples: NDArray[np.complex64]) -> float:
+    """Root of the mean power of complex noise, from the median amplitude."""
+    return float(np.median(np.abs(samples)) / math.sqrt(math.log(2)))
+
+
 def _middle(channels: list[Channel], t_ns: int) -> Floats:
     """Mean of the sensors' positions (3) at a time [m]; a sensor that gives nothing within the buffer is left out."""
     near = [min(one.rows, key=lambda row: abs(row.t_ns - t_ns)).position for one in channels if one.rows]
@@ -176,7 +194,8 @@ def _channel_of(part: Frames) -> Channel:
     gains = 10 ** (2 * (pattern.gain_dbi(np.arccos(cosine)) - pattern.peak_dbi) / 20)
     spec = part.spec
     pulse_m = spec.pulse_sigma_s * C0 / 2
-    return Channel(float(part.range_m[0]), step / UPSAMPLING, gains, spec.wavelength_m, spec.own_echo_m, pulse_m)
+    start_m, envelope = float(part.range_m[0]), not np.iscomplexobj(part.samples)
+    return Channel(start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, pulse_m)
 
 
 def _upsampled(samples: NDArray[np.complex64]) -> NDArray[np.complex64]:

@@ -45,6 +45,7 @@ class LikelihoodMapper:
         self._echoes = EchoFinder(self.spec)
         self._tracker = SurfaceTracker(self.spec)
         self._wavelength_m = self._fold_m = 0.0
+        self._phase: bool | None = None
         self._flown: dict[tuple[int, int], None] = {}
         self._published: OccupancyMap | None = None
 
@@ -66,11 +67,14 @@ class LikelihoodMapper:
         self._take_in(finish=False)
 
     def _check(self, part: Frames) -> None:
-        if not np.iscomplexobj(part.samples):
+        phase = np.iscomplexobj(part.samples)
+        self._phase = phase if self._phase is None else self._phase
+        if phase != self._phase:
             raise InputError(
-                "the likelihood mapper needs samples with phase",
+                "its samples have no phase, but another sensor's have" if self._phase else
+                "its samples have phase, but another sensor's have not",
                 where=part.sensor,
-                allowed="complex baseband or RF; or method='ullage' or 'elfes'",
+                allowed="samples with phase of all sensors, or amplitudes of all; or method='ullage'",
             )
         self._wavelength_m = self._wavelength_m or part.spec.wavelength_m
         self._fold_m = part.spec.unambiguous_range_m

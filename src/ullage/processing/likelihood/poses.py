@@ -126,7 +126,8 @@ class AperturePoses:
 
     def shift(self, unit: Floats, turn: Floats) -> None:
         """Move the positions along a direction, by what takes these phases (t) from its echo [rad]."""
-        self._aperture.offset[:] += (turn / self._aperture.phase)[self._moment, None] * unit
+        if self._aperture.phase:
+            self._aperture.offset[:] += (turn / self._aperture.phase)[self._moment, None] * unit
 
     def correct(self, unit: Floats, phases: EchoPhases) -> None:
         """Take an echo's phases as measurements of the positions along its direction.
