@@ -70,8 +70,61 @@ def _square(aperture, real, imag):  # type: ignore[no-untyped-def]
     return real * real + imag * imag
 
 
+@inner(fastmath=True)
+def _cos_sin(angle):  # type: ignore[no-untyped-def]
+    """Cosine and sine of an angle [rad] within 1e-6, by power series of its half: compilers can vectorise it."""
+    turn = angle * (0.5 / math.pi)
+    half = math.pi * (turn - math.floor(turn + 0.5))
+    x = half * half
+    s = half * (1 - x / 6 * (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110)))))
+    c = 1 - x / 2 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))))
+    return 1 - 2 * s * s, 2 * s * c
+
+
+class Turns(NamedTuple):
+    """Where each row is sampled under hypotheses of one curvature, and its weight; rows of little gain are left out."""
+
+    directions: NDArray[np.float64]  # (d, 3) unit vectors
+    count: NDArray[np.int64]  # (d) rows that count
+    row: NDArray[np.int32]  # (d, m)
+    first: NDArray[np.int32]  # (d, m) bin that is sampled for bin 0
+    weight: NDArray[np.float32]  # (d, m, 3) share of the next bin; gain times cosine and sine of the phase
+    total: NDArray[np.float64]  # (d) sum of squared gains
+
+
 @loop(fastmath=True)
-def sum_directions(aperture, directions, curvature, low, high, out):  # type: ignore[no-untyped-def]
+def turn_rows(aperture, curvature, start, stop, turns):  # type: ignore[no-untyped-def]
+    """Fill in the rows of some directions.
+
+    Args:
+        aperture: the rows.
+        curvature: of the range along the aperture [1/bin].
+        start: first direction.
+        stop: direction after the last.
+        turns: of all directions; set.
+    """
+    gain = np.empty(len(aperture.axes))
+    for d in range(start, stop):
+        unit = turns.directions[d]
+        _gains(aperture, unit, gain)
+        n, total = 0, 0.0
+        for i in range(len(aperture.sensor)):
+            g = gain[aperture.sensor[i]]
+            if g <= LEAST_GAIN:
+                continue
+            delay = _delay(aperture.offset[i], unit, curvature)
+            first = math.floor(delay)
+            c, s = _cos_sin(aperture.phase * delay)
+            turns.row[d, n], turns.first[d, n] = i, first
+            turns.weight[d, n, 0] = delay - first
+            turns.weight[d, n, 1], turns.weight[d, n, 2] = c * g, s * g
+            total += g * g
+            n += 1
+        turns.count[d], turns.total[d] = n, max(total, 1e-9)
+
+
+@loop(fastmath=True)
+def sum_turned(aperture, turns, curvature, start, stop, low, high, out):  # type: ignore[no-untyped-def]
     """Energy that one reflector in each direction and bin explains.
 
     The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
@@ -79,78 +132,83 @@ def sum_directions(aperture, directions, curvature, low, high, out):  # type: ig
 
     Args:
         aperture: the rows.
-        directions: (d, 3) unit vectors.
-        curvature: of the range along the aperture [1/bin].
+        turns: as `turn_rows` filled them in.
+        curvature: as of `turn_rows`.
+        start: first direction.
+        stop: direction after the last.
         low: first bin.
         high: bin after the last.
-        out: (d, b) float32, set from `low` to `high`.
+        out: (d, b) float32, set from `start` to `stop` and `low` to `high`.
     """
-    samples = aperture.samples
-    rows, bins = samples.shape[0], samples.shape[1]
-    real, imag = np.empty(bins, np.float32), np.empty(bins, np.float32)
-    gain = np.empty(len(aperture.axes))
+    rows, bins = aperture.samples.shape[0], aperture.samples.shape[1]
+    real, imag = np.empty(high - low, np.float32), np.empty(high - low, np.float32)
+    one, reach = np.uint64(1), 0.0
+    for i in range(rows):
+        o = aperture.offset[i]
+        reach = max(reach, o[0] * o[0] + o[1] * o[1] + o[2] * o[2])
+    reach = math.sqrt(reach) * (1 + abs(curvature) * math.sqrt(reach))
+    before, after = max(low - int(reach) - 2, 0), min(high + int(reach) + 3, bins)
+    x, y = np.empty((rows, after - before), np.float32), np.empty((rows, after - before), np.float32)
+    for i in range(rows):
+        for k in range(after - before):
+            x[i, k], y[i, k] = aperture.samples[i, before + k, 0], aperture.samples[i, before + k, 1]
     moments = aperture.moment.max() + 1
-    parts = np.empty((moments, bins, 2), np.float32)
-    for d in range(len(directions)):
-        _gains(aperture, directions[d], gain)
-        coherence = _expected_coherence(aperture, directions[d])
+    parts = np.empty((2, moments, high - low), np.float32)
+    for d in range(start, stop):
+        coherence = _expected_coherence(aperture, turns.directions[d])
         apart = coherence < COHERENT
-        for k in range(low, high):
-            real[k] = 0.0
-            imag[k] = 0.0
+        real[:] = 0.0
+        imag[:] = 0.0
         if apart:
-            parts[:, low:high] = 0.0
-        total = 0.0
-        for i in range(rows):
-            g = gain[aperture.sensor[i]]
-            if g <= LEAST_GAIN:
-                continue
-            delay = _delay(aperture.offset[i], directions[d], curvature)
-            first = math.floor(delay)
-            share = np.float32(delay - first)
+            parts[:] = 0.0
+        for n in range(turns.count[d]):
+            i, first = turns.row[d, n], turns.first[d, n]
+            share, c, s = turns.weight[d, n, 0], turns.weight[d, n, 1], turns.weight[d, n, 2]
             rest = np.float32(1.0) - share
-            c = np.float32(math.cos(aperture.phase * delay) * g)
-            s = np.float32(math.sin(aperture.phase * delay) * g)
-            total += g * g
-            for k in range(max(low, -first), min(high, bins - 1 - first)):
-                x = samples[i, first + k, 0] * rest + samples[i, first + k + 1, 0] * share
-                y = samples[i, first + k, 1] * rest + samples[i, first + k + 1, 1] * share
-                real[k] += x * c - y * s
-                imag[k] += x * s + y * c
-                if apart:
-                    parts[aperture.moment[i], k, 0] += x * c - y * s
-                    parts[aperture.moment[i], k, 1] += x * s + y * c
-        for k in range(low, high):
-            out[d, k] = _square(aperture, real[k], imag[k]) / max(total, 1e-9)
+            begin, end = max(low, -first), min(high, bins - 1 - first)
+            at = np.uint64(begin + first - before)
+            for k in range(np.uint64(begin - low), np.uint64(max(end, begin) - low)):
+                u = x[i, at] * rest + x[i, at + one] * share
+                v = y[i, at] * rest + y[i, at + one] * share
+                real[k] += u * c - v * s
+                imag[k] += u * s + v * c
+                at += one
+            if apart:
+                t, at = aperture.moment[i], np.uint64(begin + first - before)
+                for k in range(np.uint64(begin - low), np.uint64(max(end, begin) - low)):
+                    u = x[i, at] * rest + x[i, at + one] * share
+                    v = y[i, at] * rest + y[i, at + one] * share
+                    parts[0, t, k] += u * c - v * s
+                    parts[1, t, k] += u * s + v * c
+                    at += one
+        scale = np.float32(1 / turns.total[d])
+        for k in range(high - low):
+            out[d, low + k] = _square(aperture, real[k], imag[k]) * scale
         if apart:
-            for k in range(low, high):
+            for k in range(high - low):
                 size = np.float32(0.0)
                 for t in range(moments):
-                    size += math.sqrt(parts[t, k, 0] * parts[t, k, 0] + parts[t, k, 1] * parts[t, k, 1])
-                out[d, k] = coherence * out[d, k] + (1 - coherence) * size * size / max(total, 1e-9)
+                    size += math.sqrt(parts[0, t, k] * parts[0, t, k] + parts[1, t, k] * parts[1, t, k])
+                out[d, low + k] = coherence * out[d, low + k] + (1 - coherence) * size * size * scale
 
 
 @loop()
-def strongest(energy, floor, low, high):  # type: ignore[no-untyped-def]
-    """Place of the largest energy over the floor of its bin.
+def find_peaks(energy, low, high, peak, where):  # type: ignore[no-untyped-def]
+    """Largest energy of each bin.
 
     Args:
-        energy: (c, d, b) explained energy of each curvature, direction and bin.
-        floor: (b) factor that an energy must exceed; what stronger echoes leave behind.
+        energy: (d, b) explained energy of each direction and bin.
         low: first bin.
         high: bin after the last.
-
-    Returns:
-        Energy over the floor, and the three indices.
+        peak: (b) float32, set from `low` to `high`.
+        where: (b) set to its direction.
     """
-    best, where = 0.0, (0, 0, 0)
-    for c in range(energy.shape[0]):
-        for d in range(energy.shape[1]):
-            for k in range(low, high):
-                if energy[c, d, k] > best * floor[k]:
-                    best = energy[c, d, k] / floor[k]
-                    where = (c, d, k)
-    return best, where
+    for k in range(low, high):
+        peak[k], where[k] = energy[0, k], 0
+    for d in range(1, len(energy)):
+        for k in range(low, high):
+            if energy[d, k] > peak[k]:
+                peak[k], where[k] = energy[d, k], d
 
 
 @inner(fastmath=True)
@@ -173,7 +231,7 @@ def _fit(aperture, unit, curvature, place, gain, sums, parts):  # type: ignore[n
         share = at - k
         x = samples[i, k, 0] * (1 - share) + samples[i, k + 1, 0] * share
         y = samples[i, k, 1] * (1 - share) + samples[i, k + 1, 1] * share
-        real, imag = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
+        real, imag = _cos_sin(aperture.phase * delay)
         mine = aperture.sensor[i]
         sums[mine, 0] += x * real - y * imag
         sums[mine, 1] += x * imag + y * real

@@ -9,12 +9,15 @@ are hypotheses as all others, so that floor and ceiling explain their own echoes
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
-from ullage.arrays import Floats, Singles
-from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, strongest, subtract, sum_directions
+from ullage.arrays import Floats
+from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
+from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -61,8 +64,9 @@ class EchoFinder:
         self._bearing = np.concatenate([bearing, [1.0, -1.0]])
         self._level = np.concatenate([np.ones(len(bearing)), [0.0, 0.0]])
         level = np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
-        self._directions = np.concatenate([level, [[0, 0, 1.0], [0, 0, -1.0]]])
-        self._slopes = np.concatenate([cosine * level for cosine in SLOPES])
+        self._sums = DirectionSums(np.concatenate([level, [[0, 0, 1.0], [0, 0, -1.0]]]))
+        self._slope_directions = np.concatenate([cosine * level for cosine in SLOPES])
+        self._slopes = DirectionSums(self._slope_directions)
 
     def find(self, key: Keyframe, known: Floats | None = None) -> Echoes:
         """Find the echoes of a keyframe.
@@ -72,51 +76,57 @@ class EchoFinder:
             known: (s, 4) states that known surfaces have from its place. A known
                 surface explains an echo unless another hypothesis explains clearly more of it.
         """
+        work = self.steps(key, np.zeros((0, 4)) if known is None else known)
+        while True:
+            try:
+                next(work)
+            except StopIteration as done:
+                return cast(Echoes, done.value)
+
+    def steps(self, key: Keyframe, known: Floats) -> Generator[None, None, Echoes]:
+        """The same in steps of work; one keyframe at a time."""
         aperture, bins = key.aperture, key.aperture.samples.shape[1]
         low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
         found: list[Found] = []
         if len(aperture.offset) >= LEAST_ROWS and low < high:
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
             poses.expect(self.pose_errors.sigma_m / key.bin_m)
-            search = key, low, high, np.zeros((0, 4)) if known is None else known
-            found = self._clean(*search, poses, first=True)
+            self._sums.begin(aperture)
+            self._slopes.begin(aperture)
+            found = yield from self._clean(key, low, high, known, poses, first=True)
             if poses.uncertain:  # all echoes together have shown the errors, so the samples are explained anew
                 aperture.samples[:] = samples
-                found = self._clean(*search, poses)
+                found = yield from self._clean(key, low, high, known, poses)
         state = np.array([row[0] for row in found]).reshape(-1, 4)
         covariance = np.array([row[1] for row in found]).reshape(-1, 4, 4)
         rest = np.array([row[2:] for row in found]).reshape(-1, 3)
         return Echoes(key.position[:2], state, covariance, *rest.T)
 
-    def _sum(self, key: Keyframe, low: int, high: int, energy: Singles) -> None:
-        """Energy that a flat reflector explains; `refine` finds its curvature."""
-        sum_directions(key.aperture, self._directions, 0.0, low, high, energy[0])
-
     def _clean(
         self, key: Keyframe, low: int, high: int, known: Floats, poses: AperturePoses, *, first: bool = False
-    ) -> list[Found]:
+    ) -> Generator[None, None, list[Found]]:
         """Take the echoes out one after the other, and list the level ones."""
         spec, aperture, noise = self._spec, key.aperture, key.noise**2
         bins = aperture.samples.shape[1]
-        energy = np.zeros((1, len(self._directions), bins), np.float32)
-        self._sum(key, low, high, energy)
+        yield from self._sums.steps(low, high)
         floor, reach = np.ones(bins), 2 * int(3 * key.pulse) + 2
         out: list[Found] = []
         for _ in range(spec.most_echoes):
-            best, (_, d, k) = strongest(energy, floor, low, high)
+            best, d, k = self._sums.strongest(floor, low, high)
             if best <= spec.least_snr * noise:
                 break
             start = np.array([self._level[d], self._bearing[d], 0.0, k])
-            start, fit = self._refined(key, start, known)
+            start, fit, sums = self._refined(key, start, known)
             if first and not out and aperture.phase:
                 self._learn(key, poses, start, fit)
-            fit, echo = self._explain(key, poses, (start, fit), (floor[k] - 1) * noise)
+            fit, echo = self._explain(key, poses, (fit, sums), (floor[k] - 1) * noise)
             if start[0] > 0:
                 out.append(echo)
             at = int(fit[4])
-            self._sum(key, max(at - reach, low), min(at + reach, high), energy)
+            self._sums.sum(max(at - reach, low), min(at + reach, high))
             pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
             floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
+            yield
         return out
 
     def _phases(self, key: Keyframe, poses: AperturePoses, fit: Floats) -> tuple[Floats, EchoPhases]:
@@ -140,13 +150,17 @@ class EchoFinder:
         Args:
             key: the keyframe.
             poses: of its aperture; the echo corrects them, and the first one shows how large their errors are.
-            hypothesis: start and fit.
+            hypothesis: fit and sums.
             left: energy that stronger echoes may have left at its range.
 
         Returns:
             The fit at corrected phases, and the echo.
         """
-        _, fit = hypothesis
+        fit, sums = hypothesis
+        if not poses.sigma:
+            echo = self._echo(key, fit, sums, left)
+            subtract(key.aperture, fit, sums, key.pulse)
+            return fit, echo
         unit, phases = self._phases(key, poses, fit)
         turn = poses.expected(unit, phases)
         poses.shift(unit, turn)
@@ -157,36 +171,35 @@ class EchoFinder:
         poses.correct(unit, phases)
         return fit, echo
 
-    def _refined(self, key: Keyframe, start: Floats, known: Floats) -> tuple[Floats, Floats]:
+    def _refined(self, key: Keyframe, start: Floats, known: Floats) -> tuple[Floats, Floats, Floats]:
         """Refine a first estimate, and rival it by the known surfaces at its range.
 
         Returns:
-            Start and fit of the hypothesis that explains the echo.
+            Start, fit and sums of the hypothesis that explains the echo.
         """
-        fit, _ = self._fitted(key, start, COARSE)
+        fit, sums = self._fitted(key, start, COARSE)
         at_m = key.start_m + key.bin_m * fit[4]
-        best, best_nats = (start, fit), self._nats(key, fit)
+        best, best_nats = (start, fit, sums), self._nats(key, fit)
         if start[0] > 0 and fit[0] < CLEAR * fit[1]:
             rival = self._slope_near(key, fit)
-            slope, _ = self._fitted(key, rival, TILTED)
+            slope, sums = self._fitted(key, rival, TILTED)
             if self._gain(key, fit, slope) > self._spec.slope_nats:
-                best, best_nats = (rival, slope), self._nats(key, slope)
+                best, best_nats = (rival, slope, sums), self._nats(key, slope)
         for range_m, bearing, curvature, cosine in known[np.abs(known[:, 0] - at_m) < SAME_RANGE_M]:
             rival = np.array([cosine, bearing, curvature * key.bin_m, (range_m - key.start_m) / key.bin_m])
-            fit, _ = self._fitted(key, rival, FINE)
+            fit, sums = self._fitted(key, rival, FINE)
             nats = self._nats(key, fit) + self._spec.known_nats
             if nats > best_nats:
-                best, best_nats = (rival, fit), nats
+                best, best_nats = (rival, fit, sums), nats
         return best
 
     def _slope_near(self, key: Keyframe, fit: Floats) -> Floats:
         """Start (4) of the slope that explains most energy near the range of a fit."""
         at, reach = int(fit[4]), 2 * int(key.pulse) + 2
         low, high = max(at - reach, 0), min(at + reach, key.aperture.samples.shape[1])
-        energy = np.zeros((1, len(self._slopes), high), np.float32)
-        sum_directions(key.aperture, self._slopes, 0.0, low, high, energy[0])
-        _, (_, d, k) = strongest(energy, np.ones(high), low, high)
-        x, y, _ = self._slopes[d]
+        self._slopes.sum(low, high)
+        _, d, k = self._slopes.strongest(1.0, low, high)
+        x, y, _ = self._slope_directions[d]
         return np.array([math.hypot(x, y), math.atan2(y, x), 0.0, k])
 
     def _fitted(self, key: Keyframe, start: Floats, steps: tuple[float, float, float, float]) -> tuple[Floats, Floats]:

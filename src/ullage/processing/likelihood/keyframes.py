@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -106,11 +107,10 @@ class KeyframeSelector:
         away = float(np.linalg.norm(position - before.position))
         return away >= self._spec.spacing_m or float(axis @ before.axis) < np.cos(TURN_RAD)
 
-    def ready(self, *, finish: bool = False) -> list[Keyframe]:
+    def ready(self, *, finish: bool = False) -> Iterator[Keyframe]:
         """The keyframes whose apertures are complete; at the end those that are left."""
-        out: list[Keyframe] = []
         if not self._channels:
-            return out
+            return
         leader = next(iter(self._channels.values()))
         while self._next < len(leader.rows):
             rows = leader.rows
@@ -122,9 +122,9 @@ class KeyframeSelector:
             if not (finish or (closed and self._all_past(rows[last].t_ns))):
                 break
             self._last = centre.position
-            out.append(self._keyframe(centre, rows[first].t_ns, rows[last].t_ns))
+            key = self._keyframe(centre, rows[first].t_ns, rows[last].t_ns)
             self._drop_before(rows[first].t_ns)
-        return out
+            yield key
 
     def _span(self, rows: deque[Row], index: int) -> tuple[int, int, bool]:
         """First and last row about `index` within the window, and whether a later row has left it."""

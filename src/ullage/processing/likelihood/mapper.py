@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ullage.arrays import Bools
@@ -11,9 +13,10 @@ from ullage.grids import Changes, Grid, MappedSurface, OccupancyMap
 from ullage.processing.baseband import as_baseband
 from ullage.processing.likelihood.cells import render
 from ullage.processing.likelihood.echoes import EchoFinder
-from ullage.processing.likelihood.keyframes import KeyframeSelector
+from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, smoothed
+from ullage.processing.likelihood.workload import Workload
 from ullage.processing.mapper_door import in_order, plane_of
 
 CELL_M = 0.05  # places of the track are kept apart by as much
@@ -44,6 +47,7 @@ class LikelihoodMapper:
         self._keyframes = KeyframeSelector(self.spec)
         self._echoes = EchoFinder(self.spec)
         self._tracker = SurfaceTracker(self.spec)
+        self._work = Workload()
         self._wavelength_m = self._fold_m = 0.0
         self._phase: bool | None = None
         self._flown: dict[tuple[int, int], None] = {}
@@ -65,6 +69,7 @@ class LikelihoodMapper:
                 self._flown[x, y] = None
             self._keyframes.add(part)
         self._take_in(finish=False)
+        self._work.spend(sum(len(part) for part in parts))
 
     def _check(self, part: Frames) -> None:
         phase = np.iscomplexobj(part.samples)
@@ -87,13 +92,21 @@ class LikelihoodMapper:
 
     def _take_in(self, *, finish: bool) -> None:
         for key in self._keyframes.ready(finish=finish):
-            self._tracker.update(self._echoes.find(key, self._tracker.known(key.position[:2])))
+            self._work.add(self._explained(key))
+
+    def _explained(self, key: Keyframe) -> Iterator[None]:
+        """What a keyframe adds to the surfaces, in steps of work."""
+        echoes = yield from self._echoes.steps(key, self._tracker.known(key.position[:2]))
+        yield
+        self._tracker.update(echoes)
 
     def finish(self) -> None:
         """Use the frames that waited for a complete aperture."""
         self._take_in(finish=True)
+        self._work.finish()
 
     def _rendered(self) -> tuple[OccupancyMap, list[Surface], Bools]:
+        self._work.finish()
         surfaces = self._tracker.confirmed()
         flown = (np.array(list(self._flown), float).reshape(-1, 2) + 0.5) * CELL_M
         omap, kept = render(self.grid, surfaces, flown, self._wavelength_m, self._fold_m, self.spec)
@@ -112,6 +125,7 @@ class LikelihoodMapper:
     @property
     def pose_sigma_m(self) -> float:
         """White error of one coordinate of the positions, as the latest echoes show it (standard deviation) [m]."""
+        self._work.finish()
         return self._echoes.pose_errors.sigma_m
 
     def changed(self) -> Changes:

@@ -43,6 +43,11 @@ class Sighting:
     state: tuple[float, float, float, float]  # range [m], bearing [rad], curvature [1/m], cosine of the elevation
     level: float  # amplitude times range, over the antenna's gain [m]
     nats: float
+    share: float = 1.0  # of a full echo that the views of this place have counted
+    odds: float = 0.0  # log-odds that they gave
+
+
+NOTHING = Sighting((0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True, eq=False)
@@ -112,6 +117,7 @@ class SurfaceTracker:
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
         self.surfaces: list[Surface] = []
+        self._holders: dict[tuple[int, ...], Surface] = {}  # surface that shows a specular point in a view
         self._flown_m = 0.0
         self._last: Floats | None = None
 
@@ -204,24 +210,49 @@ class SurfaceTracker:
         return out
 
     def _see(self, surface: Surface, echoes: Echoes, echo: int, evidence: Floats) -> None:
-        """Count an echo for a surface; views that share frames count in part."""
+        """Count an echo for a surface; views that share frames count in part, and each place in full at most once."""
         spec = self._spec
         fresh = min((self._flown_m - surface.seen_m) / spec.dependence_m + 0.1, 1.0) if surface.sightings else 1.0
-        nats = float(echoes.nats[echo])
-        surface.log_odds += fresh * (nats - spec.echo_cost)
         surface.evidence = surface.evidence + fresh * evidence
         surface.seen_m = self._flown_m
         range_m, bearing, curvature, cosine = (float(value) for value in surface.state)
         x, y = (float(value) for value in echoes.position)
-        foot = x + range_m * math.cos(bearing), y + range_m * math.sin(bearing)
+        far, ahead = (float(value) for value in echoes.state[echo, :2])
+        foot = x + far * math.cos(ahead), y + far * math.sin(ahead)
         key = (*(round(value / FOOT_M) for value in foot), *(round(value / VIEW_M) for value in (x, y)))
         state = range_m, bearing, curvature, cosine
-        surface.sightings[key] = Sighting((x, y), state, float(echoes.level[echo]), nats)
+        before, nats = self._taken(surface, key), float(echoes.nats[echo])
+        share = min(fresh, 1.0 - before.share)
+        gained = share * (nats - spec.echo_cost)
+        surface.log_odds += gained
+        counted = before.share + share, before.odds + gained
+        surface.sightings[key] = Sighting((x, y), state, float(echoes.level[echo]), nats, *counted)
+
+    def _taken(self, surface: Surface, key: tuple[int, ...]) -> Sighting:
+        """Take a specular point from the surface that showed it before: one view of one place is one reflector.
+
+        Returns:
+            What the surface itself has counted there.
+        """
+        holder = self._holders.get(key)
+        self._holders[key] = surface
+        if holder is surface:
+            return surface.sightings[key]
+        if holder is not None:
+            holder.log_odds -= holder.sightings.pop(key).odds
+        return NOTHING
 
     def _forget(self) -> None:
         """Drop surfaces of few echoes that were not seen again."""
         least, horizon = self._spec.least_keyframes, self._flown_m - FORGET_M
-        self.surfaces = [one for one in self.surfaces if len(one.sightings) >= least or one.seen_m >= horizon]
+        kept: list[Surface] = []
+        for one in self.surfaces:
+            if len(one.sightings) >= least or one.seen_m >= horizon:
+                kept.append(one)
+                continue
+            for key in one.sightings:
+                del self._holders[key]
+        self.surfaces = kept
 
     def confirmed(self) -> list[Surface]:
         """The surfaces that are sure enough for the map."""
