@@ -26,7 +26,7 @@ GROWTH = np.array([20.0, 20.0, 5.0, 5.0])  # of that variance, for each metre of
 RANGE_GATE_M = 0.3  # a surface whose predicted range is less sure than this takes no echo
 NEAREST_M = 0.2  # predicted ranges below it are behind the sensor
 FOOT_M, VIEW_M = 0.05, 0.15  # a specular point seen from nearly the same place again replaces the earlier one
-FORGET_M = 1.5  # track after which a surface of few echoes is forgotten
+FORGET_M = 1.5  # track after which a surface that is not sure is forgotten
 CONSISTENT_M = 0.03  # a smoothed range this near to the measured one replaces it
 SLOPE, SLOPE_SIGMA = 0.85, 0.2  # cosine of the elevation of a slope, before any echo has shown it
 FLAT = 0.05  # curvature that a plane may have [1/m]
@@ -243,25 +243,23 @@ class SurfaceTracker:
         return NOTHING
 
     def _forget(self) -> None:
-        """Drop surfaces of few echoes that were not seen again."""
-        least, horizon = self._spec.least_keyframes, self._flown_m - FORGET_M
+        """Drop surfaces that were not seen again before they were sure."""
+        horizon = self._flown_m - FORGET_M
         kept: list[Surface] = []
         for one in self.surfaces:
-            if len(one.sightings) >= least or one.seen_m >= horizon:
+            if self._sure(one) or one.seen_m >= horizon:
                 kept.append(one)
                 continue
             for key in one.sightings:
                 del self._holders[key]
         self.surfaces = kept
 
+    def _sure(self, one: Surface) -> bool:
+        return len(one.sightings) >= self._spec.least_keyframes and one.log_odds >= self._spec.least_odds
+
     def confirmed(self) -> list[Surface]:
         """The surfaces that are sure enough for the map."""
-        spec = self._spec
-        return [
-            one
-            for one in self.surfaces
-            if len(one.sightings) >= spec.least_keyframes and one.log_odds >= spec.least_odds
-        ]
+        return [one for one in self.surfaces if self._sure(one)]
 
 
 def smoothed(surface: Surface) -> tuple[Floats, Floats]:
