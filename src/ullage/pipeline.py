@@ -321,7 +321,7 @@ class MapStage:
 
     def update(self, chunk: Chunk) -> Iterable[OccupancyMap]:
         """Return the map so far, once per `every_s` of recording."""
-        from ullage.processing.occupancy import Mapper
+        from ullage.processing.occupancy import COHERENT, Mapper
 
         if self.own_echo is not None:
             chunk = self.own_echo.clean(chunk)
@@ -330,12 +330,12 @@ class MapStage:
         if self._mapper is None:
             # the other mappers have their own level for every profile
             own = {"floor_z_m": self.floor_z_m, "vehicle_radius_m": self.vehicle_radius_m}
-            options = {"ullage": own, "elfes": {"threshold": self.threshold}}.get(self.method, {})
+            options = {"elfes": {"threshold": self.threshold}}.get(self.method, own if self.method in COHERENT else {})
             known = {name: value for name, value in options.items() if value is not None}
             self._mapper = Mapper(self.grid, method=self.method, **known)
         self._mapper.update(chunk)
         for name, part in chunk.items():
-            if part.calibration is not None and self.method == "ullage":
+            if part.calibration is not None and self.method in COHERENT:
                 self._calibrated.setdefault(name, []).append(part)
         now = max(int(p.t_ns[-1]) for p in chunk.values())
         self._due = self._due or Due(self.every_s)

@@ -11,6 +11,8 @@ from ullage.data import Frames, Trajectory
 from ullage.geometry import quat_matrix
 from ullage.grids import UNKNOWN
 from ullage.kernels.matched_sums import Aperture
+from ullage.processing.likelihood.direction_sums import DirectionSums
+from ullage.processing.likelihood.echoes import gains_of
 from ullage.processing.likelihood.mapper import LikelihoodMapper
 from ullage.processing.likelihood.poses import AperturePoses
 from ullage.processing.likelihood.spec import LikelihoodSpec
@@ -290,6 +292,123 @@ def test_pieces_of_any_size_give_the_map_of_the_whole():
         assert not mapper.changed(), "nothing new"
 
 
+def test_a_map_in_flight_holds_all_that_the_frames_so_far_show():
+    """Work waits for the frames that follow, but a map does not wait for it."""
+    frames = flown(curve(), wall(90, 2.4), pillar((1.4, -1.8), 0.2))
+    for count in (17, 18, 30):
+        mapper = Mapper(GRID, method="likelihood")
+        for k in range(count):
+            mapper.update({name: part[k : k + 1] for name, part in frames.items()})
+        whole = Mapper(GRID, method="likelihood")
+        whole.update({name: part[:count] for name, part in frames.items()})
+        assert np.array_equal(mapper.map().percent, whole.map().percent)
+
+
+def test_laps_over_the_same_places_add_neither_evidence_nor_surfaces():
+    """A longer flight through the same places costs as much a frame, and noise does not add up to a surface."""
+    path = curve()
+    count = len(path)
+    reflectors = wall(90, 2.4), wall(-40, 3.0), pillar((1.4, -1.8), 0.2)
+    mapper, seen, odds = LikelihoodMapper(GRID), [], []
+    for lap in range(8):
+        rows = np.arange(count)[:: (-1) ** lap]
+        t_ns = (np.arange(count) + lap * count) * 120_000_000
+        mapper.update(flown(Trajectory(t_ns, path.position[rows], path.quat_xyzw[rows]), *reflectors, seed=lap))
+        seen.append(sum(one.seen for one in mapper.surfaces()))
+        odds.append(max(one.log_odds for one in mapper.surfaces()))
+    assert seen[7] < 1.5 * seen[1]
+    assert odds[7] < 1.05 * odds[5]
+
+
+def test_directions_are_summed_as_the_definition_says():
+    rng = np.random.default_rng(5)
+    rows, bins = 24, 60
+    samples = rng.normal(size=(rows, bins, 2)).astype(np.float32)
+    offset, sensor = rng.normal(size=(rows, 3)) * 4, np.arange(rows) % 3
+    gains = np.linspace(1.0, 0.2, 2001) * np.array([[1.0], [0.8], [0.6]])
+    axes, phase = np.eye(3), 1.7
+    aperture = Aperture(samples, offset, sensor, axes, gains, phase, np.arange(rows) // 3, np.zeros((3, 3)))
+    directions = rng.normal(size=(70, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    sums = DirectionSums(directions)
+    sums.begin(aperture)
+    sums.sum(5, bins - 5)
+    energy = np.zeros((len(directions), bins))
+    signal = samples[..., 0] + 1j * samples[..., 1]
+    for d, unit in enumerate(directions):
+        gain = gains_of(aperture, unit)
+        gain = (gain / gain.max())[sensor]
+        delay = -offset @ unit
+        for k in range(5, bins - 5):
+            at = k + delay
+            whole = (np.floor(at) >= 0) & (np.floor(at) < bins - 1)
+            value = [np.interp(x, np.arange(bins), row) for x, row in zip(at, signal, strict=True)]
+            z = np.sum(np.where(whole, gain * np.array(value) * np.exp(1j * phase * delay), 0))
+            energy[d, k] = abs(z) ** 2 / np.sum(gain**2)
+    best, d, k = sums.strongest(1.0, 5, bins - 5)
+    assert (d, k) == np.unravel_index(np.argmax(energy), energy.shape)
+    assert best == pytest.approx(energy.max(), rel=1e-4)
+    low = sums.strongest(np.where(np.arange(bins) == k, 1e6, 1.0), 5, bins - 5)
+    energy[:, k] = 0
+    assert low[1:] == np.unravel_index(np.argmax(energy), energy.shape)
+
+
+def envelopes(frames):
+    return {name: replace(part, samples=part.amplitude) for name, part in frames.items()}
+
+
+@pytest.mark.parametrize("bearing_deg", [40, 180])
+def test_amplitudes_without_phase_show_a_wall(bearing_deg):
+    frames = envelopes(flown(curve(spacing=0.03), wall(bearing_deg, 2.4)))
+    mapper = mapped(frames)
+    unit = np.array([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    strongest = max(mapper.surfaces(), key=lambda one: one.log_odds)
+    assert np.cos(strongest.state[1] - np.radians(bearing_deg)) > np.cos(np.radians(4.0))
+    assert strongest.state[0] + strongest.position @ unit == pytest.approx(2.4, abs=0.03)
+    occupied = centres(mapper.map())
+    assert len(occupied) >= 4
+    assert np.abs(occupied @ unit - 2.4).max() < 0.15
+    again = LikelihoodMapper(GRID)
+    for start in range(0, len(frames["front"]), 3):
+        again.update({name: part[start : start + 3] for name, part in frames.items()})
+    again.finish()
+    assert np.array_equal(again.map().percent, mapper.map().percent)
+
+
+def test_phases_of_amplitudes_are_never_used():
+    """Phases that are lost from frame to frame and from sensor to sensor change nothing once they are dropped."""
+    frames = flown(curve(), wall(40, 2.4))
+    turned = {n: replace(f, samples=f.samples * np.exp(1j * np.arange(len(f)))[:, None]) for n, f in frames.items()}
+    assert np.abs(mapped(envelopes(frames)).map().percent - mapped(envelopes(turned)).map().percent).max() == 0
+
+
+def test_amplitudes_of_noise_show_nothing():
+    mapper = mapped(envelopes(flown(curve(spacing=0.03))))
+    assert mapper.surfaces() == []
+    assert not mapper.map().occupied.any()
+
+
+def test_amplitudes_of_the_ray_model_show_walls():
+    path = Trajectory.line((-2.5, -1.0, 0), (2.5, -1.0, 0), 1.0, 20)
+    scene = ul.scenes.room(size_m=(8, 6, 3), material="concrete")
+    frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=7, fidelity="thesis")
+    omap = ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1, margin_m=0.5), method="likelihood")
+    occupied = centres(omap)
+    apart = np.minimum(np.abs(np.abs(occupied[:, 0]) - 4), np.abs(np.abs(occupied[:, 1]) - 3))
+    assert len(occupied) > 10
+    assert np.median(apart) < 0.3
+
+
+def test_the_ball_of_the_vehicle_is_free():
+    for radius in (0.25, 0.6):
+        mapper = LikelihoodMapper(GRID, vehicle_radius_m=radius)
+        mapper.update(flown(curve()))
+        mapper.finish()
+        y, x = np.nonzero(mapper.map().free)
+        away = np.hypot(GRID.x_m[x][:, None] - curve().position[:, 0], GRID.y_m[y][:, None] - curve().position[:, 1])
+        assert away.min(axis=1).max() == pytest.approx(radius, abs=0.16)
+
+
 def test_a_hall_is_mapped_better_than_by_the_baseline():
     from test_mapper import HALL, LONG_LOOP, PLAN, loop
 
@@ -406,9 +525,13 @@ def test_bad_input_is_refused_in_one_line():
     frames = flown(curve(), wall(90, 2.0))
     with pytest.raises(ul.InputError, match="maps a plane"):
         Mapper(ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.2, dims=3), method="likelihood")
-    amplitudes = {n: Frames(f.amplitude, f.range_m, f.t_ns, f.spec, f.poses, sensor=n) for n, f in frames.items()}
-    with pytest.raises(ul.InputError, match=r"front: .*needs samples with phase"):
-        mapped(amplitudes)
+    for name, has in (("left", "have no phase"), ("front", "have phase")):
+        mixed = frames | {name: replace(frames[name], samples=frames[name].amplitude)}
+        with pytest.raises(ul.InputError, match=rf"left: its samples {has}, .*allowed: .*amplitudes of all"):
+            mapped(mixed)
+    for name, value in (("floor_z_m", np.nan), ("vehicle_radius_m", 0.0), ("vehicle_radius_m", 11.0)):
+        with pytest.raises(ul.InputError, match=name):
+            Mapper(GRID, method="likelihood", **{name: value})
     other = flown(curve(), wall(90, 2.0), spec=RIG["front"].but(center_hz=8e9))
     with pytest.raises(ul.InputError, match="its carrier differs"):
         mapped({"front": frames["front"], "left": other["left"]})

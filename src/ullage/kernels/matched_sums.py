@@ -85,7 +85,7 @@ class Turns(NamedTuple):
     """Where each row is sampled under hypotheses of one curvature, and its weight; rows of little gain are left out."""
 
     directions: NDArray[np.float64]  # (d, 3) unit vectors
-    count: NDArray[np.int64]  # (d) rows that count
+    counted: NDArray[np.int64]  # (d) rows that count
     row: NDArray[np.int32]  # (d, m)
     first: NDArray[np.int32]  # (d, m) bin that is sampled for bin 0
     weight: NDArray[np.float32]  # (d, m, 3) share of the next bin; gain times cosine and sine of the phase
@@ -120,7 +120,7 @@ def turn_rows(aperture, curvature, start, stop, turns):  # type: ignore[no-untyp
             turns.weight[d, n, 1], turns.weight[d, n, 2] = c * g, s * g
             total += g * g
             n += 1
-        turns.count[d], turns.total[d] = n, max(total, 1e-9)
+        turns.counted[d], turns.total[d] = n, max(total, 1e-9)
 
 
 @loop(fastmath=True)
@@ -161,7 +161,7 @@ def sum_turned(aperture, turns, curvature, start, stop, low, high, out):  # type
         imag[:] = 0.0
         if apart:
             parts[:] = 0.0
-        for n in range(turns.count[d]):
+        for n in range(turns.counted[d]):
             i, first = turns.row[d, n], turns.first[d, n]
             share, c, s = turns.weight[d, n, 0], turns.weight[d, n, 1], turns.weight[d, n, 2]
             rest = np.float32(1.0) - share

@@ -14,7 +14,6 @@ from ullage import checks
 from ullage.antenna import BoresightPattern, boresight_pattern
 from ullage.arrays import Bools, Floats
 from ullage.data import Recording
-from ullage.errors import InputError
 from ullage.grids import Changes, Grid, OccupancyMap, Tiles
 from ullage.kernels.occupancy import RING, TORN
 from ullage.kernels.occupancy_reach import Beam
@@ -25,7 +24,7 @@ from ullage.processing.coherent import EchoJudge
 from ullage.processing.elfes import ElfesMapper
 from ullage.processing.inverse_sensor import heard_deg, loudest_wall_m, mirror_m, rim_mirror_m
 from ullage.processing.mapper_beyond import Zones, cell_of, without_behind, without_beyond
-from ullage.processing.mapper_door import in_order, plane_of
+from ullage.processing.mapper_door import in_order, plane_of, radius_of_vehicle
 from ullage.processing.mapper_ends import without_ends
 from ullage.processing.mapper_folds import Fold, alike, is_hidden
 from ullage.processing.mapper_levels import RETURNING, LevelFinder
@@ -48,7 +47,7 @@ HEARD_ODDS, SIDE_NATS = {2: -1.2, 3: -0.7}, 0.8
 SOLID = 65
 SOLID_ODDS = math.log(SOLID / (100 - SOLID))
 SECTORS = {2: (1, 96), 3: (28, 28)}
-FLOWN_M, MOST_RADIUS_M = 0.25, 10.0
+FLOWN_M = 0.25
 LEAST_TRUST, LEAST_TURN, LEAST_FALSE = 0.15, 0.01, 0.07
 FLAT_SHARE = 0.9
 DISC_SHARE, DISC_SIGMA = 0.55, 0.38
@@ -79,12 +78,9 @@ class UllageMapper:
     def __init__(
         self, grid: Grid, *, phase: bool = True, floor_z_m: float | None = None, vehicle_radius_m: float = FLOWN_M
     ) -> None:
-        limits = f"above 0, at most {MOST_RADIUS_M:g} m"
-        if checks.number("vehicle_radius_m", vehicle_radius_m, "mapper", above=0.0, allowed=limits) > MOST_RADIUS_M:
-            raise InputError(f"vehicle_radius_m is {vehicle_radius_m}", where="mapper", allowed=limits)
         if floor_z_m is not None:
             floor_z_m = checks.number("floor_z_m", floor_z_m, "mapper")
-        self.grid, self._radius_m = grid, vehicle_radius_m
+        self.grid, self._radius_m = grid, radius_of_vehicle(vehicle_radius_m)
         self.blocks = Blocks(grid)
         self._listeners: dict[str, Listener] = {}
         self._order = InOrder()

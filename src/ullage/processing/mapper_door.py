@@ -6,10 +6,12 @@ import warnings
 
 import numpy as np
 
+from ullage import checks
 from ullage.data import Frames, Recording, sensors_of
 from ullage.errors import InputError, UllageWarning
 from ullage.grids import Grid
 
+MOST_RADIUS_M = 10.0
 JUMP_M = 0.5
 JUMP_SPEED_M_S = 20.0
 
@@ -73,3 +75,15 @@ def _refuse_outside(frames: Frames, grid: Grid) -> None:
 def plane_of(grid: Grid, parts: list[Frames]) -> Grid:
     """The grid at the sensors' mean height, where it has none."""
     return grid.at_height(float(np.mean(np.concatenate([p.believed.position[:, 2] for p in parts]))))
+
+
+def radius_of_vehicle(radius_m: float) -> float:
+    """The radius of the ball about the antenna that the vehicle fills [m].
+
+    Raises:
+        InputError: it is not a positive number, or too large.
+    """
+    limits = f"above 0, at most {MOST_RADIUS_M:g} m"
+    if checks.number("vehicle_radius_m", radius_m, "mapper", above=0.0, allowed=limits) > MOST_RADIUS_M:
+        raise InputError(f"vehicle_radius_m is {radius_m}", where="mapper", allowed=limits)
+    return radius_m

@@ -22,6 +22,10 @@ METHODS: Mapping[str, tuple[str, str]] = {
 """Module and class of each map method that is shipped; other packages add theirs to the group `ullage.map_methods`."""
 
 
+COHERENT = ("ullage", "likelihood")
+"""Methods whose maps take the scatterers that stay coherent along calibrated frames."""
+
+
 class StreamingMapper(Protocol):
     """Interface of every mapper."""
 
@@ -100,7 +104,7 @@ def map_occupancy(
     """
     if remove_own_echo:
         frames = without_own_echo(frames)
-    calibrated = [part for part in sensors_of(frames) if part.calibration is not None and method == "ullage"]
+    calibrated = [part for part in sensors_of(frames) if part.calibration is not None and method in COHERENT]
     if drift_m:
         from ullage.processing.drift import correct_drift
 

@@ -123,7 +123,7 @@ def with_scatterers(omap: OccupancyMap, found: Sequence[Scatterer]) -> Occupancy
             held = PRIOR if share < 0 else float(np.log(max(share, 1e-9) / max(1 - share, 1e-9)))
             odds = np.clip(held, -MOST_LOG_ODDS, MOST_LOG_ODDS) - np.log(one.chance)
             percent[cell] = round(100 / (1 + float(np.exp(-odds))))
-    return OccupancyMap(omap.grid, percent, omap.method, omap.occupied_from, omap.free_to)
+    return OccupancyMap(omap.grid, percent, omap.method, omap.occupied_from, omap.free_to, surfaces=omap.surfaces)
 
 
 def clutter_tail(focus: PointFocus, *, surrogates: int = SURROGATES) -> Tail:

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
 from ullage.kernels.surface_cells import (
-    BODY_M,
     Plane,
     Views,
     draw_extensions,
@@ -57,7 +56,7 @@ def render(
     plane = Plane(*grid.origin_m[:2], grid.step_m, *grid.shape)
     percent = np.full(grid.size, UNKNOWN, np.int8)
     kept = np.zeros(len(surfaces), bool)
-    percent[_body(grid, flown)] = FREE
+    percent[_body(grid, flown, spec.vehicle_m)] = FREE
     if surfaces:
         views, owner = _views(surfaces, wavelength_m, fold_m, spec)
         sloped = np.array([one.sloped for one in surfaces])
@@ -90,13 +89,13 @@ def _freed(
     return np.asarray(free[0] & (free[1] | ~extension) & ~beside)
 
 
-def _body(grid: Grid, flown: Floats) -> Longs:
-    """Flat index of the cells within the radius of the body about the track."""
+def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
+    """Flat index of the cells within the radius of the vehicle about the track."""
     if not len(flown):
         return np.zeros(0, np.int64)
-    reach = np.arange(-BODY_M, BODY_M + 1e-9, min(grid.step_m, BODY_M))
+    reach = np.arange(-radius_m, radius_m + 1e-9, min(grid.step_m, radius_m))
     dx, dy = (part.ravel() for part in np.meshgrid(reach, reach))
-    near = dx**2 + dy**2 <= BODY_M**2 + 1e-9
+    near = dx**2 + dy**2 <= radius_m**2 + 1e-9
     points = flown[:, None] + np.stack([dx[near], dy[near]], axis=1)
     cell, inside = grid.index(np.unique(points.reshape(-1, 2), axis=0))
     return np.unique(np.ravel_multi_index(tuple(cell[inside].T), grid.shape))

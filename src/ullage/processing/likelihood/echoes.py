@@ -81,7 +81,7 @@ class EchoFinder:
             try:
                 next(work)
             except StopIteration as done:
-                return cast(Echoes, done.value)
+                return cast("Echoes", done.value)
 
     def steps(self, key: Keyframe, known: Floats) -> Generator[None, None, Echoes]:
         """The same in steps of work; one keyframe at a time."""

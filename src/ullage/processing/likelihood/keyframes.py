@@ -198,8 +198,8 @@ def _channel_of(part: Frames) -> Channel:
     return Channel(start_m, step / UPSAMPLING, gains, spec.wavelength_m, envelope, spec.own_echo_m, pulse_m)
 
 
-def _upsampled(samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """Baseband samples (b) at twice the rate, by zeros in the middle of their spectrum."""
+def _upsampled(samples: NDArray[np.inexact]) -> NDArray[np.complex64]:
+    """Samples (b) at twice the rate, by zeros in the middle of their spectrum."""
     bins = len(samples)
     half = bins // 2
     spectrum, wide = np.fft.fft(samples), np.zeros(UPSAMPLING * bins, np.complex128)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from ullage import checks
 from ullage.arrays import Bools
 from ullage.data import Frames, Recording
 from ullage.errors import InputError
@@ -17,26 +19,37 @@ from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, smoothed
 from ullage.processing.likelihood.workload import Workload
-from ullage.processing.mapper_door import in_order, plane_of
+from ullage.processing.mapper_door import in_order, plane_of, radius_of_vehicle
 
 CELL_M = 0.05  # places of the track are kept apart by as much
+STRAIGHT_DOWN = -1.0, 0.0, 0.0  # bearing, curvature and cosine of a level floor
 
 
 class LikelihoodMapper:
     """Streaming mapper of a plane by one likelihood.
 
     It predicts what each known surface would return, associates echoes with the predictions, updates the surfaces, and
-    renders cells from them. It needs frames with phase, of radars with one carrier.
+    renders cells from them. All radars have one carrier, and all have phase, or none has.
 
     Args:
         grid: a plane that holds the flight; without a height it takes that of the first frames.
         spec: parameters; None: the defaults.
+        floor_z_m: height of a level floor [m], a known surface that explains its echoes; None: none is known.
+        vehicle_radius_m: radius of the ball about the antenna that the vehicle fills, and so shows free [m]; None: that
+            of `spec`.
 
     Raises:
-        InputError: the grid is a volume.
+        InputError: the grid is a volume, the radius is not a positive number, or the floor's height not a finite one.
     """
 
-    def __init__(self, grid: Grid, *, spec: LikelihoodSpec | None = None) -> None:
+    def __init__(
+        self,
+        grid: Grid,
+        *,
+        spec: LikelihoodSpec | None = None,
+        floor_z_m: float | None = None,
+        vehicle_radius_m: float | None = None,
+    ) -> None:
         if grid.dims != 2:
             raise InputError(
                 "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
@@ -44,6 +57,9 @@ class LikelihoodMapper:
         grid.check_memory(40, "the map")
         self.grid = grid
         self.spec = spec or LikelihoodSpec()
+        if vehicle_radius_m is not None:
+            self.spec = replace(self.spec, vehicle_m=radius_of_vehicle(vehicle_radius_m))
+        self._floor_z_m = None if floor_z_m is None else checks.number("floor_z_m", floor_z_m, "mapper")
         self._keyframes = KeyframeSelector(self.spec)
         self._echoes = EchoFinder(self.spec)
         self._tracker = SurfaceTracker(self.spec)
@@ -76,8 +92,9 @@ class LikelihoodMapper:
         self._phase = phase if self._phase is None else self._phase
         if phase != self._phase:
             raise InputError(
-                "its samples have no phase, but another sensor's have" if self._phase else
-                "its samples have phase, but another sensor's have not",
+                "its samples have no phase, but another sensor's have"
+                if self._phase
+                else "its samples have phase, but another sensor's have not",
                 where=part.sensor,
                 allowed="samples with phase of all sensors, or amplitudes of all; or method='ullage'",
             )
@@ -96,7 +113,10 @@ class LikelihoodMapper:
 
     def _explained(self, key: Keyframe) -> Iterator[None]:
         """What a keyframe adds to the surfaces, in steps of work."""
-        echoes = yield from self._echoes.steps(key, self._tracker.known(key.position[:2]))
+        known = self._tracker.known(key.position[:2])
+        if self._floor_z_m is not None:
+            known = np.vstack([known, [key.position[2] - self._floor_z_m, *STRAIGHT_DOWN]])
+        echoes = yield from self._echoes.steps(key, known)
         yield
         self._tracker.update(echoes)
 

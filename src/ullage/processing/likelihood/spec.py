@@ -48,6 +48,7 @@ class LikelihoodSpec:
     support: float = 1.0  # half width of what one echo shows of a surface, in radii of the first Fresnel zone
     tube: float = 0.3  # half width of the free space before an echo, in Fresnel radii: a nearer edge takes 5 dB of it
     margin_m: float = 0.15  # before an echo that is not declared free: pulse width and half a cell
+    vehicle_m: float = 0.25  # radius about the antenna that the vehicle fills
     extension_m: float = 1.0  # how far a surface may go on unseen
 
     def __post_init__(self) -> None:

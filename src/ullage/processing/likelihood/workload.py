@@ -1,4 +1,4 @@
-"""Work of keyframes, spread over the frames that follow. Its order is fixed, so the result does not depend on pieces."""
+"""Work of keyframes, spread over the frames that follow; its order is fixed, so pieces do not change the result."""
 
 from __future__ import annotations
 
