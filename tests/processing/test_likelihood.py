@@ -333,6 +333,7 @@ def test_directions_are_summed_as_the_definition_says():
     sums = DirectionSums(directions)
     sums.begin(aperture)
     sums.sum(5, bins - 5)
+    sums.sum(bins, 5)  # no bin
     energy = np.zeros((len(directions), bins))
     signal = samples[..., 0] + 1j * samples[..., 1]
     for d, unit in enumerate(directions):

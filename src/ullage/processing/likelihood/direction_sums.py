@@ -45,7 +45,9 @@ class DirectionSums:
         deque(self.steps(low, high), maxlen=0)
 
     def steps(self, low: int, high: int) -> Iterator[None]:
-        """Sum anew from bin `low` to `high`, in steps of work."""
+        """The same in steps of work."""
+        if low >= high:
+            return
         count = len(self._directions)
         chunk = min(max(CHUNK * len(self._peak) // (high - low), 1), count)
         moved = not np.array_equal(self._offset, self._aperture.offset)
