@@ -25,7 +25,7 @@ NEEDED = {
         *("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show", "occupancy_strip"),
         "rolls",
     ),
-    "likelihood": ("matched_sums", "surface_cells"),
+    "likelihood": ("matched_sums", "surface_cells", "silence"),
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""

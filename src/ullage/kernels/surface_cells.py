@@ -12,7 +12,8 @@ from ullage.kernels.loops import inner, loop
 
 BEFORE_M = 0.1  # an echo is not hidden by what lies this near before it
 BODY_M = 0.25  # radius about the sensor that is free
-STRANDS = 5  # rays across a tube of free space
+STRANDS = 5  # rays across an echo's path
+PARTS = 3  # of the edge of a cell: a cell is free where all its parts are
 
 
 class Views(NamedTuple):
@@ -146,43 +147,64 @@ def find_crossed(plane, views, evidence, level, least, alive, widening, crossed)
                     crossed[met[j]] += views.weight[k]
 
 
-@loop()
-def draw_tubes(plane, views, alive, wavelength_m, width, margins, occupied, free):  # type: ignore[no-untyped-def]
-    """Mark the cells between each place and its specular point, as wide as a share of the first Fresnel zone.
+class Tubes(NamedTuple):
+    """The space that echoes show to be free."""
 
-    A tube consists of rays side by side. Each ray ends at the first surface that it meets: no echo came through it.
+    width: NDArray[np.float64]  # (k) half width in radii of the first Fresnel zone; 0: none
+    doubt: NDArray[np.float64]  # (k) standard deviation of the bearing, by which a tube is narrowed [rad]
+    wavelength_m: float  # of the carrier [m]
+    margin_m: float  # before the echo that is not free
+    behind_m: float  # distance behind a possible extension of a surface from which an echo excludes it
+
+
+@inner()
+def _half(views, tubes, k, far):  # type: ignore[no-untyped-def]
+    """Half width of a tube at a distance, less what the error of its bearing may shift it."""
+    zone = math.sqrt(0.5 * tubes.wavelength_m * far * abs(1 - views.state[k, 2] * far))
+    return tubes.width[k] * zone - tubes.doubt[k] * far
+
+
+@loop()
+def draw_tubes(plane, views, tubes, ends, extension, free):  # type: ignore[no-untyped-def]
+    """Mark the parts of cells between each place and its specular point.
+
+    A tube consists of rays side by side. Each ray ends at the first surface that it meets: no echo came through it. It
+    passes a possible extension of a surface only where its own echo comes from behind that.
 
     Args:
-        plane: the cells.
+        plane: the parts, `PARTS` times as fine as the cells.
         views: the echoes.
-        alive: (k) which count.
-        wavelength_m: of the carrier [m].
-        width: half width in radii of the first Fresnel zone.
-        margins: (2) distance before the echo at which a tube ends, and at which it ends for sure [m].
-        occupied: (cells) that hold a surface.
-        free: (2, cells) set to True for both.
+        tubes: how wide and long.
+        ends: (cells) that hold a surface.
+        extension: (cells, 3) outward normal of a surface that may go on in a cell, and its distance from the origin.
+        free: (parts) set to True.
     """
-    ended = np.empty(STRANDS, np.bool_)
-    for k in range(len(alive)):
-        if not alive[k]:
-            continue
-        for j in range(STRANDS):
-            ended[j] = False
-        c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
-        for i in range(int((views.state[k, 0] - margins[0]) / (0.4 * plane.step))):
-            far = 0.4 * plane.step * i
-            half = width * math.sqrt(0.5 * wavelength_m * far * abs(1 - views.state[k, 2] * far))
-            for j in range(STRANDS):
-                aside = half * (2 * j / (STRANDS - 1) - 1)
-                x, y = views.position[k, 0] + far * c - aside * s, views.position[k, 1] + far * s + aside * c
-                cell = _cell(plane, x, y)
-                if cell < 0 or ended[j]:
+    columns = plane.columns // PARTS
+    for k in range(len(tubes.width)):
+        c, s, range_m = math.cos(views.state[k, 1]), math.sin(views.state[k, 1]), views.state[k, 0]
+        px, py = views.position[k, 0] + range_m * c, views.position[k, 1] + range_m * s
+        steps = int((range_m - tubes.margin_m) / (0.4 * plane.step)) if tubes.width[k] > 0 else 0
+        widest = 0.0
+        for i in range(steps):
+            widest = max(widest, _half(views, tubes, k, 0.4 * plane.step * i))
+        strands = 2 * math.ceil(widest / (0.6 * plane.step)) + 1
+        for j in range(strands):
+            for i in range(steps):
+                far = 0.4 * plane.step * i
+                half = _half(views, tubes, k, far)
+                if half < 0:
                     continue
-                ended[j] = occupied[cell] and far > BODY_M
-                if not ended[j]:
-                    free[0, cell] = True
-                    if far < views.state[k, 0] - margins[1]:
-                        free[1, cell] = True
+                aside = half * (2 * j / (strands - 1) - 1) if strands > 1 else 0.0
+                x, y = views.position[k, 0] + far * c - aside * s, views.position[k, 1] + far * s + aside * c
+                part = _cell(plane, x, y)
+                if part < 0:
+                    continue
+                cell = part // plane.columns // PARTS * columns + part % plane.columns // PARTS
+                if ends[cell] and far > BODY_M:
+                    break
+                nx, ny = extension[cell, 0], extension[cell, 1]
+                if nx * px + ny * py >= extension[cell, 2] + tubes.behind_m:
+                    free[part] = True
 
 
 @loop()
@@ -194,14 +216,19 @@ def draw_extensions(plane, views, alive, extension_m, out):  # type: ignore[no-u
         views: the echoes.
         alive: (k) which count.
         extension_m: how far [m].
-        out: (cells) set to True.
+        out: (cells, 3) set to the outward normal of the surface, and its distance from the origin along that [m].
     """
     for k in range(len(alive)):
         if not alive[k] or views.half_m[k] < 0.5 * plane.step:
             continue
+        c, s = math.cos(views.state[k, 1]), math.sin(views.state[k, 1])
         steps = math.ceil(2 * extension_m / (0.5 * plane.step))
         for i in range(steps + 1):
-            px, py = _point(views, k, extension_m * (2 * i / steps - 1))
+            y = extension_m * (2 * i / steps - 1)
+            px, py = _point(views, k, y)
             cell = _cell(plane, px, py)
             if cell >= 0:
-                out[cell] = True
+                slope = y * views.bend[k]
+                size = math.hypot(1.0, slope)
+                out[cell, 0], out[cell, 1] = (c + slope * s) / size, (s - slope * c) / size
+                out[cell, 2] = out[cell, 0] * px + out[cell, 1] * py

@@ -12,7 +12,9 @@ from scipy.spatial import cKDTree
 from ullage.arrays import Bools, Floats, Longs
 from ullage.grids import UNKNOWN, Grid, OccupancyMap
 from ullage.kernels.surface_cells import (
+    PARTS,
     Plane,
+    Tubes,
     Views,
     draw_extensions,
     draw_surfaces,
@@ -20,6 +22,7 @@ from ullage.kernels.surface_cells import (
     find_crossed,
     find_hidden,
 )
+from ullage.processing.likelihood.silence import excluded_walls
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, smoothed
 
@@ -31,14 +34,25 @@ FLOWN_M, FLOWN_SHARE = 0.1, 0.3  # a surface whose specular points lie so near t
 FOLD_M, FOLD_RAD, FOLD_SHARE = 0.06, np.radians(4.0), 0.5  # how well a folded echo fits, and for how many
 FOLD_REACH_M = 1.0  # along a surface, from where it was seen to where a folded echo comes from
 LEAST_FLATNESS = 0.1  # of edges and poles, whose own law differs
-FULL_PERCENT, CLEAR = 90.0, 0.7  # level of a surface without obstacles; share of it that a clear path leaves
+FULL_PERCENT, FULL_REACH_M = 90.0, 0.7  # level of a surface without obstacles, near one place of the track
+LEAST_FULL = 0.5  # share of that over the whole track which it has at least
+BLOCKED = 0.3  # half width of a path that a wall must fill, in radii of the first Fresnel zone
+CLEAR = 0.7  # share of the full level that a clear path leaves
+FAINT, FAINT_PERCENT = 0.05, 95.0  # an echo so far below the strongest ones may come by way of other things
+SHOWN = 0.1  # evidence of a cell that ends a tube: what is hardly seen may be solid all the same
 SEEN_SHARE = 0.34  # of a surface's echoes that must not be hidden
-SURE_M = 0.4  # a tube frees a possible extension of a surface only where its echo lies so far behind
+SURE_M = 0.4  # an echo excludes a possible extension of a surface only from so far behind it
 ROUNDS = 3  # of hiding: what hides may be hidden itself
 
 
 def render(
-    grid: Grid, surfaces: list[Surface], flown: Floats, wavelength_m: float, fold_m: float, spec: LikelihoodSpec
+    grid: Grid,
+    surfaces: list[Surface],
+    flown: Floats,
+    quiet: Floats,
+    wavelength_m: float,
+    fold_m: float,
+    spec: LikelihoodSpec,
 ) -> tuple[OccupancyMap, Bools]:
     """Draw a map.
 
@@ -46,6 +60,7 @@ def render(
         grid: a plane.
         surfaces: those that are sure.
         flown: (f, 2) places of the track [m].
+        quiet: (cells) log-likelihood that no least obstacle stands there, by silence.
         wavelength_m: of the carrier [m].
         fold_m: unambiguous range of the radars [m].
         spec: parameters.
@@ -66,27 +81,57 @@ def render(
         kept = np.bincount(owner, alive, len(surfaces)) > 0
         shown = evidence >= spec.evidence
         crossed = np.zeros(grid.size)
-        widening = spec.tube * math.sqrt(wavelength_m / 2)  # the first Fresnel zone: sqrt(wavelength distance / 2)
+        widening = BLOCKED * math.sqrt(wavelength_m / 2)  # the first Fresnel zone: sqrt(wavelength distance / 2)
         find_crossed(plane, views, evidence, level, spec.evidence, alive, widening, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
         slopes = (sloped & ~false)[owner]
-        clear = (alive | slopes) & _unobstructed(views, owner)
+        clearance, weak = _clearance(views, owner)
+        doubt = np.sqrt([one.covariance[1, 1] for one in surfaces])[owner]
         views.state[slopes, 0] *= views.state[slopes, 3]  # up to the foot of the perpendicular
-        percent[_freed(plane, views, clear, alive, occupied, wavelength_m, spec) & ~shown] = FREE
+        near = _extensions(plane, views, alive, spec.extension_m)
+        rest = wavelength_m, spec.margin_m, SURE_M
+        width = np.where(alive | slopes, spec.tube * clearance, 0.0)
+        free = _parts(plane, views, Tubes(width, doubt, *rest), evidence, near).all(axis=(1, 3)).ravel() & (quiet >= 0)
+        width = np.where(alive & weak, spec.tube, 0.0)
+        shaded = _parts(plane, views, Tubes(width, 0 * doubt, *rest), evidence, near).any(axis=(1, 3)).ravel()
+        free |= _silent(plane, views, flown, quiet, evidence, alive, free, spec) & ~shaded
+        percent[free & ~shown] = FREE
         percent[occupied] = OCCUPIED
     return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
 
 
-def _freed(
-    plane: Plane, views: Views, clear: Bools, alive: Bools, occupied: Bools, wavelength_m: float, spec: LikelihoodSpec
+def _parts(plane: Plane, views: Views, tubes: Tubes, evidence: Floats, extensions: Floats) -> Bools:
+    """Parts of cells through which echoes came (rows, PARTS, columns, PARTS)."""
+    fine = Plane(plane.x, plane.y, plane.step / PARTS, plane.rows * PARTS, plane.columns * PARTS)
+    free = np.zeros(fine.rows * fine.columns, bool)
+    draw_tubes(fine, views, tubes, evidence >= SHOWN, extensions, free)
+    return free.reshape(plane.rows, PARTS, plane.columns, PARTS)
+
+
+def _silent(
+    plane: Plane,
+    views: Views,
+    flown: Floats,
+    quiet: Floats,
+    evidence: Floats,
+    alive: Bools,
+    free: Bools,
+    spec: LikelihoodSpec,
 ) -> Bools:
-    """Cells before clear echoes (k), but for those beside surfaces and where surfaces may go on (cells)."""
-    free = np.zeros((2, len(occupied)), bool)
-    draw_tubes(plane, views, clear, wavelength_m, spec.tube, np.array([spec.margin_m, SURE_M]), occupied, free)
-    extension = np.zeros(len(occupied), bool)
-    draw_extensions(plane, views, alive, spec.extension_m, extension)
-    beside = binary_dilation(occupied.reshape(plane.rows, plane.columns), np.ones((3, 3), bool)).ravel()
-    return np.asarray(free[0] & (free[1] | ~extension) & ~beside)
+    """Cells from which poles and walls would have been received, but for places where surfaces may go on (cells)."""
+    shown = evidence >= SHOWN
+    beside = binary_dilation(shown.reshape(plane.rows, plane.columns), np.ones((3, 3), bool)).ravel()
+    extended = np.isfinite(_extensions(plane, views, alive, 2 * spec.extension_m)[:, 2])
+    walls = excluded_walls(plane, flown, shown, free)
+    return np.asarray((quiet >= spec.silence) & ~beside & ~extended & (walls >= spec.square))
+
+
+def _extensions(plane: Plane, views: Views, alive: Bools, extension_m: float) -> Floats:
+    """Outward normal of the surface that may go on in each cell, and its distance; -inf where none may (cells, 3)."""
+    out = np.zeros((plane.rows * plane.columns, 3))
+    out[:, 2] = -np.inf
+    draw_extensions(plane, views, alive, extension_m, out)
+    return out
 
 
 def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
@@ -142,15 +187,22 @@ def _visible(
     return alive, evidence, level
 
 
-def _unobstructed(views: Views, owner: Longs) -> Bools:
-    """Whether each echo (k) is about as strong as the strongest of its surface, so that nothing stands in its path.
+def _clearance(views: Views, owner: Longs) -> tuple[Floats, Bools]:
+    """Width of the free path of each echo, 1 at the full level of its surface (k), and whether something blocks it.
 
+    A knife edge on the path of an echo takes three quarters of its amplitude there and back. One beside it takes less,
+    about as the root of the level falls from 1 to 1/2 [Balanis2012]. So the level shows how near an edge may be.
     A round surface changes the level of a flat one by the root of how its specular point moves against the sensor's.
     """
     flatness = np.abs(1 - views.state[:, 2] * views.state[:, 0])
     level = views.level / np.sqrt(np.maximum(flatness, LEAST_FLATNESS))
     full = np.array([np.percentile(level[owner == one], FULL_PERCENT) for one in range(owner.max() + 1)])
-    return np.asarray(level >= CLEAR * full[owner])
+    apart = np.column_stack([views.position, owner * 1e4])
+    near = cKDTree(apart).query_ball_point(apart, FULL_REACH_M)
+    local = np.array([np.percentile(level[one], FULL_PERCENT) for one in near])
+    share = np.minimum(level / np.maximum(local, LEAST_FULL * full[owner]), 1.0)
+    known = (share >= CLEAR) & (level >= FAINT * np.percentile(level, FAINT_PERCENT))
+    return np.where(known, 2 * np.sqrt(share) - 1, 0.0), level < LEAST_FULL * full[owner]
 
 
 def _flown_through(views: Views, owner: Longs, flown: Floats) -> Bools:

@@ -21,23 +21,23 @@ class DirectionSums:
     """
 
     def __init__(self, directions: Floats) -> None:
-        self._directions = directions
+        self.directions = directions
         self._offset = np.zeros((0, 3))
 
     def begin(self, aperture: Aperture) -> None:
         """Take another aperture."""
         rows, bins = aperture.samples.shape[:2]
-        count = len(self._directions)
+        count = len(self.directions)
         self._aperture, self._offset = aperture, np.zeros((0, 3))
         self._turns = Turns(
-            self._directions,
+            self.directions,
             np.zeros(count, np.int64),
             np.empty((count, rows), np.int32),
             np.empty((count, rows), np.int32),
             np.empty((count, rows, 3), np.float32),
             np.zeros(count),
         )
-        self._energy = np.zeros((count, bins), np.float32)
+        self.energy = np.zeros((count, bins), np.float32)
         self._peak, self._where = np.zeros(bins, np.float32), np.zeros(bins, np.int64)
 
     def sum(self, low: int, high: int) -> None:
@@ -48,17 +48,17 @@ class DirectionSums:
         """The same in steps of work."""
         if low >= high:
             return
-        count = len(self._directions)
+        count = len(self.directions)
         chunk = min(max(CHUNK * len(self._peak) // (high - low), 1), count)
         moved = not np.array_equal(self._offset, self._aperture.offset)
         for start in range(0, count, chunk):
             stop = min(start + chunk, count)
             if moved:
                 turn_rows(self._aperture, 0.0, start, stop, self._turns)
-            sum_turned(self._aperture, self._turns, 0.0, start, stop, low, high, self._energy)
+            sum_turned(self._aperture, self._turns, 0.0, start, stop, low, high, self.energy)
             yield
         self._offset = self._aperture.offset.copy()
-        find_peaks(self._energy, low, high, self._peak, self._where)
+        find_peaks(self.energy, low, high, self._peak, self._where)
 
     def strongest(self, floor: Floats | float, low: int, high: int) -> tuple[float, int, int]:
         """Largest energy over the floor of its bin, with its direction and bin.

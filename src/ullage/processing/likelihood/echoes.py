@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ullage.arrays import Floats
 from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
@@ -54,12 +55,24 @@ class Echoes:
         return len(self.state)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Left:
+    """What the echoes of one keyframe leave in its samples."""
+
+    directions: Floats  # (d, 3) level
+    energy: NDArray[np.float32]  # (d, b) that a flat reflector in each direction and bin explains
+    clutter: Floats  # (b) energy that noise and strong echoes leave behind
+    low: int  # first bin that was searched
+    high: int  # bin after the last
+
+
 class EchoFinder:
-    """Finds the echoes of keyframes."""
+    """Finds the echoes of keyframes; `left` is what those of the latest one do not explain."""
 
     def __init__(self, spec: LikelihoodSpec) -> None:
         self._spec = spec
         self.pose_errors = PoseErrors()
+        self.left: Left | None = None
         bearing = np.arange(spec.directions) * 2 * np.pi / spec.directions
         self._bearing = np.concatenate([bearing, [1.0, -1.0]])
         self._level = np.concatenate([np.ones(len(bearing)), [0.0, 0.0]])
@@ -88,6 +101,7 @@ class EchoFinder:
         aperture, bins = key.aperture, key.aperture.samples.shape[1]
         low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
         found: list[Found] = []
+        self.left = None
         if len(aperture.offset) >= LEAST_ROWS and low < high:
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
             poses.expect(self.pose_errors.sigma_m / key.bin_m)
@@ -127,6 +141,8 @@ class EchoFinder:
             pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
             floor = np.maximum(floor, 1 + spec.model_error * pulse * fit[0] / max(noise, 1e-30))
             yield
+        level = slice(spec.directions)
+        self.left = Left(self._sums.directions[level], self._sums.energy[level], floor * max(noise, 1e-30), low, high)
         return out
 
     def _phases(self, key: Keyframe, poses: AperturePoses, fit: Floats) -> tuple[Floats, EchoPhases]:

@@ -16,6 +16,7 @@ from ullage.processing.baseband import as_baseband
 from ullage.processing.likelihood.cells import render
 from ullage.processing.likelihood.echoes import EchoFinder
 from ullage.processing.likelihood.keyframes import Keyframe, KeyframeSelector
+from ullage.processing.likelihood.silence import Silence
 from ullage.processing.likelihood.spec import LikelihoodSpec
 from ullage.processing.likelihood.surfaces import Surface, SurfaceTracker, smoothed
 from ullage.processing.likelihood.workload import Workload
@@ -64,6 +65,7 @@ class LikelihoodMapper:
         self._echoes = EchoFinder(self.spec)
         self._tracker = SurfaceTracker(self.spec)
         self._work = Workload()
+        self._silence = Silence(grid, self.spec)
         self._wavelength_m = self._fold_m = 0.0
         self._phase: bool | None = None
         self._flown: dict[tuple[int, int], None] = {}
@@ -119,6 +121,7 @@ class LikelihoodMapper:
         echoes = yield from self._echoes.steps(key, known)
         yield
         self._tracker.update(echoes)
+        self._silence.add(key, echoes, self._echoes.left)
 
     def finish(self) -> None:
         """Use the frames that waited for a complete aperture."""
@@ -129,7 +132,8 @@ class LikelihoodMapper:
         self._work.finish()
         surfaces = self._tracker.confirmed()
         flown = (np.array(list(self._flown), float).reshape(-1, 2) + 0.5) * CELL_M
-        omap, kept = render(self.grid, surfaces, flown, self._wavelength_m, self._fold_m, self.spec)
+        radar = self._wavelength_m, self._fold_m
+        omap, kept = render(self.grid, surfaces, flown, self._silence.nats, *radar, self.spec)
         return omap, surfaces, kept
 
     def map(self) -> OccupancyMap:

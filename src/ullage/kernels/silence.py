@@ -1,0 +1,132 @@
+"""Loops over the cells of a plane in which nothing was received."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.loops import inner, loop
+from ullage.kernels.surface_cells import BODY_M
+
+NEAR_BINS = 2  # about the range of a cell: half its diagonal
+LEAST_NATS, MOST_NATS = -2.0, 4.0  # that one keyframe may say, since an obstacle may be weaker than its law
+NOISE = 3.0  # the largest of several bins and looks over the mean of one
+
+
+class Residual(NamedTuple):
+    """What a keyframe received beyond the echoes that it explains."""
+
+    energy: NDArray[np.float32]  # (d, b) that a reflector in each direction and bin explains; the first one is at 0 rad
+    clutter: NDArray[np.float64]  # (b) energy that noise and strong echoes leave behind
+    expected: NDArray[np.float64]  # (d) energy of a flat mirror at 1 m
+    low: int  # first bin that was searched
+    high: int  # bin after the last
+    start_m: float  # range of bin 0
+    bin_m: float
+
+
+@inner()
+def _log_ratio(energy, clutter, expected):  # type: ignore[no-untyped-def]
+    """Log-likelihood of an energy without an obstacle over that with one; both are exponential [Kay1998]."""
+    both = clutter + expected
+    return math.log(both / clutter) - energy * (1 / clutter - 1 / both)
+
+
+@loop()
+def listen(plane, place, residual, radius_m, defocus_m, weight, out):  # type: ignore[no-untyped-def]
+    """Add to each cell the evidence of one keyframe that no upright pole stands there.
+
+    Args:
+        plane: the cells.
+        place: (2) of the keyframe [m].
+        residual: what it received.
+        radius_m: of the pole.
+        defocus_m: range below which the sum for a flat mirror loses energy of a pole.
+        weight: of one keyframe.
+        out: (cells) added to [nat].
+    """
+    directions = residual.energy.shape[0]
+    for row in range(plane.rows):
+        for column in range(plane.columns):
+            x = plane.x + plane.step * (column + 0.5) - place[0]
+            y = plane.y + plane.step * (row + 0.5) - place[1]
+            far = math.hypot(x, y)
+            k = round((far - residual.start_m) / residual.bin_m)
+            if k < residual.low + NEAR_BINS or k >= residual.high - NEAR_BINS:
+                continue
+            d = round(math.atan2(y, x) / (2 * math.pi) * directions) % directions
+            energy = 0.0
+            for near in range(k - NEAR_BINS, k + NEAR_BINS + 1):
+                energy = max(energy, residual.energy[d, near])
+            expected = residual.expected[d] / (far * far) * radius_m / (radius_m + far)
+            expected /= math.sqrt(1 + (defocus_m / far) ** 2)
+            nats = _log_ratio(energy, NOISE * residual.clutter[k], expected)
+            out[row * plane.columns + column] += weight * min(max(nats, LEAST_NATS), MOST_NATS)
+
+
+@loop()
+def cover(plane, places, blocked, reach_m, half_m, out):  # type: ignore[no-untyped-def]
+    """Mark the normals of walls that would have been seen square from one of several places, in each cell.
+
+    Args:
+        plane: the cells.
+        places: (f, 2) of the track [m].
+        blocked: (cells) that end a line of sight.
+        reach_m: farthest view.
+        half_m: half length of the shortest wall.
+        out: (cells, n) set to True; the normals cover half a turn.
+    """
+    normals = out.shape[1]
+    for cell in range(plane.rows * plane.columns):
+        x = plane.x + plane.step * (cell % plane.columns + 0.5)
+        y = plane.y + plane.step * (cell // plane.columns + 0.5)
+        for i in range(len(places)):
+            dx, dy = x - places[i, 0], y - places[i, 1]
+            far = math.hypot(dx, dy)
+            middle = math.atan2(dy, dx) / math.pi * normals
+            if far > reach_m or far < BODY_M or out[cell, math.floor(middle) % normals]:
+                continue
+            steps, seen = int(far / (0.5 * plane.step)), True
+            for j in range(int(BODY_M / (0.5 * plane.step)), steps):
+                column = math.floor((places[i, 0] + dx * j / steps - plane.x) / plane.step)
+                row = math.floor((places[i, 1] + dy * j / steps - plane.y) / plane.step)
+                inside = 0 <= row < plane.rows and 0 <= column < plane.columns
+                if inside and blocked[row * plane.columns + column]:
+                    seen = False
+                    break
+            if seen:
+                wide = half_m / far / math.pi * normals
+                for n in range(math.floor(middle - wide), math.floor(middle + wide) + 1):
+                    out[cell, n % normals] = True
+
+
+@loop()
+def fit_between(plane, free, length_m, out):  # type: ignore[no-untyped-def]
+    """Mark the normals of walls that do not fit between free cells, in each cell.
+
+    Args:
+        plane: the cells.
+        free: (cells) of free space.
+        length_m: of the shortest wall.
+        out: (cells, n) set to True; the normals cover half a turn.
+    """
+    normals = out.shape[1]
+    for cell in range(plane.rows * plane.columns):
+        x, y = cell % plane.columns + 0.5, cell // plane.columns + 0.5
+        for n in range(normals if not free[cell] else 0):
+            angle = ((n + 0.5) / normals + 0.5) * math.pi
+            length = 0.0
+            for side in (-0.25, 0.25):
+                i = 0
+                while length < length_m:
+                    i += 1
+                    length += 0.25 * plane.step
+                    column, row = math.floor(x + side * i * math.cos(angle)), math.floor(y + side * i * math.sin(angle))
+                    inside = 0 <= row < plane.rows and 0 <= column < plane.columns
+                    if not inside or free[row * plane.columns + column]:
+                        break
+            if length < length_m:
+                out[cell, n] = True
