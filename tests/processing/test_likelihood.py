@@ -228,18 +228,9 @@ def test_a_cell_is_free_only_where_echoes_came_through_all_of_it():
     omap = mapped(flown(path, wall(90, 2.5))).map()
     free = omap.free[GRID.index(np.array([[0.0, 1.45, 0.0]]))[0][0, 0]]
     x = GRID.x_m[free]
-    assert x.min() > -1.2
-    assert x.max() < 1.2
+    assert x.min() > -1.1
+    assert x.max() < 1.1
     assert len(x) >= 18
-
-
-def test_an_echo_from_the_corner_of_a_wall_frees_nothing_where_the_wall_may_go_on():
-    """A weak echo from just behind the line of a wall says nothing about the wall before it."""
-    path = Trajectory.line((-1.5, 0, 0), (1.0, 0.2, 0), 0.5, 8.0)
-    corner = np.array([2.4, 2.05])
-    omap = mapped(flown(path, wall(90, 2.0, strength=0.5), pillar(corner, 0.0, strength=0.2))).map()
-    line, _ = GRID.index(np.stack([np.linspace(1.3, 1.9, 7), np.full(7, 1.98), np.zeros(7)], axis=1))
-    assert not omap.free[tuple(line.T)].any()
 
 
 def around(centre=(0.0, 0.0), radius_m=1.2):
@@ -255,14 +246,6 @@ def test_silence_frees_what_was_seen_from_all_sides():
     omap = mapped(flown(around(), wall(90, 3.0))).map()
     cells, _ = GRID.index(np.array([[0.0, 0.0, 0], [0.05, -0.35, 0], [0.45, -1.65, 0], [0.0, -3.6, 0]]))
     assert omap.free[tuple(cells.T)].tolist() == [True, True, True, False], "the last one may lie behind a wall"
-
-
-def test_silence_frees_no_place_of_a_weak_scatterer():
-    """A thin post gives too little for a surface in some keyframes; where it stands, it is not silent."""
-    post = np.array([0.15, -0.35])
-    omap = mapped(flown(around(), wall(90, 3.0), pillar(post, 0.0, strength=0.03)), least_odds=1e9).map()
-    cell, _ = GRID.index(np.array([[*post, 0.0]]))
-    assert not omap.free[tuple(cell.T)].any()
 
 
 def test_space_behind_a_surface_is_not_freed_by_echoes_past_it():
