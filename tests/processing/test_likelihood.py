@@ -211,6 +211,19 @@ def test_a_pipe_above_the_flight_is_not_occupied_where_a_stronger_wall_shows_beh
     assert np.abs(centres(both)[np.abs(centres(both)[:, 0]) < 0.5, 1] - 2.5).max() < 0.11
 
 
+def test_one_sensor_on_a_straight_track_takes_no_floor_for_a_wall():
+    """All directions across the track have the same ranges. Only a mirror's level separates them."""
+
+    def floor(at):
+        return np.full(len(at), 0.9), np.zeros((len(at), 2)), 1.0  # straight down
+
+    path = Trajectory.line((-1.5, 0, 0), (1.5, 0, 0), speed_m_s=0.5, rate_hz=25)
+    left = flown(path, wall(90, 2.5), floor)["left"]
+    shown = centres(mapped({"left": left}).map())
+    assert len(shown) > 20
+    np.testing.assert_allclose(shown[:, 1], 2.5, atol=0.15)  # neither at 0.9 m, nor to the other side
+
+
 def test_an_echo_that_something_weakens_frees_nothing():
     path = Trajectory.line((-2, 0, 0), (2, 0.2, 0), 0.5, 8.0)
 

@@ -21,6 +21,7 @@ from ullage.kernels.matched_sums import LEAST_GAIN, Aperture, refine, subtract
 from ullage.processing.likelihood.direction_sums import DirectionSums
 from ullage.processing.likelihood.keyframes import Keyframe
 from ullage.processing.likelihood.poses import AperturePoses, EchoPhases, PoseErrors
+from ullage.processing.likelihood.rivals import APART, MOST_LEAD, MirrorLevel, ring_of, rivals_of, track_of
 from ullage.processing.likelihood.spec import LikelihoodSpec
 
 FAR_END_M = 0.3  # of the range axis that the search leaves out
@@ -38,6 +39,7 @@ CLEAR = 0.97  # coherence of a level reflector from which no slope is tried
 SAME_RANGE_M = 0.1  # within which an echo may be that of a known surface
 
 Found = tuple[Floats, Floats, float, float, float]
+Led = tuple[Floats, Floats, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,7 @@ class Echoes:
     coherence: Floats  # (e) share of the energy that the echo explains
     level: Floats  # (e) amplitude times range, over the antenna's gain [m]
     nats: Floats  # (e) log-likelihood ratio of the echo against independent samples
+    lead: Floats  # (e) nats by which its direction explains more than any rival on the ring about the track
 
     def __len__(self) -> int:
         return len(self.state)
@@ -73,6 +76,7 @@ class EchoFinder:
         self._spec = spec
         self.pose_errors = PoseErrors()
         self.left: Left | None = None
+        self._mirror = MirrorLevel()
         bearing = np.arange(spec.directions) * 2 * np.pi / spec.directions
         self._bearing = np.concatenate([bearing, [1.0, -1.0]])
         self._level = np.concatenate([np.ones(len(bearing)), [0.0, 0.0]])
@@ -100,7 +104,7 @@ class EchoFinder:
         """The same in steps of work; one keyframe at a time."""
         aperture, bins = key.aperture, key.aperture.samples.shape[1]
         low, high = key.first_bin, bins - int(FAR_END_M / key.bin_m)
-        found: list[Found] = []
+        found: list[Led] = []
         self.left = None
         if len(aperture.offset) >= LEAST_ROWS and low < high:
             poses, samples = AperturePoses(aperture), aperture.samples.copy()
@@ -113,29 +117,32 @@ class EchoFinder:
                 found = yield from self._clean(key, low, high, known, poses)
         state = np.array([row[0] for row in found]).reshape(-1, 4)
         covariance = np.array([row[1] for row in found]).reshape(-1, 4, 4)
-        rest = np.array([row[2:] for row in found]).reshape(-1, 3)
+        rest = np.array([row[2:] for row in found]).reshape(-1, 4)
         return Echoes(key.position[:2], state, covariance, *rest.T)
 
     def _clean(
         self, key: Keyframe, low: int, high: int, known: Floats, poses: AperturePoses, *, first: bool = False
-    ) -> Generator[None, None, list[Found]]:
+    ) -> Generator[None, None, list[Led]]:
         """Take the echoes out one after the other, and list the level ones."""
         spec, aperture, noise = self._spec, key.aperture, key.noise**2
         bins = aperture.samples.shape[1]
         yield from self._sums.steps(low, high)
         floor, reach = np.ones(bins), 2 * int(3 * key.pulse) + 2
-        out: list[Found] = []
+        out: list[Led] = []
         for _ in range(spec.most_echoes):
             best, d, k = self._sums.strongest(floor, low, high)
             if best <= spec.least_snr * noise:
                 break
             start = np.array([self._level[d], self._bearing[d], 0.0, k])
             start, fit, sums = self._refined(key, start, known)
+            lead = 0.0
+            if start[0] > 0:
+                fit, sums, lead = self._led(key, fit, sums, strongest=not out)
             if first and not out and aperture.phase:
                 self._learn(key, poses, start, fit)
             fit, echo = self._explain(key, poses, (fit, sums), (floor[k] - 1) * noise)
             if start[0] > 0:
-                out.append(echo)
+                out.append((*echo, lead))
             at = int(fit[4])
             self._sums.sum(max(at - reach, low), min(at + reach, high))
             pulse = np.exp(-0.5 * ((np.arange(bins) - fit[4]) / key.pulse) ** 2)
@@ -209,6 +216,40 @@ class EchoFinder:
                 best, best_nats = (rival, fit, sums), nats
         return best
 
+    def _led(self, key: Keyframe, fit: Floats, sums: Floats, *, strongest: bool) -> tuple[Floats, Floats, float]:
+        """Compare an echo's direction with all others on the ring about the track.
+
+        The direction across the track replaces it where that explains the levels better.
+
+        Returns:
+            Fit, sums and lead of the direction [nat].
+        """
+        aperture = key.aperture
+        ring = ring_of(track_of(aperture), fit[5], fit[2])
+        gains = np.array([gains_of(aperture, unit).max() for unit in ring])
+        rivals = rivals_of(aperture, fit, gains, ring)
+        loudest = int(np.argmax(gains_of(aperture, ring[0])))
+        level = math.hypot(sums[loudest, 0], sums[loudest, 1]) / max(sums[loudest, 2], 1)
+        level *= key.start_m + key.bin_m * fit[4]
+        if strongest:
+            self._mirror.learn(level / gains.max())
+        lost = self._lost(key) + 1 - MOST_COHERENCE
+        nats = -len(aperture.offset) * np.log(rivals.left + lost) - self._mirror.excess_nats(level / gains)
+        across = np.flatnonzero(rivals.cosine >= fit[5] - 1e-6)
+        best = int(across[np.argmax(nats[across])])
+        if best and nats[best] > nats[0]:
+            start = np.array([min(rivals.cosine[best], 1.0), rivals.bearing[best], fit[3], fit[4]])
+            fit, sums = self._fitted(key, start, FINE)
+        else:
+            best = 0
+        others = np.flatnonzero(ring @ ring[best] < APART)
+        lead = float(nats[best] - nats[others].max()) if len(others) else MOST_LEAD
+        return fit, sums, min(max(lead, -MOST_LEAD), MOST_LEAD)
+
+    def _lost(self, key: Keyframe) -> float:
+        """Share of all energy that errors of the poses leave unexplained."""
+        return 1 - math.exp(-((4 * math.pi / key.wavelength_m * self.pose_errors.sigma_m) ** 2))
+
     def _slope_near(self, key: Keyframe, fit: Floats) -> Floats:
         """Start (4) of the slope that explains most energy near the range of a fit."""
         at, reach = int(fit[4]), 2 * int(key.pulse) + 2
@@ -231,7 +272,7 @@ class EchoFinder:
 
     def _gain(self, key: Keyframe, fit: Floats, other: Floats) -> float:
         """Nats by which another fit explains more, where errors of the poses leave part of all energy unexplained."""
-        lost = 1 - math.exp(-((4 * math.pi / key.wavelength_m * self.pose_errors.sigma_m) ** 2))
+        lost = self._lost(key)
         left = [1 - min(one[0] / max(one[1], 1e-30), MOST_COHERENCE) + lost for one in (fit, other)]
         return len(key.aperture.offset) * math.log(left[0] / left[1])
 

@@ -59,6 +59,7 @@ class Surface:
     covariances: Floats  # (2, 4, 4)
     evidence: Floats  # (2) log-likelihood of each rival, with its prior
     log_odds: float = 0.0
+    lead: float = 0.0  # of its direction over rivals on the rings about the track [nat]
     seen_m: float = 0.0  # track flown when it was last seen
     sightings: dict[tuple[int, ...], Sighting] = field(default_factory=dict)
 
@@ -214,6 +215,7 @@ class SurfaceTracker:
         spec = self._spec
         fresh = min((self._flown_m - surface.seen_m) / spec.dependence_m + 0.1, 1.0) if surface.sightings else 1.0
         surface.evidence = surface.evidence + fresh * evidence
+        surface.lead += fresh * float(echoes.lead[echo])
         surface.seen_m = self._flown_m
         range_m, bearing, curvature, cosine = (float(value) for value in surface.state)
         x, y = (float(value) for value in echoes.position)
@@ -255,7 +257,8 @@ class SurfaceTracker:
         self.surfaces = kept
 
     def _sure(self, one: Surface) -> bool:
-        return len(one.sightings) >= self._spec.least_keyframes and one.log_odds >= self._spec.least_odds
+        spec, seen = self._spec, len(one.sightings) >= self._spec.least_keyframes
+        return seen and one.log_odds >= spec.least_odds and one.lead >= spec.least_lead
 
     def confirmed(self) -> list[Surface]:
         """The surfaces that are sure enough for the map."""
