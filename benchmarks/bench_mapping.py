@@ -94,7 +94,7 @@ def warm_up(frames: dict[str, Frames], *grids: ul.Grid) -> None:
     """Compile what the mappers need, so that no figure holds it."""
     first = {name: f[:40] for name, f in frames.items()}
     for grid in grids:
-        Mapper(grid).update(first)
+        Mapper(grid, method="rules").update(first)
     Mapper(grids[0], method="elfes").update(first)
 
 
@@ -106,18 +106,18 @@ def main() -> None:
     coarse = ul.Grid.covering([[-25, -25, -1], [25, 25, 1]], 0.1, z_m=0.0)
     warm_up(near, plane, volume)
     if "--volume" in sys.argv:
-        solid = row("ullage, volume 0.1 m, near", Mapper(volume), near)
-        open_ = row("ullage, volume 0.1 m, far", Mapper(volume), far)
+        solid = row("rules, volume 0.1 m, near", Mapper(volume, method="rules"), near)
+        open_ = row("rules, volume 0.1 m, far", Mapper(volume, method="rules"), far)
         print(f"far over near {open_['mean_ms'] / solid['mean_ms']:.2f}")
         return
     print("one profile at a time, four sensors at 25 Hz, 0.5 m/s")
     base = row("elfes, plane 0.1 m, near", Mapper(plane, method="elfes"), near)
-    ours = row("ullage, plane 0.1 m, near", Mapper(plane), near)
-    wide = row("ullage, plane 0.1 m, far", Mapper(plane), far)
-    solid = row("ullage, volume 0.1 m, near", Mapper(volume), near)
-    open_ = row("ullage, volume 0.1 m, far", Mapper(volume), far)
-    row("ullage, plane 50 x 50 m at 0.05 m", Mapper(large), near)
-    row("ullage, plane 50 x 50 m at 0.1 m", Mapper(coarse), near)
+    ours = row("rules, plane 0.1 m, near", Mapper(plane, method="rules"), near)
+    wide = row("rules, plane 0.1 m, far", Mapper(plane, method="rules"), far)
+    solid = row("rules, volume 0.1 m, near", Mapper(volume, method="rules"), near)
+    open_ = row("rules, volume 0.1 m, far", Mapper(volume, method="rules"), far)
+    row("rules, plane 50 x 50 m at 0.05 m", Mapper(large, method="rules"), near)
+    row("rules, plane 50 x 50 m at 0.1 m", Mapper(coarse, method="rules"), near)
     rays()
     base, ours, wide, solid, open_ = (one["mean_ms"] for one in (base, ours, wide, solid, open_))
     print(f"ullage over elfes {ours / base:.1f}; far over near: plane {wide / ours:.2f}, volume {open_ / solid:.2f}")

@@ -27,13 +27,13 @@ TOPICS = {  # of the node: type and quality of service
     "image": ("sensor_msgs/msg/Image", "latched"),
 }
 FRONT = "flying/radar/front/frame"
-SCENARIOS = {"elfes": "cargo-hold", "ullage": "cargo-hold-physical"}
+SCENARIOS = {"elfes": "cargo-hold", "rules": "cargo-hold-physical"}
 REACH_M = "25.0"  # the thesis' map of 50 x 50 m, in cells of 0.1 m
 CASES = [  # method, further parameters of the node
     ("elfes", {}),
-    ("ullage", {}),
+    ("rules", {}),
     ("elfes", {"image": "true", "image_method": "summation"}),
-    ("ullage", {"image": "true"}),
+    ("rules", {"image": "true"}),
 ]
 NAN = float("nan")
 

@@ -102,7 +102,7 @@ def row(scene: Scene, path: Trajectory, frames: dict[str, Frames], dims: int) ->
     box = np.stack(
         [np.minimum(scene.bounds[0], path.position.min(0)), np.maximum(scene.bounds[1], path.position.max(0))]
     )
-    omap = ul.map_occupancy(frames, ul.Grid.covering(box, 0.1, dims=dims, margin_m=1.0))
+    omap = ul.map_occupancy(frames, ul.Grid.covering(box, 0.1, dims=dims, margin_m=1.0), method="rules")
     got = {name: metric.value for name, metric in ul.metrics.map_quality(omap, scene, frames).items()}
     found = [value for name, value in got.items() if name.startswith("found:thing")]
     things = f"{sum(found):.0f} of {len(found)}" if found else ""

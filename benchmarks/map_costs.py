@@ -21,8 +21,8 @@ def cost_rows() -> list[tuple[str, str, str, str]]:
     large = ul.Grid.covering([[-25, -25, -1], [25, 25, 1]], 0.05, z_m=0.0)
     bench_mapping.warm_up(flown, plane)
     thesis = bench_mapping.row("elfes, plane 0.1 m", Mapper(plane, method="elfes"), flown)
-    near = bench_mapping.row("ullage, plane 0.1 m", Mapper(plane), flown)
-    wide = bench_mapping.row("ullage, plane 50 x 50 m at 0.05 m", Mapper(large), flown)
+    near = bench_mapping.row("rules, plane 0.1 m", Mapper(plane, method="rules"), flown)
+    wide = bench_mapping.row("rules, plane 50 x 50 m at 0.05 m", Mapper(large, method="rules"), flown)
     ours, theirs = bench_mapping.rays()
     image = bench_sar.cost(5.0)
     return [

@@ -80,7 +80,7 @@ def missed_surface(omap, perfect, surface) -> Counter:
 
 def of_flight(scene: Scene, grid: ul.Grid, frames: dict[str, Frames]) -> Counter:
     surface = surface_of(scene, grid, frames)
-    omap, perfect = ul.map_occupancy(frames, grid), flights.told_walls(scene, frames, grid)
+    omap, perfect = ul.map_occupancy(frames, grid, method="rules"), flights.told_walls(scene, frames, grid)
     ends = ends_of(section(scene, 0.0)[:, :, :2])
     return false_cells(omap, surface.points[:, :2], ends) + missed_surface(omap, perfect, surface)
 

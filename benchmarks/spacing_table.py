@@ -26,7 +26,7 @@ def judged(scene: Scene, path: Trajectory, grid: Grid, strides: tuple[int, ...],
     rows = []
     for stride in strides:
         sparse: dict[str, Frames] = {name: part[::stride] for name, part in frames.items()}
-        found = ul.metrics.map_quality(ul.map_occupancy(sparse, grid), scene, sparse)
+        found = ul.metrics.map_quality(ul.map_occupancy(sparse, grid, method="rules"), scene, sparse)
         rows.append([found[column].value for column in COLUMNS])
     return np.array(rows)
 

@@ -40,7 +40,9 @@ def turning(size: tuple[float, float, float], rng: np.random.Generator) -> Traje
 
 def scored(scene: Scene, path: Trajectory, rig: ul.Rig, seed: int) -> dict[str, float]:
     frames = ul.simulate(scene, path, rig, seed=seed)
-    got = ul.metrics.map_quality(ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1)), scene, frames)
+    got = ul.metrics.map_quality(
+        ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1), method="rules"), scene, frames
+    )
     return {name: got[name].value for name in COLUMNS}
 
 

@@ -50,7 +50,7 @@ def main() -> None:
             for seed in map(int, options.flights.split(",")):
                 frames = frames_of(name, mission, seed, folder, options.bounces)
                 heard = {key: f[::10] for key, f in frames.items()} if name in TANKS else frames
-                got = ul.metrics.map_quality(ul.map_occupancy(frames, grid), scene, heard)
+                got = ul.metrics.map_quality(ul.map_occupancy(frames, grid, method="rules"), scene, heard)
                 row = flights.values_of(got, tuple(COLUMNS))
                 scores.setdefault(f"{name}, {mission}".rstrip(", "), []).append(row)
                 said = " ".join(f"{COLUMNS[key]} {row[key]:.4f}" for key in SAID)

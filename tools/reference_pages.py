@@ -18,7 +18,7 @@ Written by `python tools/reference_pages.py`.
 | option | does | for |
 |---|---|---|
 | `--law thesis` | simulates the ray model of 2018 and maps with Elfes' grid | every family; used if no law is named |
-| `--law physical` | simulates physical echoes and maps with ullage's own mapper | every family |
+| `--law physical` | simulates physical echoes and maps by rules | every family |
 | `--by-hand` | adds the errors of a human pilot, at 1 m/s | `ntnu-plate`, `ntnu-plate45`, `ntnu-pole`, `ntnu-wire` |
 
 The options work with `ullage run`, `config` and `sweep`; `ullage fly` takes `--law`. Each variant also has a name of
@@ -40,7 +40,7 @@ Choices that the comments do not list:
 | `sensing.fidelity` | `physical`, `thesis` |
 | `do` | any of `detect`, `image`, `map`, `obstacles` |
 | `detect.method` | `first_peak`, `peaks`, `cfar`, `os-cfar`, `clean`, `track` |
-| `map.method` | `ullage`, `elfes`, `likelihood` |
+| `map.method` | `ullage`, `likelihood`, `rules`, `elfes` |
 | `map.dims` | `2`, `3` |
 | `image.method` | `backprojection`, `summation` |
 

@@ -261,7 +261,7 @@ def warm_up(source: str, options: list[str], tasks: tuple[Task, ...] | None = No
     if address and address.scheme.startswith("gazebo"):
         bounces = str(address.options.get("max_bounces", 1))
         fidelity = str(address.options.get("fidelity", "physical"))
-        parts = (*(part for part in radar_parts(fidelity, 1 if bounces == "1" else 3) if part in NEEDED), "ullage")
+        parts = (*(part for part in radar_parts(fidelity, 1 if bounces == "1" else 3) if part in NEEDED), "likelihood")
         patient = False  # a peer that goes on measuring is not kept waiting
     elif (scenario := simulated_scenario(source, tasks=tasks, options=options)) is not None:
         parts = parts_of(scenario)

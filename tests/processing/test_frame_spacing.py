@@ -30,7 +30,7 @@ def test_a_room_is_mapped_about_as_well_from_sparse_frames(flown, stride):
     scene, frames = flown
     sparse = {name: part[::stride] for name, part in frames.items()}
     judged_by = {name: part[::5] for name, part in frames.items()}  # the same surface in view for every stride
-    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.plane_of(scene)), scene, judged_by)
+    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.plane_of(scene), method="rules"), scene, judged_by)
     assert found["f1"].value > 0.85
     assert found["precision"].value > 0.93
     assert found["surface_declared_free"].value < 0.01
@@ -41,7 +41,7 @@ def test_a_volume_is_mapped_from_frames_10_cm_apart(flown):
     path = flights.rising_round(3)
     frames = flights.received(scene, ul.Trajectory(path.t_ns, path.position * [0.7, 0.7, 1.0], path.quat_xyzw), 3)
     sparse = {name: part[::7] for name, part in frames.items()}
-    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.volume_of(scene)), scene, sparse)
+    found = ul.metrics.map_quality(ul.map_occupancy(sparse, flights.volume_of(scene), method="rules"), scene, sparse)
     assert found["f1"].value > 0.85  # 0.75 where looks count alike however far apart
     assert found["precision"].value > 0.95
     assert found["surface_declared_free"].value < 0.01

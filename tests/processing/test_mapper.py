@@ -43,7 +43,7 @@ def flight():
 
 @pytest.fixture(scope="module")
 def hall_map(flight):
-    return ul.map_occupancy(flight, GRID)
+    return ul.map_occupancy(flight, GRID, method="rules")
 
 
 def score(omap, flight, scene=HALL):
@@ -55,7 +55,7 @@ def moved(frames, poses):
 
 
 def test_a_hall_is_mapped_far_better_than_by_the_baseline(flight, hall_map):
-    assert hall_map.method == "ullage"
+    assert hall_map.method == "rules"
     ours, base = score(hall_map, flight), score(ul.map_occupancy(flight, GRID, method="elfes"), flight)
     assert ours["f1"] >= 0.85
     assert ours["f1"] > base["f1"] + 0.1
@@ -75,7 +75,7 @@ def test_no_wall_is_thicker_than_the_two_rows_on_whose_border_it_stands(flight, 
 
 def test_range_alone_carries_the_map_where_there_is_no_phase(flight):
     bare = {name: replace(f, samples=f.amplitude) for name, f in flight.items()}
-    got = score(ul.map_occupancy(bare, GRID), flight)
+    got = score(ul.map_occupancy(bare, GRID, method="rules"), flight)
     assert got["f1"] >= 0.78
     assert got["accuracy_median"] <= 0.08
     assert got["accuracy_p90"] <= 0.22
@@ -88,11 +88,11 @@ def test_noisy_poses_cost_little(flight, noise_m, least):
     noisy = {
         n: moved(f, Trajectory(f.t_ns, f.believed.position + shift, f.believed.quat_xyzw)) for n, f in flight.items()
     }
-    assert score(ul.map_occupancy(noisy, GRID), flight)["f1"] >= least
+    assert score(ul.map_occupancy(noisy, GRID, method="rules"), flight)["f1"] >= least
 
 
 def test_hovering_adds_nothing(flight, hall_map):
-    mapper = Mapper(GRID)
+    mapper = Mapper(GRID, method="rules")
     mapper.update(flight)
     extra, rng, still = 400, np.random.default_rng(5), {}
     jitter = rng.normal(0, 0.002, (extra, 3))
@@ -117,14 +117,14 @@ def test_copies_of_a_frame_give_the_map_of_one(flight):
     place = front.believed
     poses = Trajectory(t_ns, np.tile(place.position, (copies, 1)), np.tile(place.quat_xyzw, (copies, 1)))
     many = replace(front, samples=np.tile(front.samples, (copies, 1)), t_ns=t_ns, poses=poses, truth=None)
-    one, all_ = (ul.map_occupancy(f, GRID).percent for f in (front, many))
+    one, all_ = (ul.map_occupancy(f, GRID, method="rules").percent for f in (front, many))
     np.testing.assert_array_equal(one, all_)
     assert (one == AMBIGUOUS).sum() > 20, "one look's arc is ambiguous"
     assert not (one >= 50).any(), "never a wall"
 
 
 def test_pieces_give_the_map_of_the_whole_and_every_change_is_announced(flight, hall_map):
-    mapper, patched = Mapper(GRID), np.full(GRID.shape, -1, np.int8)
+    mapper, patched = Mapper(GRID, method="rules"), np.full(GRID.shape, -1, np.int8)
     for start in range(0, len(flight["front"]), 60):
         mapper.update({name: f[start : start + 60] for name, f in flight.items()})
         for (row, column), values in mapper.changed():
@@ -137,7 +137,7 @@ def test_pieces_give_the_map_of_the_whole_and_every_change_is_announced(flight, 
 
 def test_floor_and_ceiling_leave_no_ring_around_the_flight(flight):
     loud = world.rig(loop(), PLAN, seed=1, heights=(-1.2, 1.4))
-    got = score(ul.map_occupancy(loud, GRID), flight)
+    got = score(ul.map_occupancy(loud, GRID, method="rules"), flight)
     assert got["f1"] >= 0.85
     assert got["false_occupied_per_100m2"] < 100
 
@@ -145,7 +145,7 @@ def test_floor_and_ceiling_leave_no_ring_around_the_flight(flight):
 def test_a_thin_pole_is_in_the_map():
     pole = Scene.of_wires((0.4, 0.2, -20.0), (0.4, 0.2, 20.0), 0.01, name="pole")
     frames = world.rig(loop(), PLAN, seed=2, poles=[(0.4, 0.2, 0.5)])
-    got = score(ul.map_occupancy(frames, GRID), frames, Scene.union([HALL, pole]))
+    got = score(ul.map_occupancy(frames, GRID, method="rules"), frames, Scene.union([HALL, pole]))
     assert got["found:pole"] == 1.0
 
 
@@ -153,18 +153,18 @@ def test_sensors_may_differ_in_range_axis_and_rate(flight):
     slow = flight["left"][slice(None, None, 2)]
     short = replace(flight["right"], samples=flight["right"].samples[:, :120], range_m=flight["right"].range_m[:120])
     mixed = {"front": flight["front"], "left": slow, "right": short}
-    assert score(ul.map_occupancy(mixed, GRID), flight)["precision"] > 0.8
+    assert score(ul.map_occupancy(mixed, GRID, method="rules"), flight)["precision"] > 0.8
 
 
 def test_a_gap_and_a_jump_are_never_joined(flight):
     holed = {n: f[np.r_[0:80, 140 : len(f)]] for n, f in flight.items()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert score(ul.map_occupancy(holed, GRID), flight)["precision"] > 0.8
+        assert score(ul.map_occupancy(holed, GRID, method="rules"), flight)["precision"] > 0.8
     front = flight["front"]
     leap = front.believed.position + np.where(np.arange(len(front))[:, None] > 120, [0.0, 1.8, 0.0], 0.0)
     with pytest.warns(ul.UllageWarning, match="jump 1 times, first at frame 121"):
-        ul.map_occupancy(moved(front, Trajectory(front.t_ns, leap, front.believed.quat_xyzw)), GRID)
+        ul.map_occupancy(moved(front, Trajectory(front.t_ns, leap, front.believed.quat_xyzw)), GRID, method="rules")
 
 
 def test_a_grid_too_large_says_how_large_before_it_is_made():
@@ -195,7 +195,7 @@ def test_blocks_collapse_and_come_back():
 
 def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
     grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
-    omap = ul.map_occupancy({n: f[:120] for n, f in flight.items()}, grid)
+    omap = ul.map_occupancy({n: f[:120] for n, f in flight.items()}, grid, method="rules")
     assert omap.percent.shape == grid.shape
     middle = omap.percent[len(grid.z_m) // 2]
     assert (middle[2] >= -2).all()
@@ -205,7 +205,7 @@ def test_volume_finds_walls_and_leaves_level_arcs_ambiguous(flight):
 
 def test_work_that_is_spread_over_frames_changes_nothing_of_a_volume(flight):
     grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
-    spread, at_once = Mapper(grid), Mapper(grid)
+    spread, at_once = Mapper(grid, method="rules"), Mapper(grid, method="rules")
     waited = 0
     for start in range(0, 60):
         piece = {name: f[start : start + 1] for name, f in flight.items()}
@@ -221,7 +221,7 @@ def test_work_that_is_spread_over_frames_changes_nothing_of_a_volume(flight):
 def test_a_level_flight_flags_what_lies_above_and_below_each_echo(flight):
     """Cells at a true foot's range, 24 to 28 deg above and below it: nothing but a second height could tell."""
     grid = ul.Grid.covering([[-4.5, -3.5, -1.5], [4.5, 3.5, 1.5]], 0.1, dims=3)
-    omap = ul.map_occupancy(flight, grid)
+    omap = ul.map_occupancy(flight, grid, method="rules")
     said = []
     for frames in flight.values():
         path = frames.believed
@@ -246,7 +246,7 @@ def test_a_level_flight_flags_what_lies_above_and_below_each_echo(flight):
 def test_a_level_flight_frees_nothing_of_floor_and_ceiling():
     grid = ul.Grid.covering([[-4.5, -3.5, -1.7], [4.5, 3.5, 1.7]], 0.1, dims=3)
     frames = world.rig(loop(), PLAN, seed=1, heights=(-1.3, 1.3))
-    omap = ul.map_occupancy(frames, grid)
+    omap = ul.map_occupancy(frames, grid, method="rules")
     x, y = np.meshgrid(np.linspace(-3.8, 3.8, 77), np.linspace(-2.8, 2.8, 57))
     for height in (-1.3, 1.3):
         above, below = (
@@ -269,7 +269,7 @@ def test_a_level_flight_frees_nothing_of_a_wall_whose_slope_it_cannot_tell(slope
     path = Trajectory(np.arange(len(xy)) * 40_000_000, np.column_stack([xy, 0 * dx]), quat)
     frames = world.rig(path, [], sheets=[(normal, 2.0)])
     grid = ul.Grid.covering([[-3.5, -3.5, -1.5], [3.5, 3.5, 1.5]], 0.1, dims=3)
-    omap = ul.map_occupancy(frames, grid)
+    omap = ul.map_occupancy(frames, grid, method="rules")
     along, rise = np.meshgrid(np.linspace(-2, 2, 40), np.linspace(-1.2, 1.2, 40))
     side = np.cross(normal, [1.0, 0, 0])
     points = 2.0 * normal + along[..., None] * [1.0, 0, 0] + rise[..., None] * side
@@ -283,7 +283,7 @@ def test_a_narrow_antenna_is_believed_to_hear_a_narrow_cone(flight):
     def arc(**antenna):
         front = flight["front"][:1]
         spec = front.spec.but(antenna=front.spec.antenna.but(**antenna))
-        return int((ul.map_occupancy(replace(front, spec=spec), GRID).percent == AMBIGUOUS).sum())
+        return int((ul.map_occupancy(replace(front, spec=spec), GRID, method="rules").percent == AMBIGUOUS).sum())
 
     wide = arc()
     assert arc(kind="cosine", azimuth_deg=65.0, elevation_deg=65.0) == wide
@@ -292,8 +292,8 @@ def test_a_narrow_antenna_is_believed_to_hear_a_narrow_cone(flight):
 
 def test_frames_of_rays_are_mapped_no_worse_than_by_the_baseline(flight):
     rays = {n: replace(f, samples=f.amplitude * 1e3, unit="thesis") for n, f in flight.items()}
-    ours, base = (ul.map_occupancy(rays, GRID, method=m) for m in ("ullage", "elfes"))
-    assert ours.method == "ullage"
+    ours, base = (ul.map_occupancy(rays, GRID, method=m) for m in ("rules", "elfes"))
+    assert ours.method == "rules"
     np.testing.assert_array_equal(ours.percent, base.percent)
 
 
@@ -301,7 +301,7 @@ def test_a_bearing_that_leaves_two_places_open_makes_neither_a_wall():
     path = Trajectory.line((-2, 0, 0), (0, 0, 0), 0.5, 25)
     far = world.box_plan(-60, 60, -60, 60)
     frames = world.listen(path, far, poles=[(2.0, 1.0, 0.5)])
-    omap = ul.map_occupancy(frames, GRID)
+    omap = ul.map_occupancy(frames, GRID, method="rules")
     assert not omap.occupied.any(), "one sensor on a straight track cannot tell left from right"
     for y in (1.0, -1.0):
         column, row = round((2.0 + 5) / 0.1), round((y + 4) / 0.1)
@@ -312,7 +312,7 @@ def test_a_wall_beside_a_panel_is_heard_past_the_panels_edge():
     path = Trajectory.line((1.3, -1.5, 0), (1.3, 1.5, 0), 0.5, 25, yaw_deg=90)
     frames = world.rig(path, [*PLAN, ((2.6, -0.5), (2.6, 0.5))], seed=3, edge=0.4)
     column = round((4.0 + 5) / 0.1)
-    wall = ul.map_occupancy(frames, GRID).occupied[:, column - 1 : column + 1].any(axis=1)
+    wall = ul.map_occupancy(frames, GRID, method="rules").occupied[:, column - 1 : column + 1].any(axis=1)
     assert wall[[round((y + 4) / 0.1) for y in (-1.0, -0.8, 0.8, 1.0)]].all()
 
 
@@ -326,7 +326,7 @@ def test_one_radar_along_the_walls_of_a_low_room_maps_them_and_not_the_floor():
     path = Trajectory(np.arange(len(yaw)) * 60_000_000, np.column_stack([way, still]), rpy_quat(still, still, yaw))
     left = ul.RadarSpec.preset("x4m05", mount={"yaw_deg": 90})
     frames = ul.simulate(scene, path, left, seed=1)
-    omap = ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1))
+    omap = ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1), method="rules")
     score = ul.metrics.map_quality(omap, scene, frames)
     assert score["recall"].value > 0.9  # all were taken for floor once the flight had turned: 0.33
     assert score["precision"].value > 0.9
@@ -341,7 +341,7 @@ def wall_beside(*, level: float, north_m: float):
         walls = [((-30, y), (30, y))]
         one = world.listen(Trajectory(path.t_ns, path.position, quat), walls, sensor=name)
         heard[name] = replace(one, samples=(loss * one.samples).astype(np.complex64))
-    omap = ul.map_occupancy(heard, ul.Grid.covering([[-4, -4, 0], [4, north_m, 0]], 0.1, z_m=0.0))
+    omap = ul.map_occupancy(heard, ul.Grid.covering([[-4, -4, 0], [4, north_m, 0]], 0.1, z_m=0.0), method="rules")
     beside = (abs(omap.grid.y_m[:, None] - 3.0) < 0.1) & (abs(omap.grid.x_m[None]) < 1.5)
     return omap, beside
 
@@ -374,6 +374,8 @@ def test_a_map_from_amplitudes_alone_is_nearly_that_with_phase():
     frames = ul.simulate(room, path, ul.Rig.preset("thesis-4"), seed=1)
     grid = ul.Grid.covering(room.bounds, 0.1, margin_m=0.5)
     alone = {name: replace(part, samples=part.amplitude) for name, part in frames.items()}
-    scores = [ul.metrics.map_quality(ul.map_occupancy(some, grid), room, frames) for some in (frames, alone)]
+    scores = [
+        ul.metrics.map_quality(ul.map_occupancy(some, grid, method="rules"), room, frames) for some in (frames, alone)
+    ]
     assert scores[1]["precision"].value > 0.9
     assert scores[1]["f1"].value > scores[0]["f1"].value - 0.1

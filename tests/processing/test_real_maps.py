@@ -135,7 +135,7 @@ def test_what_the_vehicle_fills_is_free_unless_a_later_echo_stands_there() -> No
         assert blocks.pools.hits.max() > 0
 
 
-@pytest.mark.parametrize("method", ["ullage", "likelihood"])
+@pytest.mark.parametrize("method", ["rules", "likelihood"])
 def test_the_mapper_frees_what_the_vehicle_fills(method: str) -> None:
     position = curved(60)
     frames = near(rf_frames(position, [], noise=1.0))
@@ -148,7 +148,7 @@ def test_the_mapper_frees_what_the_vehicle_fills(method: str) -> None:
         assert bool(((known >= 0) & (known <= 5)).all()) == whole
 
 
-@pytest.mark.parametrize("method", ["ullage", "likelihood"])
+@pytest.mark.parametrize("method", ["rules", "likelihood"])
 @pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), 11.0])
 def test_no_vehicle_of_impossible_size(radius: float, method: str) -> None:
     frames, grid = clutter(curved(40), seed=0), ul.Grid((-3, -3, 0), 0.1, (90, 90))
@@ -164,7 +164,7 @@ def test_a_straight_track_takes_the_height_that_is_given() -> None:
     np.testing.assert_allclose(best.place, place, atol=0.06)
 
 
-@pytest.mark.parametrize("method", ["ullage", "likelihood"])
+@pytest.mark.parametrize("method", ["rules", "likelihood"])
 def test_calibrated_frames_map_their_scatterers_and_nothing_on_the_path(method: str) -> None:
     position, place = curved(), np.array([3.0, 2.0, 0.3])
     frames = rf_frames(position, [np.linalg.norm(position - place, axis=1)], noise=1.0)
@@ -178,8 +178,8 @@ def test_a_known_floor_is_no_wall_along_a_straight_track() -> None:
     position = np.stack([np.zeros(300), np.linspace(0, 4, 300), np.full(300, 1.8)], axis=1)
     frames = rf_frames(position, [np.full(300, 1.8)], noise=0.01)
     grid = ul.Grid.covering(np.array([[-4.0, -2, 0], [4, 6, 2]]), 0.1)
-    assert ul.map_occupancy(frames, grid, remove_own_echo=False).occupied.any()
-    for method in ("ullage", "likelihood"):
+    assert ul.map_occupancy(frames, grid, method="rules", remove_own_echo=False).occupied.any()
+    for method in ("rules", "likelihood"):
         omap = ul.map_occupancy(frames, grid, method=method, remove_own_echo=False, floor_z_m=0.0)
         assert not omap.occupied.any()
 
@@ -205,7 +205,7 @@ def to_nearest(omap: ul.OccupancyMap, places: np.ndarray) -> float:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ullage.errors.UllageWarning")
-@pytest.mark.parametrize("method", ["ullage", "likelihood"])
+@pytest.mark.parametrize("method", ["rules", "likelihood"])
 @pytest.mark.parametrize("name", ["rail_a", "flight_a"])
 def test_the_surveyed_reflector_is_on_the_map_and_nothing_on_the_path(name: str, method: str) -> None:
     """With the offsets that the data's README documents."""

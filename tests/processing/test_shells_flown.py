@@ -14,7 +14,7 @@ def told_cells(scene, places) -> np.ndarray:
     """Centres (n, 3) of the cells that a flight through places (p, 3) tells to be occupied [m]."""
     path = ul.fly(ul.Waypoints(np.array(places, float), speed_m_s=0.5, stop=True, yaw="along"), rate_hz=12.5)
     frames = ul.simulate(scene, path, ul.Rig.preset("thesis-4"), seed=0, max_bounces=1)
-    occupancy = ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5))
+    occupancy = ul.map_occupancy(frames, ul.Grid.covering(scene.bounds, 0.1, dims=3, margin_m=0.5), method="rules")
     cells = np.argwhere(occupancy.percent >= 50)[:, ::-1]
     return np.asarray(occupancy.grid.origin_m) + 0.1 * (cells + 0.5)
 

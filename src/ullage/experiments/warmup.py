@@ -12,6 +12,7 @@ import numpy as np
 from ullage import kernels
 from ullage.config import MapMethod, Scenario
 from ullage.data import Frames
+from ullage.processing.occupancy import BEST
 from ullage.radar import warmup as radar
 from ullage.radar.warmup import Compiling, Job, Log, radar_parts
 from ullage.world.scene import Scene
@@ -21,7 +22,7 @@ NEEDED = {
     "hector": ("flight", "proximity"),
     **radar.NEEDED,
     "elfes": ("elfes",),
-    "ullage": (
+    "rules": (
         *("occupancy", "occupancy_cone", "occupancy_listen", "occupancy_reach", "occupancy_show", "occupancy_strip"),
         "rolls",
     ),
@@ -29,7 +30,7 @@ NEEDED = {
     "backprojection": ("backprojection",),
 }
 """Kernel modules behind each part of a run."""
-LATER = ("elfes", "ullage", "likelihood", "backprojection")
+LATER = ("elfes", "rules", "likelihood", "backprojection")
 """Parts that a run can begin without."""
 
 
@@ -41,7 +42,8 @@ def parts_of(scenario: Scenario, scene: Scene | None = None) -> tuple[str, ...]:
         scene: its world, to find the parts that the physical radar needs; None: all parts.
     """
     parts = [scenario.flight.vehicle, *radar_parts(scenario.sensing.fidelity, scenario.sensing.max_bounces, scene)]
-    parts += [scenario.map.method] if "map" in scenario.do else []
+    method = scenario.map.method
+    parts += [BEST[scenario.map.dims] if method == "ullage" else method] if "map" in scenario.do else []
     parts += [scenario.image.method] if "image" in scenario.do else []
     return tuple(part for part in parts if part in NEEDED)
 
@@ -103,7 +105,7 @@ def _map(method: MapMethod) -> None:
     from ullage.processing.occupancy import map_occupancy
 
     map_occupancy(_few(), Grid.covering(np.array([[-1, -1, -1], [3, 1, 1]]), 0.2), method=method)
-    if method == "ullage":
+    if method == "rules":
         _join_legs()
 
 
@@ -152,7 +154,7 @@ JOBS = (
     Job("flight", "hector", 3.5, _flight),
     *radar.JOBS,
     Job("Elfes' map", "elfes", 0.8, partial(_map, "elfes")),
-    Job("map", "ullage", 12, partial(_map, "ullage")),
+    Job("map", "rules", 12, partial(_map, "rules")),
     Job("map of surfaces", "likelihood", 4, _surfaces),
     Job("images", "backprojection", 1, _image),
 )

@@ -371,11 +371,11 @@ class UllageMapper:
     def map(self) -> OccupancyMap:
         """The map so far; free cells that no free way joins to the flight are unknown."""
         if self._rays is not None:
-            return OccupancyMap(self.grid, self._rays.map().tiles, "ullage")
+            return OccupancyMap(self.grid, self._rays.map().tiles, "rules")
         self._catch_up()
         known = self.blocks.known()
         if known is None:
-            return OccupancyMap(self.grid, Tiles.unknown(self.grid.shape), "ullage")
+            return OccupancyMap(self.grid, Tiles.unknown(self.grid.shape), "rules")
         box = np.array([(axis.start, axis.stop) for axis in known], np.int64)
         percent = np.empty(box[:, 1] - box[:, 0], np.int8)
         render_cells(
@@ -395,7 +395,7 @@ class UllageMapper:
             told = self._zones.rims(percent, corner, self.grid)
             without_beyond(percent, corner, self.grid, told, flown, max(FLOWN_M, self.grid.step_m))
         without_cut_off(percent, corner, self.grid, flown)
-        return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "ullage")
+        return OccupancyMap(self.grid, Tiles.of(percent, shape=self.grid.shape, corner=corner), "rules")
 
     def changed(self) -> Changes:
         """The blocks in which the map differs from that of the last call."""

@@ -14,15 +14,17 @@ from ullage.grids import Changes, Grid, OccupancyMap
 from ullage.processing.own_echo import without_own_echo
 from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 
+BEST: Mapping[int, str] = {2: "likelihood", 3: "rules"}
+"""Method that "ullage" stands for, by the dimensions of the grid."""
 METHODS: Mapping[str, tuple[str, str]] = {
-    "ullage": ("ullage.processing.mapper", "UllageMapper"),
-    "elfes": ("ullage.processing.elfes", "ElfesMapper"),
     "likelihood": ("ullage.processing.likelihood.mapper", "LikelihoodMapper"),
+    "rules": ("ullage.processing.mapper", "UllageMapper"),
+    "elfes": ("ullage.processing.elfes", "ElfesMapper"),
 }
 """Module and class of each map method that is shipped; other packages add theirs to the group `ullage.map_methods`."""
 
 
-COHERENT = ("ullage", "likelihood")
+COHERENT = ("ullage", "rules", "likelihood")
 """Methods whose maps take the scatterers that stay coherent along calibrated frames."""
 
 
@@ -47,7 +49,7 @@ def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMa
 
     Args:
         grid: the cells of the map.
-        method: one of `METHODS`, or one that another package adds.
+        method: "ullage", the best one for such a grid; one of `METHODS`, or one that another package adds.
         **options: those of the method.
 
     Raises:
@@ -55,13 +57,14 @@ def Mapper(grid: Grid, *, method: str = "ullage", **options: Any) -> StreamingMa
     """
     checks.instance("grid", grid, Grid, "map_occupancy")
     make: Callable[..., StreamingMapper] | None
+    method = BEST[grid.dims] if method == "ullage" else method
     if method in METHODS:
         module, name = METHODS[method]
         make = getattr(importlib.import_module(module), name)
     else:
         make = plugins.load("ullage.map_methods", method)
     if make is None:
-        allowed = ", ".join((*METHODS, *plugins.names("ullage.map_methods")))
+        allowed = ", ".join(("ullage", *METHODS, *plugins.names("ullage.map_methods")))
         raise InputError(f"no mapping method {method!r}", where="method", allowed=allowed)
     known = inspect.signature(make).parameters
     any_option = any(one.kind is one.VAR_KEYWORD for one in known.values())
@@ -87,15 +90,16 @@ def map_occupancy(
     Args:
         frames: one sensor's, or several by name; sensors may differ in settings and rate.
         grid: a plane or a volume that holds the flight.
-        method: "ullage", all that each profile says; "elfes", the thesis' baseline; or "likelihood", surfaces on
-            a plane by one likelihood ratio; or the name of one that another package adds.
+        method: "ullage", the best one: "likelihood" on a plane, "rules" in a volume; "likelihood", surfaces by one
+            likelihood ratio; "rules", all that each profile says; "elfes", the thesis' baseline; or the name of one
+            that another package adds. The map's `method` says which one made it.
         drift_m: sigma of a slow error of the poses [m]; above zero, it is taken out first as far as flat walls show it,
             and a warning says where they do not (`processing.drift.correct_drift`).
         remove_own_echo: subtract the radar's own echo first (`processing.own_echo`).
         target_z_m: height of coherent scatterers on a straight track; None: that of the track. Frames that
             `ul.calibrate` put on a track have such scatterers found and added (`processing.scatterers`).
         scatterer_pfa: probability that clutter alone adds one coherent scatterer or more.
-        options: those of the method's mapper: `threshold` of "elfes"; of "ullage" `floor_z_m`, a level floor's height
+        options: those of the method's mapper: `threshold` of "elfes"; of the others `floor_z_m`, a level floor's height
             [m], whose echoes a plane leaves out, and `vehicle_radius_m`, the radius of the ball about the antenna
             that the vehicle fills (0.25 m); of "likelihood" `spec`, a `processing.likelihood.spec.LikelihoodSpec`.
 

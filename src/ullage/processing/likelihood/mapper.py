@@ -53,7 +53,7 @@ class LikelihoodMapper:
     ) -> None:
         if grid.dims != 2:
             raise InputError(
-                "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='ullage'"
+                "the likelihood mapper maps a plane", where="grid", allowed="a grid with dims=2, or method='rules'"
             )
         grid.check_memory(40, "the map")
         self.grid = grid
@@ -98,7 +98,7 @@ class LikelihoodMapper:
                 if self._phase
                 else "its samples have phase, but another sensor's have not",
                 where=part.sensor,
-                allowed="samples with phase of all sensors, or amplitudes of all; or method='ullage'",
+                allowed="samples with phase of all sensors, or amplitudes of all; or method='rules'",
             )
         self._wavelength_m = self._wavelength_m or part.spec.wavelength_m
         self._fold_m = part.spec.unambiguous_range_m
@@ -106,7 +106,7 @@ class LikelihoodMapper:
             raise InputError(
                 f"its carrier differs from the other sensors' ({part.spec.center_hz:g} Hz)",
                 where=part.sensor,
-                allowed="one center_hz for all sensors, or method='ullage'",
+                allowed="one center_hz for all sensors, or method='rules'",
             )
 
     def _take_in(self, *, finish: bool) -> None:
