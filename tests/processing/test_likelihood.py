@@ -571,7 +571,7 @@ def test_a_hall_is_mapped_with_errors_of_3_mm_almost_as_at_exact_poses():
 def test_bad_input_is_refused_in_one_line():
     frames = flown(curve(), wall(90, 2.0))
     with pytest.raises(ul.InputError, match="maps a plane"):
-        Mapper(ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.2, dims=3), method="likelihood")
+        LikelihoodMapper(ul.Grid.covering([[-5, -4, -1], [5, 4, 1]], 0.2, dims=3))
     for name, has in (("left", "have no phase"), ("front", "have phase")):
         mixed = frames | {name: replace(frames[name], samples=frames[name].amplitude)}
         with pytest.raises(ul.InputError, match=rf"left: its samples {has}, .*allowed: .*amplitudes of all"):

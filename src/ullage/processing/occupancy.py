@@ -17,7 +17,7 @@ from ullage.processing.scatterers import PFA, find_scatterers, with_scatterers
 BEST: Mapping[int, str] = {2: "likelihood", 3: "rules"}
 """Method that "ullage" stands for, by the dimensions of the grid."""
 METHODS: Mapping[str, tuple[str, str]] = {
-    "likelihood": ("ullage.processing.likelihood.mapper", "LikelihoodMapper"),
+    "likelihood": ("ullage.processing.likelihood.methods", "likelihood_mapper"),
     "rules": ("ullage.processing.mapper", "UllageMapper"),
     "elfes": ("ullage.processing.elfes", "ElfesMapper"),
 }

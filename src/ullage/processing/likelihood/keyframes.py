@@ -31,6 +31,7 @@ class Row:
     t_ns: int
     position: Floats  # (3) [m]
     axis: Floats  # (3) boresight
+    turn: Floats  # (3, 3) world from sensor
     samples: NDArray[np.complex64]  # (b) baseband
     noise: float  # amplitude of the noise in one bin
 
@@ -62,6 +63,7 @@ class Keyframe:
     first_bin: int  # beyond the direct path
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
+    turns: Floats  # (s, 3, 3) world from sensor, of each sensor's frame nearest in time; zeros without one
 
 
 class KeyframeSelector:
@@ -85,14 +87,15 @@ class KeyframeSelector:
         if channel is None:
             channel = self._channels[part.sensor] = _channel_of(part)
         path = part.believed
-        axes = quat_matrix(path.quat_xyzw)[:, :, 0]
+        turns = quat_matrix(path.quat_xyzw)
+        axes = turns[:, :, 0]
         for i in range(len(part)):
             channel.seen_ns = int(part.t_ns[i])
             if channel.rows and not self._has_moved(channel.rows[-1], path.position[i], axes[i]):
                 continue
             samples = np.asarray(part.samples[i])
             samples, noise = self._without_mean(samples) if channel.envelope else (samples, _noise(samples))
-            row = Row(channel.seen_ns, path.position[i], axes[i], _upsampled(samples), noise)
+            row = Row(channel.seen_ns, path.position[i], axes[i], turns[i], _upsampled(samples), noise)
             channel.rows.append(row)
 
     def _without_mean(self, samples: NDArray[np.floating]) -> tuple[NDArray[np.floating], float]:
@@ -173,6 +176,7 @@ class KeyframeSelector:
             max(int((leader.blind_m - leader.start_m) / leader.bin_m), 0),
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
+            np.stack([_nearest(one, centre.t_ns).turn if one.rows else np.zeros((3, 3)) for one in channels]),
         )
 
 
@@ -183,8 +187,11 @@ def _noise(samples: NDArray[np.complex64]) -> float:
 
 def _middle(channels: list[Channel], t_ns: int) -> Floats:
     """Mean of the sensors' positions (3) at a time [m]; a sensor that gives nothing within the buffer is left out."""
-    near = [min(one.rows, key=lambda row: abs(row.t_ns - t_ns)).position for one in channels if one.rows]
-    return np.asarray(np.mean(near, axis=0))
+    return np.asarray(np.mean([_nearest(one, t_ns).position for one in channels if one.rows], axis=0))
+
+
+def _nearest(channel: Channel, t_ns: int) -> Row:
+    return min(channel.rows, key=lambda row: abs(row.t_ns - t_ns))
 
 
 def _channel_of(part: Frames) -> Channel:

@@ -1,0 +1,266 @@
+"""Loops that fit reflectors of any direction to the samples of an aperture, and take them out."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ullage.kernels.loops import inner, loop
+from ullage.kernels.matched_sums import LEAST_GAIN, ROUNDS, SHRINK, STEPS, _delay
+
+
+class Patterns(NamedTuple):
+    """Antennas of the sensors, as they were turned at a keyframe."""
+
+    cubes: NDArray[np.float64]  # (s, 6, m, m) one-way amplitude gain on a cube of directions; faces +x -x +y -y +z -z
+    turns: NDArray[np.float64]  # (s, 3, 3) world from sensor
+
+
+@inner()
+def pattern_gain(cube, turn, unit):  # type: ignore[no-untyped-def]
+    """Two-way amplitude gain of a sensor in a direction of the world.
+
+    Args:
+        cube: (6, m, m) one-way amplitude gain on a cube of directions; faces +x -x +y -y +z -z.
+        turn: (3, 3) world from sensor.
+        unit: (3) direction.
+    """
+    x = turn[0, 0] * unit[0] + turn[1, 0] * unit[1] + turn[2, 0] * unit[2]
+    y = turn[0, 1] * unit[0] + turn[1, 1] * unit[1] + turn[2, 1] * unit[2]
+    z = turn[0, 2] * unit[0] + turn[1, 2] * unit[1] + turn[2, 2] * unit[2]
+    size, half = max(abs(x), abs(y), abs(z)), 0.5 * (cube.shape[1] - 1)
+    if size < 1e-9:
+        return 0.0
+    if abs(x) >= abs(y) and abs(x) >= abs(z):
+        face, a, b = (0 if x > 0 else 1), y, z
+    elif abs(y) >= abs(z):
+        face, a, b = (2 if y > 0 else 3), x, z
+    else:
+        face, a, b = (4 if z > 0 else 5), x, y
+    one = cube[face, int((a / size + 1) * half + 0.5), int((b / size + 1) * half + 0.5)]
+    return one * one
+
+
+@inner()
+def _toward(patterns, unit, gain):  # type: ignore[no-untyped-def]
+    """Gain of each sensor in a direction, over that of the one that sees it best."""
+    best = 1e-12
+    for s in range(len(gain)):
+        gain[s] = pattern_gain(patterns.cubes[s], patterns.turns[s], unit)
+        best = max(best, gain[s])
+    for s in range(len(gain)):
+        gain[s] /= best
+
+
+@loop(fastmath=True)
+def sum_toward(aperture, patterns, directions, low, high, out):  # type: ignore[no-untyped-def]
+    """Energy that one flat reflector in each direction and bin explains.
+
+    The sum over rows of gain times sample, turned by the phase of the delay, squared, over the sum of squared gains.
+
+    Args:
+        aperture: the rows.
+        patterns: of the sensors.
+        directions: (d, 3) unit vectors.
+        low: first bin.
+        high: bin after the last.
+        out: (d, b) float32, set from `low` to `high`.
+    """
+    samples = aperture.samples
+    rows, bins = samples.shape[0], samples.shape[1]
+    real, imag = np.empty(bins, np.float32), np.empty(bins, np.float32)
+    gain = np.empty(len(patterns.turns))
+    for d in range(len(directions)):
+        _toward(patterns, directions[d], gain)
+        for k in range(low, high):
+            real[k] = 0.0
+            imag[k] = 0.0
+        total = 0.0
+        for i in range(rows):
+            g = gain[aperture.sensor[i]]
+            if g <= LEAST_GAIN:
+                continue
+            delay = _delay(aperture.offset[i], directions[d], 0.0)
+            first = math.floor(delay)
+            share = np.float32(delay - first)
+            rest = np.float32(1.0) - share
+            c = np.float32(math.cos(aperture.phase * delay) * g)
+            s = np.float32(math.sin(aperture.phase * delay) * g)
+            total += g * g
+            for k in range(max(low, -first), min(high, bins - 1 - first)):
+                x = samples[i, first + k, 0] * rest + samples[i, first + k + 1, 0] * share
+                y = samples[i, first + k, 1] * rest + samples[i, first + k + 1, 1] * share
+                real[k] += x * c - y * s
+                imag[k] += x * s + y * c
+        for k in range(low, high):
+            out[d, k] = (real[k] * real[k] + imag[k] * imag[k]) / max(total, 1e-9)
+
+
+@loop()
+def strongest_direction(energy, floor, low, high):  # type: ignore[no-untyped-def]
+    """Place of the largest energy over the floor of its bin.
+
+    Args:
+        energy: (d, b) explained energy of each direction and bin.
+        floor: (b) factor that an energy must exceed; what stronger echoes leave behind.
+        low: first bin.
+        high: bin after the last.
+
+    Returns:
+        Energy over the floor, and the two indices.
+    """
+    best, where = 0.0, (0, 0)
+    for d in range(energy.shape[0]):
+        for k in range(low, high):
+            if energy[d, k] > best * floor[k]:
+                best = energy[d, k] / floor[k]
+                where = (d, k)
+    return best, where
+
+
+@inner(fastmath=True)
+def _explained(aperture, patterns, unit, curvature, place, gain, sums):  # type: ignore[no-untyped-def]
+    """Energy that a reflector explains, and all energy along its range; `sums` takes the sum of each sensor."""
+    samples = aperture.samples
+    sums[:] = 0.0
+    energy = total = real = imag = 0.0
+    _toward(patterns, unit, gain)
+    for i in range(samples.shape[0]):
+        delay = _delay(aperture.offset[i], unit, curvature)
+        at = delay + place
+        k = math.floor(at)
+        if k < 0 or k >= samples.shape[1] - 1:
+            continue
+        share = at - k
+        x = samples[i, k, 0] * (1 - share) + samples[i, k + 1, 0] * share
+        y = samples[i, k, 1] * (1 - share) + samples[i, k + 1, 1] * share
+        c, q = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
+        mine = aperture.sensor[i]
+        sums[mine, 0] += x * c - y * q
+        sums[mine, 1] += x * q + y * c
+        sums[mine, 2] += 1
+        real += gain[mine] * (x * c - y * q)
+        imag += gain[mine] * (x * q + y * c)
+        energy += x * x + y * y
+        total += gain[mine] ** 2
+    for s in range(len(gain)):
+        sums[s, 3] = gain[s]
+    return (real * real + imag * imag) / max(total, 1e-9), energy
+
+
+@inner()
+def _directed(start, frame, trial, unit):  # type: ignore[no-untyped-def]
+    """Unit vector at two angles from a direction, along the two vectors of a frame."""
+    size = 0.0
+    for i in range(3):
+        unit[i] = start[i] + trial[0] * frame[0, i] + trial[1] * frame[1, i]
+        size += unit[i] * unit[i]
+    size = math.sqrt(size)
+    for i in range(3):
+        unit[i] /= size
+
+
+@loop(fastmath=True)
+def refine_direction(aperture, patterns, start, frame, steps, most_curvature, sums, found):  # type: ignore[no-untyped-def]
+    """Search for the reflector that explains most energy near a first estimate, one parameter at a time.
+
+    Args:
+        aperture: the rows.
+        patterns: of the sensors.
+        start: (5) unit vector, curvature [1/bin] and range [bin].
+        frame: (2, 3) unit vectors across that direction.
+        steps: (4) of the two angles, curvature and range in the first round; 0 keeps a parameter.
+        most_curvature: bound on its size [1/bin].
+        sums: (s, 4) set to real and imaginary part of each sensor's sum, its rows, and its gain over the greatest.
+        found: (7) set to energy explained, all energy, unit vector, curvature and range.
+    """
+    unit, gain = np.empty(3), np.empty(len(patterns.turns))
+    now, trial, size = np.zeros(4), np.empty(4), np.empty(4)
+    now[2], now[3] = start[3], start[4]
+    for p in range(4):
+        size[p] = steps[p]
+    _directed(start, frame, now, unit)
+    best, _ = _explained(aperture, patterns, unit, now[2], now[3], gain, sums)
+    for _ in range(ROUNDS):
+        for _ in range(STEPS):
+            better = False
+            for move in range(8):
+                p = move // 2
+                if size[p] <= 0:
+                    continue
+                for other in range(4):
+                    trial[other] = now[other]
+                trial[p] += size[p] if move % 2 == 0 else -size[p]
+                trial[2] = min(max(trial[2], -most_curvature), most_curvature)
+                _directed(start, frame, trial, unit)
+                value, _ = _explained(aperture, patterns, unit, trial[2], trial[3], gain, sums)
+                if value > best * 1.0005:
+                    best, better = value, True
+                    for other in range(4):
+                        now[other] = trial[other]
+            if not better:
+                break
+        for p in range(4):
+            size[p] *= SHRINK
+    _directed(start, frame, now, unit)
+    found[0], found[1] = _explained(aperture, patterns, unit, now[2], now[3], gain, sums)
+    for i in range(3):
+        found[2 + i] = unit[i]
+    found[5], found[6] = now[2], now[3]
+
+
+@loop(fastmath=True)
+def subtract_directed(aperture, found, sums, pulse):  # type: ignore[no-untyped-def]
+    """Take a reflector out of the samples: each sensor's mean amplitude along it, times a Gaussian pulse.
+
+    Args:
+        aperture: the rows; their samples change.
+        found: (7) as `refine_direction` gave it.
+        sums: (s, 4) as `refine_direction` gave it.
+        pulse: standard deviation of the pulse's envelope [bin].
+    """
+    samples = aperture.samples
+    unit = found[2:5]
+    reach = int(3 * pulse) + 1
+    for i in range(samples.shape[0]):
+        mine = aperture.sensor[i]
+        rows = max(sums[mine, 2], 1.0)
+        x, y = sums[mine, 0] / rows, sums[mine, 1] / rows
+        delay = _delay(aperture.offset[i], unit, found[5])
+        at = delay + found[6]
+        c, s = math.cos(aperture.phase * delay), math.sin(aperture.phase * delay)
+        real, imag = x * c + y * s, y * c - x * s
+        for k in range(max(int(at) - reach, 0), min(int(at) + reach + 2, samples.shape[1])):
+            level = math.exp(-0.5 * ((k - at) / pulse) ** 2)
+            samples[i, k, 0] -= real * level
+            samples[i, k, 1] -= imag * level
+
+
+@loop()
+def weigh_levels(patterns, units, amplitude, sigma, bound, misfit, level):  # type: ignore[no-untyped-def]
+    """Compare the amplitudes of an echo at all sensors with the antennas' patterns in each direction.
+
+    Args:
+        patterns: of the sensors.
+        units: (d, 3) directions.
+        amplitude: (s) of the echo.
+        sigma: (s) standard deviation of each.
+        bound: greatest misfit of one sensor that counts.
+        misfit: (d) set to the sum of squared normalised differences.
+        level: (d) set to the amplitude that an antenna of gain 1 would have received.
+    """
+    gain = np.empty(len(amplitude))
+    for d in range(len(units)):
+        top = bottom = 0.0
+        for s in range(len(gain)):
+            gain[s] = pattern_gain(patterns.cubes[s], patterns.turns[s], units[d])
+            weight = 1.0 / (sigma[s] * sigma[s])
+            top += weight * gain[s] * amplitude[s]
+            bottom += weight * gain[s] * gain[s]
+        level[d] = top / max(bottom, 1e-30)
+        misfit[d] = 0.0
+        for s in range(len(gain)):
+            misfit[d] += min(((amplitude[s] - level[d] * gain[s]) / sigma[s]) ** 2, bound)

@@ -1,0 +1,351 @@
+"""Cells of a volume, rendered from surfaces: occupied where echoes show them, free along their paths and by silence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from ullage.arrays import Bools, Floats, Longs
+from ullage.grids import AMBIGUOUS, UNKNOWN, Grid, OccupancyMap
+from ullage.kernels.volume_cells import (
+    Box,
+    Silence,
+    SpatialViews,
+    count_silence,
+    draw_discs,
+    draw_tubes,
+    find_crossed,
+    find_hidden,
+)
+from ullage.processing.likelihood.cells import (
+    CLEAR,
+    FLOWN_M,
+    FLOWN_SHARE,
+    FREE,
+    FULL_NATS,
+    FULL_PERCENT,
+    LEAST_FLATNESS,
+    MOST_BEND,
+    OCCUPIED,
+    ROUNDS,
+    SEEN_SHARE,
+    SURE_M,
+)
+from ullage.processing.likelihood.directions import DirectedEchoes
+from ullage.processing.likelihood.folding import folded
+from ullage.processing.likelihood.spec import LikelihoodSpec
+from ullage.processing.likelihood.surfaces import CONSISTENT_M
+from ullage.processing.likelihood.volume_surfaces import (
+    CYLINDER,
+    EDGE,
+    FAINTEST_DB,
+    PROJECTORS,
+    SpatialSurface,
+    transported,
+)
+
+RESOLVED = 0.9  # share of the likelihood that the direction of a surface on the map has
+LEAST_SHARE = 0.05  # of a rival whose cells are ambiguous
+LOUDEST_DB = 3.0  # of a flat surface against a mirror: other echoes at its range may add as much
+MOST_HALF_M, MOST_ZONES, NEAR_FOOT_M = 1.2, 4.0, 1.0  # of what one echo shows; of points that share a level [m]
+STEP_M = 0.1  # of range, in which silence is kept
+LEAST_OCCLUDER_DB = (
+    -22.0
+)  # against a mirror: a metal pole of 5 cm at 3 m, by the root of radius over 2 (range + radius)
+CLOSING_ODDS = 300.0  # log-odds of a surface that closes off free space
+BLOCKED = 10.0  # an echo of open direction ends silence unless it is as much weaker than the least occluder
+LEAST_LOOKS = 5  # keyframes that would have received an occluder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Radar:
+    """What the map needs to know of the sensors."""
+
+    cubes: Floats  # (s, 6, m, m) one-way amplitude gains
+    wavelength_m: float  # of the carrier
+    fold_m: float  # unambiguous range
+    mirror_m: float  # amplitude times range of a perfect mirror before an antenna of 0 dBi; infinite where not known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quiet:
+    """What one keyframe received, for the silence between."""
+
+    position: Floats  # (3) [m]
+    turns: Floats  # (s, 3, 3)
+    rows: Floats  # (s)
+    masked: Floats  # (b) energy below which an echo stays unseen, each `STEP_M`
+    range_m: Floats  # (e) of its echoes
+    energy: Floats  # (e)
+    number: Longs  # (e) of the surface, or -1
+
+
+def quiet_of(echoes: DirectedEchoes, number: Longs) -> Quiet:
+    """What a keyframe did not receive."""
+    step = ((echoes.start_m + echoes.bin_m * np.arange(len(echoes.silent))) / STEP_M).astype(int)
+    masked = np.zeros(step.max() + 1)
+    np.maximum.at(masked, np.maximum(step, 0), echoes.silent)
+    return Quiet(echoes.position, echoes.patterns.turns, echoes.rows, masked, echoes.state[:, 0], echoes.energy, number)
+
+
+def render(
+    grid: Grid, surfaces: list[SpatialSurface], quiets: Sequence[Quiet], flown: Floats, radar: Radar,
+    spec: LikelihoodSpec,
+) -> tuple[OccupancyMap, Bools]:  # fmt: skip
+    """Draw a map.
+
+    Args:
+        grid: a volume.
+        surfaces: those that are sure to exist.
+        quiets: what the keyframes did not receive.
+        flown: (f, 3) places of the track [m].
+        radar: the sensors.
+        spec: parameters.
+
+    Returns:
+        The map, and which surfaces are on it: of one direction, not hidden behind others, and not flown through.
+    """
+    wavelength_m = radar.wavelength_m
+    box = Box(*grid.origin_m, grid.step_m, *grid.shape)
+    percent = np.full(grid.size, UNKNOWN, np.int8)
+    resolved = np.array([one.share >= RESOLVED for one in surfaces], bool)
+    plausible = np.array([_is_plausible(one, radar.mirror_m) for one in surfaces], bool)
+    kept = np.zeros(len(surfaces), bool)
+    occupied, shown, free = np.zeros((3, grid.size), bool)
+    near, fold_m = np.zeros((0, 3)), np.zeros(len(surfaces))
+    if resolved.any():
+        views, owner, fits = _views(
+            [one for one, sure in zip(surfaces, resolved, strict=True) if sure], wavelength_m, spec
+        )
+        far = folded(views.position, views.unit, views.range_m, owner, radar.fold_m)
+        views = _unfolded(views, far[owner], wavelength_m, radar.fold_m)
+        fold_m[resolved] = np.where(far, radar.fold_m, 0.0)
+        possible = plausible[resolved] & ~_flown_through(views, owner, flown)
+        alive, evidence, level = _visible(box, views, owner, possible, spec)
+        kept[np.flatnonzero(resolved)] = np.bincount(owner, alive) > 0
+        shown = evidence >= spec.evidence
+        crossed, tube = np.zeros(grid.size), spec.tube * math.sqrt(wavelength_m / 2)
+        find_crossed(box, views, evidence, level, spec.evidence, alive, tube, crossed)
+        occupied = shown & (crossed < spec.crossed * evidence)
+        free = _tubes(box, views, owner, alive, occupied, tube, spec)
+        sure = np.array([one.log_odds >= CLOSING_ODDS for one in surfaces], bool)[resolved]
+        near = _outline(views, alive & sure[owner] & fits, math.sqrt(wavelength_m / 2))
+    silent = _silent(box, (surfaces, resolved, fold_m), quiets, occupied, radar, spec)
+    silent &= _enclosed(grid, np.concatenate([near, flown]), silent)
+    _ambiguous(
+        box, [one for one, sure in zip(surfaces, resolved, strict=True) if not sure], wavelength_m, spec, percent
+    )
+    beside = binary_dilation(shown.reshape(grid.shape), np.ones((3, 3, 3), bool)).ravel()
+    percent[(free | silent) & ~beside] = FREE
+    percent[_body(grid, flown, spec.vehicle_m)] = FREE
+    percent[occupied] = OCCUPIED
+    return OccupancyMap(grid, percent.reshape(grid.shape), "likelihood"), kept
+
+
+def _body(grid: Grid, flown: Floats, radius_m: float) -> Longs:
+    """Flat index of the cells within a radius about the track."""
+    reach = np.arange(-radius_m, radius_m + 1e-9, min(grid.step_m, radius_m))
+    ball = np.stack([part.ravel() for part in np.meshgrid(reach, reach, reach)], axis=1)
+    ball = ball[(ball**2).sum(axis=1) <= radius_m**2 + 1e-9]
+    cell, inside = grid.index((flown[:, None] + ball).reshape(-1, 3))
+    return np.unique(np.ravel_multi_index(tuple(cell[inside].T), grid.shape))
+
+
+def smoothed(surface: SpatialSurface) -> tuple[Floats, Bools]:
+    """States (k, 5) of a surface at all its sightings, by what is known of it in the end where that fits (k)."""
+    seen = list(surface.sightings.values())
+    place, best = np.array([one.position for one in seen]), surface.leader
+    then = np.array([(one.range_m, *one.direction, one.curvature) for one in seen])
+    projector = np.repeat(PROJECTORS[surface.shapes[best]][None], len(seen), 0)
+    back = transported(np.repeat(surface.states[best][None], len(seen), 0), projector, place - surface.position)
+    fits = np.abs(back[:, 0] - then[:, 0]) < CONSISTENT_M
+    return np.asarray(np.where(fits[:, None], back, then)), fits
+
+
+def _is_plausible(surface: SpatialSurface, mirror_m: float) -> bool:
+    """Whether a surface is as strong as smooth walls are: not above a mirror, and no flat one as weak as an edge."""
+    if not math.isfinite(mirror_m):
+        return True
+    flat = np.array([abs(1 - one.curvature * one.range_m) for one in surface.sightings.values()])
+    level = np.array([one.level for one in surface.sightings.values()]) / np.sqrt(np.maximum(flat, LEAST_FLATNESS))
+    level_db = 20 * math.log10(max(float(np.median(level)), 1e-30) / mirror_m)
+    return bool(level_db < LOUDEST_DB and (np.median(flat) < EDGE or level_db > FAINTEST_DB))
+
+
+def _across(unit: Floats) -> Floats:
+    """Frames (k, 2, 3) across directions (k, 3): upwards as far as possible, and level."""
+    up = np.where(np.abs(unit[:, 2:]) < 0.99, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    up = up - np.sum(up * unit, axis=1, keepdims=True) * unit
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return np.stack([up, np.cross(unit, up)], axis=1)
+
+
+def _views(
+    surfaces: list[SpatialSurface], wavelength_m: float, spec: LikelihoodSpec
+) -> tuple[SpatialViews, Longs, Bools]:
+    """All sightings of all surfaces as rows, the surface of each, and whether it agrees with the others."""
+    states, fits = (np.concatenate(parts) for parts in zip(*(smoothed(one) for one in surfaces), strict=True))
+    state = np.asarray(states)
+    seen = [one for surface in surfaces for one in surface.sightings.values()]
+    owner = np.repeat(np.arange(len(surfaces)), [len(one.sightings) for one in surfaces])
+    round_ = np.array([one.shapes[one.leader] == CYLINDER for one in surfaces])[owner]
+    range_m, place = state[:, 0], np.array([one.position for one in seen])
+    flat = np.ones((len(state), 2))
+    flat[:, 1] -= np.where(round_, state[:, 4] * range_m, 0.0)
+    foot, level = place + range_m[:, None] * state[:, 1:4], np.array([one.level for one in seen])
+    wide = np.concatenate([_steadiness(foot[owner == one], level[owner == one]) for one in range(len(surfaces))])
+    half = spec.support * wide[:, None] * np.sqrt(0.5 * wavelength_m * range_m[:, None] * np.abs(flat))
+    half = np.minimum(half, MOST_HALF_M)
+    bend = np.zeros_like(flat)
+    bend[:, 1] = np.where(np.abs(flat[:, 1]) > 0.2, state[:, 4] * round_ / np.where(flat[:, 1] == 0, 1, flat[:, 1]), 0)
+    return SpatialViews(
+        place, np.ascontiguousarray(state[:, 1:4]), _across(state[:, 1:4]),
+        np.ascontiguousarray(range_m), half, np.clip(bend, -MOST_BEND, MOST_BEND),
+        level, np.minimum(np.array([one.nats for one in seen]) / FULL_NATS, 1.0),
+    ), owner, fits  # fmt: skip
+
+
+def _unfolded(views: SpatialViews, far: Bools, wavelength_m: float, fold_m: float) -> SpatialViews:
+    """Views with the folded ones (k) at their true range."""
+    range_m = views.range_m + np.where(far, fold_m, 0.0)
+    grown = range_m / views.range_m
+    return views._replace(
+        range_m=range_m,
+        half_m=np.minimum(views.half_m * np.sqrt(grown)[:, None], MOST_HALF_M),
+        level=views.level * grown,
+    )
+
+
+def _steadiness(foot: Floats, level: Floats) -> Floats:
+    """Distance (k) to the next edge that the level of an echo allows, in radii of the first Fresnel zone.
+
+    At a distance of v sqrt(wavelength range) / 2 from an edge the level ripples by 0.225 / v [BornWolf1999].
+    """
+    near = np.linalg.norm(foot[:, None] - foot, axis=2) < NEAR_FOOT_M
+    count = near.sum(axis=1)
+    mean = near @ level / count
+    ripple = np.sqrt(np.maximum(near @ level**2 / count - mean**2, 0)) / np.maximum(mean, 1e-30)
+    zones = np.clip(0.225 / np.maximum(ripple, 1e-3), math.sqrt(2), MOST_ZONES)
+    return np.asarray(np.where(count >= 4, zones, math.sqrt(2)) / math.sqrt(2))
+
+
+def _flown_through(views: SpatialViews, owner: Longs, flown: Floats) -> Bools:
+    """Whether the track passes the specular points of each surface, as it passes those of false ones only (s)."""
+    near = cKDTree(flown).query(views.position + views.range_m[:, None] * views.unit)[0] < FLOWN_M
+    return np.asarray(np.bincount(owner, near) / np.bincount(owner) > FLOWN_SHARE)
+
+
+def _visible(
+    box: Box, views: SpatialViews, owner: Longs, possible: Bools, spec: LikelihoodSpec
+) -> tuple[Bools, Floats, Floats]:
+    """Which echoes come straight from a surface, and evidence and level of these in each cell (cells)."""
+    count, alive = np.bincount(owner), possible[owner]
+    evidence, level = np.zeros((2, box.levels * box.rows * box.columns))
+    mark = np.empty(len(evidence), np.int32)
+    for last in (False,) * ROUNDS + (True,):
+        evidence[:], level[:] = 0, 0
+        draw_discs(box, views, alive, 1.0, evidence, level, mark)
+        if last:
+            break
+        alive = possible[owner]
+        find_hidden(box, views, evidence, level, spec.evidence, alive)
+        alive &= (np.bincount(owner, alive) / count > SEEN_SHARE)[owner]
+    return alive, evidence, level
+
+
+def _tubes(
+    box: Box, views: SpatialViews, owner: Longs, alive: Bools, occupied: Bools, tube: float, spec: LikelihoodSpec
+) -> Bools:
+    """Cells before echoes that are about as strong as the strongest of their surface, so that nothing is in between."""
+    flatness = np.abs(1 - views.bend[:, 1] * views.range_m)
+    level = views.level / np.sqrt(np.maximum(flatness, LEAST_FLATNESS))
+    full = np.array([np.percentile(level[owner == one], FULL_PERCENT) for one in range(owner.max() + 1)])
+    clear = alive & (level >= CLEAR * full[owner])
+    free, sure, beyond = np.zeros((3, len(occupied)), bool)
+    draw_tubes(box, views, clear, tube, spec.margin_m, occupied, free)
+    draw_tubes(box, views, clear, tube, SURE_M, occupied, sure)
+    extension, level = np.zeros((2, len(occupied)))
+    wide = views._replace(half_m=np.full_like(views.half_m, spec.extension_m))
+    draw_discs(box, wide, alive, 1.0, extension, level, np.empty(len(occupied), np.int32))
+    beyond = extension > 0
+    return np.asarray(free & (sure | ~beyond))
+
+
+def _outline(views: SpatialViews, alive: Bools, zone: float) -> Floats:
+    """Points (n, 3) about the specular points [m], a first Fresnel zone (`zone` times the root of the range) wide."""
+    foot = views.position + views.range_m[:, None] * views.unit
+    half = np.minimum(views.half_m, zone * np.sqrt(views.range_m)[:, None])
+    aside = half[:, :, None] * views.frame
+    return np.concatenate([foot + sign * aside[:, axis] for axis in (0, 1) for sign in (-1, 1)])[np.tile(alive, 4)]
+
+
+def _enclosed(grid: Grid, points: Floats, wanted: Bools) -> Bools:
+    """Which of the wanted cells lie in the convex hull of points (n, 3): only there do surfaces close off the space."""
+    out = np.zeros(len(wanted), bool)
+    cells = np.flatnonzero(wanted)
+    try:
+        hull = Delaunay(points[np.unique(np.asarray(Delaunay(points).convex_hull).ravel())])
+    except (QhullError, ValueError):
+        return out
+    i, j, k = np.unravel_index(cells, grid.shape)
+    out[cells] = hull.find_simplex(np.stack([grid.x_m[k], grid.y_m[j], grid.z_m[i]], axis=1)) >= 0
+    return out
+
+
+def _silent(
+    box: Box, given: tuple[list[SpatialSurface], Bools, Floats], quiets: Sequence[Quiet], occupied: Bools,
+    radar: Radar, spec: LikelihoodSpec,
+) -> Bools:  # fmt: skip
+    """Cells in which the least occluder would have been received, and was not."""
+    if not quiets:
+        return np.zeros(len(occupied), bool)
+    wavelength_m = radar.wavelength_m
+    known = {one.number: (one, fold) for one, sure, fold in zip(*given, strict=True) if sure}
+    most = max(len(one.range_m) for one in quiets)
+    plane = np.zeros((len(quiets), max(most, 1), 4))
+    masked = np.stack([one.masked for one in quiets])
+    blocked = np.zeros_like(masked)
+    for k, quiet in enumerate(quiets):
+        for q, (range_m, energy, number) in enumerate(zip(quiet.range_m, quiet.energy, quiet.number, strict=True)):
+            if number in known:
+                one, fold_m = known[number]
+                best = one.leader
+                projector = PROJECTORS[one.shapes[best]][None]
+                unit = transported(one.states[best][None], projector, (quiet.position - one.position)[None])[0, 1:4]
+                plane[k, q] = *unit, max(range_m + fold_m - spec.margin_m, 1e-3)
+            else:
+                first = max(int((range_m - spec.margin_m) / STEP_M), 0)
+                blocked[k, first : int(range_m / STEP_M) + 2] = np.maximum(
+                    blocked[k, first : int(range_m / STEP_M) + 2], BLOCKED * energy
+                )
+    turns, rows = np.zeros((len(quiets), len(radar.cubes), 3, 3)), np.zeros((len(quiets), len(radar.cubes)))
+    for k, quiet in enumerate(quiets):  # a sensor may have joined later
+        turns[k, : len(quiet.rows)], rows[k, : len(quiet.rows)] = quiet.turns, quiet.rows
+    silence = Silence(np.stack([one.position for one in quiets]), turns, rows, masked, blocked, STEP_M, plane)
+    looks = np.zeros(len(occupied), np.int32)
+    least_m = wavelength_m / (8 * math.pi) * 10 ** (LEAST_OCCLUDER_DB / 20)
+    count_silence(box, silence, radar.cubes, least_m, occupied, looks)
+    return np.asarray(looks >= LEAST_LOOKS)
+
+
+def _ambiguous(
+    box: Box, surfaces: list[SpatialSurface], wavelength_m: float, spec: LikelihoodSpec, percent: np.ndarray
+) -> None:
+    """Mark the cells of all rivals of surfaces of open direction."""
+    evidence, level = np.zeros((2, len(percent)))
+    mark = np.empty(len(percent), np.int32)
+    for one in surfaces:
+        weight = np.exp(one.evidence - one.evidence.max())
+        for row in np.flatnonzero(weight / weight.sum() >= LEAST_SHARE).tolist():
+            alone = SpatialSurface(
+                one.position, one.states[[row]], one.frames[[row]], one.covariances[[row]], one.evidence[[row]],
+                one.shapes[[row]], one.number, sightings=one.sightings,
+            )  # fmt: skip
+            views, _, _ = _views([alone], wavelength_m, spec)
+            draw_discs(box, views, np.ones(len(views.range_m), bool), 1.0, evidence, level, mark)
+    percent[evidence > 0] = AMBIGUOUS

@@ -1,0 +1,207 @@
+"""The likelihood mapper of volumes: laws first, on echoes whose ranges are known in closed form."""
+
+from dataclasses import replace
+
+import mirror_world as world
+import numpy as np
+import pytest
+
+import ullage as ul
+from ullage.data import Frames, Trajectory
+from ullage.geometry import quat_matrix
+from ullage.processing.likelihood.volume_surfaces import CYLINDER, PLANE, PROJECTORS, transported
+from ullage.processing.occupancy import Mapper
+
+RIG = ul.Rig.preset("thesis-4").sensors
+LOW, HIGH = np.array([-2.0, -1.7, 0.0]), np.array([2.2, 1.9, 2.6])  # of the room
+GRID = ul.Grid.covering([LOW, HIGH], 0.1, dims=3, margin_m=0.5)
+NOISE = 5.4e-6
+
+
+def climbing(count=90, *, climb_m=0.9):
+    """A round of 7 m that rises and sinks."""
+    turn = np.linspace(0, 2 * np.pi, count)
+    place = np.stack([1.1 * np.cos(turn), 0.9 * np.sin(turn), 1.2 + climb_m / 2 * np.sin(1.5 * turn)], axis=1)
+    return Trajectory(np.arange(count) * 120_000_000, place, np.tile([0, 0, 0, 1.0], (count, 1)))
+
+
+def crossing(count=70):
+    """A winding flight across the room, which rises and sinks."""
+    s = np.linspace(-1, 1, count)
+    place = np.stack([1.5 * s, 0.7 * np.sin(2.5 * s), 1.2 + 0.4 * np.cos(3 * s)], axis=1)
+    return Trajectory(np.arange(count) * 120_000_000, place, np.tile([0, 0, 0, 1.0], (count, 1)))
+
+
+def flown(path, *reflectors, seed=0):
+    """Frames of four sensors; a reflector gives range (n), direction (n, 3) and strength from places (n, 3)."""
+    out = {}
+    for number, (name, radar) in enumerate(RIG.items()):
+        true = path.mounted(radar.mount.body_from_sensor())
+        ahead = quat_matrix(true.quat_xyzw)[:, :, 0]
+        rng = np.random.default_rng([seed, number])
+        shape = (len(true), len(radar.range_m))
+        samples = NOISE * (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2)
+        for reflector in reflectors:
+            range_m, direction, strength = reflector(true.position)
+            gain = world.pattern(np.einsum("ij,ij->i", direction, ahead)) ** 2
+            level = strength * gain * radar.wavelength_m / (8 * np.pi * range_m)
+            phase = np.exp(-4j * np.pi / radar.wavelength_m * range_m)
+            pulse = np.exp(-0.5 * ((radar.range_m - range_m[:, None]) / (radar.pulse_sigma_s * ul.C0 / 2)) ** 2)
+            samples += (level * phase)[:, None] * pulse
+        out[name] = Frames(samples.astype(np.complex64), radar.range_m, true.t_ns, radar, true, true, name)
+    return out
+
+
+def plane(unit, distance_m, *, strength=0.5):
+    unit = np.asarray(unit, float) / np.linalg.norm(unit)
+    return lambda at: (distance_m - at @ unit, np.tile(unit, (len(at), 1)), strength)
+
+
+def tank(centre, radius_m):
+    """The nearest place of an upright round wall, from inside."""
+
+    def echo(at):
+        ray = (at - np.asarray(centre)) * [1, 1, 0]
+        far = np.linalg.norm(ray, axis=1)
+        return radius_m - far, ray / far[:, None], 0.5
+
+    return echo
+
+
+def box_room():
+    return [plane(sign * np.eye(3)[k], sign * side[k]) for k in range(3) for sign, side in ((1, HIGH), (-1, LOW))]
+
+
+def mapped(frames):
+    mapper = Mapper(GRID, method="likelihood")
+    mapper.update(frames)
+    mapper.finish()
+    return mapper
+
+
+def centres(mask):
+    i, j, k = np.nonzero(mask)
+    return np.stack([GRID.x_m[k], GRID.y_m[j], GRID.z_m[i]], axis=1)
+
+
+def away_from_room(points):
+    """Distance (n) of points to the nearest face of the room."""
+    return np.abs(np.concatenate([points - LOW, points - HIGH], axis=1)).min(axis=1)
+
+
+@pytest.fixture(scope="module")
+def room():
+    frames = flown(climbing(), *box_room())
+    return frames, mapped(frames).map()
+
+
+def test_all_six_faces_of_a_room_are_found_by_a_climbing_flight(room):
+    occupied = centres(room[1].occupied)
+    assert np.mean(away_from_room(occupied) < 0.15) > 0.98
+    for axis in range(3):
+        for side in (LOW, HIGH):
+            assert (np.abs(occupied[:, axis] - side[axis]) < 0.1).sum() > 50, (axis, side)
+
+
+def test_the_room_is_free_and_nothing_beyond_it(room):
+    free = centres(room[1].free)
+    assert np.all((free > LOW + 0.05) & (free < HIGH - 0.05))
+    inside = (GRID.z_m[:, None, None] > 0.5) & (GRID.z_m[:, None, None] < 2.1)
+    inside = inside & (np.abs(GRID.y_m)[:, None] < 1.0) & (np.abs(GRID.x_m) < 1.2)
+    assert room[1].free[inside].mean() > 0.9
+
+
+def test_a_slanting_ceiling_keeps_its_normal():
+    unit = np.array([0.3, -0.2, 0.93]) / np.linalg.norm([0.3, -0.2, 0.93])
+    mapper = mapped(flown(climbing(), plane(unit, 2.3)))
+    occupied = centres(mapper.map().occupied)
+    assert len(occupied) > 100
+    assert np.mean(np.abs(occupied @ unit - 2.3) < 0.15) > 0.8
+
+
+def test_a_round_wall_keeps_its_axis_and_radius():
+    centre, radius_m = np.array([0.4, -0.3, 0.0]), 2.4
+    grid = ul.Grid.covering([[-3, -3, 0], [3, 3, 2.6]], 0.1, dims=3)
+    mapper = Mapper(grid, method="likelihood")
+    mapper.update(flown(crossing(), tank(centre, radius_m)))
+    mapper.finish()
+    _, j, k = np.nonzero(mapper.map().occupied)
+    away = np.hypot(grid.x_m[k] - centre[0], grid.y_m[j] - centre[1]) - radius_m
+    assert len(away) > 300
+    assert np.mean(np.abs(away) < 0.15) > 0.97
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_level_straight_flight_leaves_up_and_down_ambiguous(sign):
+    path = Trajectory.line((-1.2, 0, 1.2), (1.2, 0, 1.2), 0.5, 8.0)
+    unit = np.array([0.0, 0.77, 0.64 * sign])
+    omap = mapped(flown(path, plane(unit, 1.4 + 1.2 * 0.64 * sign))).map()
+    assert not omap.occupied.any()
+    open_z = centres(omap.ambiguous)[:, 2]
+    assert (open_z > 1.6).sum() > 10
+    assert (open_z < 0.8).sum() > 10
+
+
+def test_states_go_to_other_places_and_back():
+    rng = np.random.default_rng(1)
+    step = rng.normal(size=(40, 3)) * 0.4
+    unit = rng.normal(size=(40, 3))
+    for shape, curvature in ((PLANE, 0.0), (CYLINDER, 0.3)):
+        flat = unit * ([1, 1, 0] if shape == CYLINDER else [1, 1, 1])
+        flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+        state = np.column_stack([np.full(40, 2.0), flat, np.full(40, curvature)])
+        projector = np.tile(PROJECTORS[shape], (40, 1, 1))
+        there = transported(state, projector, step)
+        assert np.allclose(transported(there, projector, -step), state, atol=1e-9)
+
+
+def test_the_range_of_a_cylinder_is_that_to_its_axis_less_its_radius():
+    """A pillar of 0.4 m radius with its axis at (2, 1): curvature 1 / (range + radius)."""
+    at = np.random.default_rng(2).normal(size=(30, 3)) * 0.3
+    far = np.hypot(2.0, 1.0)
+    state = np.tile([far - 0.4, 2 / far, 1 / far, 0.0, 1 / far], (30, 1))
+    got = transported(state, np.tile(PROJECTORS[CYLINDER], (30, 1, 1)), at)
+    assert np.allclose(got[:, 0], np.hypot(2 - at[:, 0], 1 - at[:, 1]) - 0.4, atol=1e-9)
+
+
+def test_pieces_of_any_size_give_the_volume_of_the_whole(room):
+    frames = {name: part[:40] for name, part in room[0].items()}
+    whole = mapped(frames).map()
+    assert whole.occupied.any()
+    for size in (1, 7):
+        mapper = Mapper(GRID, method="likelihood")
+        for start in range(0, len(frames["front"]), size):
+            pieces = {name: part[start : start + size] for name, part in frames.items()}
+            for piece in [pieces] if size > 1 else pieces.values():
+                mapper.update(piece)
+        mapper.finish()
+        assert np.array_equal(mapper.map().percent, whole.percent)
+    mapper.changed()
+    assert not mapper.changed(), "nothing new"
+
+
+def test_standing_still_adds_nothing_to_a_volume(room):
+    frames, whole = room
+    count = len(frames["front"])
+    again = np.repeat(np.arange(count), np.where(np.arange(count) == count // 2, 60, 1))
+    longer = {}
+    for name, part in frames.items():
+        t_ns, true = np.arange(len(again)) * 120_000_000, part.believed
+        path = Trajectory(t_ns, true.position[again], true.quat_xyzw[again])
+        longer[name] = Frames(part.samples[again], part.range_m, t_ns, part.spec, path, path, name)
+    assert np.array_equal(mapped(longer).map().percent, whole.percent)
+
+
+def test_wrong_frames_are_refused_in_one_line():
+    frames = flown(climbing(12), plane([0, 1, 0], 2.0))
+    amplitudes = {name: replace(part, samples=part.amplitude) for name, part in frames.items()}
+    with pytest.raises(ul.InputError, match=r"front: .*needs samples with phase"):
+        mapped(amplitudes)
+    with pytest.raises(ul.InputError, match="does not hold the flight"):
+        ul.map_occupancy(frames, ul.Grid.covering([[5, 5, 0], [6, 6, 1]], 0.1, dims=3), method="likelihood")
+
+
+def test_before_any_frame_a_volume_is_unknown():
+    omap = Mapper(GRID, method="likelihood").map()
+    assert not omap.occupied.any()
+    assert not omap.free.any()
