@@ -53,6 +53,8 @@ RESOLVED = 0.9  # share of the likelihood that the direction of a surface on the
 LEAST_SHARE = 0.05  # of a rival whose cells are ambiguous
 LOUDEST_DB = 3.0  # of a flat surface against a mirror: other echoes at its range may add as much
 MOST_HALF_M, MOST_ZONES, NEAR_FOOT_M = 1.2, 4.0, 1.0  # of what one echo shows; of points that share a level [m]
+NARROW = 0.5  # width of a tube over that of a plane, where the level of each echo narrows it
+CELL_MARGIN_M = 0.1  # more than in a plane, which asks for whole cells: pulse width and half a cell
 STEP_M = 0.1  # of range, in which silence is kept
 LEAST_OCCLUDER_DB = (
     -22.0
@@ -129,7 +131,7 @@ def render(
         alive, evidence, level = _visible(box, views, owner, possible, spec)
         kept[np.flatnonzero(resolved)] = np.bincount(owner, alive) > 0
         shown = evidence >= spec.evidence
-        crossed, tube = np.zeros(grid.size), spec.tube * math.sqrt(wavelength_m / 2)
+        crossed, tube = np.zeros(grid.size), NARROW * spec.tube * math.sqrt(wavelength_m / 2)
         find_crossed(box, views, evidence, level, spec.evidence, alive, tube, crossed)
         occupied = shown & (crossed < spec.crossed * evidence)
         free = _tubes(box, views, owner, alive, occupied, tube, spec)
@@ -267,7 +269,7 @@ def _tubes(
     full = np.array([np.percentile(level[owner == one], FULL_PERCENT) for one in range(owner.max() + 1)])
     clear = alive & (level >= CLEAR * full[owner])
     free, sure, beyond = np.zeros((3, len(occupied)), bool)
-    draw_tubes(box, views, clear, tube, spec.margin_m, occupied, free)
+    draw_tubes(box, views, clear, tube, spec.margin_m + CELL_MARGIN_M, occupied, free)
     draw_tubes(box, views, clear, tube, SURE_M, occupied, sure)
     extension, level = np.zeros((2, len(occupied)))
     wide = views._replace(half_m=np.full_like(views.half_m, spec.extension_m))
@@ -317,9 +319,9 @@ def _silent(
                 best = one.leader
                 projector = PROJECTORS[one.shapes[best]][None]
                 unit = transported(one.states[best][None], projector, (quiet.position - one.position)[None])[0, 1:4]
-                plane[k, q] = *unit, max(range_m + fold_m - spec.margin_m, 1e-3)
+                plane[k, q] = *unit, max(range_m + fold_m - spec.margin_m - CELL_MARGIN_M, 1e-3)
             else:
-                first = max(int((range_m - spec.margin_m) / STEP_M), 0)
+                first = max(int((range_m - spec.margin_m - CELL_MARGIN_M) / STEP_M), 0)
                 blocked[k, first : int(range_m / STEP_M) + 2] = np.maximum(
                     blocked[k, first : int(range_m / STEP_M) + 2], BLOCKED * energy
                 )
