@@ -86,13 +86,13 @@ def test_a_world_needs_the_kernels_of_what_is_in_it() -> None:
     assert radar_parts("physical", 2, ul.Scene.union([room, ul.scenes.wire(0.001, 0.5, 2.0)])) == (
         "physical", "bounces", "shapes", "paths")  # fmt: skip
     assert "paths" in radar_parts("physical", 3, ul.scenes.hold())
-    assert "pairs" in radar_parts("physical", 3, ul.load_scene(WORLDS["cluttered-room"].path))
+    assert "fermat" in radar_parts("physical", 3, ul.load_scene(WORLDS["cluttered-room"].path))
     assert "chains" not in radar_parts("physical", 3, ul.load_scene(WORLDS["cluttered-room"].path))
     ball = ul.scenes.sphere(0.3, 1.0)
     deep = ul.Scene.union([replace(tank, vertices=tank.vertices - [0, 0, 0.5]), ball])
     assert "chains" in radar_parts("physical", 2, deep)
-    assert "pairs" not in radar_parts("physical", 1, ul.load_scene(WORLDS["cluttered-room"].path))
-    everything = {"physical", "rough", "bounces", "shapes", "conductors", "paths", "curved", "pairs", "chains"}
+    assert "fermat" not in radar_parts("physical", 1, ul.load_scene(WORLDS["cluttered-room"].path))
+    everything = {"physical", "rough", "bounces", "shapes", "conductors", "paths", "curved", "fermat", "chains"}
     assert set(radar_parts("physical")) == everything
 
 

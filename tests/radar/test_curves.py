@@ -106,9 +106,9 @@ def test_a_meshed_plate_on_a_floor_is_the_plate(cells, yaw_deg, tilt_deg, height
 def test_a_ball_over_a_floor_is_the_ball_and_its_image(monkeypatch, step_m, within_db):
     """With the floor away and the antennas where the floor has their images: across the plane of incidence a
     conductor turns the sign at each bounce. Small triangles, and facets large enough to be done by their rims:
-    the lone ball is not taken for a smooth one. `test_mirrored_pairs` covers waves from the ball over the floor back
+    the lone ball is not taken for a smooth one. `test_fermat_faces` covers waves from the ball over the floor back
     to it."""
-    monkeypatch.setattr(physical, "accumulate_mirrored_pairs", lambda *_: [])
+    monkeypatch.setattr(physical, "accumulate_fermat", lambda *_: [])
     radius = 0.1 if step_m < 0.1 else 0.8
     alone = ball(radius, centre=(3.0, 0, 0.0), step_m=step_m)
     monkeypatch.setattr(sphere_echoes, "visible_parts", lambda *_: [])

@@ -23,7 +23,6 @@ from ullage.kernels import pulse as pulses
 from ullage.kernels import wires as string
 from ullage.kernels.facets import EchoSums, Transmission, TrianglePieces
 from ullage.kernels.near import LEAST_M
-from ullage.radar.body_pairs import accumulate_body_pairs
 from ullage.radar.context import (
     KAPPA,
     REACH,
@@ -41,7 +40,7 @@ from ullage.radar.cylinder_correction import accumulate_cylinder_corrections
 from ullage.radar.echo_set import EchoSet, centroids, echo_set
 from ullage.radar.edge_diffraction import accumulate_edges
 from ullage.radar.facets import PlanarPatches, Surfaces, joined
-from ullage.radar.mirrored_pairs import accumulate_mirrored_pairs
+from ullage.radar.fermat import accumulate_fermat
 from ullage.radar.multipath import accumulate_bounces, apparent_sizes
 from ullage.radar.patch_echoes import accumulate_curved
 from ullage.radar.paths import paths_of
@@ -196,10 +195,7 @@ def _accumulate_curved_bounces(
     out += accumulate_inside(context, parts, antennas, most, grids)
     if len(quadrics) > 1:
         out += accumulate_wall_bodies(context, parts, quadrics, planar, antennas, most, sizes, grids)
-        out += accumulate_body_pairs(context, parts, quadrics, antennas, grids)
-    return out + (
-        accumulate_mirrored_pairs(context, parts, quadrics, planar, antennas, sizes, grids) if most > 2 else []
-    )
+    return out + accumulate_fermat(context, parts, quadrics, planar, antennas, most, sizes, grids)
 
 
 def _accumulate_wires(

@@ -18,10 +18,11 @@ from scipy.special import fresnel
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
 from ullage.kernels import chains as kernel
-from ullage.radar.body_pairs import BODIES, FAINT
+from ullage.kernels.fermat import LINE, Reflectors
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
+from ullage.radar.fermat import SELECTIONS, bodies_of, fermat_paths, joined, points_of
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
 from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
@@ -32,7 +33,6 @@ Turn = tuple[Plane, int] | None
 WALL_FIRST = (True, False)
 TO_AND_FRO = (False, True, False)
 """Order of the surfaces of a path: True for the wall, False for the body."""
-_STEPS = 12  # most steps of Newton's method
 _TURN = 0.8  # largest phase difference between neighbouring places [rad]
 _CLOSE = 0.3  # spacing of lines along the wall for a point 1 m in front of it [m]; less for a nearer one
 _FEWEST, _MOST = 64, 720  # number of lines
@@ -80,7 +80,7 @@ def accumulate_wall_bodies(
     """
     out: list[EchoSet] = []
     one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
-    least = FAINT * float(abs(grids).max())
+    least = SELECTIONS[2].faint * float(abs(grids).max())
     for wall in around(context, quadrics, antennas):
         planes = planes_of(planar, wall, sizes) if most > 2 else []
         for body, weight in _within(context, quadrics, wall, antennas):
@@ -106,7 +106,7 @@ def _within(
     narrow = np.sqrt(context.spec.wavelength_m * context.gate[1] / 2)
     bodies = [b for b in quadrics if b is not wall and b.widest < narrow and wall.holds(b) and _outside(b, antennas)]
     gaps = np.array([np.linalg.norm(antennas.origins - body.centre, axis=1).max() for body in bodies])
-    which, weights = choose_largest(np.array([body.radius for body in bodies]) / gaps, BODIES)
+    which, weights = choose_largest(np.array([body.radius for body in bodies]) / gaps, SELECTIONS[2].bodies)
     for k in which:
         yield bodies[k], float(weights[k])
 
@@ -126,27 +126,28 @@ def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ..
         _CLOSE * max(float(gaps.min()), 0.1) ** 0.75
     )  # a cubic between lines is then right to a fraction of a wavelength
     count = int(np.clip(2 * np.pi * wall.radius / close, _FEWEST, _MOST))
-    out, feet = _feet(wall, count)
+    out, lines = _lines(wall, count)
     kinds, at = np.array(walls), walls.index(True)
-    corners, normals = np.empty((many + 2, count, 3)), np.empty((many, count, 3))
-    length, spread, slope, bends = *np.empty((3, count)), np.empty((many, count))
-    rows, least = np.empty((16, 3)), np.empty(2)
-    kernel.over_lines(
-        ends, kernel.WallLines(kinds, feet, wall.axes[2]),
-        kernel.RoundBody(body.centre, body.axes, body.radius, body.is_sphere), _STEPS,
-        kernel.LinePaths(corners, normals, length, spread, bends), kernel.LineScratch(rows, np.empty((5, 9))),
-    )  # fmt: skip
-    kernel.beside(corners, at, out, wall.axes[2], spread, slope, least, rows)
-    normals[at] = -out
-    return Lines(kinds, corners, normals, length, slope, spread, bends, float(1 / (1 / least).sum()))
+    surfaces = joined([points_of(ends), bodies_of((body,)).surfaces, lines])
+    rows = np.empty((count, many + 2), np.int64)
+    rows[:, 0], rows[:, -1], rows[:, 1:-1] = 0, 1, np.where(kinds, 3 + np.arange(count)[:, None], 2)
+    found, least = fermat_paths(surfaces, rows, follow=True), np.empty(2)
+    slope = np.empty(count)
+    kernel.beside(found.corners, at, out, wall.axes[2], found.spreads, slope, least, np.empty((3, 3)))
+    found.normals[at] = -out
+    return Lines(kinds, found.corners, found.normals, found.lengths, slope, found.spreads, found.bends,
+                 float(1 / (1 / least).sum()))  # fmt: skip
 
 
 @lru_cache(maxsize=32)
-def _feet(wall: Quadric, count: int) -> tuple[Floats, Floats]:
-    """Return unit vectors (n, 3) from the axis of a wall, and points of lines along it, level with the centre."""
+def _lines(wall: Quadric, count: int) -> tuple[Floats, Reflectors]:
+    """Return unit vectors (n, 3) from the axis of a wall, and the lines along the wall there, level with its centre."""
     angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
     out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
-    return out, wall.centre + wall.radius * out
+    axes = np.tile(wall.axes, (count, 1, 1))
+    lines = Reflectors(np.full(count, LINE), wall.centre + wall.radius * out, axes, np.zeros(count),
+                       np.zeros((count, 2)))  # fmt: skip
+    return out, lines
 
 
 def _over(

@@ -40,7 +40,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "shapes": ("facets", "wires"),
     "paths": ("paths", "lit"),
     "curved": ("impulses",),
-    "pairs": ("pairs", "mirrored_pairs"),
+    "fermat": ("fermat",),
     "chains": ("chains",),
     "conductors": ("lines", "edge_diffraction", "double_edge_diffraction", "corner_diffraction"),
 }
@@ -64,7 +64,7 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         return (fidelity,)
     many = max_bounces > 1
     there = {"rough": True, "bounces": many, "shapes": True, "conductors": True, "paths": many, "curved": True,
-             "pairs": many, "chains": many}  # fmt: skip
+             "fermat": many, "chains": many}  # fmt: skip
     if scene is not None:
         from ullage.radar.prepared import prepare
 
@@ -74,8 +74,8 @@ def radar_parts(fidelity: str, max_bounces: int = 3, scene: Scene | None = None)
         there["shapes"] = bool(len(made.still.corners) or made.moving.any() or len(scene.wires))
         led = planar.smooth.any() or len(made.still.corners) or made.moving.any() or len(scene.wires)
         there["paths"] &= bool(led and (~planar.smooth).any())
-        there["pairs"] = many and len(made.quadrics) > 1
-        there["curved"] = there["pairs"] or any(len(wall.strips) for wall in made.quadrics)
+        there["fermat"] = many and len(made.quadrics) > (0 if max_bounces > 2 else 1)
+        there["curved"] = there["fermat"] or any(len(wall.strips) for wall in made.quadrics)
         there["chains"] = many and any(wall.holds(body) for wall in made.quadrics for body in made.quadrics)
         there["conductors"] = bool(len(made.edges.edges) or made.moving.any())
     return (fidelity, *(part for part, needed in there.items() if needed))
@@ -421,7 +421,7 @@ JOBS: tuple[Job, ...] = (
     Job("paths of bounces", "bounces", 2.4, _paths),
     Job("paths over faces", "paths", 6.5, _paths_over_faces),
     Job("echoes of curved surfaces", "curved", 0.9, warmup_curved.echoes),
-    Job("paths over round bodies", "pairs", 3.8, warmup_curved.pairs),
+    Job("paths over round bodies", "fermat", 3.8, warmup_curved.fermat),
     Job("paths over a tank's wall", "chains", 3.2, warmup_curved.chains),
     Job("frames", "physical", 0.2, _walls, ("outlines of faces", "echoes of faces")),
     Job("rough faces", "rough", 0.7, partial(_walls, roughness_m=1e-3), ("outlines of faces", "echoes of faces")),

@@ -7,8 +7,9 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import gain_via, radar
-from ullage.radar.body_pairs import Bodies, paths_over
+from ullage.radar.fermat import bodies_of, fermat_paths, joined, points_of
 from ullage.radar.prepared import prepare
+from ullage.radar.quadrics import Quadric
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -19,15 +20,21 @@ def body(centre, radius, *, ball, axis=(0, 0, 1.0)):
     up = np.array(axis) / np.linalg.norm(axis)
     side = np.cross(up, [0.3, 0.5, 0.7])
     side /= np.linalg.norm(side)
-    return Bodies(np.array([centre], float), np.array([[side, np.cross(up, side), up]]), np.array([radius]),
-                  np.array([[-9.0, 9.0]]), np.array([ball]), np.zeros(1), np.zeros(1, np.int32))  # fmt: skip
+    return Quadric(np.array(centre, float), np.array([side, np.cross(up, side), up]), radius, -9.0, 9.0, 0.0, 0.05, 0,
+                   is_sphere=ball)  # fmt: skip
+
+
+def paths_over(start, stop, *bodies):
+    """The path from one point over bodies to another."""
+    surfaces = joined([points_of(np.array([start, stop], float)), bodies_of(bodies).surfaces])
+    return fermat_paths(surfaces, np.array([[0, *range(2, 2 + len(bodies)), 1]]))
 
 
 def onto(one, point):
     """A point (3) brought to the surface of a body, drums going on for ever."""
-    away = point - one.centres[0]
-    along = 0.0 if one.is_sphere[0] else away @ one.axes[0, 2] * one.axes[0, 2]
-    return one.centres[0] + along + one.radii[0] * (away - along) / np.linalg.norm(away - along)
+    away = point - one.centre
+    along = 0.0 if one.is_sphere else away @ one.axes[2] * one.axes[2]
+    return one.centre + along + one.radius * (away - along) / np.linalg.norm(away - along)
 
 
 def named(scene, centre, name):
@@ -67,8 +74,8 @@ def test_the_spread_is_that_of_the_paths_second_derivatives(balls):
     sizes = np.linalg.norm(legs, axis=1)
     slopes = [-legs[k] @ found.normals[k, 0] / sizes[k] for k in (0, 1)]
     assert np.max(np.abs(slope)) < 1e-6
-    assert found.spread[0] == pytest.approx(np.prod(slopes) / np.prod(sizes) / np.sqrt(np.linalg.det(bend)), rel=1e-3)
-    assert paths_over(stop, start, last, first).spread[0] == pytest.approx(found.spread[0], rel=1e-7)
+    assert found.spreads[0] == pytest.approx(np.prod(slopes) / np.prod(sizes) / np.sqrt(np.linalg.det(bend)), rel=1e-3)
+    assert paths_over(stop, start, last, first).spreads[0] == pytest.approx(found.spreads[0], rel=1e-7)
 
 
 def test_a_ball_over_a_huge_ball_is_a_ball_over_a_floor():
@@ -76,7 +83,7 @@ def test_a_ball_over_a_huge_ball_is_a_ball_over_a_floor():
     floor, small = body((0, 0, -1e5 - 1.0), 1e5, ball=True), body((2, 0, -0.4), 0.3, ball=True)
     found = paths_over(np.zeros(3), np.array([0, 0.5, 0.2]), floor, small)
     image = paths_over(np.array([0, 0, -2.0]), np.array([0, 0.5, 0.2]), body((0, 0, -1e5 - 1.0), 1e5, ball=True), small)
-    assert image.spread[0] == 0  # from beneath there is no way over the floor
+    assert image.spreads[0] == 0  # from beneath there is no way over the floor
     wide = body((0, 0, -1e3 - 1.0), 1e3, ball=True)
     near = paths_over(np.zeros(3), np.array([0, 0.5, 0.2]), wide, small)
     normal, spot = found.normals[1, 0], found.corners[2, 0]
@@ -86,9 +93,9 @@ def test_a_ball_over_a_huge_ball_is_a_ball_over_a_floor():
     flat = (1 / legs[0] + 1 / legs[1]) * (np.eye(3) - np.outer(u, u)) + 2 * cosine / 0.3 * np.eye(3)
     frame = np.linalg.svd(normal[None])[2][1:]
     want = cosine / legs[0] / legs[1] / np.sqrt(np.linalg.det(frame @ flat @ frame.T))
-    assert found.length[0] == pytest.approx(sum(legs), abs=1e-4)
-    assert found.spread[0] == pytest.approx(want, rel=1e-3)
-    assert near.spread[0] == pytest.approx(want, rel=0.02)
+    assert found.lengths[0] == pytest.approx(sum(legs), abs=1e-4)
+    assert found.spreads[0] == pytest.approx(want, rel=1e-3)
+    assert near.spreads[0] == pytest.approx(want, rel=0.02)
 
 
 @pytest.mark.parametrize(("one", "other"), [(((2, 0.5), 0.3), ((2.4, -0.6), 0.3)),
@@ -112,8 +119,8 @@ def test_two_drums_are_their_dense_double_integral(one, other):
     each = slope * lit / np.sqrt(sent[:, None] * size * back * path) * np.exp(-1j * WAVE * path)
     want = 1j * WAVE / (2 * np.pi) * each.sum() * dh * dt
     found = paths_over(np.zeros(3), np.zeros(3), *(body((*c, 0), r, ball=False) for c, r in (one, other)))
-    assert level(found.spread[0] / want) == pytest.approx(0, abs=1.0)
-    assert abs(np.angle(found.spread[0] * np.exp(-1j * WAVE * found.length[0]) / want)) < 0.2
+    assert level(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
+    assert abs(np.angle(found.spreads[0] * np.exp(-1j * WAVE * found.lengths[0]) / want)) < 0.2
 
 
 def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
@@ -121,7 +128,7 @@ def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():
     pose, spec, tall = ul.Trajectory.stationary(), radar(), two("drum", "drum")
     whole, cut = (abs(gain_via(s, pose, spec, "b", ("a",))) for s in (tall, shifted(tall, -0.5)))
     first, last = (body((*c, 0), 0.3, ball=False) for c in ((2, 0.5), (2.4, -0.6)))
-    free = 2 * spec.wavelength_m / (4 * np.pi) * paths_over(np.zeros(3), np.zeros(3), first, last).spread[0]
+    free = 2 * spec.wavelength_m / (4 * np.pi) * paths_over(np.zeros(3), np.zeros(3), first, last).spreads[0]
     assert level(whole / free) == pytest.approx(0, abs=1.5)
     assert cut / free == pytest.approx(0.25, abs=0.05)
 
