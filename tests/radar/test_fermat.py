@@ -1,4 +1,4 @@
-"""From one ball or drum to another: second derivatives, dense integrals, images, reciprocity, shadow."""
+"""Over balls, drums and planes in any order: second derivatives, dense integrals, images, reciprocity, shadow."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import gain_via, radar
+from ullage.kernels.fermat import PLANE, Reflectors
 from ullage.radar.fermat import bodies_of, fermat_paths, joined, points_of
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import Quadric
@@ -24,14 +25,26 @@ def body(centre, radius, *, ball, axis=(0, 0, 1.0)):
                    is_sphere=ball)  # fmt: skip
 
 
-def paths_over(start, stop, *bodies):
-    """The path from one point over bodies to another."""
-    surfaces = joined([points_of(np.array([start, stop], float)), bodies_of(bodies).surfaces])
-    return fermat_paths(surfaces, np.array([[0, *range(2, 2 + len(bodies)), 1]]))
+WALL_Y = -1.2
+
+
+def wall():
+    """A plane at y = -1.2 as a reflector."""
+    axes = np.array([[[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]])
+    return Reflectors(np.array([PLANE]), np.array([[0.3, WALL_Y, 0.5]]), axes, np.zeros(1), np.full((1, 2), 9.0))
+
+
+def paths_over(start, stop, *things):
+    """The path from one point over bodies, or the wall where there is None, to another."""
+    surfaces = [wall() if thing is None else bodies_of((thing,)).surfaces for thing in things]
+    surfaces = joined([points_of(np.array([start, stop], float)), *surfaces])
+    return fermat_paths(surfaces, np.array([[0, *range(2, 2 + len(things)), 1]]))
 
 
 def onto(one, point):
-    """A point (3) brought to the surface of a body, drums going on for ever."""
+    """A point (3) brought to the surface of a body, drums going on for ever, or to the wall."""
+    if one is None:
+        return np.array([point[0], WALL_Y, point[2]])
     away = point - one.centre
     along = 0.0 if one.is_sphere else away @ one.axes[2] * one.axes[2]
     return one.centre + along + one.radius * (away - along) / np.linalg.norm(away - along)
@@ -52,30 +65,69 @@ def level(ratio):
     return float(20 * np.log10(abs(ratio)))
 
 
-@pytest.mark.parametrize("balls", [(True, True), (True, False), (False, False)])
-def test_the_spread_is_that_of_the_paths_second_derivatives(balls):
-    """By differences of the path's length over points of both surfaces, drums leaning; the same from the other end."""
-    start, stop = np.array([0, 0, 0.1]), np.array([0, 0.2, -0.1])
-    first = body((2, 0.5, 0), 0.3, ball=balls[0], axis=(0, 0.1, 1))
-    last = body((2.4, -0.6, 0.2), 0.2, ball=balls[1], axis=(0.2, 0, 1))
-    found = paths_over(start, stop, first, last)
+START, STOP = np.array([0, 0, 0.1]), np.array([0, 0.2, -0.1])
+LEAN, TURN = (0, 0.1, 1), (0.2, 0, 1)
+ORDERS = {
+    "ball, ball": (body((2, 0.5, 0), 0.3, ball=True), body((2.4, -0.6, 0.2), 0.2, ball=True)),
+    "ball, drum": (body((2, 0.5, 0), 0.3, ball=True), body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN)),
+    "drum, drum": (body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN)),
+    "wall, ball": (None, body((2, 0.5, 0), 0.3, ball=True)),
+    "wall, drum, ball": (None, body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), body((2.4, -0.6, 0.2), 0.2, ball=True)),
+    "drum, wall, drum": (body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), None,
+                         body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN)),
+    "ball, drum, wall": (body((2, 0.5, 0), 0.3, ball=True), body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN), None),
+    "three bodies": (body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), body((2.4, -0.6, 0.2), 0.2, ball=True),
+                     body((1.2, 0.9, -0.2), 0.15, ball=False, axis=TURN)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("things", ORDERS.values(), ids=ORDERS)
+def test_the_spread_is_that_of_the_paths_second_derivatives(things):
+    """By differences of the path's length over points of all surfaces, drums leaning; the same from the other end."""
+    found, many = paths_over(START, STOP, *things), len(things)
     frames = [np.linalg.svd(normal)[2][1:] for normal in found.normals]
 
     def length(step):
-        ends = [onto(b, found.corners[1 + k, 0] + step[2 * k : 2 * k + 2] @ frames[k])
-                for k, b in enumerate((first, last))]  # fmt: skip
-        return sum(np.linalg.norm(b - a) for a, b in zip((start, *ends), (*ends, stop), strict=True))
+        ends = [onto(b, found.corners[1 + k, 0] + step[2 * k : 2 * k + 2] @ frames[k]) for k, b in enumerate(things)]
+        return sum(np.linalg.norm(b - a) for a, b in zip((START, *ends), (*ends, STOP), strict=True))
 
-    tiny, axes = 1e-4, np.eye(4)
+    tiny, axes = 1e-4, np.eye(2 * many)
     slope = [(length(tiny * a) - length(-tiny * a)) / (2 * tiny) for a in axes]
     bend = [[(length(tiny * (a + b)) - length(tiny * (a - b)) - length(tiny * (b - a)) + length(-tiny * (a + b)))
              / (4 * tiny**2) for a in axes] for b in axes]  # fmt: skip
     legs = np.diff(found.corners, axis=0)[:, 0]
     sizes = np.linalg.norm(legs, axis=1)
-    slopes = [-legs[k] @ found.normals[k, 0] / sizes[k] for k in (0, 1)]
+    slopes = [-legs[k] @ found.normals[k, 0] / sizes[k] for k in range(many)]
     assert np.max(np.abs(slope)) < 1e-6
+    assert found.lengths[0] == pytest.approx(length(np.zeros(2 * many)), rel=1e-12)
     assert found.spreads[0] == pytest.approx(np.prod(slopes) / np.prod(sizes) / np.sqrt(np.linalg.det(bend)), rel=1e-3)
-    assert paths_over(stop, start, last, first).spreads[0] == pytest.approx(found.spreads[0], rel=1e-7)
+    assert paths_over(STOP, START, *things[::-1]).spreads[0] == pytest.approx(found.spreads[0], rel=1e-7)
+    for k, thing in enumerate(things):
+        if thing is not None and not thing.is_sphere:  # the second derivative along a drum, all else at its best
+            turned = np.stack([np.cross(thing.axes[2], found.normals[k, 0]), thing.axes[2]]) @ frames[k].T
+            rows = np.eye(2 * many)
+            rows[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = turned
+            assert found.bends[k, 0] == pytest.approx(
+                1 / np.linalg.inv(rows @ bend @ rows.T)[2 * k + 1, 2 * k + 1], rel=1e-3
+            )
+
+
+@pytest.mark.parametrize("at", [0, 1, 2])
+def test_a_plane_is_the_world_mirrored_in_it(at):
+    """What follows the plane is where its image is: the same path over two bodies, without a plane."""
+    things = [body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN)]
+    over = paths_over(START, STOP, *things[:at], None, *things[at:])
+    flip = np.diag([1.0, -1, 1])
+
+    def image(point):
+        return flip @ np.array(point) + [0, 2 * WALL_Y, 0]
+
+    mirrored_ = [replace(one, centre=image(one.centre), axes=one.axes @ flip) for one in things[at:]]
+    free = paths_over(START, image(STOP), *things[:at], *mirrored_)
+    assert free.spreads[0] > 0
+    assert over.lengths[0] == pytest.approx(free.lengths[0], rel=1e-9)
+    assert over.spreads[0] == pytest.approx(free.spreads[0], rel=1e-6)
+    assert np.delete(over.bends[:, 0], at) == pytest.approx(free.bends[:, 0], rel=1e-6)
 
 
 def test_a_ball_over_a_huge_ball_is_a_ball_over_a_floor():
@@ -121,6 +173,42 @@ def test_two_drums_are_their_dense_double_integral(one, other):
     found = paths_over(np.zeros(3), np.zeros(3), *(body((*c, 0), r, ball=False) for c, r in (one, other)))
     assert level(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
     assert abs(np.angle(found.spreads[0] * np.exp(-1j * WAVE * found.lengths[0]) / want)) < 0.2
+
+
+@pytest.mark.parametrize("drums", [(((2, 0.5), 0.3), ((1.0, -0.8), 0.3), ((2, 0.5), 0.3)),
+                                   (((2, 0.5), 0.3), ((1.1, -0.7), 0.2), ((2.3, -0.5), 0.15))])  # fmt: skip
+def test_three_drums_or_one_twice_are_their_dense_triple_integral(drums):
+    """As with two: iterated physical optics, for each point of the second drum; the mean of both walls."""
+    rings = []
+    for centre, radius in drums:
+        angle = np.arange(count := int(12 * WAVE * radius)) / count * 2 * np.pi
+        normal = np.stack([np.cos(angle), np.sin(angle)], 1)
+        rings.append((np.array(centre) + radius * normal, normal, 2 * np.pi * radius / count))
+    (here, n, dh), (spots, m, dm), (there, o, dt) = rings
+    sent, back = (np.linalg.norm(p, axis=1) for p in (here, there))
+    up, down = -(here * n).sum(1) / sent, -(there * o).sum(1) / back
+    want = 0j
+    for spot, normal in zip(spots, m, strict=True):
+        way, on = spot - here, there - spot
+        leg, last = np.linalg.norm(way, axis=1), np.linalg.norm(on, axis=1)
+        slopes = [up, (way * n).sum(1) / leg, -way @ normal / leg, on @ normal / last, -(on * o).sum(1) / last, down]
+        a, b = (np.flatnonzero(np.all([one > 0 for one in half], 0)) for half in (slopes[:3], slopes[3:]))
+        in_, out = [slopes[k][a][:, None] for k in range(3)], [slopes[k][b][None] for k in (3, 4, 5)]
+        slope = (in_[0] * in_[2] * out[1] + in_[1] * out[0] * out[2]) / 2
+        path = (sent + leg)[a][:, None] + (last + back)[b][None]
+        legs = (sent * leg)[a][:, None] * (last * back)[b][None]
+        want += (slope / np.sqrt(legs * path) * np.exp(-1j * WAVE * path)).sum()
+    want *= (1j * WAVE / (2 * np.pi)) ** 1.5 * dh * dm * dt
+    found = paths_over(np.zeros(3), np.zeros(3), *(body((*c, 0), r, ball=False) for c, r in drums))
+    assert level(found.spreads[0] / want) == pytest.approx(0, abs=1.0)
+    assert abs(np.angle(found.spreads[0] * np.exp(-1j * WAVE * found.lengths[0]) / want)) < 0.2
+
+
+def test_with_three_bounces_bodies_send_waves_to_and_fro():
+    told = {c.path: c.path_gain_db for c in ul.explain(two("drum", "drum"), ul.Trajectory.stationary(), radar(), 0,
+                                                       max_bounces=3, count=None)}  # fmt: skip
+    assert {("a", "b"), ("a", "b", "a"), ("b", "a", "b")} <= set(told)
+    assert told["a", "b", "a"] < told["a", "b"]
 
 
 def test_of_drums_their_ends_leave_what_a_fresnel_zone_has():

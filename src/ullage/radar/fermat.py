@@ -163,7 +163,7 @@ def _sequences(bounces: int, faces: int, bodies: int, one: bool) -> tuple[Longs,
     (`one`), a sequence and its reverse are listed once.
     """
     flat, things = set(range(2, 2 + faces)), range(2, 2 + faces + bodies)
-    found = [row for row in product(things, repeat=bounces) if sum(k in flat for k in row) == bounces - 2
+    found = [row for row in product(things, repeat=bounces) if sum(k in flat for k in row) <= bounces - 2
              and all(a != b for a, b in pairwise(row)) and not (one and row > row[::-1])]  # fmt: skip
     counts = [2.0 if one and row != row[::-1] else 1.0 for row in found]
     return np.array([(0, *row, 1) for row in found], np.int64).reshape(-1, bounces + 2), np.array(counts)
