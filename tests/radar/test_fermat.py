@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import gain_via, radar
-from ullage.kernels.fermat import PLANE, Reflectors
+from ullage.kernels.fermat import PLANE, Chains, Limits, Reflectors, may_be_strong
 from ullage.radar.fermat import bodies_of, fermat_paths, joined, points_of
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import Quadric
@@ -34,11 +34,16 @@ def wall():
     return Reflectors(np.array([PLANE]), np.array([[0.3, WALL_Y, 0.5]]), axes, np.zeros(1), np.full((1, 2), 9.0))
 
 
-def paths_over(start, stop, *things):
-    """The path from one point over bodies, or the wall where there is None, to another."""
+def sequence(start, stop, *things):
+    """Both points and bodies, or the wall where there is None, as reflectors; and their order."""
     surfaces = [wall() if thing is None else bodies_of((thing,)).surfaces for thing in things]
     surfaces = joined([points_of(np.array([start, stop], float)), *surfaces])
-    return fermat_paths(surfaces, np.array([[0, *range(2, 2 + len(things)), 1]]))
+    return surfaces, np.array([[0, *range(2, 2 + len(things)), 1]])
+
+
+def paths_over(start, stop, *things):
+    """The path from one point over bodies and walls to another."""
+    return fermat_paths(*sequence(start, stop, *things))
 
 
 def onto(one, point):
@@ -71,6 +76,10 @@ ORDERS = {
     "ball, ball": (body((2, 0.5, 0), 0.3, ball=True), body((2.4, -0.6, 0.2), 0.2, ball=True)),
     "ball, drum": (body((2, 0.5, 0), 0.3, ball=True), body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN)),
     "drum, drum": (body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), body((2.4, -0.6, 0.2), 0.2, ball=False, axis=TURN)),
+    "far along drums": (body((2, 0.5, 0), 0.3, ball=False, axis=LEAN),
+                        body((2.4, -0.6 + 3.6, 4.8), 0.2, ball=False, axis=(0, 0.6, 0.8))),
+    "far along drums, over the wall": (body((2, 0.5, 0), 0.3, ball=False, axis=(0, 0.2, 1)), None,
+                                       body((2.4, -0.6 + 1.2, 6.2), 0.2, ball=False, axis=(0, 0.2, 1))),
     "wall, ball": (None, body((2, 0.5, 0), 0.3, ball=True)),
     "wall, drum, ball": (None, body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), body((2.4, -0.6, 0.2), 0.2, ball=True)),
     "drum, wall, drum": (body((2, 0.5, 0), 0.3, ball=False, axis=LEAN), None,
@@ -110,6 +119,31 @@ def test_the_spread_is_that_of_the_paths_second_derivatives(things):
             assert found.bends[k, 0] == pytest.approx(
                 1 / np.linalg.inv(rows @ bend @ rows.T)[2 * k + 1, 2 * k + 1], rel=1e-3
             )
+
+
+@pytest.mark.parametrize("things", [(body((2, 0, 0), 0.3, ball=True),), (body((2, 0.1, 0), 0.3, ball=False),), (None,)])
+def test_what_stands_between_both_points_mirrors_nothing(things):
+    assert paths_over((0, -1.0, 0), (4, -0.9, 0.1), *things).spreads[0] > 0
+    assert paths_over((1.9, -2.0, 0), (2, 2.0, 0.1), *things).spreads[0] == 0
+
+
+def kept(things, gate, least, start=START, stop=STOP):
+    surfaces, rows = sequence(start, stop, *things)
+    return may_be_strong(surfaces, Chains(rows, np.ones(1)), Limits(gate, least), np.empty(1, np.int64))
+
+
+@pytest.mark.parametrize("things", ORDERS.values(), ids=ORDERS)
+def test_no_path_is_left_out_that_is_short_and_strong_enough(things):
+    """Estimates before the search are bounds; tight ones but where two drums of 18 m lean and may meet."""
+    places = np.random.default_rng(1).uniform((-1, -1, -1), (1, 0.2, 1), (50, 2, 3))
+    found = [paths_over(*ends, *things) for ends in places]
+    there = [(ends, one.lengths[0], one.spreads[0]) for ends, one in zip(places, found, strict=True) if one.spreads[0]]
+    assert len(there) > 10
+    assert all(kept(things, 1.001 * length, 0.999 * spread, *ends) for ends, length, spread in there)
+    if sum(one is not None and not one.is_sphere for one in things) > 1 and len(things) - things.count(None) == 2:
+        return
+    assert not any(kept(things, 0.7 * length, 0.0, *ends) for ends, length, _ in there)
+    assert not any(kept(things, np.inf, 15 * spread, *ends) for ends, _, spread in there)
 
 
 @pytest.mark.parametrize("at", [0, 1, 2])

@@ -45,21 +45,11 @@ class FermatPaths(NamedTuple):
     bends: Floats  # (s, n) second derivative of the length along each axis, stationary over the rest [1/m]
 
 
-class StrongPaths(NamedTuple):
-    """Those of the paths that may be strong enough."""
-
-    some: Longs  # (n) number of each
-    values: Floats  # (n) spread, times how often the chain counts and what planes leave of the wave [1/m]
-    alongs: Floats  # (s, n) from the centre of each reflector to the point of reflection, along the axis [m]
-
-
 class Limits(NamedTuple):
     """Bounds on paths."""
 
     gate: float  # greatest length [m]
     least: float  # smaller spreads are left out [1/m]
-    wavelength: float  # [m]
-    pull: float  # least distance of reflection points from the ends of cylinders [m]
 
 
 class Scratch(NamedTuple):
@@ -169,7 +159,7 @@ def _begin(surfaces, chain, i, known, corners, normal):  # type: ignore[no-untyp
                 along += (0.5 * (corners[0, i, k] + corners[last, i, k]) - centres[here, k]) * axis[k]
         for k in range(3):
             corners[s, i, k] = corners[s, i - 1, k] if known else centres[here, k] + along * axis[k]
-    _settle(surfaces, chain, corners, i, normal, known)
+    _settle(surfaces, chain, corners, i, normal)
     for s in range(1, last):
         if kinds[chain[s]] > LINE and not known:
             here, there, back = corners[s, i], normal, corners[s - 1, i]
@@ -179,7 +169,7 @@ def _begin(surfaces, chain, i, known, corners, normal):  # type: ignore[no-untyp
             for k in range(3):
                 here[k] += there[k]
             _onto(surfaces, chain[s], here, normal)
-    _settle(surfaces, chain, corners, i, normal, True)
+    _settle(surfaces, chain, corners, i, normal)
 
 
 @core(nogil=True, error_model="numpy")
@@ -199,12 +189,21 @@ def _onto(surfaces, r, point, normal):  # type: ignore[no-untyped-def]
         onto(centres[r], axes[r, 2], surfaces.radii[r], kinds[r] == SPHERE, point, normal)
 
 
+@lean(by_fields=True, nogil=True, error_model="numpy")
+def settle(surfaces: Reflectors, rows, corners, normal):  # type: ignore[no-untyped-def]
+    """Bring the corners (s + 2, n, 3) of paths over rows (n, s + 2) to their reflectors; `normal` (3) is scratch.
+
+    On a plane a corner comes to where both neighbours see each other in it.
+    """
+    for i in range(len(rows)):
+        _settle(surfaces, rows[i], corners, i, normal)
+
+
 @core(nogil=True, error_model="numpy")
-def _settle(surfaces, chain, corners, i, normal, round_too):  # type: ignore[no-untyped-def]
-    """Bring the corners of a path to their reflectors; on a plane to where both neighbours see each other in it."""
+def _settle(surfaces, chain, corners, i, normal):  # type: ignore[no-untyped-def]
     kinds, centres, axes = surfaces.kinds, surfaces.centres, surfaces.axes
     for s in range(1, len(chain) - 1):
-        if round_too and kinds[chain[s]] != PLANE:
+        if kinds[chain[s]] != PLANE:
             _onto(surfaces, chain[s], corners[s, i], normal)
     for s in range(1, len(chain) - 1):
         if kinds[chain[s]] == PLANE:
@@ -323,7 +322,7 @@ def _move(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyped-def]
                 corners[s, i, k] -= share * table[row, 6] * frames[s - 1, a, k]
             total += table[row, 6] ** 2
             row += 1
-    _settle(surfaces, chain, corners, i, frames[3, 2], True)
+    _settle(surfaces, chain, corners, i, frames[3, 2])
     return math.sqrt(total)
 
 
@@ -351,80 +350,3 @@ def _record(surfaces, chain, size, i, out, scratch):  # type: ignore[no-untyped-
     good = facing > 1e-3 and steep < 1e-5 and area > 0
     spreads[i] = over / (under * math.sqrt(area)) if good else 0.0
     return good
-
-
-@lean(by_fields=True, nogil=True, error_model="numpy")
-def keep_strong(surfaces: Reflectors, chains: Chains, paths: FermatPaths, limits: Limits, out: StrongPaths, scratch):  # type: ignore[no-untyped-def]
-    """Keep the paths that may be strong enough, in their order; move corners past the ends of cylinders onto these.
-
-    Args:
-        surfaces: `Reflectors`.
-        chains: `Chains`.
-        paths: `FermatPaths`, overwritten.
-        limits: `Limits`.
-        out: `StrongPaths` gets the results.
-        scratch: (3).
-
-    Returns:
-        How many there are.
-    """
-    rows, counts = chains
-    corners, normals, lengths, spreads, bends = paths
-    count = 0
-    for i in range(len(rows)):
-        value = spreads[i] * counts[i]
-        if value <= limits.least or lengths[i] >= limits.gate:
-            continue
-        most = _clamp(surfaces, rows[i], paths, i, limits, out.alongs, count)
-        if value * most <= limits.least:
-            continue
-        _settle(surfaces, rows[i], corners, i, scratch, False)
-        value *= _passed(surfaces, rows[i], corners, i, limits.wavelength)
-        if value * most <= limits.least:
-            continue
-        out.some[count], out.values[count], lengths[count] = i, value, lengths[i]
-        for s in range(len(corners)):
-            for k in range(3):
-                corners[s, count, k] = corners[s, i, k]
-        for s in range(len(normals)):
-            bends[s, count] = bends[s, i]
-            for k in range(3):
-                normals[s, count, k] = normals[s, i, k]
-        count += 1
-    return count
-
-
-@core(nogil=True, error_model="numpy")
-def _clamp(surfaces, chain, paths, i, limits, alongs, at):  # type: ignore[no-untyped-def]
-    """Move corners past the ends of cylinders onto these, and write where on the axes they were.
-
-    Returns:
-        A bound of what the ends leave of the wave: past an end it is the tail of a Fresnel integral.
-    """
-    kinds, centres, axes, _, ends = surfaces
-    most = 1.0
-    for s in range(1, len(chain) - 1):
-        here, point = chain[s], paths.corners[s, i]
-        along = dot(point, axes[here, 2]) - dot(centres[here], axes[here, 2])
-        alongs[s - 1, at] = along
-        if kinds[here] == CYLINDER:
-            inner = min(max(along, ends[here, 0] + limits.pull), ends[here, 1] - limits.pull)
-            for k in range(3):
-                point[k] += (inner - along) * axes[here, 2, k]
-            past_end = max(ends[here, 0] - along, along - ends[here, 1])
-            past_end *= math.sqrt(max(2 * paths.bends[s - 1, i] / limits.wavelength, 0.0))
-            most *= min(1.2, math.sqrt(2) / (math.pi * past_end)) if past_end > 0 else 1.2
-    return most
-
-
-@core(nogil=True, error_model="numpy")
-def _passed(surfaces, chain, corners, i, wavelength):  # type: ignore[no-untyped-def]
-    """Compute the share of a wave that planes reflect if they do not cover its Fresnel zones."""
-    share = 1.0
-    for s in range(1, len(chain) - 1):
-        if surfaces.kinds[chain[s]] == PLANE:
-            there, back = _apart(corners[s, i], corners[s - 1, i]), _apart(corners[s, i], corners[s + 1, i])
-            zone = math.sqrt(wavelength * there * back / (there + back))
-            for side in range(2):
-                share *= min(surfaces.extents[chain[s], side] / zone, 1.0)
-    return share

@@ -185,35 +185,70 @@ def _echoes_of(
     """Add the echoes over chains (n) that are strong enough."""
     least, wavelength = faint * float(abs(grids).max()), context.spec.wavelength_m
     full = wavelength / (4 * np.pi) * antennas.factor
-    limits = kernel.Limits(2 * context.gate[1], least / (abs(full) * float(context.table.max()) ** 2), wavelength,
-                           PULL_M)  # fmt: skip
+    limits = kernel.Limits(2 * context.gate[1], least / (abs(full) * float(context.table.max()) ** 2))
     some = np.empty(len(chains.rows), np.int64)
     some = some[: kernel.may_be_strong(met.surfaces, chains, limits, some)]
-    if not len(some):
+    rows, counts = chains.rows[some], chains.counts[some]
+    paths = fermat_paths(met.surfaces, rows)
+    value = counts * paths.spreads * (paths.lengths < limits.gate)
+    some = np.flatnonzero(value > limits.least)
+    corners, rows = paths.corners[:, some], rows[some]
+    left = value[some] * end_factors(met.surfaces, rows, corners, paths.bends[:, some], wavelength)
+    within_ends(met.surfaces, rows, corners)
+    left *= _covered(met.surfaces, rows, corners, wavelength)
+    strong = np.flatnonzero(abs(left) > limits.least)  # most are not, and need no rays
+    if not len(strong):
         return []
-    chains = kernel.Chains(chains.rows[some], chains.counts[some])
-    paths, shape = fermat_paths(met.surfaces, chains.rows), (chains.rows.shape[1] - 2, len(some))
-    strong = kernel.StrongPaths(np.empty(len(some), np.int64), np.empty(len(some)), np.empty(shape))
-    left = kernel.keep_strong(met.surfaces, chains, paths, limits, strong, np.empty(3))
-    if not left:
-        return []
-    rows = chains.rows[strong.some[:left], 1:-1].T
-    path = ReflectedPaths(paths.corners[:, :left], paths.normals[:, :left], met.depths[rows], met.object_ids[rows],
-                          np.ones(left, np.bool_))  # fmt: skip
-    value = full * strong.values[:left] * reflection_gains(context, antennas, path)
-    value *= end_factors(met.surfaces, rows, strong.alongs[:, :left], paths.bends[:, :left], wavelength)
-    value = value * (abs(value) > least) * free(parts, path)
-    return [_as_echo_set(context, path, met.surfaces.kinds[rows] == kernel.PLANE, paths.lengths[:left], value, grids)]
+    on = rows[strong, 1:-1].T
+    path = ReflectedPaths(corners[:, strong], paths.normals[:, some[strong]], met.depths[on], met.object_ids[on],
+                          np.ones(len(strong), np.bool_))  # fmt: skip
+    value = full * left[strong] * reflection_gains(context, antennas, path)
+    value *= (abs(value) > least) * free(parts, path)
+    flat = met.surfaces.kinds[on] == kernel.PLANE
+    return [_as_echo_set(context, path, flat, paths.lengths[some[strong]], value, grids)]
 
 
 def end_factors(
-    surfaces: kernel.Reflectors, rows: Longs, alongs: Floats, bends: Floats, wavelength: float
+    surfaces: kernel.Reflectors, rows: Longs, corners: Floats, bends: Floats, wavelength: float
 ) -> Complexes:
-    """Compute the factors (n) of the ends of drums among reflectors (s, n), for waves at places along the axes [m]."""
-    drums = surfaces.kinds[rows] == kernel.CYLINDER
-    root = np.sqrt(np.where(drums, 2 * bends, 0.0) / wavelength)
-    sine, cosine = fresnel((surfaces.extents[rows] - alongs[..., None]) * root[..., None])
-    return np.asarray(np.where(drums, np.diff(cosine - 1j * sine, axis=2)[..., 0] / (1 - 1j), 1.0).prod(0))
+    """Compute what the ends of drums and walls leave of waves (n), by Fresnel integrals along the axes.
+
+    Args:
+        surfaces: the reflectors; those without ends have infinite ones.
+        rows: (n, s + 2) reflectors of the paths.
+        corners: (s + 2, n, 3) of the paths, also past the ends [m].
+        bends: (s, n) second derivatives of the lengths along the axes [1/m].
+        wavelength: [m].
+    """
+    on = rows[:, 1:-1].T
+    along = ((corners[1:-1] - surfaces.centres[on]) * surfaces.axes[on, 2]).sum(2)
+    ended = _ended(surfaces.kinds[on])
+    root = np.sqrt(np.where(ended, np.maximum(2 * bends, 0.0), 0.0) / wavelength)
+    sine, cosine = fresnel((surfaces.extents[on] - along[..., None]) * root[..., None])
+    return np.asarray(np.where(ended, np.diff(cosine - 1j * sine, axis=2)[..., 0] / (1 - 1j), 1.0).prod(0))
+
+
+def within_ends(surfaces: kernel.Reflectors, rows: Longs, corners: Floats) -> None:
+    """Move corners (s + 2, n, 3) past the ends of drums and walls onto these; those on planes follow."""
+    on = rows[:, 1:-1].T
+    axes, ends = surfaces.axes[on, 2], surfaces.extents[on]
+    along = ((corners[1:-1] - surfaces.centres[on]) * axes).sum(2)
+    inner = np.clip(along, ends[..., 0] + PULL_M, ends[..., 1] - PULL_M)
+    corners[1:-1] += np.where(_ended(surfaces.kinds[on]), inner - along, 0.0)[..., None] * axes
+    kernel.settle(surfaces, rows, corners, np.empty(3))
+
+
+def _ended(kinds: Longs) -> Bools:
+    """Tell which reflectors end along an axis."""
+    return np.asarray((kinds == kernel.LINE) | (kinds == kernel.CYLINDER))
+
+
+def _covered(surfaces: kernel.Reflectors, rows: Longs, corners: Floats, wavelength: float) -> Floats:
+    """Compute the shares of waves (n) that planes reflect if they do not cover the Fresnel zones."""
+    on, legs = rows[:, 1:-1].T, np.linalg.norm(np.diff(corners, axis=0), axis=2)
+    zones = np.sqrt(wavelength / (1 / legs[:-1] + 1 / legs[1:]))
+    shares = np.minimum(surfaces.extents[on] / zones[..., None], 1.0).prod(2)
+    return np.asarray(np.where(surfaces.kinds[on] == kernel.PLANE, shares, 1.0).prod(0))
 
 
 def _as_echo_set(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import fresnel
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
 from ullage.geometry import C0
@@ -22,7 +21,7 @@ from ullage.kernels.fermat import LINE, Reflectors
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.fermat import SELECTIONS, bodies_of, fermat_paths, joined, points_of
+from ullage.radar.fermat import SELECTIONS, bodies_of, end_factors, fermat_paths, joined, points_of
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
 from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
@@ -60,6 +59,8 @@ class Lines:
     spread: Floats  # (n) spreading factor without the integral across the lines [m^-1.5]
     bends: Floats  # (s, n) second derivative along the axis of each surface, minimised over the rest [1/m]
     near: float  # harmonic sum of the shortest legs before and after the wall [m]
+    surfaces: Reflectors  # both ends of the paths, the body, and the lines
+    rows: Longs  # (n, s + 2) of these for each path
 
 
 def accumulate_wall_bodies(
@@ -136,7 +137,7 @@ def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ..
     kernel.beside(found.corners, at, out, wall.axes[2], found.spreads, slope, least, np.empty((3, 3)))
     found.normals[at] = -out
     return Lines(kinds, found.corners, found.normals, found.lengths, slope, found.spreads, found.bends,
-                 float(1 / (1 / least).sum()))  # fmt: skip
+                 float(1 / (1 / least).sum()), surfaces, rows)  # fmt: skip
 
 
 @lru_cache(maxsize=32)
@@ -146,7 +147,7 @@ def _lines(wall: Quadric, count: int) -> tuple[Floats, Reflectors]:
     out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
     axes = np.tile(wall.axes, (count, 1, 1))
     lines = Reflectors(np.full(count, LINE), wall.centre + wall.radius * out, axes, np.zeros(count),
-                       np.zeros((count, 2)))  # fmt: skip
+                       np.tile([wall.low, wall.high], (count, 1)))  # fmt: skip
     return out, lines
 
 
@@ -184,7 +185,9 @@ def _over(
     path = _reflected_paths(lines, wall, body, antennas.origins, turn, wanted_lines)
     seen = np.zeros(len(value), complex)
     seen[wanted_lines] = value[wanted_lines] * free(parts, path) * reflection_gains(context, antennas, path)
-    seen[wanted_lines] *= _end_factors(lines, wall, body, wanted_lines, turn, context.spec.wavelength_m)
+    seen[wanted_lines] *= end_factors(_ending(lines, wall, turn), lines.rows[wanted_lines],
+                                      lines.corners[:, wanted_lines], lines.bends[:, wanted_lines],
+                                      context.spec.wavelength_m)  # fmt: skip
     return _add_echoes(context, lines, wall, path, wanted_lines, (first, share, weights), seen, grids)
 
 
@@ -248,29 +251,14 @@ def _unfolded(
     return np.stack([begin, *stops]), np.stack(faces), np.stack(which), there
 
 
-def _end_factors(
-    lines: Lines, wall: Quadric, body: Quadric, wanted_lines: Longs, turn: Turn, wavelength: float
-) -> Complexes:
-    """Compute the factors (n) of the ends of wall and drum, by Fresnel integrals along their axes.
-
-    An end of the wall on a plane that the path meets next to the wall does not count: the wall continues as its image.
-    """
-    total = np.ones(len(wanted_lines), complex)
-    for s, on_wall in enumerate(lines.walls):
-        thing = wall if on_wall else body
-        if thing.is_sphere:
-            continue
-        along = (lines.corners[1 + s, wanted_lines] - thing.centre) @ thing.axes[2]
-        root, ends = np.sqrt(np.maximum(2 * lines.bends[s, wanted_lines], 0.0) / wavelength), []
-        for sign, end in ((-1, thing.low), (1, thing.high)):
-            next_to_wall = on_wall and turn is not None and s == (0, len(lines.walls) - 1)[turn[1]]
-            if next_to_wall and turn is not None and abs(end - turn[0].level) < SAME_M:
-                ends.append(np.full(len(along), sign * (0.5 - 0.5j)))
-            else:
-                sine, cosine = fresnel((end - along) * root)
-                ends.append(cosine - 1j * sine)
-        total *= (ends[1] - ends[0]) / (1 - 1j)
-    return total
+def _ending(lines: Lines, wall: Quadric, turn: Turn) -> Reflectors:
+    """Return the reflectors of lines; past an end on a plane that the path meets next to it, the wall continues."""
+    extents = lines.surfaces.extents.copy()
+    if turn is not None and lines.walls[-turn[1]]:
+        for k, end in enumerate((wall.low, wall.high)):
+            if abs(end - turn[0].level) < SAME_M:
+                extents[3:, k] = np.copysign(np.inf, k - 0.5)
+    return lines.surfaces._replace(extents=extents)
 
 
 def _add_echoes(

@@ -29,12 +29,8 @@ def fermat() -> None:
     ball = Quadric(np.zeros(3), np.eye(3), 0.3, -0.3, 0.3, 0.0, 0.1, 0, is_sphere=True)
     surfaces = joined([points_of(np.ones((2, 3))), bodies_of((ball,)).surfaces])
     chains = kernel.Chains(np.array([[0, 2, 1]]), np.ones(1))
-    limits, some = kernel.Limits(1.0, 1.0, 1.0, 1.0), np.empty(1, np.int64)
-    kernel.may_be_strong(surfaces, chains, limits, some)
-    paths = fermat_paths(surfaces, chains.rows)
-    kernel.keep_strong(
-        surfaces, chains, paths, limits, kernel.StrongPaths(some, np.empty(1), np.empty((1, 1))), np.empty(3)
-    )
+    kernel.may_be_strong(surfaces, chains, kernel.Limits(1.0, 1.0), np.empty(1, np.int64))
+    kernel.settle(surfaces, chains.rows, fermat_paths(surfaces, chains.rows).corners, np.empty(3))
 
 
 def chains() -> None:
