@@ -93,8 +93,9 @@ def test_sending_and_receiving_may_be_exchanged(kinds):
 
 def test_where_the_face_ends_there_is_no_mirror_and_what_stands_between_hides():
     whole = heard(world(("drum", "drum"), side_wall()), at(0, 0, 0), radar())
-    assert {key[3] for key in whole} == {2}
-    assert heard(world(("drum", "drum"), side_wall(3.0, -4.0)), at(0, 0, 0), radar()) == {}
+    assert {key[3] for key in whole if 2 in key[:2]} == {2}
+    ended = heard(world(("drum", "drum"), side_wall(3.0, -4.0)), at(0, 0, 0), radar())
+    assert all(2 not in key[:2] for key in ended)
     fence = Scene.of_mesh(np.array([[-1, -0.9, -2], [4, -0.9, -2], [4, -0.9, 2], [-1, -0.9, 2.0]]),
                           np.array([[0, 1, 2], [0, 2, 3]]), name="fence", made_of="pec")  # fmt: skip
     behind = heard(world(("drum", "drum"), side_wall(), fence), at(0, 0, 0), radar())

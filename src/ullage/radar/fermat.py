@@ -202,10 +202,10 @@ def _echoes_of(
     on = rows[strong, 1:-1].T
     path = ReflectedPaths(corners[:, strong], paths.normals[:, some[strong]], met.depths[on], met.object_ids[on],
                           np.ones(len(strong), np.bool_))  # fmt: skip
-    value = full * left[strong] * reflection_gains(context, antennas, path)
-    value *= (abs(value) > least) * free(parts, path)
+    echo = full * left[strong] * reflection_gains(context, antennas, path)
+    echo *= (abs(echo) > least) * free(parts, path)
     flat = met.surfaces.kinds[on] == kernel.PLANE
-    return [_as_echo_set(context, path, flat, paths.lengths[some[strong]], value, grids)]
+    return [_as_echo_set(context, path, flat, paths.lengths[some[strong]], echo, grids)]
 
 
 def end_factors(
