@@ -7,7 +7,7 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import gain_via, radar
-from ullage.kernels.fermat import PLANE, Chains, Limits, Reflectors, may_be_strong
+from ullage.kernels.fermat import CYLINDER, PLANE, SPHERE, Chains, Limits, Reflectors, may_be_strong
 from ullage.radar.fermat import bodies_of, fermat_paths, joined, points_of
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import Quadric
@@ -125,6 +125,29 @@ def test_the_spread_is_that_of_the_paths_second_derivatives(things):
 def test_what_stands_between_both_points_mirrors_nothing(things):
     assert paths_over((0, -1.0, 0), (4, -0.9, 0.1), *things).spreads[0] > 0
     assert paths_over((1.9, -2.0, 0), (2, 2.0, 0.1), *things).spreads[0] == 0
+
+
+def test_from_either_end_the_same_paths_are_found():
+    """Wherever a ball, an upright drum and both points lie: the search begins elsewhere from the other end."""
+    rng, many = np.random.default_rng(2), 4000
+    places, radii = (
+        rng.uniform(-3, 3, (4, many, 3)),
+        np.concatenate([np.zeros((2, many)), rng.uniform(0.1, 1, (2, many))]),
+    )
+    flat = places * [1, 1, 0]  # start, stop, ball, drum
+    apart = [np.linalg.norm(one[a] - one[b], axis=1) - radii[a] - radii[b] > 0.05
+             for one, a, b in ((places, 0, 2), (places, 1, 2), (flat, 0, 3), (flat, 1, 3), (flat, 2, 3))]  # fmt: skip
+    kinds, axes = np.repeat([SPHERE, SPHERE, SPHERE, CYLINDER], many), np.tile(np.eye(3), (4 * many, 1, 1))
+    surfaces = Reflectors(kinds, places.reshape(-1, 3), axes, radii.ravel(), np.zeros((4 * many, 2)))
+    number = np.arange(many) + many * np.arange(4)[:, None]
+    for order in ([0, 2, 3, 1], [0, 2, 3, 2, 1]):
+        rows = number[order].T[np.all(apart, 0)]
+        forth, back = fermat_paths(surfaces, rows), fermat_paths(surfaces, rows[:, ::-1].copy())
+        assert (forth.spreads > 0).sum() > 1000
+        assert ((forth.spreads > 0) != (back.spreads > 0)).sum() <= 2
+        there = (forth.spreads > 0) & (back.spreads > 0)
+        assert forth.lengths[there] == pytest.approx(back.lengths[there], abs=1e-7)
+        assert forth.spreads[there] == pytest.approx(back.spreads[there], rel=1e-3)
 
 
 def kept(things, gate, least, start=START, stop=STOP):

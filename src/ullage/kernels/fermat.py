@@ -16,6 +16,7 @@ from ullage.kernels.loops import core, lean
 from ullage.kernels.vectors import dot, field_across, onto, unit_to
 
 PLANE, LINE, CYLINDER, SPHERE = 0, 1, 2, 3
+_HALVES = 5  # most trials of a step
 
 
 class Reflectors(NamedTuple):
@@ -58,6 +59,7 @@ class Scratch(NamedTuple):
     frames: Floats  # (4, 3, 3) directions in which each corner may move, and the normal
     legs: Floats  # (4, 4) direction of each leg and its length [m]
     table: Floats  # (6, 10) second derivatives, first ones, and what is solved for the bends
+    before: Floats  # (3, 3) corners before a step [m]
 
 
 @lean(by_fields=True, nogil=True, error_model="numpy")
@@ -245,7 +247,7 @@ def _derivatives(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyp
 
     Columns 7 to 9 are made unit vectors along the axes of the reflectors.
     """
-    frames, legs, table = scratch
+    frames, legs, table, _ = scratch
     kinds, many, turn, first, before = surfaces.kinds, len(chain) - 2, frames[3, 2], 0, 0
     for leg in range(many + 1):
         legs[leg, 3] = unit_to(corners[leg, i], corners[leg + 1, i], legs[leg])
@@ -266,7 +268,7 @@ def _derivatives(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyp
                         leg, 3
                     ]
                 if a == b and (kinds[chain[1 + s]] == SPHERE or (kinds[chain[1 + s]] == CYLINDER and a == 0)):
-                    total -= dot(turn, frames[s, 2]) / surfaces.radii[chain[1 + s]]
+                    total += abs(dot(turn, frames[s, 2])) / surfaces.radii[chain[1 + s]]
                 table[first + a, first + b] = total
             for b in range(first - before if s else 0):
                 other = frames[s - 1, b]
@@ -306,30 +308,41 @@ def eliminate(table, size, columns):  # type: ignore[no-untyped-def]
 
 @core(nogil=True, error_model="numpy")
 def _move(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyped-def]
-    """Move the corners of a path by a step of Newton's method; return the length of the step [m]."""
-    frames, _, table = scratch
-    total, share, row = 0.0, 1.0, 0
-    for s in range(1, len(chain) - 1):  # along lines and cylinders steps of any length do
-        kind = surfaces.kinds[chain[s]]
+    """Move the corners of a path by a step of Newton's method, halved until the path grows no longer; return it [m]."""
+    frames, legs, table, before = scratch
+    many, kinds, total, share, row = len(chain) - 2, surfaces.kinds, 0.0, 1.0, 0
+    for s in range(many):  # along lines and cylinders steps of any length do
+        kind = kinds[chain[1 + s]]
         if kind > LINE:
             wide = math.hypot(table[row, 6], table[row + 1, 6] if kind == SPHERE else 0.0)
-            share = min(share, 0.7 * surfaces.radii[chain[s]] / max(wide, 1e-12))
+            share = min(share, 0.7 * surfaces.radii[chain[1 + s]] / max(wide, 1e-12))
+        for k in range(3):
+            before[s, k] = corners[1 + s, i, k]
+        for a in range(1 if kind == LINE else 2):
+            total += table[row + a, 6] ** 2
         row += 1 if kind == LINE else 2
-    row = 0
-    for s in range(1, len(chain) - 1):
-        for a in range(1 if surfaces.kinds[chain[s]] == LINE else 2):
+    for _ in range(_HALVES):
+        row = 0
+        for s in range(many):
             for k in range(3):
-                corners[s, i, k] -= share * table[row, 6] * frames[s - 1, a, k]
-            total += table[row, 6] ** 2
-            row += 1
-    _settle(surfaces, chain, corners, i, frames[3, 2])
+                corners[1 + s, i, k] = before[s, k] - share * table[row, 6] * frames[s, 0, k]
+                if kinds[chain[1 + s]] != LINE:
+                    corners[1 + s, i, k] -= share * table[row + 1, 6] * frames[s, 1, k]
+            row += 1 if kinds[chain[1 + s]] == LINE else 2
+        _settle(surfaces, chain, corners, i, frames[3, 2])
+        longer = 1e-12
+        for leg in range(many + 1):
+            longer += legs[leg, 3] - _apart(corners[leg, i], corners[leg + 1, i])
+        if longer > 0:
+            break
+        share *= 0.5
     return math.sqrt(total)
 
 
 @core(nogil=True, error_model="numpy")
 def _record(surfaces, chain, size, i, out, scratch):  # type: ignore[no-untyped-def]
     """Write a path with its second derivatives to the results; return whether it is one."""
-    frames, legs, table = scratch
+    frames, legs, table, _ = scratch
     _, normals, lengths, spreads, bends = out
     many, kinds, steep, row = len(chain) - 2, surfaces.kinds, 0.0, 0
     lengths[i], facing, over, under = legs[0, 3], 1.0, 1.0, legs[0, 3]

@@ -40,7 +40,7 @@ class Selection:
 
 SELECTIONS = {2: Selection(8, 0, 5e-4), 3: Selection(4, FACES, 2e-3)}
 """Selection for each number of bounces: two bodies, with three bounces a face before them, between them or after."""
-_STEPS = 12  # most steps of Newton's method
+_STEPS = 20  # most steps of Newton's method
 _ENDS = np.array([0, 1])  # rows of reflectors for both antennas
 
 
@@ -107,7 +107,7 @@ def fermat_paths(surfaces: kernel.Reflectors, rows: Longs, *, follow: bool = Fal
     many, count = rows.shape[1] - 2, len(rows)
     out = kernel.FermatPaths(np.empty((many + 2, count, 3)), np.empty((many, count, 3)), np.empty(count),
                              np.empty(count), np.empty((many, count)))  # fmt: skip
-    scratch = kernel.Scratch(np.empty((4, 3, 3)), np.empty((4, 4)), np.empty((6, 10)))
+    scratch = kernel.Scratch(np.empty((4, 3, 3)), np.empty((4, 4)), np.empty((6, 10)), np.empty((3, 3)))
     kernel.stationary(surfaces, rows, follow, _STEPS, out, scratch)
     return out
 
