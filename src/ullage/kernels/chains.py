@@ -27,14 +27,18 @@ def beside(corners, at, out, up, spreads, slopes, least, rows):  # type: ignore[
         out: (n, 3) its outward unit normals; up: (3) along the lines.
         spreads: (n) multiplied by the mean cosine of both legs there; 0 where one of them comes from behind.
         slopes: (n) get how fast the paths grow along the wall.
-        least: (2) gets the shortest leg before it and after it [m].
+        least: (2) gets the shortest leg before it and after it, of the paths that there are [m].
         rows: (3, 3), room to work.
     """
     there, back, along = rows[0], rows[1], rows[2]
     least[0] = least[1] = math.inf
     for i in range(len(out)):
-        least[0] = min(least[0], unit_to(corners[at, i], corners[at + 1, i], there))
-        least[1] = min(least[1], unit_to(corners[at + 1, i], corners[at + 2, i], back))
+        before, after = (
+            unit_to(corners[at, i], corners[at + 1, i], there),
+            unit_to(corners[at + 1, i], corners[at + 2, i], back),
+        )
+        if spreads[i] > 0:
+            least[0], least[1] = min(least[0], before), min(least[1], after)
         inward, outward = dot(there, out[i]), -dot(back, out[i])
         spreads[i] *= 0.5 * (inward + outward) if inward > 0 and outward > 0 else 0.0
         for k in range(3):

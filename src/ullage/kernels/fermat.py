@@ -141,7 +141,7 @@ def stationary(surfaces: Reflectors, rows, follow, steps, out: FermatPaths, scra
             if far < 1e-4:  # the next step would be its square
                 break
             size = _derivatives(surfaces, rows[i], out.corners, i, scratch)
-            eliminate(scratch.table, size, 7)
+            _solve(scratch.table, size, 7)
             far = _move(surfaces, rows[i], out.corners, i, scratch)
         size = _derivatives(surfaces, rows[i], out.corners, i, scratch)
         known = _record(surfaces, rows[i], size, i, out, scratch)
@@ -280,29 +280,26 @@ def _derivatives(surfaces, chain, corners, i, scratch):  # type: ignore[no-untyp
 
 
 @core(nogil=True, error_model="numpy")
-def eliminate(table, size, columns):  # type: ignore[no-untyped-def]
-    """Solve the first rows and columns of a table for its other columns, in place; return the determinant."""
+def _solve(table, size, columns):  # type: ignore[no-untyped-def]
+    """Solve the second derivatives for columns 6 and on of the table, in place; return the determinant.
+
+    A corner knows its neighbours only, so three of a row's entries before and after the diagonal are not 0. Lengths are
+    convex and round bodies add to that: no pivots are sought.
+    """
     area = 1.0
     for c in range(size):
-        best = c
-        for row in range(c + 1, size):
-            if abs(table[row, c]) > abs(table[best, c]):
-                best = row
-        if best != c:
-            area = -area
-            for k in range(c, columns):
-                table[c, k], table[best, k] = table[best, k], table[c, k]
-        pivot = table[c, c]
-        area *= pivot
-        if pivot == 0:
-            pivot = 1e-300
-        for k in range(c, columns):
-            table[c, k] /= pivot
-        for row in range(size):
-            if row != c:
-                share = table[row, c]
-                for k in range(c, columns):
-                    table[row, k] -= share * table[c, k]
+        area *= table[c, c]
+        for row in range(c + 1, min(c + 4, size)):
+            share = table[row, c] / table[c, c]
+            for k in range(c + 1, min(c + 4, size)):
+                table[row, k] -= share * table[c, k]
+            for k in range(6, columns):
+                table[row, k] -= share * table[c, k]
+    for c in range(size - 1, -1, -1):
+        for k in range(6, columns):
+            for row in range(c + 1, min(c + 4, size)):
+                table[c, k] -= table[c, row] * table[row, k]
+            table[c, k] /= table[c, c]
     return area
 
 
@@ -356,7 +353,7 @@ def _record(surfaces, chain, size, i, out, scratch):  # type: ignore[no-untyped-
                 normals[s, i, k] = frames[s, 2, k]
     for row in range(size):
         steep = max(steep, abs(table[row, 6]))
-    area, row = eliminate(table, size, 10), 0
+    area, row = _solve(table, size, 10), 0
     for s in range(many):
         row += 1 if kinds[chain[1 + s]] == LINE else 2
         bends[s, i] = 1 / table[row - 1, 7 + s]

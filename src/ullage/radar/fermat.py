@@ -40,7 +40,7 @@ class Selection:
 
 SELECTIONS = {2: Selection(8, 0, 5e-4), 3: Selection(4, FACES, 2e-3)}
 """Selection for each number of bounces: two bodies, with three bounces a face before them, between them or after."""
-_STEPS = 20  # most steps of Newton's method
+_STEPS = 12  # most steps of Newton's method
 _ENDS = np.array([0, 1])  # rows of reflectors for both antennas
 
 
@@ -83,15 +83,20 @@ def points_of(points: Floats) -> kernel.Reflectors:
                              np.zeros((many, 2)))  # fmt: skip
 
 
-def planes_of(planar: PlanarPatches, faces: Longs) -> kernel.Reflectors:
-    """Return some of the flat faces as reflectors."""
-    normals = planar.normals[faces]
-    across = np.cross(normals, np.eye(3)[abs(normals).argmin(1)])
+@lru_cache(maxsize=8)
+def planes_of(planar: PlanarPatches) -> kernel.Reflectors:
+    """Return flat faces as reflectors."""
+    across = np.cross(planar.normals, np.eye(3)[abs(planar.normals).argmin(1)])
     across /= np.linalg.norm(across, axis=1)[:, None]
-    axes = np.stack([across, np.cross(normals, across), normals], 1)
-    many = len(faces)
-    return kernel.Reflectors(np.full(many, kernel.PLANE), planar.offsets[faces, None] * normals, axes, np.zeros(many),
-                             planar.widths[faces])  # fmt: skip
+    axes = np.stack([across, np.cross(planar.normals, across), planar.normals], 1)
+    points, many = planar.offsets[:, None] * planar.normals, len(planar)
+    return kernel.Reflectors(np.full(many, kernel.PLANE), points, axes, np.zeros(many), planar.widths)
+
+
+def taken(surfaces: kernel.Reflectors, which: Longs) -> kernel.Reflectors:
+    """Select some reflectors."""
+    kinds, centres, axes, radii, extents = surfaces
+    return kernel.Reflectors(kinds[which], centres[which], axes[which], radii[which], extents[which])
 
 
 def joined(parts: Sequence[kernel.Reflectors]) -> kernel.Reflectors:
@@ -146,7 +151,7 @@ def _of_order(
     rows, counts = _sequences(bounces, len(faces), len(which), antennas.monostatic)
     if not len(rows):
         return []
-    surfaces = joined([points_of(antennas.origins), planes_of(planar, faces), bodies.surfaces])
+    surfaces = joined([points_of(antennas.origins), taken(planes_of(planar), faces), bodies.surfaces])
     numbers = np.concatenate([_ENDS, 2 + np.arange(len(faces)), 2 + len(faces) + which])
     factors = np.concatenate([[1.0, 1.0], shares[held], weights[which]])
     depths = np.concatenate([[0.0, 0.0], np.zeros(len(faces)), bodies.depths])

@@ -137,7 +137,7 @@ def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ..
     kernel.beside(found.corners, at, out, wall.axes[2], found.spreads, slope, least, np.empty((3, 3)))
     found.normals[at] = -out
     return Lines(kinds, found.corners, found.normals, found.lengths, slope, found.spreads, found.bends,
-                 float(1 / (1 / least).sum()), surfaces, rows)  # fmt: skip
+                 float(1 / max((1 / least).sum(), 1e-12)), surfaces, rows)  # fmt: skip
 
 
 @lru_cache(maxsize=32)
