@@ -46,11 +46,17 @@ def flown(kind: str, seed: int, given: argparse.Namespace) -> tuple[Scene, dict[
     """The world and the frames of the flight through it; poses drift where that is asked for."""
     scene, path = ul.worlds.random(kind, seed), ul.worlds.flight(kind, seed, volume=given.volume)
     path = shortened(path) if given.short else path
-    believed = ul.navigate(path, drift_m=given.drift, seed=seed) if given.drift else None
+    believed = drifting(path, given.drift, seed) if given.drift else None
     frames = ul.simulate(
         scene, path, ul.worlds.rig(kind, seed), max_bounces=given.bounces, seed=seed, believed=believed
     )
     return scene, frames
+
+
+def drifting(path: ul.Trajectory, drift_m: float, seed: int) -> ul.Trajectory:
+    """A believed path whose drift counts from the first pose: a shift of flight and map together changes no echo."""
+    believed = ul.navigate(path, drift_m=drift_m, seed=seed)
+    return replace(believed, position=believed.position - believed.position[0] + path.position[0])
 
 
 def shortened(path: ul.Trajectory) -> ul.Trajectory:

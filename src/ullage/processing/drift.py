@@ -73,10 +73,10 @@ def correct_drift(frames: Recording, *, drift_m: float = 0.2, time_s: float = 5.
     keyframes = {part.sensor: _keyframes(part) for part in parts}
     echoes = _flat_echoes(parts, keyframes)
     if len(echoes.t_s) < LEAST_ECHOES:
-        return _kept(by_name, f"{len(echoes.t_s)} echoes of flat walls, {LEAST_ECHOES} wanted", drift_m)
+        return kept(by_name, f"{len(echoes.t_s)} echoes of flat walls, {LEAST_ECHOES} wanted", drift_m)
     offset = WallFit(echoes, drift_m, time_s).solve(_peaks(list(chain.from_iterable(keyframes.values()))))
     if offset is None:
-        return _kept(by_name, "walls echo from fewer than two directions", drift_m)
+        return kept(by_name, "walls echo from fewer than two directions", drift_m)
     return _decided(by_name, offset, drift_m)
 
 
@@ -85,18 +85,18 @@ def _decided(by_name: dict[str, Frames], offset: Offset, drift_m: float) -> Drif
     size, doubt = (float(np.sqrt((part**2).sum(1).mean())) for part in (offset.offset_m, offset.sigma_m))
     if offset.agreement < LEAST_AGREEMENT:
         lost = f"for {WINDOW_S} s the fit misses {100 * (1 - offset.agreement):.0f} % of the walls' echoes"
-        return _kept(by_name, lost, drift_m)
+        return kept(by_name, lost, drift_m)
     if size < HARMLESS_M:
         found = f"the poses are within {1e3 * size:.0f} mm of the walls"
         return DriftCorrection(by_name, False, found, offset.t_s, 0 * offset.offset_m, offset.sigma_m + size)
     if size < doubt:
-        return _kept(by_name, f"an offset of {1e3 * size:.0f} mm is known to {1e3 * doubt:.0f} mm only", drift_m)
+        return kept(by_name, f"an offset of {1e3 * size:.0f} mm is known to {1e3 * doubt:.0f} mm only", drift_m)
     done = f"moved by {1e3 * size:.0f} mm (rms), known to {1e3 * doubt:.0f} mm"
     moved = {name: _moved(part, offset) for name, part in by_name.items()}
     return DriftCorrection(moved, True, done, offset.t_s, offset.offset_m, offset.sigma_m)
 
 
-def _kept(frames: dict[str, Frames], reason: str, drift_m: float) -> DriftCorrection:
+def kept(frames: dict[str, Frames], reason: str, drift_m: float) -> DriftCorrection:
     """Return the input unchanged, and warn with the reason."""
     warnings.warn(f"drift is not corrected: {reason}; the poses are kept", UllageWarning, stacklevel=4)
     path = next(iter(frames.values())).believed

@@ -64,6 +64,7 @@ class Keyframe:
     pulse: float  # standard deviation of the pulse's envelope [bin]
     wavelength_m: float
     turns: Floats  # (s, 3, 3) world from sensor, of each sensor's frame nearest in time; zeros without one
+    t_ns: int
 
 
 class KeyframeSelector:
@@ -177,6 +178,7 @@ class KeyframeSelector:
             leader.pulse_m / leader.bin_m,
             leader.wavelength_m,
             np.stack([_nearest(one, centre.t_ns).turn if one.rows else np.zeros((3, 3)) for one in channels]),
+            centre.t_ns,
         )
 
 

@@ -1,0 +1,65 @@
+from dataclasses import replace
+
+import mirror_world as world
+import numpy as np
+import pytest
+from test_drift import shape_error, wander
+from test_mapper import PLAN, loop, moved
+
+import ullage as ul
+from ullage.data import Trajectory
+from ullage.processing.drift_surfaces import correct_drift_by_surfaces
+from ullage.processing.likelihood.drift_prior import DriftPrior
+
+
+def test_the_prior_is_a_matern_process_with_sparse_precision():
+    """Correlation (1 + a + 2 a^2 / 5 + a^3 / 15) exp(-a), a = sqrt(5) t / T [Rasmussen2006]; the rate is sigma / T."""
+    sigma, time = 0.2, 4.0
+    prior = DriftPrior(10.0, 34.0, sigma, time)
+    t_s = np.arange(10.0, 34.1, time / 5)  # at the knots, where the states are exact
+    basis, precision = prior.basis(t_s).toarray(), prior.precision().toarray()
+    got = basis @ np.linalg.inv(precision) @ basis.T
+    a = np.sqrt(5.0) * np.abs(t_s[:, None] - t_s) / time
+    np.testing.assert_allclose(got, sigma**2 * (1 + a + 0.4 * a**2 + a**3 / 15) * np.exp(-a), atol=1e-6)
+    assert np.count_nonzero(precision) <= 12 * len(precision)
+    rate = prior.basis(t_s, 1).toarray()
+    np.testing.assert_allclose(np.diag(rate @ np.linalg.inv(precision) @ rate.T), (sigma / time) ** 2, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_room_gives_a_drifting_track_back():
+    flight = world.rig(loop(), PLAN, seed=1)
+    true = flight["front"].believed.position[:, :2]
+    shift = wander(flight["front"], 0.2)
+    drifted = {
+        name: moved(part, Trajectory(part.t_ns, part.believed.position + shift, part.believed.quat_xyzw))
+        for name, part in flight.items()
+    }
+    done = correct_drift_by_surfaces(drifted)
+    got = done.frames["front"].believed.position[:, :2]
+    found, turn = shape_error(got, true)
+    assert done.corrected
+    assert found < 0.01
+    assert abs(turn) < np.radians(0.35)
+    assert np.sqrt(((got - true) ** 2).sum(1).mean()) < 3 * np.sqrt((done.sigma_m**2).sum(1).mean()) < 0.15
+
+
+def test_one_wall_leaves_the_offset_along_it_open():
+    path = ul.Trajectory.line((-2, 0, 0), (2, 0, 0), rate_hz=25)
+    mount = ul.Rig.preset("thesis-4").sensors["left"].mount.body_from_sensor()
+    one = world.listen(path, [((-9.0, 2.0), (9.0, 2.0))], sensor="left", mount=mount)
+    with pytest.warns(ul.UllageWarning, match="drift is not corrected"):
+        got = correct_drift_by_surfaces(one)
+    np.testing.assert_array_equal(got.frames[one.sensor].believed.position, one.believed.position)
+    assert (got.sigma_m == 0.2).all()
+
+
+def test_frames_without_phase_are_kept_and_bad_input_is_refused():
+    path = ul.Trajectory.line((-0.2, 0, 0), (0.2, 0, 0), rate_hz=25)
+    frames = world.listen(path, PLAN)
+    with pytest.warns(ul.UllageWarning, match="no phase"):
+        assert not correct_drift_by_surfaces(replace(frames, samples=frames.amplitude)).corrected
+    with pytest.raises(ul.InputError, match="drift_m -1"):
+        correct_drift_by_surfaces(frames, drift_m=-1.0)
+    with pytest.raises(ul.InputError, match="no poses"):
+        correct_drift_by_surfaces(replace(frames, poses=None, truth=None))
