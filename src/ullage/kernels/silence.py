@@ -49,8 +49,13 @@ def listen(plane, place, residual, radius_m, defocus_m, weight, out):  # type: i
         out: (cells) added to [nat].
     """
     directions = residual.energy.shape[0]
-    for row in range(plane.rows):
-        for column in range(plane.columns):
+    reach = residual.start_m + residual.bin_m * residual.high
+    left = max(math.floor((place[0] - reach - plane.x) / plane.step), 0)
+    right = min(math.ceil((place[0] + reach - plane.x) / plane.step), plane.columns)
+    low = max(math.floor((place[1] - reach - plane.y) / plane.step), 0)
+    high = min(math.ceil((place[1] + reach - plane.y) / plane.step), plane.rows)
+    for row in range(low, high):
+        for column in range(left, right):
             x = plane.x + plane.step * (column + 0.5) - place[0]
             y = plane.y + plane.step * (row + 0.5) - place[1]
             far = math.hypot(x, y)
