@@ -18,7 +18,7 @@ Written by `python tools/reference_pages.py`.
 | option | does | for |
 |---|---|---|
 | `--law thesis` | simulates the ray model of 2018 and maps with Elfes' grid | every family; used if no law is named |
-| `--law physical` | simulates physical echoes and maps by rules | every family |
+| `--law physical` | simulates physical echoes and maps them by the default method | every family |
 | `--by-hand` | adds the errors of a human pilot, at 1 m/s | `ntnu-plate`, `ntnu-plate45`, `ntnu-pole`, `ntnu-wire` |
 
 The options work with `ullage run`, `config` and `sweep`; `ullage fly` takes `--law`. Each variant also has a name of
