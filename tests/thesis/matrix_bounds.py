@@ -57,8 +57,10 @@ def nothing(*names: str) -> Mutant:
 
 BOUNDS = (
     Section("bounds of scenarios", "expect", state, (
-        Mutant("ranges 1 m too long", (*TOO_LONG, ": known_behind", "physical: surface_declared_free"),
-               change=all_again(longer(1.0))),
+        Mutant("ranges 1 m too long", (*TOO_LONG, ": known_behind", "mapping-physical: surface_declared_free",
+                                       "room-physical: surface_declared_free"), change=all_again(longer(1.0))),
+        Mutant("ranges 0.4 m too long", ("cargo-hold-physical: surface_declared_free",), change=lambda flights:
+               flights | {"cargo-hold-physical": again(flights["cargo-hold-physical"], longer(0.4))}),
         nothing(*DEAF),
         Mutant("an eighth of the threshold", ("ntnu-mapping-50cm: free_found",), change=lambda flights: flights | {
             "ntnu-mapping-50cm": again(flights["ntnu-mapping-50cm"], louder(8))}),
