@@ -15,7 +15,6 @@ from spoilt import (
     Section,
     again,
     elfes_as,
-    emptied,
     far_apex,
     lobe,
     longer,
@@ -230,10 +229,8 @@ ROOM = Section("maps of the NTNU room", "room", state_room, (
     ), change=rays_again(longer(0.25))),
     Mutant("ray law, ranges 0.5 m too long", ("the plate is on the map at 0.2 m",), change=rays_again(longer(0.5))),
     Mutant("Elfes' lobe of 20 deg", ("space behind walls is mapped",), lobe(20.0), rays_again()),
-    Mutant("physical law, nothing is received", ("ullage: surface declared",),
-           change=lambda both: (both[0], again(both[1], emptied))),
     Mutant("physical law, ranges 0.5 m too long", (
-        "ullage: the plate is on the map", "ullage's F1 over", "ullage: cells held known",
+        "ullage: the plate is on the map", "ullage's F1 over", "ullage: cells held known", "ullage: surface declared",
     ), change=waves_longer),
     Mutant("always one byte a cell", ("two values of 32 bits a cell",), fixed_bits(8)),
     Mutant("always 32 bits a value", ("the same with one byte a cell",), fixed_bits(32)),
@@ -305,7 +302,8 @@ def hold_part(fleet: Fleet) -> tuple[Flown, Flown]:
 HOLD = Section("the cargo hold", "hold", lambda work, both: hold.state(work, *both), (
     Mutant("ranges 0.5 m too long", ("cells held known", "ullage's F1 over"),
            change=lambda both: (both[0], again(both[1], longer(0.5)))),
-    Mutant("nothing is received", ("surface declared free",), change=lambda both: (both[0], again(both[1], emptied))),
+    Mutant("ranges 0.4 m too long", ("surface declared free",),
+           change=lambda both: (both[0], again(both[1], longer(0.4)))),
 ), hold_part)  # fmt: skip
 
 
