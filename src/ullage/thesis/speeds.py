@@ -32,7 +32,7 @@ TARGET = (2.5, 0.0)
 GRID = Grid((1.6, -1.2, 0), 0.02, (120, 90))
 NEAR_M = 0.3
 WIRE_M = 6.0
-METHODS: tuple[MapMethod, ...] = ("rules", "elfes")
+METHODS: dict[str, MapMethod] = {"ullage": "rules", "elfes": "elfes"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +130,10 @@ def round_room(spec: RadarSpec, speeds: tuple[float, ...], *, seed: int) -> dict
                 scene, path, rig, speed_m_s=speed, path_speed_m_s=0.5, seed=seed, integrate=integrate
             )  # fmt: skip
             slowest = slowest or frames
-            for method in METHODS:
+            for name, method in METHODS.items():
                 omap = map_occupancy(frames, grid, method=method)
                 found = map_quality(omap, scene, slowest)["f1"].value
-                scores.setdefault(method + suffix, []).append(found)
+                scores.setdefault(name + suffix, []).append(found)
     return {name: Measured(np.array(speeds), np.array(row)) for name, row in scores.items()}
 
 
