@@ -27,6 +27,7 @@ Work = Callable[[Any, Log], Any]
 Done = tuple[Any, Any, UllageError | None]
 
 CONNECT_S = 5
+RESTART_S = 60  # longest wait for lost workers to come back, at the end
 AHEAD = 1  # tasks submitted for each worker: one that waited behind a task that kills its worker would be blamed too
 GONE = "the scheduler is gone; what was finished is kept, and the same command goes on"
 EVENT_S = 0.5  # least time between two reports of one worker
@@ -95,6 +96,8 @@ def _connected(where: int | str | None) -> Iterator[Any]:
             with local, distributed.Client(local) as client:
                 client.wait_for_workers(count)
                 yield client
+                with suppress(TimeoutError):  # Dask cannot close a worker that it is just starting again
+                    client.wait_for_workers(count, timeout=RESTART_S)
         return
     try:
         client = distributed.Client(where, timeout=CONNECT_S)
