@@ -111,6 +111,35 @@ def test_normals_given_count_where_the_facets_agree():
     assert np.allclose(mixed[~near], corners[~near] / 0.3, atol=1e-9)
 
 
+def test_facets_beside_a_known_shape_take_its_normals_where_they_continue_it():
+    vertices, faces = shapes.sphere(0.3, edge_m=0.15)
+    corners, ids = vertices[faces], faces.astype(np.int64)
+    found = smoothing.hinges(corners, ids, np.zeros(len(faces), np.int32))
+    for tilt, taken in ((0.1, True), (0.9, False)):
+        truth = corners / 0.3 + [tilt, 0.0, 0.0]
+        truth /= np.linalg.norm(truth, axis=2, keepdims=True)
+        upper = (corners[..., 2] > -1e-9).all(1)
+        known = np.where(upper[:, None, None], truth, 0.0)
+        normals = smoothing.corner_normals(corners, found, known=known)
+        beside = ~upper[:, None] & np.isin(ids, ids[upper])
+        assert beside.any()
+        assert np.allclose(normals[beside], truth[beside]) == taken
+        assert np.allclose(normals[~np.isin(ids, ids[upper])], corners[~np.isin(ids, ids[upper])] / 0.3, atol=1e-9)
+
+
+def test_rims_of_patches_follow_the_circle_that_they_sample():
+    turn = np.arange(12) * np.pi / 6
+    outline = 0.3 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
+    ids = np.stack([np.arange(12), (np.arange(12) + 1) % 12, np.full(12, 12)], 1)
+    corners = np.concatenate([outline, np.zeros((1, 3))])[ids]
+    control = np.zeros((12, 7, 3))
+    point_normal.follow_rims(control, corners, ids, np.arange(12), np.zeros(12, np.int64))
+    share = np.linspace(0, 1, 9)
+    side = np.stack([1 - share, share, 0 * share], 1)
+    points = np.einsum("pc,fci->fpi", side, corners) + point_normal.rise(control, side)
+    assert np.linalg.norm(points, axis=2) == pytest.approx(np.full((12, 9), 0.3), abs=2e-6)  # chords: 10 mm
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_no_mesh_is_too_broken(seed):
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""What curved surfaces echo in place of their facets: spheres and tori in closed form, all others by patches."""
+"""What curved surfaces echo in place of their facets: spheres in closed form, all others by patches."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.patches import Patches
-from ullage.radar.torus_echoes import accumulate_heads
+from ullage.radar.sphere_echoes import accumulate_spheres
 from ullage.radar.wall_bounces import PULL_M
 
 
@@ -29,10 +29,10 @@ def accumulate_curved(
     Returns:
         What was added; of each part which small triangles (f) and which flat faces (p) are done so.
     """
-    out, heads = accumulate_heads(context, parts, antennas, grids)
+    out, spheres = accumulate_spheres(context, parts, antennas, grids)
     wavelength = context.spec.wavelength_m
     widest = float(np.sqrt(wavelength * context.gate[1] / 2))
-    done = [heads, *[(None, None)] * (len(parts) - 1)]
+    done = [spheres, *[(None, None)] * (len(parts) - 1)]
     for k, patches in enumerate(context.world.patches(wavelength, widest, poses)):
         if patches is not None:
             out.append(_echoes_of(context, parts, patches, antennas, grids))

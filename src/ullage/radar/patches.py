@@ -1,9 +1,10 @@
 """Curved surfaces of any shape: point-normal triangles in place of coarse facets.
 
 A facet that samples a curved surface lies off it by its sagitta, and the error of phase repeats from facet to facet:
-the mesh echoes as a grating. Where no closed form stands for a surface (`spheres`, `cylinder_correction`, `tori`),
-cubic patches through its corners and normals [VlachosEtAl2001] take its place, cut until flat pieces follow them within
-`SHARE` of a wave. The pieces echo by physical optics as all small triangles do (`patch_echoes`).
+the mesh echoes as a grating. Where no closed form stands for a surface (`spheres`, `cylinder_correction`), cubic
+patches through its corners and normals [VlachosEtAl2001] take its place, cut until flat pieces follow them within
+`SHARE` of a wave. Next to a closed form they are square to its own normals, so the knuckle of a vessel continues its
+crown and its wall without a bend. The pieces echo by physical optics as all small triangles do (`patch_echoes`).
 """
 
 from __future__ import annotations
@@ -59,30 +60,37 @@ class Curved:
     row: Longs  # (n) which small triangle each is, or counted on after these which flat face it belongs to
 
 
-def patches_of(scene: Scene, part: Surfaces, claimed: Bools, *, wavelength_m: float, widest_m: float) -> Patches | None:
+def patches_of(scene: Scene, part: Surfaces, known: Floats, *, wavelength_m: float, widest_m: float) -> Patches | None:
     """Cut the curved surfaces among some faces; None where there are none.
 
     Args:
         scene: the world.
         part: what of it stands still, or what moves, where it starts.
-        claimed: faces of the scene (s) that closed forms stand for.
+        known: normals (s, 3, 3) of closed forms at the corners of the faces of the scene that they stand for; zero at
+            other faces.
         wavelength_m: of the radar [m].
         widest_m: facets wider than this are mirrors of their own [m].
     """
     faces = np.concatenate([part.faces, part.flat_faces])
     row = np.concatenate([np.arange(len(part.faces)), len(part.faces) + part.flat_at])  # small ones, then flats
     corners, object_ids = scene.corners()[faces], scene.face_object[faces]
-    found = smoothing.hinges(corners, welded(corners), object_ids)
+    ids = welded(corners)
+    found = smoothing.hinges(corners, ids, object_ids)
     if not len(found):
         return None
     given = None if scene.corner_normals is None else scene.corner_normals[faces]
-    control = point_normal.displacements(corners, smoothing.corner_normals(corners, found, given), found)
+    normals = smoothing.corner_normals(corners, found, given, known[faces])
+    control = point_normal.displacements(corners, normals, found)
+    claimed = known[faces].any((1, 2))
+    edge, side = np.nonzero(~claimed[found.faces] & claimed[found.faces[:, ::-1]])
+    begin = np.stack([found.starts[:, 0], found.ends[:, 1]], 1)
+    point_normal.follow_rims(control, corners, ids, found.faces[edge, side], begin[edge, side])
     sagitta = point_normal.sagitta(control)
-    coarse = (_counts(sagitta, SHARE * wavelength_m) > 1) & ~claimed[faces]
+    coarse = (_counts(sagitta, SHARE * wavelength_m) > 1) & ~claimed
     region, rows = found.regions(len(faces)), len(part.faces) + len(part.planar)
     coarse = (np.bincount(region, coarse)[region] > 0) & (sagitta > LEAST * wavelength_m)  # shifted, if not cut
     taken = np.bincount(row, coarse, rows) > 0
-    taken &= np.bincount(row, claimed[faces] | (_widths(corners) >= widest_m), rows) == 0
+    taken &= np.bincount(row, claimed | (_widths(corners) >= widest_m), rows) == 0
     mine = np.flatnonzero(taken[row])
     if not len(mine):
         return None

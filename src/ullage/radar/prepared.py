@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ullage.arrays import Bools, Floats, Longs
+from ullage.arrays import Floats, Longs
 from ullage.geometry import invert
 from ullage.radar.diffraction import sharp_edges
 from ullage.radar.facets import Surfaces, gather
@@ -17,7 +17,7 @@ from ullage.radar.movers import Movers
 from ullage.radar.patches import Patches, patches_of
 from ullage.radar.quadrics import Quadric, SmoothSurface, quadrics_of, smooth_surfaces_of, with_caps
 from ullage.radar.spheres import Sphere, spheres_of
-from ullage.radar.tori import Torus, tori_of
+from ullage.world import smoothing
 from ullage.world.scene import Scene
 
 
@@ -49,13 +49,6 @@ class Prepared:
         moves = [o.motion is not None for o in self.scene.objects]
         return spheres_of([surface for surface in self._smooth_surfaces if not moves[surface.object_id]], self.still)
 
-    @cached_property
-    def tori(self) -> tuple[Torus, ...]:
-        """Knuckles of dished heads at rest, which are parts of tori."""
-        moves = [o.motion is not None for o in self.scene.objects]
-        walls = [wall for wall in self.quadrics if not moves[wall.object_id]]
-        return tori_of(self._smooth_surfaces, walls, self.still) if walls else ()
-
     def patches(self, wavelength_m: float, widest_m: float, poses: Floats | None = None) -> list[Patches | None]:
         """Curved surfaces of other shapes in each of `parts`, cut for a wavelength [m]; None where there are none.
 
@@ -77,21 +70,22 @@ class Prepared:
     def _cut(self, part: Surfaces, wavelength_m: float, widest_m: float) -> Patches | None:
         if not (part.planar.smooth.any() or len(part.corners)):
             return None
-        return patches_of(self.scene, part, self._claimed(), wavelength_m=wavelength_m, widest_m=widest_m)
+        return patches_of(self.scene, part, self._closed_normals(), wavelength_m=wavelength_m, widest_m=widest_m)
 
     def _at_start(self) -> list[Surfaces]:
         return [self.still] if self._movers is None else [self.still, self._movers.home]
 
-    def _claimed(self) -> Bools:
-        """Select the faces of the scene (s) for which there are closed forms."""
-        out = np.zeros(len(self.scene.faces), bool)
+    def _closed_normals(self) -> Floats:
+        """Return normals (s, 3, 3) of closed forms at the corners of the faces that lie on them; zero at others."""
+        corners, still = self.scene.corners(), self.still
+        out = np.zeros_like(corners)
         for wall in self.quadrics:
-            out[wall.faces] = True
-        masks = [(sphere.small, sphere.planar) for sphere in self.spheres]
-        for small, planar in (*masks, *((torus.small, torus.planar) for torus in self.tori)):
-            out[self.still.faces[small]] = True
-            out[self.still.flat_faces[planar[self.still.flat_at]]] = True
-        return out
+            out[wall.faces] = wall.radial(corners[wall.faces])
+        for sphere in self.spheres:
+            mine = np.concatenate([still.faces[sphere.small], still.flat_faces[sphere.planar[still.flat_at]]])
+            out[mine] = corners[mine] - sphere.centre
+        sides = np.einsum("fki,fi->fk", out, smoothing.face_normals(corners)[0])
+        return np.asarray(out / np.copysign(np.maximum(np.linalg.norm(out, axis=2), 1e-300), sides)[..., None])
 
     @cached_property
     def _smooth_surfaces(self) -> list[SmoothSurface]:

@@ -53,6 +53,11 @@ class Quadric:
         """Convert points (..., 3) to coordinates along the axes, from the centre [m]."""
         return np.asarray(((points - self.centre).reshape(-1, 3) @ self.axes.T).reshape(points.shape))
 
+    def radial(self, points: Floats) -> Floats:
+        """Return vectors (..., 3) to points (..., 3) from the centre of a sphere, or square from the axis [m]."""
+        out = points - self.centre
+        return out if self.is_sphere else out - (out @ self.axes[2])[..., None] * self.axes[2]
+
     def holds(self, other: Quadric) -> bool:
         """Return whether the middle of another body lies inside this wall."""
         x, y, z = self.local(other.centre + 0.5 * (other.low + other.high) * other.axes[2])

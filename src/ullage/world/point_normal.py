@@ -45,6 +45,32 @@ def displacements(corners: Floats, normals: Floats, found: Hinges) -> Floats:
     return np.concatenate([sides, sides.sum(1, keepdims=True) / 4], 1)
 
 
+def follow_rims(control: Floats, corners: Floats, ids: Longs, faces: Longs, starts: Longs) -> None:
+    """Bend edges at which patches end along the smooth curves that they sample, such as circles; changes `control`.
+
+    A curve's tangent at a corner halves the angle of the two edges that meet there.
+
+    Args:
+        control: displacements (f, 7, 3) as of `displacements` [m].
+        corners: flat triangles (f, 3, 3) [m].
+        ids: numbers (f, 3) of their corners, the same for corners in one place.
+        faces: triangle (e) of each such edge.
+        starts: corner (e), 0 to 2, at which it begins there.
+    """
+    nexts = (starts + 1) % 3
+    chord = corners[faces, nexts] - corners[faces, starts]
+    size = np.maximum(np.linalg.norm(chord, axis=1), 1e-300)[:, None]
+    both = np.stack([ids[faces, starts], ids[faces, nexts]], 1)
+    tangents = np.zeros((int(ids.max(initial=0)) + 1, 3))
+    np.add.at(tangents, both, (chord / size)[:, None])
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1), 1e-300)[:, None]
+    for corner, sign, at in zip(both.T, (1, -1), (2 * starts, 2 * starts + 1), strict=True):
+        turn = tangents[corner]
+        cosine = np.maximum(np.einsum("ei,ei->e", turn, chord)[:, None] / size, 0.5)
+        control[faces, at] = sign * (2 / (1 + cosine) * size * turn - chord) / 3
+    control[faces, 6] = control[faces, :6].sum(1) / 4
+
+
 def sagitta(control: Floats) -> Floats:
     """Greatest distance (f) of the middles of a patch's edges from the flat triangle [m]."""
     middles = 3 / 8 * (control[:, 0:6:2] + control[:, 1:6:2])

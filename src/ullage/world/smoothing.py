@@ -87,7 +87,7 @@ def hinges(corners: Floats, ids: Longs, objects: NDArray[np.integer]) -> Hinges:
     return found.take(np.bincount(region)[region[found.faces[:, 0]]] >= FEWEST)
 
 
-def corner_normals(corners: Floats, found: Hinges, given: Floats | None = None) -> Floats:
+def corner_normals(corners: Floats, found: Hinges, given: Floats | None = None, known: Floats | None = None) -> Floats:
     """Estimate the normals (f, 3, 3) of a smooth surface at the corners of its triangles.
 
     Args:
@@ -95,6 +95,8 @@ def corner_normals(corners: Floats, found: Hinges, given: Floats | None = None) 
         found: the edges at which they go over into each other.
         given: normals (f, 3, 3) from elsewhere, such as a file; zero where unknown. Each counts where it agrees with
             the facets within `GIVEN_DEG`.
+        known: normals (f, 3, 3) of surfaces whose shape is known; zero elsewhere. All facets around a corner take
+            them that bend from them by less than half of `CREASE_DEG`, as a smooth surface does from its facets.
     """
     normals, area = face_normals(corners)
     even = found.widths.max(1) < UNEVEN * (1 + 1e-6) * found.widths.min(1)  # no rounding decides over equals
@@ -103,10 +105,14 @@ def corner_normals(corners: Floats, found: Hinges, given: Floats | None = None) 
     out = mean[groups].reshape(-1, 3, 3)
     off = np.einsum("fki,fi->fk", out, normals) < np.cos(np.deg2rad(CREASE_DEG))  # a cone's tip has no normal
     out = np.where(off[..., None], normals[:, None], out)
-    if given is None:
-        return out
-    agrees = np.einsum("fki,fki->fk", given, out) > np.cos(np.deg2rad(GIVEN_DEG))
-    return np.where(agrees[..., None], given, out)
+    if given is not None:
+        agrees = np.einsum("fki,fki->fk", given, out) > np.cos(np.deg2rad(GIVEN_DEG))
+        out = np.where(agrees[..., None], given, out)
+    if known is not None:
+        known = _spread(known, groups)
+        bends = np.einsum("fki,fi->fk", known, normals) < np.cos(np.deg2rad(CREASE_DEG / 2))
+        out = np.where(bends[..., None], out, known)
+    return out
 
 
 def _fans(corners: Floats, normals: Floats, area: Floats, even: Hinges) -> tuple[Longs, Floats]:
@@ -121,6 +127,14 @@ def _fans(corners: Floats, normals: Floats, area: Floats, even: Hinges) -> tuple
     rows = (weight[..., None] * normals[:, None]).reshape(-1, 3)
     mean = np.stack([np.bincount(groups, row, total) for row in rows.T], 1)
     return groups.astype(np.int64), mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+
+
+def _spread(known: Floats, groups: Longs) -> Floats:
+    """Give all corners of each group (3 f) the mean of the normals (f, 3, 3) that are known there, or zero."""
+    rows = known.reshape(-1, 3)
+    total = np.stack([np.bincount(groups, row) for row in rows.T], 1)
+    mean = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    return np.asarray(mean[groups].reshape(known.shape))
 
 
 def _take_over(mean: Floats, groups: Longs, uneven: Hinges) -> None:
