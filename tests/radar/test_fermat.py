@@ -7,10 +7,11 @@ import pytest
 
 import ullage as ul
 from ullage.experiments.validation.rows import gain_via, radar
-from ullage.kernels.fermat import CYLINDER, PLANE, SPHERE, Chains, Limits, Reflectors, may_be_strong
-from ullage.radar.fermat import bodies_of, fermat_paths, joined, points_of
+from ullage.kernels.fermat import CYLINDER, SPHERE, Chains, Limits, Reflectors, may_be_strong
+from ullage.radar.fermat import fermat_paths
 from ullage.radar.prepared import prepare
 from ullage.radar.quadrics import Quadric
+from ullage.radar.reflectors import bodies_of, joined, plane_set, points_of
 from ullage.world import scenes
 from ullage.world.scene import Scene
 
@@ -30,15 +31,14 @@ WALL_Y = -1.2
 
 def wall():
     """A plane at y = -1.2 as a reflector."""
-    axes = np.array([[[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]])
-    return Reflectors(np.array([PLANE]), np.array([[0.3, WALL_Y, 0.5]]), axes, np.zeros(1), np.full((1, 2), 9.0))
+    return plane_set(np.array([[0.3, WALL_Y, 0.5]]), np.array([[0.0, 1.0, 0.0]]), np.full((1, 2), 9.0), np.array([0]))
 
 
 def sequence(start, stop, *things):
     """Both points and bodies, or the wall where there is None, as reflectors; and their order."""
-    surfaces = [wall() if thing is None else bodies_of((thing,)).surfaces for thing in things]
+    surfaces = [wall() if thing is None else bodies_of((thing,)) for thing in things]
     surfaces = joined([points_of(np.array([start, stop], float)), *surfaces])
-    return surfaces, np.array([[0, *range(2, 2 + len(things)), 1]])
+    return surfaces.surfaces, np.array([[0, *range(2, 2 + len(things)), 1]])
 
 
 def paths_over(start, stop, *things):

@@ -104,13 +104,8 @@ def summed(lengths, slopes, step, seen, places: WallPlaces, values, paths, rates
 
 
 @lean(nogil=True, error_model="numpy")
-def gathered(first, share, leads, many, echo, led, total):  # type: ignore[no-untyped-def]
-    """Add up the echoes of places (m) by which of some of them, `leads`, is next round a wall of so many lines.
-
-    `led` (m) gets that, `total` the sums.
-    """
-    for j in range(len(leads)):
-        total[j] = 0j
+def nearest(first, share, leads, many, led):  # type: ignore[no-untyped-def]
+    """Find which of some places (m), `leads`, is next to each round a wall of so many lines; `led` (m) gets that."""
     for i in range(len(first)):
         least = math.inf
         for j in range(len(leads)):
@@ -118,4 +113,3 @@ def gathered(first, share, leads, many, echo, led, total):  # type: ignore[no-un
             apart = min(apart, many - apart)
             if apart < least:
                 least, led[i] = apart, j
-        total[led[i]] += echo[i]

@@ -28,7 +28,7 @@ from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
 from ullage.radar.quadrics import Quadric
-from ullage.radar.wall_bounces import accumulate
+from ullage.radar.reflected_paths import accumulate
 
 NODES, SHARES = np.polynomial.legendre.leggauss(4)
 PANEL_M = 0.025

@@ -10,8 +10,8 @@ from ullage.radar.context import AntennaPair, RadarContext, accumulate_triangles
 from ullage.radar.echo_set import EchoSet, centroids
 from ullage.radar.facets import Surfaces
 from ullage.radar.patches import Patches
+from ullage.radar.reflectors import PULL_M
 from ullage.radar.sphere_echoes import accumulate_spheres
-from ullage.radar.wall_bounces import PULL_M
 
 
 def accumulate_curved(

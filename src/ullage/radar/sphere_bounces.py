@@ -12,14 +12,15 @@ from __future__ import annotations
 import numpy as np
 
 from ullage.arrays import Complexes, Floats
-from ullage.geometry import C0
+from ullage.kernels import fermat as kernel
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
-from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
+from ullage.radar.reflected_paths import PathSum, ReflectedPaths, accumulate_paths, free, reflection_gains
+from ullage.radar.reflectors import PULL_M, ReflectorSet
 from ullage.radar.sphere_echoes import bistatic_phase_rad
 from ullage.radar.spheres import Sphere
-from ullage.radar.wall_bounces import LEAST_M, PULL_M, Fan, accumulate, fan_of
+from ullage.radar.wall_bounces import LEAST_M, Fan, fan_of
 
 _PLANES = 8  # through the line from the centre to the radar
 _WHOLE = 0.9  # least share of a whole sphere: no model here covers the rim of a bowl
@@ -67,18 +68,9 @@ def _echoes_of(
     if not seen.any():
         return None
     value = 2 * antennas.factor * fan_weights(fan) * np.interp(fan.names, sampled.names, seen.mean(1))
-    echo = accumulate(context, length / C0, value, grids, (1.0, 0.0))
-    leads, count = fan.leads, len(fan.leads)
-    via = np.full((count, 2), -1, np.int64)
-    via[:, : bounces - 1] = sphere.object_id
-    next_to = abs(sampled.names[:, None] - fan.names[leads]).argmin(0)
-    points = real.corners[-2].reshape(len(sampled.names), _PLANES, 3)[next_to, abs(seen[next_to]).argmax(1)]
-    total = np.bincount(fan.led, echo.real, count) + 1j * np.bincount(fan.led, echo.imag, count)
-
-    def again(factors: Complexes, others: Complexes) -> None:
-        accumulate(context, length / C0, value * factors[fan.led], others, (1.0, 0.0))
-
-    return EchoSet(np.full(count, sphere.object_id, np.int32), points, total, length[leads] / C0, again, via)
+    next_to = sampled.nearest(fan.names[fan.leads])
+    leads = real.take(next_to * _PLANES + abs(seen[next_to]).argmax(1))
+    return accumulate_paths(context, leads, PathSum(length, value, fan.leads, fan.led, (1.0, 0.0)), grids)
 
 
 def fan_weights(fan: Fan) -> Complexes:
@@ -101,6 +93,9 @@ def _in_all_planes(sphere: Sphere, antennas: AntennaPair, fan: Fan, gap: Floats,
     out = (fan.points[..., :1] * axes[0])[:, :, None] + fan.points[..., 1][..., None, None] * sides
     stops = out.reshape(len(fan.points), -1, 3)
     ends = [np.broadcast_to(origin, (1, *stops.shape[1:])) for origin in antennas.origins]
-    shape = stops.shape[:2]
+    one = kernel.Reflectors(np.array([kernel.SPHERE]), sphere.centre[None], np.eye(3)[None], np.array([sphere.radius]),
+                            np.zeros((1, 2)))  # fmt: skip
+    wall = ReflectorSet(one, np.array([sphere.depth]), np.array([sphere.object_id]))
     return ReflectedPaths(np.concatenate([ends[0], sphere.centre + stops, ends[1]]), -stops / sphere.radius,
-                np.full(shape, sphere.depth), np.full(shape, sphere.object_id), np.ones(shape[1], bool))  # fmt: skip
+                          np.zeros(stops.shape[:2], np.int64), np.zeros(stops.shape[:2]), wall,
+                          np.ones(stops.shape[1], bool))  # fmt: skip

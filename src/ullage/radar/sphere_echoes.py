@@ -22,8 +22,9 @@ from ullage.radar.context import AntennaPair, RadarContext, transmission_to
 from ullage.radar.cylinder_correction import reflection
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import Surfaces
+from ullage.radar.reflected_paths import accumulate
+from ullage.radar.reflectors import PULL_M
 from ullage.radar.spheres import Sphere
-from ullage.radar.wall_bounces import PULL_M, accumulate
 
 LEAST_M = 0.05
 """Least distance to a sphere [m]: closer by, its facets echo by themselves."""

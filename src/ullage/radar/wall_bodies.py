@@ -15,17 +15,24 @@ from functools import lru_cache
 import numpy as np
 
 from ullage.arrays import Bools, Complexes, Floats, Longs
-from ullage.geometry import C0
 from ullage.kernels import chains as kernel
 from ullage.kernels.fermat import LINE, Reflectors
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.fermat import SELECTIONS, bodies_of, end_factors, fermat_paths, joined, points_of
+from ullage.radar.fermat import SELECTIONS, fermat_paths
 from ullage.radar.multipath import choose_largest
 from ullage.radar.quadrics import Quadric
-from ullage.radar.reflected_paths import ReflectedPaths, free, reflection_gains
-from ullage.radar.wall_bounces import PULL_M, SAME_M, ZONES, Plane, accumulate, around, planes_of, swapped
+from ullage.radar.reflected_paths import (
+    PathSum,
+    ReflectedPaths,
+    accumulate_paths,
+    end_factors,
+    free,
+    reflection_gains,
+)
+from ullage.radar.reflectors import PULL_M, ReflectorSet, bodies_of, joined, points_of
+from ullage.radar.wall_bounces import ZONES, Plane, around, both_sides, planes_of, reflectors_in
 
 Turn = tuple[Plane, int] | None
 
@@ -59,8 +66,6 @@ class Lines:
     spread: Floats  # (n) spreading factor without the integral across the lines [m^-1.5]
     bends: Floats  # (s, n) second derivative along the axis of each surface, minimised over the rest [1/m]
     near: float  # harmonic sum of the shortest legs before and after the wall [m]
-    surfaces: Reflectors  # both ends of the paths, the body, and the lines
-    rows: Longs  # (n, s + 2) of these for each path
 
 
 def accumulate_wall_bodies(
@@ -80,18 +85,17 @@ def accumulate_wall_bodies(
     those in the grids are left out.
     """
     out: list[EchoSet] = []
-    one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
     least = SELECTIONS[2].faint * float(abs(grids).max())
     for wall in around(context, quadrics, antennas):
         planes = planes_of(planar, wall, sizes) if most > 2 else []
         for body, weight in _within(context, quadrics, wall, antennas):
             pair = replace(antennas, factor=weight * antennas.factor)
-            sides = [(replace(pair, factor=2 * pair.factor), False)] if one else [(pair, False), (swapped(pair), True)]
-            chains = [Chain(side, back, WALL_FIRST, turn) for side, back in sides for turn in _turns(planes)]
+            chains = [Chain(side, back > 0, WALL_FIRST, turn) for back, side in enumerate(both_sides(pair))
+                      for turn in _turns(planes)]  # fmt: skip
             chains += [Chain(pair, False, TO_AND_FRO)] if most > 2 else []
             for chain in chains:
                 echoes = _over(context, parts, chain, wall, body, least, grids)
-                out += [] if echoes is None else [_reversed(echoes) if chain.back else echoes]
+                out += [] if echoes is None else [echoes]
     return out
 
 
@@ -129,7 +133,7 @@ def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ..
     count = int(np.clip(2 * np.pi * wall.radius / close, _FEWEST, _MOST))
     out, lines = _lines(wall, count)
     kinds, at = np.array(walls), walls.index(True)
-    surfaces = joined([points_of(ends), bodies_of((body,)).surfaces, lines])
+    surfaces = joined([points_of(ends), bodies_of((body,)), lines]).surfaces
     rows = np.empty((count, many + 2), np.int64)
     rows[:, 0], rows[:, -1], rows[:, 1:-1] = 0, 1, np.where(kinds, 3 + np.arange(count)[:, None], 2)
     found, least = fermat_paths(surfaces, rows, follow=True), np.empty(2)
@@ -137,18 +141,18 @@ def lines_over(wall: Quadric, body: Quadric, ends: Floats, walls: tuple[bool, ..
     kernel.beside(found.corners, at, out, wall.axes[2], found.spreads, slope, least, np.empty((3, 3)))
     found.normals[at] = -out
     return Lines(kinds, found.corners, found.normals, found.lengths, slope, found.spreads, found.bends,
-                 float(1 / max((1 / least).sum(), 1e-12)), surfaces, rows)  # fmt: skip
+                 float(1 / max((1 / least).sum(), 1e-12)))  # fmt: skip
 
 
 @lru_cache(maxsize=32)
-def _lines(wall: Quadric, count: int) -> tuple[Floats, Reflectors]:
+def _lines(wall: Quadric, count: int) -> tuple[Floats, ReflectorSet]:
     """Return unit vectors (n, 3) from the axis of a wall, and the lines along the wall there, level with its centre."""
     angle = (np.arange(count) + 0.5) * (2 * np.pi / count)
     out = np.stack([np.cos(angle), np.sin(angle)], 1) @ wall.axes[:2]
     axes = np.tile(wall.axes, (count, 1, 1))
     lines = Reflectors(np.full(count, LINE), wall.centre + wall.radius * out, axes, np.zeros(count),
                        np.tile([wall.low, wall.high], (count, 1)))  # fmt: skip
-    return out, lines
+    return out, ReflectorSet(lines, np.zeros(count), np.full(count, wall.object_id))
 
 
 def _over(
@@ -168,27 +172,28 @@ def _over(
         if heights[0] * heights[1] <= 0:
             return None
         ends = ends.copy()
-        ends[turn[1]] -= 2 * heights[turn[1]] * wall.axes[2]
+        ends[turn[1]] = turn[0].image(wall, ends[turn[1]])
     lines, wave = lines_over(wall, body, ends, chain.walls), 2 * np.pi / context.spec.wavelength_m
     near = lines.length < 2 * context.gate[1]
     value = lines.spread * near * antennas.factor / (2 * wave) * np.sqrt(0.5j * wave / np.pi)
     around_ = _sampled(lines, wall.radius, wave, value != 0)
     if around_ is None:
         return None
-    first, share, weights = around_
+    first, _, weights = around_
     loud = np.abs(value[first]) * weights
     if loud.sum() * float(context.table.max()) ** 2 < least:
         return None
     wanted = np.zeros(len(value), np.bool_)
     wanted[first] = wanted[(first + 1) % len(value)] = True
     wanted_lines = np.flatnonzero(wanted)
-    path = _reflected_paths(lines, wall, body, antennas.origins, turn, wanted_lines)
+    path = _paths(lines, wall, body, turn, wanted_lines)
+    left = end_factors(path, context.spec.wavelength_m)
+    path = path.within_ends()
     seen = np.zeros(len(value), complex)
-    seen[wanted_lines] = value[wanted_lines] * free(parts, path) * reflection_gains(context, antennas, path)
-    seen[wanted_lines] *= end_factors(_ending(lines, wall, turn), lines.rows[wanted_lines],
-                                      lines.corners[:, wanted_lines], lines.bends[:, wanted_lines],
-                                      context.spec.wavelength_m)  # fmt: skip
-    return _add_echoes(context, lines, wall, path, wanted_lines, (first, share, weights), seen, grids)
+    seen[wanted_lines] = value[wanted_lines] * left * free(parts, path) * reflection_gains(context, antennas, path)
+    parts_of, at = _summed(lines, 2 * np.pi * wall.radius / len(value), around_, seen)
+    path = path.take(np.searchsorted(wanted_lines, at))
+    return accumulate_paths(context, path.reversed() if chain.back else path, parts_of, grids)
 
 
 def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Longs, Floats, Floats] | None:
@@ -205,89 +210,26 @@ def _sampled(lines: Lines, radius: float, wave: float, there: Bools) -> tuple[Lo
     return (first[:made], share[:made], weights[:made]) if made else None
 
 
-def _reflected_paths(
-    lines: Lines, wall: Quadric, body: Quadric, origins: Floats, turn: Turn, wanted_lines: Longs
-) -> ReflectedPaths:
-    """Return some geometric paths (n): unfolded at a plane, with corners past the ends of bodies moved onto them."""
-    corners, normals = lines.corners[:, wanted_lines], lines.normals[:, wanted_lines]
-    kinds = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(wanted_lines), 1)  # wall, body, plane
-    there, plane_object_id = np.ones(len(wanted_lines), bool), -1
-    if turn is not None:
-        plane, end = turn
-        back = slice(None, None, -1 if end else 1)  # from the end that is an image
-        side = float(np.sign(wall.local(origins[end])[2] - plane.level))
-        corners, normals, kinds, there = _unfolded(wall, plane, side, corners[back], normals[back], kinds[back])
-        corners, normals, kinds, plane_object_id = corners[back], normals[back], kinds[back], plane.object_id
-    corners = corners.copy()
-    for kind, thing in enumerate((wall, body)):
-        if not thing.is_sphere:
-            up = (corners[1:-1] - thing.centre) @ thing.axes[2]
-            inner = np.clip(up, thing.low + PULL_M, thing.high - PULL_M)
-            corners[1:-1] += np.where(kinds == kind, inner - up, 0.0)[..., None] * thing.axes[2]
-    depths, object_ids = (
-        np.array([wall.depth, body.depth, 0.0]),
-        np.array([wall.object_id, body.object_id, plane_object_id]),
-    )
-    return ReflectedPaths(corners, normals, depths[kinds], object_ids[kinds], there)
+def _paths(lines: Lines, wall: Quadric, body: Quadric, turn: Turn, wanted_lines: Longs) -> ReflectedPaths:
+    """Return some geometric paths (n), reflected at a plane if there is one."""
+    plane, end = turn or (None, 0)
+    reflectors = reflectors_in(wall, (body,), plane, goes_on=bool(lines.walls[-end]))
+    on = np.repeat(np.where(lines.walls, 0, 1)[:, None], len(wanted_lines), 1)
+    path = ReflectedPaths(lines.corners[:, wanted_lines], lines.normals[:, wanted_lines], on,
+                          lines.bends[:, wanted_lines], reflectors, np.ones(len(wanted_lines), bool))  # fmt: skip
+    if plane is None:
+        return path
+    path = (path.reversed() if end else path).folded(2, on[:: -1 if end else 1] == 0)
+    return path.reversed() if end else path
 
 
-def _unfolded(
-    wall: Quadric, plane: Plane, side: float, corners: Floats, normals: Floats, kinds: Longs
-) -> tuple[Floats, Floats, Longs, Bools]:
-    """Reflect paths (n) from an image behind a plane across the axis at the plane; return whether they exist."""
-    axis = side * wall.axes[2]
-    gaps = (corners - wall.centre) @ axis - side * plane.level
-    late = (gaps[1] < 0) & (kinds[0] == 0)  # the wall's image comes first
-    a, b = (np.where(late[:, None], corners[k + 1], corners[k]) for k in (0, 1))
-    gap, then = (np.where(late, gaps[k + 1], gaps[k]) for k in (0, 1))
-    crossing = a + (gap / np.where(gap < then, gap - then, -1.0))[:, None] * (b - a)
-    begin, first = (corners[k] - 2 * gaps[k][:, None] * axis for k in (0, 1))
-    swap, flat = late[:, None], np.broadcast_to(axis, crossing.shape)
-    stops = [np.where(swap, first, crossing), np.where(swap, crossing, corners[1]), *corners[2:]]
-    faces = [np.where(swap, normals[0], flat), np.where(swap, flat, normals[0]), *normals[1:]]
-    floor = np.full(len(late), 2)
-    which = [np.where(late, kinds[0], floor), np.where(late, floor, kinds[0]), *kinds[1:]]
-    there = (gap < 0) & (then > 0) & (gaps[2:] > 0).all(0)
-    return np.stack([begin, *stops]), np.stack(faces), np.stack(which), there
-
-
-def _ending(lines: Lines, wall: Quadric, turn: Turn) -> Reflectors:
-    """Return the reflectors of lines; past an end on a plane that the path meets next to it, the wall continues."""
-    extents = lines.surfaces.extents.copy()
-    if turn is not None and lines.walls[-turn[1]]:
-        for k, end in enumerate((wall.low, wall.high)):
-            if abs(end - turn[0].level) < SAME_M:
-                extents[3:, k] = np.copysign(np.inf, k - 0.5)
-    return lines.surfaces._replace(extents=extents)
-
-
-def _add_echoes(
-    context: RadarContext, lines: Lines, wall: Quadric, path: ReflectedPaths, wanted_lines: Longs,
-    places: tuple[Longs, Floats, Floats], seen: Complexes, grids: Complexes,
-) -> EchoSet:  # fmt: skip
-    """Add the sum over places along the wall; return one echo for each point of stationary phase."""
+def _summed(lines: Lines, step: float, places: tuple[Longs, Floats, Floats], seen: Complexes) -> tuple[PathSum, Longs]:
+    """Return the sum over places along the wall, from line to line so far [m], and the lines before those that lead."""
     first, share, _ = places
     value, (length, slope) = np.empty(len(first), complex), np.empty((2, len(first)))
-    step = 2 * np.pi * wall.radius / len(seen)
     kernel.summed(lines.length, lines.slope, step, seen, kernel.WallPlaces(*places), value, length, slope)
-    echo = accumulate(context, length / C0, value, grids, (0.5, 0.5))
     leads = np.flatnonzero((slope[:-1] * slope[1:] <= 0) & ((first[1:] - first[:-1]) % len(seen) <= 1))
     leads = leads if len(leads) else np.array([abs(slope).argmin()])
-    count = len(leads)
-    led, total = np.empty(len(first), np.int64), np.empty(count, complex)
-    kernel.gathered(first, share, leads, len(seen), echo, led, total)
-    at = np.searchsorted(wanted_lines, first[leads])
-    names = path.object_ids[:, at]
-    via = np.full((count, 2), -1, np.int64)
-    via[:, : len(names) - 1] = names[:-1].T
-
-    def again(factors: Complexes, others: Complexes) -> None:
-        accumulate(context, length / C0, value * factors[led], others, (0.5, 0.5))
-
-    return EchoSet(names[-1].astype(np.int32), path.corners[-2, at], total, length[leads] / C0, again, via)
-
-
-def _reversed(echoes: EchoSet) -> EchoSet:
-    """Reverse echoes that were traced from the receiver: the surface traced first is the last one met."""
-    via = np.array([[b, a] if b >= 0 else [a, b] for a, b in np.asarray(echoes.via)], np.int64)
-    return replace(echoes, via=via, before=np.zeros(len(via), np.int64))
+    led = np.empty(len(first), np.int64)
+    kernel.nearest(first, share, leads, len(seen), led)
+    return PathSum(length, value, leads, led, (0.5, 0.5)), first[leads]

@@ -17,18 +17,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fresnel
 
-from ullage.antenna import gain
-from ullage.arrays import Bools, Complexes, Floats, Longs
-from ullage.geometry import C0
-from ullage.kernels import impulses as kernel
+from ullage.arrays import Complexes, Floats, Longs
 from ullage.radar.context import AntennaPair, RadarContext
 from ullage.radar.echo_set import EchoSet
 from ullage.radar.facets import PlanarPatches, Surfaces
-from ullage.radar.mirrors import across, dot, reflected
 from ullage.radar.quadrics import Quadric
-from ullage.radar.visibility import between
+from ullage.radar.reflected_paths import (
+    PathSum,
+    ReflectedPaths,
+    accumulate_paths,
+    end_factors,
+    free,
+    reflection_gains,
+)
+from ullage.radar.reflectors import PULL_M, ReflectorSet, bodies_of, joined, plane_set
 
 LEAST_M = 0.25
 """Least radius [m]: narrower pipes are wave guides, not mirrors."""
@@ -44,8 +47,6 @@ EVERY = 8
 """Visibility and fields are computed for one of this many rays: neighbours are only 1 or 2 cm apart."""
 SAME_M = 0.01
 """Planes that are closer than this count as one [m]."""
-PULL_M = 4e-3
-"""Distance of visibility tests from the facets of curved bodies [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +67,10 @@ class Fan:
         return replace(self, points=self.points[:, which], paths=self.paths[:, which], along=self.along[:, which],
                        weights=self.weights[which], names=self.names[which])  # fmt: skip
 
+    def nearest(self, names: Longs) -> Longs:
+        """Return which rays are next to others with these numbers (m)."""
+        return np.asarray(abs(self.names[:, None] - names).argmin(0))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
@@ -73,6 +78,30 @@ class Plane:
 
     level: float  # along the axis [m]
     object_id: int  # object
+
+    def image(self, wall: Quadric, point: Floats) -> Floats:
+        """Return the mirror image of a point (3) [m]."""
+        return np.asarray(point + 2 * (self.level - wall.local(point)[2]) * wall.axes[2])
+
+
+def reflectors_in(
+    wall: Quadric, bodies: tuple[Quadric, ...], plane: Plane | None, *, goes_on: bool = True
+) -> ReflectorSet:
+    """Return a wall, bodies in it and last a plane across its axis as reflectors.
+
+    Past an end on the plane the wall goes on as its own image.
+    """
+    found = bodies_of((wall, *bodies))
+    if plane is None:
+        return found
+    extents = found.surfaces.extents.copy()
+    for k, end in enumerate((wall.low, wall.high)):
+        if goes_on and abs(end - plane.level) < SAME_M:
+            extents[0, k] = np.copysign(np.inf, k - 0.5)
+    found = replace(found, surfaces=found.surfaces._replace(extents=extents))
+    axis = wall.axes[2:]
+    return joined([found, plane_set(wall.centre + plane.level * axis, axis, np.zeros((1, 2)),
+                                    np.array([plane.object_id]))])  # fmt: skip
 
 
 def accumulate_walls(
@@ -91,19 +120,18 @@ def accumulate_walls(
     largest apparent `sizes` (p).
     """
     out: list[EchoSet] = []
-    one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
-    sides = [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, swapped(antennas)]
     for wall in around(context, quadrics, antennas):
         planes = planes_of(planar, wall, sizes) if max_bounces > 2 else []
-        for side in sides:
+        for side in both_sides(antennas):
             for bounces in range(2, max_bounces + 1):
                 out += _echoes_of(context, parts, side, wall, bounces, planes if bounces == 2 else [], grids)
     return out
 
 
-def swapped(antennas: AntennaPair) -> AntennaPair:
-    """Exchange transmitter and receiver."""
-    return replace(antennas, **{row: getattr(antennas, row)[::-1].copy() for row in ("origins", "frames", "fields")})
+def both_sides(antennas: AntennaPair) -> list[AntennaPair]:
+    """List the radar and the one that sends from its receiver; they are one, twice as strong, if they do not differ."""
+    one = antennas.monostatic and bool((antennas.fields[0] == antennas.fields[1]).all())
+    return [replace(antennas, factor=2 * antennas.factor)] if one else [antennas, antennas.swapped()]
 
 
 def around(context: RadarContext, quadrics: tuple[Quadric, ...], antennas: AntennaPair) -> Iterator[Quadric]:
@@ -249,130 +277,35 @@ def _over(
     grids: Complexes,
 ) -> EchoSet | None:
     """Add the echo over one fan, with or without a bounce at a plane across the axis."""
-    (_, _, begin), (_, _, end) = wall.local(antennas.origins)
-    rise = (end if plane is None else 2 * plane.level - end) - begin
-    path = np.sqrt(fan.along[-1] ** 2 + rise**2)
-    if path.min(initial=np.inf) > 2 * context.gate[1]:
+    begin, end = antennas.origins
+    if plane is not None:
+        begin = plane.image(wall, begin)
+    wavelength, length = context.spec.wavelength_m, np.hypot(fan.along[-1], (end - begin) @ wall.axes[2])
+    if length.min(initial=np.inf) > 2 * context.gate[1]:
         return None
     sampled = fan.some()
-    met = _climb(wall, sampled, plane, begin, rise)
-    free = _free(parts, antennas, wall, sampled, met, plane)
-    if not free.any():
+    path = _climb(wall, sampled, begin, end, reflectors_in(wall, (), plane))
+    if plane is not None:
+        path = path.folded(len(path.reflectors) - 1, np.ones(path.on.shape, bool))
+    seen = end_factors(path, wavelength)
+    path = path.within_ends()
+    seen *= free(parts, path)
+    if not seen.any():
         return None
-    seen = free * _end_factors(wall, plane, met, sampled.along, context.spec.wavelength_m)
-    seen *= _turned(context, antennas, wall, sampled, plane, met)
-    wavelength = context.spec.wavelength_m
-    value = antennas.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * path)) / path * fan.weights
+    seen *= reflection_gains(context, antennas, path)
+    value = antennas.factor * np.sqrt(wavelength * fan.along[-1] / (8 * np.pi * length)) / length * fan.weights
     value *= np.interp(fan.names, sampled.names, seen)
-    echo = accumulate(context, path / C0, value, grids, (0.5, 0.5))
-    leads, count = fan.leads, len(fan.leads)
-    via = np.full((count, 2), -1, np.int64)
-    via[:, : len(fan.points) - 1] = wall.object_id
-    if plane is not None:
-        via[:, 1] = plane.object_id
-    points = np.stack([np.interp(fan.names[leads], sampled.names, row) for row in met.stops[-1].T], 1)
-    total = np.bincount(fan.led, echo.real, count) + 1j * np.bincount(fan.led, echo.imag, count)
-
-    def again(factors: Complexes, others: Complexes) -> None:
-        accumulate(context, path / C0, value * factors[fan.led], others, (0.5, 0.5))
-
-    return EchoSet(np.full(count, wall.object_id, np.int32), points, total, path[leads] / C0, again, via)
+    leads = path.take(sampled.nearest(fan.names[fan.leads]))
+    return accumulate_paths(context, leads, PathSum(length, value, fan.leads, fan.led, (0.5, 0.5)), grids)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Met:
-    """Reflection points of the rays of a fan on the wall, with their heights along the axis."""
-
-    stops: Floats  # (b, n, 3) just inside the facets [m]
-    heights: Floats  # (b, n) along the axis [m]
-    level: Floats  # (n) cosine between path and cross-section
-    climb: Floats  # (n) cosine between path and axis, at first
-    leg: Longs  # (n) leg that meets the plane; past the last one without a plane
-
-
-def _climb(wall: Quadric, fan: Fan, plane: Plane | None, begin: float, rise: float) -> Met:
-    path = np.sqrt(fan.along[-1] ** 2 + rise**2)
-    heights = begin + rise * fan.along[:-1] / fan.along[-1]
-    leg = np.full(len(path), len(fan.paths))
-    if plane is not None:
-        after = (heights - plane.level) * (begin - plane.level) < 0
-        heights = np.where(after, 2 * plane.level - heights, heights)
-        leg = (~after).sum(0)
-    inner = np.minimum(np.maximum(heights, wall.low + PULL_M), wall.high - PULL_M)
-    pulled = fan.points * (1 - (wall.depth + PULL_M) / wall.radius)
-    stops = wall.centre + pulled @ wall.axes[:2] + inner[..., None] * wall.axes[2]
-    return Met(stops, heights, fan.along[-1] / path, rise / path, leg)
-
-
-def _end_factors(wall: Quadric, plane: Plane | None, met: Met, along: Floats, wavelength: float) -> Complexes:
-    """Compute the factors (n) of the wall's ends along its axis, by Fresnel integrals at the bounces.
-
-    An end on the plane does not count: past it the wall continues as its image.
-    """
-    zone = np.sqrt(wavelength * along[:-1] * (1 - along[:-1] / along[-1]) / met.level**3)
-    ends = [np.full(zone.shape, -0.5 + 0.5j), np.full(zone.shape, 0.5 - 0.5j)]
-    for k, end in enumerate((wall.low, wall.high)):
-        if plane is None or abs(end - plane.level) > SAME_M:
-            sine, cosine = fresnel(np.sqrt(2) * (end - met.heights) / zone)
-            ends[k] = cosine - 1j * sine
-    return np.asarray(((ends[1] - ends[0]) / (1 - 1j)).prod(0))
-
-
-def _free(
-    parts: list[Surfaces], antennas: AntennaPair, wall: Quadric, fan: Fan, met: Met, plane: Plane | None
-) -> Bools:
-    """Return which rays (n) have free legs and existing reflection points: walls have gaps, floors end."""
-    stops, count = met.stops, len(met.leg)
-    ends = [np.broadcast_to(origin, (1, count, 3)) for origin in antennas.origins]
-    corners = np.concatenate([ends[0], stops, ends[1]])
-    outward = fan.points @ (wall.axes[:2] * 2 * (wall.depth + PULL_M) / wall.radius)
-    legs, holds = [corners[:-1], corners[1:].copy()], [stops, stops + outward]
-    if plane is not None:
-        rows, normal = np.arange(count), wall.axes[2]
-        a, b = corners[met.leg, rows], corners[met.leg + 1, rows]
-        gap, opposite = ((point - wall.centre) @ normal - plane.level for point in (a, b))
-        image = b - 2 * opposite[:, None] * normal
-        hit = a + (gap / (gap + opposite))[:, None] * (image - a)
-        lift = np.sign(gap)[:, None] * PULL_M * normal
-        legs[1][met.leg, rows] = hit + lift
-        legs = [np.concatenate([legs[0], (hit + lift)[None]]), np.concatenate([legs[1], b[None]])]
-        holds = [np.concatenate([here, (hit + side)[None]]) for here, side in zip(holds, (lift, -lift), strict=True)]
-    both = [np.concatenate(rows).reshape(-1, 3) for rows in zip(legs, holds, strict=True)]
-    clear = between(parts, *both).reshape(-1, count)
-    return np.asarray(clear[: len(legs[0])].all(0) & ~clear[len(legs[0]) :].any(0))
-
-
-def _turned(
-    context: RadarContext, antennas: AntennaPair, wall: Quadric, fan: Fan, plane: Plane | None, met: Met
-) -> Complexes:
-    """Compute the product (n) of antenna gains and reflections, with polarisation."""
-    paths, climb = fan.paths @ wall.axes[:2] * met.level[:, None], met.climb[:, None] * wall.axes[2]
-    normals, object_ids = fan.points @ wall.axes[:2] / wall.radius, np.full(len(climb), wall.object_id)
-    u = paths[0] + climb
-    field = across(antennas.fields[:1], u).astype(complex)
-    total = gain(context.spec.antenna, u @ antennas.frames[0].T)
-    for leg in range(len(paths)):
-        mine = np.flatnonzero(met.leg == leg)
-        if plane is not None and len(mine):
-            axis, floor = np.broadcast_to(wall.axes[2], (len(mine), 3)), np.full(len(mine), plane.object_id)
-            field[mine] = reflected(context.bounce, floor, field[mine], (paths[leg] + climb)[mine], axis)
-            climb = climb.copy()
-            climb[mine] *= -1
-        u = paths[leg] + climb
-        if leg < len(normals):
-            field = reflected(context.bounce, object_ids, field, u, normals[leg])
-    back = gain(context.spec.antenna, -u @ antennas.frames[1].T)
-    return np.asarray(total * back * dot(field, across(antennas.fields[1:], u)))
-
-
-def accumulate(
-    context: RadarContext, delay: Floats, value: Complexes, grids: Complexes, shares: tuple[float, float]
-) -> Complexes:
-    """Add impulses (n) at their delays [s] to the grids; return their values at the carrier.
-
-    `shares` are the parts that are constant in frequency and that fall as 1 / f. A mirror echo falls as 1 / f. Points
-    whose sum along a line makes a mirror echo fall as its square root, which is half of each.
-    """
-    echo = np.empty(len(value), complex)
-    kernel.impulses(np.asarray(delay, float), np.asarray(value, complex), context.pulse_grid, shares, grids, echo)
-    return echo
+def _climb(wall: Quadric, fan: Fan, begin: Floats, end: Floats, reflectors: ReflectorSet) -> ReflectedPaths:
+    """Return the paths of rays (n) that climb along the axis from one point to another."""
+    shares, climb, ends = fan.along / fan.along[-1], (end - begin) @ wall.axes[2], wall.local(begin)[2]
+    heights = ends + climb * shares[:-1]
+    stops = wall.centre + fan.points @ wall.axes[:2] + heights[..., None] * wall.axes[2]
+    corners = np.concatenate([np.broadcast_to(begin, stops[:1].shape), stops, np.broadcast_to(end, stops[:1].shape)])
+    level = fan.along[-1] / np.hypot(fan.along[-1], climb)
+    bends = level**3 / (fan.along[:-1] * (1 - shares[:-1]))
+    return ReflectedPaths(corners, fan.points @ wall.axes[:2] / -wall.radius, np.zeros(bends.shape, np.int64), bends,
+                          reflectors, np.ones(len(level), bool))  # fmt: skip

@@ -23,11 +23,12 @@ def echoes() -> None:
 def fermat() -> None:
     """The kernels of `fermat`, from one point over a ball to another."""
     from ullage.kernels import fermat as kernel
-    from ullage.radar.fermat import bodies_of, fermat_paths, joined, points_of
+    from ullage.radar.fermat import fermat_paths
     from ullage.radar.quadrics import Quadric
+    from ullage.radar.reflectors import bodies_of, joined, points_of
 
     ball = Quadric(np.zeros(3), np.eye(3), 0.3, -0.3, 0.3, 0.0, 0.1, 0, is_sphere=True)
-    surfaces = joined([points_of(np.ones((2, 3))), bodies_of((ball,)).surfaces])
+    surfaces = joined([points_of(np.ones((2, 3))), bodies_of((ball,))]).surfaces
     chains = kernel.Chains(np.array([[0, 2, 1]]), np.ones(1))
     kernel.may_be_strong(surfaces, chains, kernel.Limits(1.0, 1.0), np.empty(1, np.int64))
     kernel.settle(surfaces, chains.rows, fermat_paths(surfaces, chains.rows).corners, np.empty(3))
@@ -43,4 +44,4 @@ def chains() -> None:
     places = kernel.WallPlaces(long, none, none)
     kernel.sampled(none, none, none > 0, 1.0, 1.0, 1, places)
     kernel.summed(none, none, 1.0, wave, places, wave, none, none)
-    kernel.gathered(long, none, long, 1, wave, long, wave)
+    kernel.nearest(long, none, long, 1, long)
