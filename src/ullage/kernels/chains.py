@@ -101,15 +101,3 @@ def summed(lengths, slopes, step, seen, places: WallPlaces, values, paths, rates
         here, u = first[i], share[i]
         values[i] = (seen[here] * (1 - u) + seen[(here + 1) % len(seen)] * u) * weights[i]
         paths[i], rates[i] = _between(lengths, slopes, here, u, step)
-
-
-@lean(nogil=True, error_model="numpy")
-def nearest(first, share, leads, many, led):  # type: ignore[no-untyped-def]
-    """Find which of some places (m), `leads`, is next to each round a wall of so many lines; `led` (m) gets that."""
-    for i in range(len(first)):
-        least = math.inf
-        for j in range(len(leads)):
-            apart = abs(first[i] - first[leads[j]] + share[i] - share[leads[j]])
-            apart = min(apart, many - apart)
-            if apart < least:
-                least, led[i] = apart, j

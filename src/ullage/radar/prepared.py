@@ -77,13 +77,12 @@ class Prepared:
 
     def _closed_normals(self) -> Floats:
         """Return normals (s, 3, 3) of closed forms at the corners of the faces that lie on them; zero at others."""
-        corners, still = self.scene.corners(), self.still
+        corners = self.scene.corners()
         out = np.zeros_like(corners)
         for wall in self.quadrics:
             out[wall.faces] = wall.radial(corners[wall.faces])
         for sphere in self.spheres:
-            mine = np.concatenate([still.faces[sphere.small], still.flat_faces[sphere.planar[still.flat_at]]])
-            out[mine] = corners[mine] - sphere.centre
+            out[sphere.faces] = corners[sphere.faces] - sphere.centre
         sides = np.einsum("fki,fi->fk", out, smoothing.face_normals(corners)[0])
         return np.asarray(out / np.copysign(np.maximum(np.linalg.norm(out, axis=2), 1e-300), sides)[..., None])
 

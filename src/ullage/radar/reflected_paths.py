@@ -127,6 +127,24 @@ def accumulate(
     return echo
 
 
+def stationary(places: Floats, slopes: Floats, step: float) -> tuple[Longs, Longs]:
+    """Find the paths (m) that are stationary among neighbours around a wall, and the nearest of them for each path (n).
+
+    Args:
+        places: where each path meets the wall (n), in rising order, as shares of its circumference.
+        slopes: derivatives of the lengths along the wall (n).
+        step: distance of neighbours; paths further apart have none in between.
+    """
+    after = np.roll(np.arange(len(places)), -1)
+    near = (places[after] - places) % 1 < 1.5 * step
+    here = np.flatnonzero((slopes * slopes[after] <= 0) & near)
+    leads = np.where(abs(slopes[here]) < abs(slopes[after[here]]), here, after[here])
+    if not len(leads):
+        leads = np.array([abs(slopes).argmin()])
+    apart = abs(places[:, None] - places[leads])
+    return leads, np.minimum(apart, 1 - apart).argmin(1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSum:
     """Parts (n) of a sum over paths, of which some are stationary and lead the parts next to them."""

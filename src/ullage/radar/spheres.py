@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ullage.arrays import Bools, Floats
+from ullage.arrays import Bools, Floats, Longs
 from ullage.radar.facets import Surfaces
 from ullage.radar.quadrics import LEAST_M, OFF_M, SmoothSurface, along_axis, connected_parts, sphere_through
 from ullage.radar.solids import welded
@@ -39,6 +39,7 @@ class Sphere:
     widest: float  # smallest side of the widest facet [m]
     object_id: int  # object
     caps: Floats  # (k, 4) openings: unit vector from the centre, and how far out along it each begins [m]
+    faces: Longs  # (n) faces of the scene that lie on it
     planar: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (p) flat faces at rest that the sphere replaces
     small: Bools = field(default_factory=lambda: np.zeros(0, bool))  # (f) small triangles at rest, likewise
 
@@ -61,7 +62,7 @@ def spheres_of(surfaces: Sequence[SmoothSurface], still: Surfaces) -> tuple[Sphe
             continue
         closing = [sphere for part in _end_caps(surface, level) if (sphere := _fit_whole(part)) is not None]
         found += closing or _grow_domes(surface)
-    return tuple(_with_faces(sphere, still) for sphere in found)
+    return tuple(_with_masks(sphere, still) for sphere in found)
 
 
 def _end_caps(surface: SmoothSurface, level: Bools) -> list[SmoothSurface]:
@@ -118,7 +119,7 @@ def _fit_whole(surface: SmoothSurface) -> Sphere | None:
     filled = _solid_angles(local).sum() / (4 * np.pi)
     if share < _LEAST_SHARE or abs(filled - share) > _WHOLE * share:
         return None
-    return Sphere(centre, radius, depth, float(sides.min(1).max()), surface.object_id, caps)
+    return Sphere(centre, radius, depth, float(sides.min(1).max()), surface.object_id, caps, surface.faces)
 
 
 def _openings(local: Floats) -> Floats | None:
@@ -159,20 +160,7 @@ def _solid_angles(local: Floats) -> Floats:
     return np.asarray(2 * np.arctan2(triple, 1 + ab + bc + ca))
 
 
-def _with_faces(sphere: Sphere, still: Surfaces) -> Sphere:
-    """Return the sphere with the flat faces and small triangles at rest that lie on it."""
-    planar, least = still.planar, sphere.radius - sphere.depth - OFF_M
-    small = _lie_on(sphere, still.corners).all(1) & (still.object_ids == sphere.object_id)
-    small &= abs(np.einsum("ni,ni->n", still.normals, still.corners[:, 0] - sphere.centre)) > least
-    small &= sphere.holds(still.corners.mean(1) - sphere.centre)
-    if not len(planar):
-        return replace(sphere, planar=np.zeros(0, bool), small=small)
-    begin = planar.first[:-1]
-    large = np.logical_and.reduceat(_lie_on(sphere, planar.starts), begin) & (planar.object_ids == sphere.object_id)
-    large &= abs(planar.normals @ sphere.centre - planar.offsets) > least
-    middles = np.add.reduceat(planar.starts, begin) / np.diff(planar.first)[:, None]
-    return replace(sphere, planar=large & sphere.holds(middles - sphere.centre), small=small)
-
-
-def _lie_on(sphere: Sphere, points: Floats) -> Bools:
-    return np.asarray(abs(np.linalg.norm(points - sphere.centre, axis=-1) - sphere.radius) < 2 * OFF_M)
+def _with_masks(sphere: Sphere, still: Surfaces) -> Sphere:
+    """Return the sphere with the flat faces and small triangles at rest that are made of its faces."""
+    planar = np.bincount(still.flat_at, np.isin(still.flat_faces, sphere.faces), len(still.planar)) > 0
+    return replace(sphere, planar=planar, small=np.isin(still.faces, sphere.faces))

@@ -30,6 +30,7 @@ from ullage.radar.reflected_paths import (
     end_factors,
     free,
     reflection_gains,
+    stationary,
 )
 from ullage.radar.reflectors import PULL_M, ReflectorSet, bodies_of, joined, points_of
 from ullage.radar.wall_bounces import ZONES, Plane, around, both_sides, planes_of, reflectors_in
@@ -228,8 +229,5 @@ def _summed(lines: Lines, step: float, places: tuple[Longs, Floats, Floats], see
     first, share, _ = places
     value, (length, slope) = np.empty(len(first), complex), np.empty((2, len(first)))
     kernel.summed(lines.length, lines.slope, step, seen, kernel.WallPlaces(*places), value, length, slope)
-    leads = np.flatnonzero((slope[:-1] * slope[1:] <= 0) & ((first[1:] - first[:-1]) % len(seen) <= 1))
-    leads = leads if len(leads) else np.array([abs(slope).argmin()])
-    led = np.empty(len(first), np.int64)
-    kernel.nearest(first, share, leads, len(seen), led)
+    leads, led = stationary((first + share) / len(seen), slope, 1 / len(seen))
     return PathSum(length, value, leads, led, (0.5, 0.5)), first[leads]

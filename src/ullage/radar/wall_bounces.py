@@ -30,6 +30,7 @@ from ullage.radar.reflected_paths import (
     end_factors,
     free,
     reflection_gains,
+    stationary,
 )
 from ullage.radar.reflectors import PULL_M, ReflectorSet, bodies_of, joined, plane_set
 
@@ -205,7 +206,7 @@ def fan_of(radius: float, start: Floats, stop: Floats, bounces: int, wave: float
     paths = np.concatenate([shot.paths, np.stack([on, off])[None]])[..., kept].transpose(0, 2, 1)
     along = np.concatenate([shot.legs.cumsum(0), path[None]])[:, kept]
     return Fan(np.ascontiguousarray(shot.points[..., kept].transpose(0, 2, 1)), np.ascontiguousarray(paths), along,
-               weights, kept, *_leads(kept, turn[kept], len(turn)))  # fmt: skip
+               weights, kept, *stationary(kept / len(turn), turn[kept], 1 / len(turn)))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,17 +238,6 @@ def _shot(radius: float, start: Floats, bounces: int, step: float) -> Shot:
         width, bend = wider, bend - 2 * wider / (radius * slope)
         u, v = u - 2 * slope * x / radius, v - 2 * slope * y / radius
     return Shot(points, paths, legs, slopes, width, caustics)
-
-
-def _leads(names: Longs, turn: Floats, count: int) -> tuple[Longs, Longs]:
-    """Find the rays (n), out of `count`, with stationary path length along the wall, and the nearest for each ray."""
-    after = np.roll(np.arange(len(names)), -1)
-    here = np.flatnonzero((turn * turn[after] <= 0) & ((names[after] - names) % count == 1))
-    leads = np.where(abs(turn[here]) < abs(turn[after[here]]), here, after[here])
-    if not len(leads):
-        leads = np.array([abs(turn).argmin()])
-    gap = abs((names[:, None] - names[leads] + count // 2) % count - count // 2)
-    return leads, gap.argmin(1)
 
 
 def _fade(turn: Floats, last: Floats, width: Floats, radius: float, wave: float, step: float) -> Floats:

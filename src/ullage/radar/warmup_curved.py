@@ -44,4 +44,3 @@ def chains() -> None:
     places = kernel.WallPlaces(long, none, none)
     kernel.sampled(none, none, none > 0, 1.0, 1.0, 1, places)
     kernel.summed(none, none, 1.0, wave, places, wave, none, none)
-    kernel.nearest(long, none, long, 1, long)

@@ -41,19 +41,6 @@ class Lines:
         return len(self.radii)
 
 
-def backscatter(ka: ArrayLike, eps: complex | None = None, *, oblique: float = 1.0) -> tuple[Complexes, Complexes]:
-    """Series S of the infinite cylinder straight back, TM and TE (electric field), so that the width is 4 |S|^2 / k.
-
-    Args:
-        ka: wave number times radius.
-        eps: relative permittivity; None: a perfect conductor.
-        oblique: sine of the angle between wave and axis, for the inside of a dielectric.
-    """
-    tm, te = _orders(ka, eps, oblique=oblique)
-    sign = (-1.0) ** np.arange(len(tm))
-    return np.asarray(sign @ tm), np.asarray(-(sign @ te))
-
-
 def _orders(ka: ArrayLike, eps: complex | None = None, *, oblique: float = 1.0) -> tuple[Complexes, Complexes]:
     """Terms (n, k) of the field scattered by the infinite cylinder: E along the axis (TM), H along it (TE).
 
